@@ -1,0 +1,76 @@
+"""The pinhole camera: intrinsics, projection, and the one place where OpenGL axes become OpenCV axes.
+
+Pixel coordinates follow OpenCV: the centre of the top-left pixel is (0, 0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from svmdist.transforms import Array
+
+R_OPENGL_OPENCV: Array = np.diag([1.0, -1.0, -1.0])
+"""OpenCV axes (x right, y down, z forward) in OpenGL's (x right, y up, z backward); its own inverse."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with Brown–Conrady distortion, as `foxglove.CameraCalibration` carries it.
+
+    `K` has shape (3, 3) in px; `D` holds OpenCV's k1, k2, p1, p2[, k3…], empty for none;
+    `R_rectified_camera` and `P` (3, 4) are the rectification and projection of a stereo pair.
+    """
+
+    width_px: int
+    height_px: int
+    K: Array
+    D: Array = field(default_factory=lambda: np.zeros(0))
+    R_rectified_camera: Array | None = None
+    P: Array | None = None
+    frame_id: str = "camera"
+
+    @classmethod
+    def from_horizontal_fov(
+        cls, width_px: int, height_px: int, horizontal_fov_rad: float, frame_id: str = "camera"
+    ) -> Camera:
+        """Make an ideal camera with square pixels whose optical axis meets the middle of the image."""
+        focal_px = width_px / 2.0 / np.tan(horizontal_fov_rad / 2.0)
+        # Pixel centres are integers, so the middle of w pixels lies at (w - 1) / 2.
+        K = np.array(
+            [
+                [focal_px, 0.0, (width_px - 1) / 2.0],
+                [0.0, focal_px, (height_px - 1) / 2.0],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        P = np.hstack([K, np.zeros((3, 1))])
+        return cls(width_px, height_px, K, np.zeros(5), np.eye(3), P, frame_id)
+
+    def project(self, p_camera_m: ArrayLike) -> Array:
+        """Project points of the camera frame, shape (n, 3) in m and in front of it, to px, shape (n, 2).
+
+        Distortion follows OpenCV's model with up to five coefficients.
+        """
+        p = np.atleast_2d(np.asarray(p_camera_m, np.float64))
+        x, y = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
+        k1, k2, p1, p2, k3 = np.concatenate([self.D, np.zeros(5)])[:5]
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        x_distorted = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        y_distorted = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        homogeneous = np.stack([x_distorted, y_distorted, np.ones_like(x)], -1) @ self.K.T
+        return np.asarray(homogeneous[:, :2])
+
+    def same_optics(self, other: Camera, tolerance_px: float = 1e-6) -> bool:
+        """Tell whether size, intrinsics and distortion agree within a tolerance in px."""
+        length = max(len(self.D), len(other.D))
+        distortion = np.pad(self.D, (0, length - len(self.D)))
+        other_distortion = np.pad(other.D, (0, length - len(other.D)))
+        return (
+            (self.width_px, self.height_px) == (other.width_px, other.height_px)
+            and bool(np.allclose(self.K, other.K, rtol=0.0, atol=tolerance_px))
+            and bool(np.allclose(distortion, other_distortion, rtol=0.0, atol=1e-9))
+        )

@@ -1,0 +1,54 @@
+"""The errors svmdist raises on purpose: one base class, one subclass per thing a caller can do about it.
+
+Every message is one line that says what was expected, what was found and what the choices are, so
+that the command line can print it as it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class SvmdistError(Exception):
+    """Base of all errors that svmdist raises on purpose; its text is one line for a person."""
+
+
+class UsageError(SvmdistError):
+    """The request itself is wrong: an option's value, a combination, a file that may not be replaced."""
+
+
+class ProfileError(SvmdistError):
+    """A profile file cannot be used: missing, not TOML, an unknown key, a bad value."""
+
+
+class CalibrationError(SvmdistError):
+    """A calibration file cannot be used, or does not fit the recording's camera or the method."""
+
+
+class RecordingError(SvmdistError):
+    """A recording cannot be used at all: missing, empty, of another format, without a needed topic."""
+
+
+class OutputError(SvmdistError):
+    """A result cannot be written: no such folder, no permission, no space left."""
+
+
+class SimulationError(SvmdistError):
+    """The simulation cannot run: PyBullet is missing, a pose is out of reach."""
+
+
+class KinematicsError(SvmdistError):
+    """Joint values or a chain do not fit together: a missing joint, a wrong shape."""
+
+
+def did_you_mean(name: str, choices: Iterable[str]) -> str:
+    """Name the choices for a wrong name, the nearest one first.
+
+    >>> did_you_mean("sweeep", ["approach", "sweep"])
+    'did you mean sweep? The choices are: approach, sweep'
+    """
+    known = sorted(choices)
+    listed = f"The choices are: {', '.join(known)}" if known else "There are none to choose from"
+    nearest = get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean {nearest[0]}? {listed}" if nearest else listed

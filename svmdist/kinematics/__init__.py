@@ -1,0 +1,1 @@
+"""Denavit–Hartenberg kinematics: chains of joints, forward and inverse."""

@@ -1,0 +1,299 @@
+"""The scene profile (TOML): what a recording shows and how to measure it, checked when it is read.
+
+A profile names the topics and frames of a log, the colours of tissue and instrument, the marker and
+the feature matching, and the robot's chain. Everything that depends on a scene stands here, so that
+another scene needs another profile and no other code.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from svmdist.errors import ProfileError, SvmdistError, did_you_mean
+from svmdist.transforms import Array
+
+DEFAULT_PROFILE = "psm13"
+Model = TypeVar("Model", bound="StrictModel")
+
+
+class StrictModel(BaseModel):
+    """Base of everything read from TOML: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def _parse_angle(value: Any) -> Any:
+    """Accept a number in rad, or a multiple of pi such as `pi`, `-pi/2`, `2*pi/3`, which has no last digit."""
+    if not isinstance(value, str):
+        return value
+    text = value.replace(" ", "")
+    sign, text = (-1.0, text[1:]) if text.startswith("-") else (1.0, text)
+    factor, _, rest = text.rpartition("*")
+    symbol, _, divisor = rest.partition("/")
+    try:
+        if symbol != "pi":
+            raise ValueError
+        return sign * (float(factor) if factor else 1.0) * np.pi / (float(divisor) if divisor else 1.0)
+    except (ValueError, ZeroDivisionError):
+        raise ValueError(f"expected rad as a number or a multiple of pi such as 'pi/2', found {value!r}") from None
+
+
+Angle = Annotated[float, BeforeValidator(_parse_angle)]
+Length = Annotated[float, Field(gt=0.0)]
+Byte = Annotated[int, Field(ge=0, le=255)]
+Hue = Annotated[int, Field(ge=0, le=179)]
+
+
+class Topics(StrictModel):
+    """Topic names of a log; None means: the one topic whose schema fits."""
+
+    image: str | None = None
+    camera_info: str | None = None
+    joints: str | None = None
+    pose: str | None = None
+    tf: str | None = None
+    ground_truth_tf: str | None = None
+    ground_truth_distance: str | None = None
+
+
+class Frames(StrictModel):
+    """Frame names of a log's transforms."""
+
+    camera: str = "camera"
+    base: str = "base"
+    tool: str = "tool"
+    tissue: str = "tissue"
+
+
+class ColourRegion(StrictModel):
+    """An HSV box in OpenCV's 8-bit units (H 0–179, S and V 0–255), bounds included, and its area gate.
+
+    A hue range with first > last wraps around 0, as red does.
+    """
+
+    hue: tuple[Hue, Hue]
+    saturation: tuple[Byte, Byte] = (0, 255)
+    value: tuple[Byte, Byte] = (0, 255)
+    min_area_px: int = Field(ge=1)
+    components: Literal["all", "largest"] = "all"
+    """`all`: every connected part above the gate belongs to the region, since an instrument that crosses
+    an organ cuts its region in two. `largest`: one part only."""
+    occlusion: Literal["none", "hull"] = "none"
+    """`hull`: the centroid is that of the convex hull, which fills in what the instrument hides."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> ColourRegion:
+        for name, (first, last) in (("saturation", self.saturation), ("value", self.value)):
+            if first > last:
+                raise ValueError(f"{name} = [{first}, {last}] is empty: the first bound is above the last")
+        return self
+
+
+class Segmentation(StrictModel):
+    """How tissue and instrument are told apart from the rest of the image."""
+
+    tissue: ColourRegion
+    instrument: ColourRegion
+
+
+class Marker(StrictModel):
+    """The static virtual marker (SVM): its size and the colour of the outline drawn around it."""
+
+    size_px: int = Field(default=96, ge=48, le=256)
+    outline: ColourRegion
+    outline_bgr: tuple[Byte, Byte, Byte]
+    outline_width_px: int = Field(default=3, ge=1, le=15)
+
+
+class Features(StrictModel):
+    """ORB, matching and homography, with the paper's values as defaults."""
+
+    feature_count: int = Field(default=1500, ge=50, le=20000)
+    ratio: float = Field(default=0.75, gt=0.0, lt=1.0)
+    reprojection_px: float = Field(default=3.0, gt=0.0)
+    min_match_count: int = Field(default=10, ge=4)
+
+
+class Joint(StrictModel):
+    """One DH row; see `svmdist.kinematics.dh.DHRow`."""
+
+    name: str
+    type: Literal["revolute", "prismatic", "fixed"]
+    a_m: float = 0.0
+    alpha_rad: Angle = 0.0
+    d_m: float = 0.0
+    theta_rad: Angle = 0.0
+    lower: Angle = -np.pi
+    upper: Angle = np.pi
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Joint:
+        if self.type != "fixed" and self.lower >= self.upper:
+            raise ValueError(f"joint {self.name}: lower limit {self.lower} is not below upper limit {self.upper}")
+        return self
+
+
+Rotation = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+
+class Robot(StrictModel):
+    """The kinematic chain from base to tool."""
+
+    convention: Literal["standard", "modified"] = "standard"
+    joints: tuple[Joint, ...] = Field(min_length=1)
+    tool_rotation: Rotation | None = None
+
+    @model_validator(mode="after")
+    def _sound(self) -> Robot:
+        names = [joint.name for joint in self.joints]
+        doubles = sorted({name for name in names if names.count(name) > 1})
+        if doubles:
+            raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")
+        if self.tool_rotation is not None:
+            R = np.array(self.tool_rotation)
+            if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+                raise ValueError("tool_rotation is not a rotation: R R^T = I and det R = 1 are expected")
+        return self
+
+    @property
+    def T_last_tool(self) -> Array:
+        """The constant transform behind the last row, shape (4, 4)."""
+        T = np.eye(4)
+        if self.tool_rotation is not None:
+            T[:3, :3] = self.tool_rotation
+        return T
+
+
+class Instrument(StrictModel):
+    """The instrument's shape, in m, about the tool frame: what the simulation builds and clearance needs."""
+
+    shaft_radius_m: Length
+    shaft_length_m: Length
+    wrist_radius_m: Length
+    knuckle_radius_m: Length
+    jaw_length_m: Length
+    jaw_radius_m: Length
+
+
+class Simulation(StrictModel):
+    """What `svmdist record` needs beside the chain: where things stand, and what the encoders get wrong."""
+
+    camera_height_m: Length
+    horizontal_fov_rad: Angle
+    base_position_m: tuple[float, float, float]
+    base_yaw_rad: Angle = 0.0
+    posture: dict[str, Angle]
+    """Value of every joint in the middle of the work space; the scenarios start their search here."""
+    encoder_std_rad: float = Field(default=0.0, ge=0.0)
+    encoder_std_m: float = Field(default=0.0, ge=0.0)
+
+
+class Profile(StrictModel):
+    """A whole profile."""
+
+    name: str
+    description: str = ""
+    calibration: str | None = None
+    """File name of the calibration that ships beside this profile."""
+    topics: Topics = Topics()
+    frames: Frames = Frames()
+    segmentation: Segmentation
+    marker: Marker
+    features: Features = Features()
+    robot: Robot | None = None
+    instrument: Instrument | None = None
+    simulation: Simulation | None = None
+
+
+def shipped_profiles() -> tuple[str, ...]:
+    """Names of the profiles inside the package."""
+    folder = resources.files("svmdist.profiles")
+    return tuple(
+        sorted(
+            entry.name.removesuffix(".toml")
+            for entry in folder.iterdir()
+            if entry.name.endswith(".toml") and not entry.name.endswith(".calibration.toml")
+        )
+    )
+
+
+def load_profile(name_or_path: str | Path = DEFAULT_PROFILE) -> Profile:
+    """Read a profile that ships (by name) or one of the user's own (by path), and check it.
+
+    Raises ProfileError that names the file, the key and the nearest valid key.
+    """
+    return parse_toml(profile_path(name_or_path), Profile, ProfileError)
+
+
+def profile_path(name_or_path: str | Path) -> Path:
+    """Find the file of a profile: a shipped name, else a path."""
+    text = str(name_or_path)
+    if text in shipped_profiles():
+        return Path(str(resources.files("svmdist.profiles") / f"{text}.toml"))
+    path = Path(text)
+    if not path.suffix and not path.exists():
+        raise ProfileError(f"no profile named {text}: {did_you_mean(text, shipped_profiles())}; or give a path to a .toml")
+    return path
+
+
+def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Model:
+    """Read a TOML file into a model; every problem becomes one line that names the file and the key."""
+    try:
+        data = tomllib.loads(path.read_text("utf-8"))
+    except OSError as problem:
+        raise error(f"{path}: cannot read: {problem.strerror or problem}") from None
+    except UnicodeDecodeError as problem:
+        raise error(f"{path}: not a TOML file: byte {problem.start} is not UTF-8") from None
+    except tomllib.TOMLDecodeError as problem:
+        raise error(f"{path}: not a TOML file: {problem}") from None
+    try:
+        return model.model_validate(data)
+    except ValidationError as problem:
+        raise error(f"{path}: {'; '.join(_describe(problem, model))}") from None
+
+
+def _describe(problem: ValidationError, model: type[BaseModel]) -> Iterator[str]:
+    for item in problem.errors(include_url=False):
+        location = item["loc"]
+        key = ".".join(str(part) for part in location)
+        if item["type"] == "extra_forbidden":
+            siblings = _model_at(model, location[:-1])
+            choices = list(siblings.model_fields) if siblings else []
+            yield f"unknown key {key}: {did_you_mean(str(location[-1]), choices)}"
+        elif item["type"] == "missing":
+            yield f"missing key {key}"
+        else:
+            message = item["msg"].removeprefix("Value error, ")
+            yield f"{key or 'file'}: {message} (found {_short(item['input'])})" if key else message
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel] | None:
+    """Find the model class that a location inside a document is checked by."""
+    current: Any = model
+    for part in location:
+        if isinstance(part, int):
+            continue
+        if not (isinstance(current, type) and issubclass(current, BaseModel)):
+            return None
+        annotation = current.model_fields[part].annotation if part in current.model_fields else None
+        current = next(_models_in(annotation), None)
+    return current
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in getattr(annotation, "__args__", ()):
+        yield from _models_in(argument)

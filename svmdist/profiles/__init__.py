@@ -1,0 +1,1 @@
+"""The profiles that ship with svmdist, as TOML files beside this one."""

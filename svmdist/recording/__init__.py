@@ -1,0 +1,1 @@
+"""Reading and writing recordings; the sole importer of mcap and protobuf."""

@@ -1,0 +1,150 @@
+"""What flows through svmdist: samples read from a recording, observations, and estimates.
+
+An `Observation` holds what a real robot would give. It has no field for ground truth, so that no
+estimator can peek; truth travels on its own, as `DistanceSample` and `TransformSample`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.camera import Camera
+from svmdist.transforms import Array
+
+Image = NDArray[np.uint8]
+"""A BGR image, shape (height, width, 3), or a mask, shape (height, width)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImageSample:
+    """One decoded camera image: BGR, uint8, shape (height, width, 3)."""
+
+    stamp_ns: int
+    frame_id: str
+    image_bgr: Image
+
+
+@dataclass(frozen=True, slots=True)
+class JointSample:
+    """Joint positions at one instant, in rad or m by joint, shape (n,), in the order of `names`."""
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    positions: Array
+
+
+@dataclass(frozen=True, slots=True)
+class TransformSample:
+    """`T_parent_child`, shape (4, 4), at one instant."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    T_parent_child: Array
+
+
+@dataclass(frozen=True, slots=True)
+class TransformsSample:
+    """Transforms that were published together, as one message of a tf topic."""
+
+    stamp_ns: int
+    transforms: tuple[TransformSample, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSample:
+    """The pose of something in a frame, `T_frame_pose`, shape (4, 4), at one instant."""
+
+    stamp_ns: int
+    frame_id: str
+    T_frame_pose: Array
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSample:
+    """The calibration of a camera, as published at one instant."""
+
+    stamp_ns: int
+    camera: Camera
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceSample:
+    """The three true distances at one instant, in m; a negative clearance is penetration depth."""
+
+    stamp_ns: int
+    planar_m: float
+    spatial_m: float
+    clearance_m: float
+
+
+Sample = ImageSample | JointSample | TransformsSample | PoseSample | CameraSample | DistanceSample
+"""Everything a recording can carry, whatever its encoding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What an estimator may see of one instant: the image, its camera, and the reported joints.
+
+    `joints` are interpolated to the image's stamp; None where the log has none near it.
+    """
+
+    stamp_ns: int
+    image_bgr: Image
+    camera: Camera
+    joints: JointSample | None = None
+
+
+class Status(StrEnum):
+    """How a frame ended: `ok`, or why it could not be measured."""
+
+    OK = "ok"
+    CORRUPT_IMAGE = "corrupt_image"
+    NO_TISSUE = "no_tissue"
+    NO_INSTRUMENT = "no_instrument"
+    NO_FEATURES = "no_features"
+    TOO_FEW_MATCHES = "too_few_matches"
+    NO_HOMOGRAPHY = "no_homography"
+    NO_OUTLINE = "no_outline"
+    NOT_FINITE = "not_finite"
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """A frame that could not be measured, with the reason and a detail for a person."""
+
+    stamp_ns: int
+    status: Status
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The outcome of one frame: a distance, or the reason why there is none.
+
+    `distance_m` is the planar distance. Positions are in px, areas are pixel counts. A field is None
+    where the method did not get that far.
+    """
+
+    stamp_ns: int
+    status: Status
+    distance_m: float | None = None
+    tool_x_px: float | None = None
+    tool_y_px: float | None = None
+    tissue_x_px: float | None = None
+    tissue_y_px: float | None = None
+    tool_area_px: int | None = None
+    tissue_area_px: int | None = None
+    keypoint_count: int | None = None
+    match_count: int | None = None
+    inlier_count: int | None = None
+    detail: str = ""
+
+    @property
+    def measured(self) -> bool:
+        """Whether this frame has a distance."""
+        return self.status is Status.OK

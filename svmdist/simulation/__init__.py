@@ -1,0 +1,1 @@
+"""The simulated surgical robot and its scene; the sole importer of PyBullet."""

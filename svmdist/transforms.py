@@ -1,0 +1,136 @@
+"""Rigid transforms on plain arrays: products, inverses, quaternions and interpolation over time.
+
+`T_a_b` maps coordinates of frame b to frame a, `p_a = T_a_b @ p_b`, so that names cancel in a product:
+`T_camera_tool = T_camera_base @ T_base_tool`. Every function takes stacks: leading axes broadcast.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
+    """Build homogeneous transforms from rotations, shape (..., 3, 3), and translations in m, shape (..., 3)."""
+    R = np.asarray(R, np.float64)
+    t_m = np.asarray(t_m, np.float64)
+    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t_m.shape[:-1]), 4, 4))
+    T[..., :3, :3] = R
+    T[..., :3, 3] = t_m
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def inverse(T_a_b: Array) -> Array:
+    """Invert rigid transforms, shape (..., 4, 4), by transposing the rotation: gives T_b_a."""
+    R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
+    return make_transform(R_b_a, -(R_b_a @ T_a_b[..., :3, 3:])[..., 0])
+
+
+def transform_points(T_a_b: Array, p_b_m: ArrayLike) -> Array:
+    """Map points of frame b, shape (n, 3) in m, to frame a with one transform of shape (4, 4)."""
+    return np.asarray(p_b_m, np.float64) @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+
+
+def rotation_x(angle_rad: float) -> Array:
+    """Rotation about x by an angle in rad, shape (3, 3)."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def rotation_y(angle_rad: float) -> Array:
+    """Rotation about y by an angle in rad, shape (3, 3)."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def rotation_z(angle_rad: float) -> Array:
+    """Rotation about z by an angle in rad, shape (3, 3)."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Array:
+    """Rotations, shape (..., 3, 3), from quaternions in the order x, y, z, w, shape (..., 4).
+
+    The quaternion is normalised first; a zero quaternion raises ValueError, for it names no rotation.
+    """
+    q = np.asarray(quaternion_xyzw, np.float64)
+    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    if not np.all(np.isfinite(norm) & (norm > 1e-9)):
+        raise ValueError("a rotation needs a finite quaternion that is not zero")
+    x, y, z, w = np.moveaxis(q / norm, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def quaternion_xyzw_from_rotation(R: Array) -> Array:
+    """Unit quaternions in the order x, y, z, w with w >= 0, shape (..., 4), from rotations (..., 3, 3).
+
+    Uses the largest of the four squared components as the pivot (Shepperd 1978), which stays accurate
+    at every angle; the textbook formula through the trace loses all digits near half a turn.
+    """
+    R = np.asarray(R, np.float64)
+    m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
+    a = R[..., 2, 1] - R[..., 1, 2]
+    b = R[..., 0, 2] - R[..., 2, 0]
+    c = R[..., 1, 0] - R[..., 0, 1]
+    xy = R[..., 1, 0] + R[..., 0, 1]
+    xz = R[..., 0, 2] + R[..., 2, 0]
+    yz = R[..., 2, 1] + R[..., 1, 2]
+    candidates = np.stack(
+        [
+            np.stack([1 + m00 - m11 - m22, xy, xz, a], -1),
+            np.stack([xy, 1 - m00 + m11 - m22, yz, b], -1),
+            np.stack([xz, yz, 1 - m00 - m11 + m22, c], -1),
+            np.stack([a, b, c, 1 + m00 + m11 + m22], -1),
+        ],
+        -2,
+    )
+    pivots = np.argmax(np.einsum("...ii->...i", candidates), -1)
+    q = np.take_along_axis(candidates, pivots[..., None, None], -2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., 3:] < 0, -q, q)
+
+
+def rotation_angle(R_a: Array, R_b: Array) -> Array:
+    """Angle in rad between rotations, shape (...), accurate down to 1e-16 unlike arccos of the trace."""
+    chord = np.linalg.norm(R_a - R_b, axis=(-2, -1))  # = 2 sqrt(2) sin(angle / 2)
+    return np.asarray(2.0 * np.arcsin(np.clip(chord / (2.0 * np.sqrt(2.0)), 0.0, 1.0)))
+
+
+def slerp_xyzw(start_xyzw: Array, end_xyzw: Array, fraction: Array) -> Array:
+    """Interpolate unit quaternions, shape (n, 4), along the shorter arc (Shoemake 1985)."""
+    cosine = np.sum(start_xyzw * end_xyzw, -1)
+    end_xyzw = np.where(cosine[:, None] < 0, -end_xyzw, end_xyzw)
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    near = angle < 1e-6  # sin(angle) loses its digits: a straight line is exact to 1e-12 there
+    sine = np.where(near, 1.0, np.sin(angle))
+    weight_start = np.where(near, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / sine)
+    weight_end = np.where(near, fraction, np.sin(fraction * angle) / sine)
+    q = weight_start[:, None] * start_xyzw + weight_end[:, None] * end_xyzw
+    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
+
+
+def interpolate_transforms(
+    stamps_ns: NDArray[np.int64], T: Array, at_ns: NDArray[np.int64]
+) -> Array:
+    """Interpolate transforms, shape (n, 4, 4) at sorted stamps (n,), to the stamps `at_ns`, shape (m,).
+
+    Translations are interpolated linearly, rotations by slerp. Stamps outside the track are clamped to
+    its ends: whoever calls decides first which stamps may be asked for.
+    """
+    right = np.clip(np.searchsorted(stamps_ns, at_ns, side="left"), 0, len(stamps_ns) - 1)
+    left = np.where((right > 0) & (stamps_ns[right] > at_ns), right - 1, right)
+    span_ns = (stamps_ns[right] - stamps_ns[left]).astype(np.float64)
+    offset_ns = np.clip(at_ns - stamps_ns[left], 0, None).astype(np.float64)
+    fraction = np.where(span_ns > 0, offset_ns / np.where(span_ns > 0, span_ns, 1.0), 0.0)
+    t_m = T[left, :3, 3] + fraction[:, None] * (T[right, :3, 3] - T[left, :3, 3])
+    q = quaternion_xyzw_from_rotation(T[:, :3, :3])
+    return make_transform(rotation_from_quaternion_xyzw(slerp_xyzw(q[left], q[right], fraction)), t_m)

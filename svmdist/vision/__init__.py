@@ -1,0 +1,1 @@
+"""Image processing on plain arrays: segmentation, regions, marker, features, homography, blur."""

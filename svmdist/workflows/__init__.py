@@ -1,0 +1,1 @@
+"""What svmdist does, one public function a workflow, usable without the command line."""
