@@ -42,7 +42,9 @@ def _parse_angle(value: Any) -> Any:
             raise ValueError
         return sign * (float(factor) if factor else 1.0) * np.pi / (float(divisor) if divisor else 1.0)
     except (ValueError, ZeroDivisionError):
-        raise ValueError(f"expected rad as a number or a multiple of pi such as 'pi/2', found {value!r}") from None
+        raise ValueError(
+            f"expected rad as a number or a multiple of pi such as 'pi/2', found {value!r}"
+        ) from None
 
 
 Angle = Annotated[float, BeforeValidator(_parse_angle)]
@@ -136,7 +138,9 @@ class Joint(StrictModel):
     @model_validator(mode="after")
     def _ordered(self) -> Joint:
         if self.type != "fixed" and self.lower >= self.upper:
-            raise ValueError(f"joint {self.name}: lower limit {self.lower} is not below upper limit {self.upper}")
+            raise ValueError(
+                f"joint {self.name}: lower limit {self.lower} is not below upper limit {self.upper}"
+            )
         return self
 
 
@@ -187,10 +191,15 @@ class Simulation(StrictModel):
 
     camera_height_m: Length
     horizontal_fov_rad: Angle
+    width_px: int = Field(default=640, ge=16, le=4096)
+    height_px: int = Field(default=480, ge=16, le=4096)
+    working_height_m: Length
+    """Height of the tool origin above the floor in the plane in which distances are measured."""
     base_position_m: tuple[float, float, float]
     base_yaw_rad: Angle = 0.0
     posture: dict[str, Angle]
     """Value of every joint in the middle of the work space; the scenarios start their search here."""
+    joint_rate_hz: float = Field(default=100.0, ge=1.0)
     encoder_std_rad: float = Field(default=0.0, ge=0.0)
     encoder_std_m: float = Field(default=0.0, ge=0.0)
 
@@ -239,7 +248,9 @@ def profile_path(name_or_path: str | Path) -> Path:
         return Path(str(resources.files("svmdist.profiles") / f"{text}.toml"))
     path = Path(text)
     if not path.suffix and not path.exists():
-        raise ProfileError(f"no profile named {text}: {did_you_mean(text, shipped_profiles())}; or give a path to a .toml")
+        raise ProfileError(
+            f"no profile named {text}: {did_you_mean(text, shipped_profiles())}; or give a path to a .toml"
+        )
     return path
 
 
@@ -289,7 +300,7 @@ def _model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[B
             return None
         annotation = current.model_fields[part].annotation if part in current.model_fields else None
         current = next(_models_in(annotation), None)
-    return current
+    return current if isinstance(current, type) else None
 
 
 def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:

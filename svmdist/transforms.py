@@ -31,7 +31,7 @@ def inverse(T_a_b: Array) -> Array:
 
 def transform_points(T_a_b: Array, p_b_m: ArrayLike) -> Array:
     """Map points of frame b, shape (n, 3) in m, to frame a with one transform of shape (4, 4)."""
-    return np.asarray(p_b_m, np.float64) @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+    return np.asarray(np.asarray(p_b_m, np.float64) @ T_a_b[:3, :3].T + T_a_b[:3, 3])
 
 
 def rotation_x(angle_rad: float) -> Array:
@@ -96,7 +96,7 @@ def quaternion_xyzw_from_rotation(R: Array) -> Array:
     pivots = np.argmax(np.einsum("...ii->...i", candidates), -1)
     q = np.take_along_axis(candidates, pivots[..., None, None], -2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(q[..., 3:] < 0, -q, q)
+    return np.asarray(np.where(q[..., 3:] < 0, -q, q))
 
 
 def rotation_angle(R_a: Array, R_b: Array) -> Array:
@@ -118,9 +118,7 @@ def slerp_xyzw(start_xyzw: Array, end_xyzw: Array, fraction: Array) -> Array:
     return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
-def interpolate_transforms(
-    stamps_ns: NDArray[np.int64], T: Array, at_ns: NDArray[np.int64]
-) -> Array:
+def interpolate_transforms(stamps_ns: NDArray[np.int64], T: Array, at_ns: NDArray[np.int64]) -> Array:
     """Interpolate transforms, shape (n, 4, 4) at sorted stamps (n,), to the stamps `at_ns`, shape (m,).
 
     Translations are interpolated linearly, rotations by slerp. Stamps outside the track are clamped to

@@ -1,0 +1,192 @@
+"""The calibration file (TOML): the quadratics of eqs. (5) and (6) refitted, with camera, method and sources."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import tomli_w
+from pydantic import Field
+
+from svmdist.camera import Camera
+from svmdist.errors import CalibrationError, OutputError
+from svmdist.estimation.equations import PlaneMapping, Quadratic, screen_cm_corrected
+from svmdist.profile import StrictModel, parse_toml
+from svmdist.transforms import Array
+
+MIN_SAMPLE_COUNT = 12
+"""Four per coefficient: fewer leave the residuals without meaning."""
+
+
+class QuadraticModel(StrictModel):
+    """`Quadratic` as it stands in the file."""
+
+    quadratic_per_cm: float
+    linear: float
+    constant_cm: float
+
+    def to_quadratic(self) -> Quadratic:
+        """The quadratic to evaluate."""
+        return Quadratic(self.quadratic_per_cm, self.linear, self.constant_cm)
+
+
+class CameraModel(StrictModel):
+    """Size, focal lengths, principal point and distortion of the camera that was calibrated."""
+
+    width_px: int = Field(gt=0)
+    height_px: int = Field(gt=0)
+    fx_px: float = Field(gt=0)
+    fy_px: float = Field(gt=0)
+    cx_px: float
+    cy_px: float
+    distortion: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, camera: Camera) -> CameraModel:
+        """Describe a camera."""
+        return cls(
+            width_px=camera.width_px,
+            height_px=camera.height_px,
+            fx_px=float(camera.K[0, 0]),
+            fy_px=float(camera.K[1, 1]),
+            cx_px=float(camera.K[0, 2]),
+            cy_px=float(camera.K[1, 2]),
+            distortion=tuple(float(value) for value in camera.D),
+        )
+
+    def to_camera(self) -> Camera:
+        """The camera described."""
+        K = np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+        return Camera(self.width_px, self.height_px, K, np.array(self.distortion))
+
+
+class Fit(StrictModel):
+    """How well the quadratics fit their samples, in m, and the pixels that the samples span."""
+
+    sample_count: int = Field(ge=1)
+    rmse_x_m: float
+    rmse_y_m: float
+    max_error_m: float
+    span_x_px: tuple[float, float]
+    span_y_px: tuple[float, float]
+
+
+class SourceFile(StrictModel):
+    """A recording that the fit used."""
+
+    name: str
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+
+
+class Calibration(StrictModel):
+    """A whole calibration file."""
+
+    schema_: Literal["svmdist.calibration/1"] = Field(alias="schema")
+    method: str
+    created_by: str
+    camera: CameraModel
+    x: QuadraticModel
+    y: QuadraticModel
+    fit: Fit
+    sources: tuple[SourceFile, ...] = Field(min_length=1)
+
+    @property
+    def mapping(self) -> PlaneMapping:
+        """The corrected mapping with this calibration's quadratics."""
+        return PlaneMapping("corrected", self.x.to_quadratic(), self.y.to_quadratic())
+
+    def require_camera(self, camera: Camera, recording_name: str) -> None:
+        """Raise CalibrationError unless a recording's camera is the calibrated one, to 0.01 px."""
+        mine = self.camera.to_camera()
+        if not mine.same_optics(camera, tolerance_px=0.01):
+            raise CalibrationError(
+                f"{recording_name}: the calibration is for another camera: expected {_describe(mine)},"
+                f" found {_describe(camera)}; make one with `svmdist calibrate`"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationSamples:
+    """Where the tool was seen, shape (n, 2) in px, and where it truly was in the camera's plane, (n, 2) in m."""
+
+    tool_px: Array
+    tool_m: Array
+
+
+def fit_calibration(
+    samples: CalibrationSamples, camera: Camera, method: str, created_by: str, sources: tuple[SourceFile, ...]
+) -> Calibration:
+    """Fit eqs. (5) and (6) by least squares, one quadratic per axis.
+
+    Raises CalibrationError for too few samples, or for samples that span too little of the image to
+    carry a quadratic.
+    """
+    count = len(samples.tool_px)
+    if count < MIN_SAMPLE_COUNT:
+        raise CalibrationError(
+            f"expected at least {MIN_SAMPLE_COUNT} measured frames to calibrate, found {count}"
+        )
+    for axis, size_px in ((0, camera.width_px), (1, camera.height_px)):
+        span = float(np.ptp(samples.tool_px[:, axis]))
+        if span < 0.25 * size_px:
+            raise CalibrationError(
+                f"the tool must cover at least a quarter of the image: along {'xy'[axis]} it covers"
+                f" {span:.0f} of {size_px} px"
+            )
+    x, residual_x = _fit_axis(samples, 0)
+    y, residual_y = _fit_axis(samples, 1)
+    return Calibration(
+        schema="svmdist.calibration/1",
+        method=method,
+        created_by=created_by,
+        camera=CameraModel.of(camera),
+        x=x,
+        y=y,
+        fit=Fit(
+            sample_count=count,
+            rmse_x_m=float(np.sqrt(np.mean(residual_x**2))),
+            rmse_y_m=float(np.sqrt(np.mean(residual_y**2))),
+            max_error_m=float(np.max(np.hypot(residual_x, residual_y))),
+            span_x_px=(float(samples.tool_px[:, 0].min()), float(samples.tool_px[:, 0].max())),
+            span_y_px=(float(samples.tool_px[:, 1].min()), float(samples.tool_px[:, 1].max())),
+        ),
+        sources=sources,
+    )
+
+
+def load_calibration(path: Path) -> Calibration:
+    """Read a calibration file and check it; raises CalibrationError that names the file and the key."""
+    return parse_toml(path, Calibration, CalibrationError)
+
+
+def save_calibration(calibration: Calibration, path: Path) -> None:
+    """Write a calibration file; raises OutputError where that fails."""
+    try:
+        path.write_text(tomli_w.dumps(calibration.model_dump(mode="json", by_alias=True)), "utf-8")
+    except OSError as problem:
+        raise OutputError(f"{path}: cannot write: {problem.strerror or problem}") from None
+
+
+def _fit_axis(samples: CalibrationSamples, axis: int) -> tuple[QuadraticModel, Array]:
+    screen_cm = np.asarray(screen_cm_corrected(samples.tool_px[:, axis]))
+    truth_cm = samples.tool_m[:, axis] * 100.0
+    # Fitted about the middle of the samples: S and S² are nearly parallel over an image otherwise.
+    middle_cm = float(screen_cm.mean())
+    q, linear, constant = np.polynomial.polynomial.polyfit(screen_cm - middle_cm, truth_cm, 2)[::-1]
+    model = QuadraticModel(
+        quadratic_per_cm=float(q),
+        linear=float(linear - 2.0 * q * middle_cm),
+        constant_cm=float(constant - linear * middle_cm + q * middle_cm**2),
+    )
+    predicted_cm = np.asarray(model.to_quadratic()(screen_cm))
+    return model, (predicted_cm - truth_cm) / 100.0
+
+
+def _describe(camera: Camera) -> str:
+    K = camera.K
+    return (
+        f"{camera.width_px}x{camera.height_px} with fx {K[0, 0]:.2f}, fy {K[1, 1]:.2f},"
+        f" cx {K[0, 2]:.2f}, cy {K[1, 2]:.2f} px"
+    )

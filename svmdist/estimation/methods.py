@@ -1,0 +1,37 @@
+"""The estimators by name, behind one interface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from svmdist.errors import UsageError, did_you_mean
+from svmdist.estimation.centroid import CentroidEstimator
+from svmdist.estimation.equations import PlaneMapping
+from svmdist.estimation.overlay import OverlayEstimator
+from svmdist.profile import Profile
+from svmdist.samples import Estimate, Observation
+
+
+class Estimator(Protocol):
+    """What every method is: a name, and one observation to one estimate."""
+
+    @property
+    def name(self) -> str:
+        """The method's name on the command line and in results."""
+
+    def estimate(self, observation: Observation) -> Estimate:
+        """Measure one frame. A frame that cannot be measured is an outcome, not an exception."""
+
+
+METHODS: dict[str, Callable[[Profile, PlaneMapping], Estimator]] = {
+    "overlay": OverlayEstimator,
+    "centroid": CentroidEstimator,
+}
+
+
+def make_estimator(method: str, profile: Profile, mapping: PlaneMapping) -> Estimator:
+    """Make the estimator of that name; raises UsageError that lists the names."""
+    if method not in METHODS:
+        raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
+    return METHODS[method](profile, mapping)
