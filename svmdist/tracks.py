@@ -1,0 +1,154 @@
+"""Values over time: joints, transforms, poses and distances, and their interpolation between stamps.
+
+A track never extrapolates, and it refuses to interpolate across a gap that is longer than a limit: the
+answer says for every stamp whether it is valid, and holds NaN where it is not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.transforms import Array, interpolate_transforms
+
+Stamps = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+MAX_GAP_NS = 100_000_000
+"""Longest gap to interpolate across, 0.1 s: ten samples of the slowest joint states that are useful."""
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """For each of m stamps the samples on its two sides, shape (m,), and whether they may be used."""
+
+    left: NDArray[np.intp]
+    right: NDArray[np.intp]
+    fraction: Array
+    valid: Mask
+
+
+def bracket(stamps_ns: Stamps, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Bracket:
+    """Find the samples around the stamps `at_ns`, shape (m,), in sorted, distinct stamps, shape (n,).
+
+    A stamp that meets a sample needs no neighbour. Any other is valid between two samples that are at
+    most `max_gap_ns` apart.
+    """
+    at_ns = np.asarray(at_ns, np.int64)
+    if len(stamps_ns) == 0:
+        nowhere = np.zeros(len(at_ns), np.intp)
+        return Bracket(nowhere, nowhere, np.zeros(len(at_ns)), np.zeros(len(at_ns), np.bool_))
+    right = np.searchsorted(stamps_ns, at_ns, side="left")
+    inside = right < len(stamps_ns)
+    right = np.minimum(right, len(stamps_ns) - 1)
+    exact = stamps_ns[right] == at_ns
+    inside &= exact | (right > 0)
+    left = np.where(exact | (right == 0), right, right - 1)
+    gap_ns = stamps_ns[right] - stamps_ns[left]
+    valid = inside & (gap_ns <= max_gap_ns)
+    fraction = np.where(valid & (gap_ns > 0), (at_ns - stamps_ns[left]) / np.maximum(gap_ns, 1), 0.0)
+    return Bracket(left, right, fraction, valid)
+
+
+def sort_stamps(stamps_ns: Stamps) -> NDArray[np.intp]:
+    """Give the order that sorts stamps and keeps of equal ones the last: indices into `stamps_ns`."""
+    order = np.argsort(stamps_ns, kind="stable")
+    if len(order) == 0:
+        return order
+    in_order = stamps_ns[order]
+    return np.asarray(order[np.append(in_order[1:] != in_order[:-1], True)])
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """Interpolated values, one row per asked stamp, and which of them are valid; the others are NaN."""
+
+    values: Array
+    valid: Mask
+
+
+def _interpolate_rows(rows: Array, where: Bracket) -> Sampled:
+    if len(rows) == 0:
+        return Sampled(np.full((len(where.valid), *rows.shape[1:]), np.nan), where.valid)
+    weight = where.fraction[:, None]
+    # Written so that a fraction of 0 gives the left row to the last bit.
+    values = rows[where.left] + weight * (rows[where.right] - rows[where.left])
+    return Sampled(np.where(where.valid[:, None], values, np.nan), where.valid)
+
+
+@dataclass(frozen=True)
+class JointTrack:
+    """Joint positions over time, shape (n, j) in rad or m by joint, in the order of `names`."""
+
+    stamps_ns: Stamps
+    names: tuple[str, ...]
+    positions: Array
+
+    def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Sampled:
+        """Interpolate linearly; the values have shape (m, j)."""
+        return _interpolate_rows(self.positions, bracket(self.stamps_ns, at_ns, max_gap_ns))
+
+
+@dataclass(frozen=True)
+class TransformTrack:
+    """`T_parent_child` over time, shape (n, 4, 4); a static one holds one sample that is valid always."""
+
+    parent: str
+    child: str
+    stamps_ns: Stamps
+    T_parent_child: Array
+    is_static: bool = False
+
+    def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Sampled:
+        """Interpolate translations linearly and rotations by slerp; the values have shape (m, 4, 4)."""
+        at_ns = np.asarray(at_ns, np.int64)
+        if self.is_static:
+            always = np.ones(len(at_ns), np.bool_)
+            return Sampled(np.repeat(self.T_parent_child[:1], len(at_ns), axis=0), always)
+        valid = bracket(self.stamps_ns, at_ns, max_gap_ns).valid
+        values = np.full((len(at_ns), 4, 4), np.nan)
+        if valid.any():
+            values[valid] = interpolate_transforms(self.stamps_ns, self.T_parent_child, at_ns[valid])
+        return Sampled(values, valid)
+
+
+@dataclass(frozen=True)
+class PoseTrack:
+    """The pose of something in a frame over time, `T_frame_pose`, shape (n, 4, 4)."""
+
+    frame_id: str
+    stamps_ns: Stamps
+    T_frame_pose: Array
+
+    def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Sampled:
+        """Interpolate translations linearly and rotations by slerp; the values have shape (m, 4, 4)."""
+        return TransformTrack(self.frame_id, "", self.stamps_ns, self.T_frame_pose).at(at_ns, max_gap_ns)
+
+
+@dataclass(frozen=True)
+class SampledDistances:
+    """Interpolated distances in m, shape (m,) each, and which of them are valid; the others are NaN."""
+
+    planar_m: Array
+    spatial_m: Array
+    clearance_m: Array
+    valid: Mask
+
+
+@dataclass(frozen=True)
+class DistanceTrack:
+    """The three true distances over time, shape (n,) each, in m."""
+
+    stamps_ns: Stamps
+    planar_m: Array
+    spatial_m: Array
+    clearance_m: Array
+
+    def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> SampledDistances:
+        """Interpolate linearly."""
+        rows = np.stack([self.planar_m, self.spatial_m, self.clearance_m], -1)
+        sampled = _interpolate_rows(rows, bracket(self.stamps_ns, at_ns, max_gap_ns))
+        planar_m, spatial_m, clearance_m = sampled.values.T
+        return SampledDistances(planar_m, spatial_m, clearance_m, sampled.valid)
