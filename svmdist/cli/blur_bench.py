@@ -1,0 +1,83 @@
+"""`svmdist blur-bench`: Table I, measured."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from svmdist.cli.console import (
+    files_or_golden,
+    report_health,
+    require_output_folder,
+    write_lines,
+    write_table,
+)
+from svmdist.cli.options import (
+    CalibrationOption,
+    OptionalFiles,
+    OutputOption,
+    ProfileOption,
+    TableFormat,
+    TableFormatOption,
+)
+from svmdist.errors import UsageError, did_you_mean
+
+
+def blur_bench_command(
+    files: OptionalFiles = None,
+    kernel: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--kernel",
+            metavar="BLUR=PX",
+            help="Kernel of one blur, odd; may be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    calibration: CalibrationOption = None,
+    profile: ProfileOption = "psm13",
+    form: TableFormatOption = TableFormat.TABLE,
+    output: OutputOption = None,
+) -> None:
+    """Count features, contour area and distance error under blur; without FILE, on every log in recordings/."""
+    import json
+
+    from svmdist.recording.reader import open_recording
+    from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, BLUR_NOTE, blur_row
+    from svmdist.report.table import csv_lines, rich_table
+    from svmdist.workflows.blur_bench import DEFAULT_KERNELS_PX, blur_bench
+    from svmdist.workflows.setup import prepare
+
+    require_output_folder(output)
+    kernels_px = {str(blur): size for blur, size in DEFAULT_KERNELS_PX.items()} | _kernels(
+        kernel or [], [str(blur) for blur in DEFAULT_KERNELS_PX]
+    )
+    setup = prepare(profile, "overlay", "corrected", calibration)
+    recordings = [open_recording(path, setup.profile) for path in files_or_golden(files)]
+    measured = blur_bench(recordings, setup, {blur: kernels_px[str(blur)] for blur in DEFAULT_KERNELS_PX})
+    rows = [blur_row(row) for row in measured]
+    match form:
+        case TableFormat.TABLE:
+            title = f"{measured[0].frame_count} frames of {len(recordings)} recordings"
+            write_table(rich_table(title, BLUR_COLUMNS, rows), [BLUR_NOTE], output)
+        case TableFormat.CSV:
+            write_lines(csv_lines(BLUR_KEYS, rows), output)
+        case TableFormat.JSON:
+            write_lines([json.dumps(rows, indent=1) + "\n"], output)
+    raise typer.Exit(report_health(recordings))
+
+
+def _kernels(options: list[str], blurs: list[str]) -> dict[str, int]:
+    """Parse BLUR=PX; raises UsageError that says what was expected."""
+    kernels = {}
+    for option in options:
+        name, _, size = option.partition("=")
+        if name not in blurs or name == "none":
+            raise UsageError(
+                f"--kernel {option}: {did_you_mean(name, [blur for blur in blurs if blur != 'none'])}"
+            )
+        if not size.isdecimal() or int(size) % 2 == 0 or not 1 <= int(size) <= 101:
+            raise UsageError(f"--kernel {option}: expected an odd size from 1 to 101 px, as in {name}=5")
+        kernels[name] = int(size)
+    return kernels

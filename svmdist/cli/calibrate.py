@@ -1,0 +1,46 @@
+"""`svmdist calibrate`: fit the mapping from pixels to the plane."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from svmdist.cli.console import report_health, require_output_folder, say
+from svmdist.cli.options import Files, Method, MethodOption, ProfileOption
+from svmdist.errors import UsageError
+
+
+def calibrate_command(
+    files: Files,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FILE.toml", help="Calibration file to write.", show_default=False
+        ),
+    ],
+    method: MethodOption = Method.OVERLAY,
+    profile: ProfileOption = "psm13",
+    force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
+) -> None:
+    """Fit the quadratics of eqs. (5) and (6) to recordings with ground truth."""
+    from svmdist.estimation.calibration import save_calibration
+    from svmdist.profile import load_profile
+    from svmdist.recording.reader import open_recording
+    from svmdist.workflows.calibrate import calibrate
+
+    require_output_folder(output)
+    if output.exists() and not force:
+        raise UsageError(f"{output} exists; --force replaces it")
+    loaded = load_profile(profile)
+    recordings = [open_recording(path, loaded) for path in files]
+    calibration = calibrate(recordings, loaded, method.value)
+    save_calibration(calibration, output)
+    fit = calibration.fit
+    say(
+        f"svmdist: {output}: {fit.sample_count} frames, residual RMSE x {fit.rmse_x_m * 1e3:.3f} mm,"
+        f" y {fit.rmse_y_m * 1e3:.3f} mm, max {fit.max_error_m * 1e3:.3f} mm; pixels"
+        f" x {fit.span_x_px[0]:.0f}–{fit.span_x_px[1]:.0f}, y {fit.span_y_px[0]:.0f}–{fit.span_y_px[1]:.0f}"
+    )
+    raise typer.Exit(report_health(recordings))

@@ -1,0 +1,100 @@
+"""Where output goes: data to stdout or a file, everything else to stderr; and the exit codes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from svmdist.errors import OutputError, UsageError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from svmdist.recording.reader import Recording
+
+
+class ExitCode(IntEnum):
+    """What the shell is told."""
+
+    CLEAN = 0
+    UNUSABLE = 1
+    USAGE = 2
+    LOSS = 3
+    WORSE = 4
+
+
+def say(message: str) -> None:
+    """Print one line for a person to stderr, without markup or control characters."""
+    from svmdist.report.text import printable
+
+    print(printable(message), file=sys.stderr)
+
+
+def error_console() -> Console:
+    """The console for progress and remarks, on stderr."""
+    from rich.console import Console
+
+    return Console(stderr=True, markup=False, emoji=False, highlight=False)
+
+
+def write_lines(lines: Iterable[str], output: Path | None) -> None:
+    """Write lines to a file or to stdout as they come; raises OutputError where that fails."""
+    if output is None:
+        for line in lines:
+            sys.stdout.write(line)
+        sys.stdout.flush()
+        return
+    try:
+        with output.open("w", encoding="utf-8", newline="") as file:
+            file.writelines(lines)
+    except OSError as problem:
+        raise OutputError(f"{output}: cannot write: {problem.strerror or problem}") from None
+
+
+def write_table(table: Table, notes: Sequence[str], output: Path | None) -> None:
+    """Write a table for a person: as wide as the terminal, or as it needs in a pipe or a file."""
+    from svmdist.report.table import render
+
+    is_terminal = output is None and sys.stdout.isatty()
+    width = os.get_terminal_size().columns if is_terminal else None
+    text = render(table, width=width, colour=is_terminal and "NO_COLOR" not in os.environ)
+    write_lines([text, *(f"{note}\n" for note in notes)], output)
+
+
+def require_output_folder(output: Path | None) -> None:
+    """Fail before the work rather than after it; raises OutputError."""
+    if output is None:
+        return
+    if output.is_dir():
+        raise OutputError(f"{output}: cannot write: it is a folder")
+    if not output.parent.is_dir():
+        raise OutputError(f"{output}: cannot write: there is no folder {output.parent}")
+    target = output if output.exists() else output.parent
+    if not os.access(target, os.W_OK):
+        raise OutputError(f"{output}: cannot write: permission denied")
+
+
+def files_or_golden(files: Sequence[Path] | None) -> list[Path]:
+    """The given files, else every recording in recordings/; raises UsageError where there is none."""
+    if files:
+        return list(files)
+    found = sorted(Path("recordings").glob("*.mcap"))
+    if not found:
+        raise UsageError(f"no FILE given, and there is no .mcap in {Path('recordings').resolve()}")
+    return found
+
+
+def report_health(recordings: Iterable[Recording]) -> ExitCode:
+    """Say what was lost while reading, once a recording; the exit code tells whether anything was."""
+    code = ExitCode.CLEAN
+    for recording in recordings:
+        if not recording.health.is_clean:
+            code = ExitCode.LOSS
+            for line in recording.health.describe():
+                say(f"svmdist: loss: {recording.path}: {line}")
+    return code

@@ -1,0 +1,91 @@
+"""`svmdist estimate`: one row a frame."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import typer
+
+from svmdist.cli.console import report_health, require_output_folder, say, write_lines
+from svmdist.cli.options import (
+    CalibrationOption,
+    EquationsChoice,
+    EquationsOption,
+    Files,
+    Method,
+    MethodOption,
+    OutputOption,
+    ProfileOption,
+    RowFormat,
+    RowFormatOption,
+)
+
+if TYPE_CHECKING:
+    from svmdist.recording.reader import Recording
+    from svmdist.report.table import Row
+    from svmdist.workflows.setup import Setup
+
+
+def estimate_command(
+    files: Files,
+    method: MethodOption = Method.OVERLAY,
+    equations: EquationsOption = EquationsChoice.CORRECTED,
+    calibration: CalibrationOption = None,
+    profile: ProfileOption = "psm13",
+    form: RowFormatOption = RowFormat.TABLE,
+    output: OutputOption = None,
+) -> None:
+    """Estimate the distance in every frame of recordings."""
+    from svmdist.recording.reader import open_recording
+    from svmdist.workflows.setup import prepare
+
+    require_output_folder(output)
+    setup = prepare(profile, method.value, equations.value, calibration)
+    recordings = [open_recording(path, setup.profile) for path in files]
+    tally: Counter[str] = Counter()
+    write_lines(_lines(form, _rows(recordings, setup, tally)), output)
+    _summarise(tally)
+    raise typer.Exit(report_health(recordings))
+
+
+def _rows(recordings: list[Recording], setup: Setup, tally: Counter[str]) -> Iterator[Row]:
+    from svmdist.report.estimates import estimate_row
+    from svmdist.workflows.estimate import estimate
+
+    for recording in recordings:
+        for warning in setup.degeneracies(recording.camera):
+            say(f"svmdist: warning: {warning}")
+        start_ns: int | None = None
+        for row in estimate(recording, setup.estimator_for(recording)):
+            start_ns = row.stamp_ns if start_ns is None else start_ns
+            tally[str(row.status)] += 1
+            yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns)
+
+
+def _lines(form: RowFormat, rows: Iterator[Row]) -> Iterator[str]:
+    from svmdist.report.estimates import ESTIMATE_COLUMNS, ESTIMATE_KEYS
+    from svmdist.report.table import csv_lines, json_array_lines, json_lines, text_lines
+
+    match form:
+        case RowFormat.TABLE:
+            return text_lines(ESTIMATE_COLUMNS, rows)
+        case RowFormat.CSV:
+            return csv_lines(ESTIMATE_KEYS, rows)
+        case RowFormat.JSON:
+            return json_array_lines(ESTIMATE_KEYS, rows)
+        case RowFormat.JSONL:
+            return json_lines(ESTIMATE_KEYS, rows)
+
+
+def _summarise(tally: Counter[str]) -> None:
+    total = sum(tally.values())
+    if total == 0:
+        say("svmdist: no frame to measure")
+        return
+    lost = ", ".join(f"{count} {reason}" for reason, count in sorted(tally.items()) if reason != "ok")
+    say(
+        f"svmdist: {tally['ok']} of {total} frames measured ({tally['ok'] / total:.1%})"
+        + (f"; {lost}" if lost else "")
+    )

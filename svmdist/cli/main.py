@@ -1,0 +1,68 @@
+"""The command `svmdist`: its subcommands, and the one place where errors become a line and an exit code."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from svmdist.cli import blur_bench, calibrate, estimate, record, validate
+from svmdist.cli.console import ExitCode, say
+from svmdist.errors import SvmdistError, UsageError
+
+app = typer.Typer(
+    name="svmdist",
+    help="Distance between a surgical instrument and tissue, from recorded logs, and how good it is.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Exit codes: 0 clean, 1 unusable, 2 usage, 3 usable with loss, 4 worse than the baseline.",
+)
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)
+    ] = False,
+) -> None:
+    """Print the version where asked for; everything else is a subcommand's."""
+    if version:
+        from importlib.metadata import version as installed
+
+        print(f"svmdist {installed('svmdist')}")
+        raise typer.Exit
+
+
+app.command("record")(record.record_command)
+app.command("calibrate")(calibrate.calibrate_command)
+app.command("estimate")(estimate.estimate_command)
+app.command("validate")(validate.validate_command)
+app.command("blur-bench")(blur_bench.blur_bench_command)
+
+
+def run() -> None:
+    """Entry point: run the command line and exit with its code."""
+    try:
+        app()
+    except UsageError as problem:
+        say(f"svmdist: {problem}")
+        sys.exit(ExitCode.USAGE)
+    except SvmdistError as problem:
+        say(f"svmdist: {problem}")
+        sys.exit(ExitCode.UNUSABLE)
+    except BrokenPipeError:
+        # The reader of a pipe has gone, as `head` does. Python would complain again when it flushes.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(ExitCode.CLEAN)
+    except KeyboardInterrupt:
+        say("svmdist: interrupted")
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    run()

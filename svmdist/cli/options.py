@@ -1,0 +1,79 @@
+"""Arguments and options that several commands share. Light to import: `svmdist --help` reads it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class Method(StrEnum):
+    """`--method`: the paper's, or its ablation."""
+
+    OVERLAY = "overlay"
+    CENTROID = "centroid"
+
+
+class EquationsChoice(StrEnum):
+    """`--equations`: the readings of the paper's formulas."""
+
+    CORRECTED = "corrected"
+    PRINTED = "printed"
+
+
+class TableFormat(StrEnum):
+    """`--format` of summaries."""
+
+    TABLE = "table"
+    CSV = "csv"
+    JSON = "json"
+
+
+class RowFormat(StrEnum):
+    """`--format` of row streams."""
+
+    TABLE = "table"
+    CSV = "csv"
+    JSON = "json"
+    JSONL = "jsonl"
+
+
+Files = Annotated[
+    list[Path], typer.Argument(metavar="FILE...", help="Recordings to read (MCAP).", show_default=False)
+]
+OptionalFiles = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="[FILE]...", help="Recordings; without any, every .mcap in recordings/.", show_default=False
+    ),
+]
+MethodOption = Annotated[
+    Method,
+    typer.Option("--method", help="overlay: the paper's virtual marker; centroid: the same without marker."),
+]
+EquationsOption = Annotated[
+    EquationsChoice,
+    typer.Option("--equations", help="corrected, or printed: the paper's formulas to the letter."),
+]
+ProfileOption = Annotated[
+    str, typer.Option("--profile", metavar="NAME|FILE", help="Scene profile: one that ships, or a TOML file.")
+]
+CalibrationOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration",
+        metavar="FILE",
+        help="Calibration; default: the one that ships with the profile.",
+        show_default=False,
+    ),
+]
+OutputOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--output", "-o", metavar="FILE", help="Write the data here instead of to stdout.", show_default=False
+    ),
+]
+TableFormatOption = Annotated[TableFormat, typer.Option("--format", "-f", help="Form of the data.")]
+RowFormatOption = Annotated[RowFormat, typer.Option("--format", "-f", help="Form of the data.")]

@@ -1,0 +1,134 @@
+"""A table as data, and the four ways it is written: for a person, as CSV, JSON or JSON lines."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from svmdist.report.text import csv_text, printable
+
+Cell = str | int | float | None
+Row = Mapping[str, Cell]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column for a person: its key in the row, its heading, and how a value is shown."""
+
+    key: str
+    heading: str
+    show: Callable[[Cell], str] = lambda value: "" if value is None else str(value)
+    is_text: bool = False
+
+
+def number(digits: int, factor: float = 1.0) -> Callable[[Cell], str]:
+    """Show a number with a fixed count of digits, in another unit: `number(2, 1e3)` shows m as mm."""
+
+    def show(value: Cell) -> str:
+        return f"{float(value) * factor:.{digits}f}" if isinstance(value, int | float) else "–"
+
+    return show
+
+
+def percent(digits: int) -> Callable[[Cell], str]:
+    """Show a fraction as a percentage."""
+    return number(digits, 100.0)
+
+
+def rich_table(title: str, columns: Sequence[Column], rows: Iterable[Row]) -> RichTable:
+    """Build the table for a person; text is printed as it stands, without markup."""
+    table = RichTable(title=title, title_justify="left", title_style="bold")
+    for column in columns:
+        table.add_column(column.heading, justify="left" if column.is_text else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(printable(column.show(row.get(column.key)))) for column in columns))
+    return table
+
+
+def render(table: RichTable, *, width: int | None = None, colour: bool = False) -> str:
+    """Render a table to text; as wide as it needs where no width is given, as for a pipe."""
+    buffer = io.StringIO()
+    console = Console(
+        file=buffer,
+        width=width or 1000,
+        force_terminal=colour,
+        no_color=not colour,
+        emoji=False,
+        highlight=False,
+    )
+    console.print(table)
+    return "\n".join(line.rstrip() for line in buffer.getvalue().splitlines()) + "\n"
+
+
+def text_lines(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[str]:
+    """Yield a plain table line by line, so that a log of any length can be shown as it is measured.
+
+    Column widths come from the headings and a minimum for text, for the rows are not known beforehand; a
+    longer value pushes its line to the right.
+    """
+    widths = [max(len(column.heading), 16 if column.is_text else 7) for column in columns]
+    yield _text_line(columns, [column.heading for column in columns], widths)
+    yield "  ".join("─" * width for width in widths) + "\n"
+    for row in rows:
+        yield _text_line(columns, [printable(column.show(row.get(column.key))) for column in columns], widths)
+
+
+def _text_line(columns: Sequence[Column], cells: Sequence[str], widths: Sequence[int]) -> str:
+    aligned = [
+        cell.ljust(width) if column.is_text else cell.rjust(width)
+        for column, cell, width in zip(columns, cells, widths, strict=True)
+    ]
+    return "  ".join(aligned).rstrip() + "\n"
+
+
+def csv_lines(keys: Sequence[str], rows: Iterable[Row]) -> Iterator[str]:
+    """Yield CSV, RFC 4180, header first; a value that does not exist is an empty cell."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(keys)
+    yield _take(buffer)
+    for row in rows:
+        writer.writerow([_csv_cell(row.get(key)) for key in keys])
+        yield _take(buffer)
+
+
+def json_lines(keys: Sequence[str], rows: Iterable[Row]) -> Iterator[str]:
+    """Yield one JSON object a line; a value that does not exist is null."""
+    for row in rows:
+        yield json.dumps({key: json_value(row.get(key)) for key in keys}, ensure_ascii=False) + "\n"
+
+
+def json_array_lines(keys: Sequence[str], rows: Iterable[Row]) -> Iterator[str]:
+    """Yield one JSON array of objects, a line an object, without holding the rows."""
+    separator = "[\n"
+    for line in json_lines(keys, rows):
+        yield separator + line.rstrip("\n")
+        separator = ",\n"
+    yield "[]\n" if separator == "[\n" else "\n]\n"
+
+
+def json_value(value: Cell) -> Cell:
+    """Turn a value into what JSON can hold: a number that is not finite does not exist."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _csv_cell(value: Cell) -> str:
+    value = json_value(value)
+    if value is None:
+        return ""
+    return csv_text(value) if isinstance(value, str) else repr(value)
+
+
+def _take(buffer: io.StringIO) -> str:
+    text = buffer.getvalue()
+    buffer.seek(0)
+    buffer.truncate()
+    return text

@@ -1,0 +1,143 @@
+"""Validation results as tables and as the JSON document `svmdist.validation/1`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.table import Table as RichTable
+
+from svmdist.report.table import Cell, Column, json_value, number, percent, rich_table
+from svmdist.workflows.validate import PAPER_R_SQUARED, Score, Validation
+
+SCHEMA = "svmdist.validation/1"
+
+VALIDATION_KEYS = (
+    "recording",
+    "method",
+    "equations",
+    "reference",
+    "sample_count",
+    "rejected_count",
+    "coverage",
+    "r_squared",
+    "rmse_m",
+    "mae_m",
+    "median_abs_error_m",
+    "p95_abs_error_m",
+    "max_abs_error_m",
+    "bias_m",
+    "truth_std_m",
+    "pearson_r",
+    "frame_count",
+    "unpaired_count",
+    "rmse_low_m",
+    "rmse_high_m",
+    "r_squared_low",
+    "r_squared_high",
+    "fitted_on",
+    "rejected",
+)
+"""Columns of the CSV. In JSON `rejected` is an object of counts by reason."""
+
+COLUMNS = (
+    Column("recording", "recording", is_text=True),
+    Column("reference", "against", is_text=True),
+    Column("sample_count", "n"),
+    Column("coverage", "coverage [%]", percent(1)),
+    Column("r_squared", "R²", number(4)),
+    Column("r_squared_interval", "R² 95 %", is_text=True),
+    Column("rmse_m", "RMSE [mm]", number(3, 1e3)),
+    Column("rmse_interval", "RMSE 95 % [mm]", is_text=True),
+    Column("mae_m", "MAE [mm]", number(3, 1e3)),
+    Column("median_abs_error_m", "median [mm]", number(3, 1e3)),
+    Column("p95_abs_error_m", "p95 [mm]", number(3, 1e3)),
+    Column("max_abs_error_m", "max [mm]", number(3, 1e3)),
+    Column("bias_m", "bias [mm]", number(3, 1e3)),
+    Column("truth_std_m", "σ truth [mm]", number(2, 1e3)),
+    Column("pearson_r", "r", number(4)),
+    Column("remark", "remark", is_text=True),
+)
+
+PAPER_NOTE = (
+    f"The paper reports R² = {PAPER_R_SQUARED:.0%} for its own scene and trajectory, without RMSE or n; the scenes"
+    " differ, so that figure and ours stand side by side and are not compared."
+)
+
+
+def score_row(score: Score) -> dict[str, Cell]:
+    """One score in SI, flat, with the keys of `VALIDATION_KEYS`."""
+    statistics, rmse, r2 = score.statistics, score.rmse_interval_m, score.r_squared_interval
+    return {
+        "recording": score.recording,
+        "method": score.method,
+        "equations": score.equations,
+        "reference": str(score.reference),
+        "sample_count": score.sample_count,
+        "rejected_count": score.rejected_count,
+        "coverage": score.coverage,
+        "r_squared": statistics.r_squared if statistics else None,
+        "rmse_m": statistics.rmse if statistics else None,
+        "mae_m": statistics.mae if statistics else None,
+        "median_abs_error_m": statistics.median_abs_error if statistics else None,
+        "p95_abs_error_m": statistics.p95_abs_error if statistics else None,
+        "max_abs_error_m": statistics.max_abs_error if statistics else None,
+        "bias_m": statistics.bias if statistics else None,
+        "truth_std_m": statistics.truth_std if statistics else None,
+        "pearson_r": statistics.pearson_r if statistics else None,
+        "frame_count": score.frame_count,
+        "unpaired_count": score.unpaired_count,
+        "rmse_low_m": rmse.low if rmse else None,
+        "rmse_high_m": rmse.high if rmse else None,
+        "r_squared_low": r2.low if r2 else None,
+        "r_squared_high": r2.high if r2 else None,
+        "fitted_on": score.fitted_on,
+        "rejected": " ".join(f"{reason}={count}" for reason, count in score.rejected.items()),
+    }
+
+
+def validation_document(validation: Validation) -> dict[str, Any]:
+    """The JSON document: `overall` is the score against the strongest reference, `overall_by_reference` all."""
+    primary = validation.primary
+    return {
+        "schema": SCHEMA,
+        "recordings": [_json_score(score) for score in validation.scores],
+        "overall": _json_score(primary) if primary else None,
+        "overall_by_reference": {str(score.reference): _json_score(score) for score in validation.overall},
+        "paper": {"r_squared": PAPER_R_SQUARED, "note": PAPER_NOTE},
+        "notes": list(validation.notes),
+    }
+
+
+def validation_table(validation: Validation) -> RichTable:
+    """The table for a person: a row a recording and reference, then the overall rows."""
+    first = next(iter(validation.scores))
+    table = rich_table(
+        f"{first.method}, {first.equations} equations",
+        COLUMNS,
+        [_shown(score) for score in validation.scores],
+    )
+    table.add_section()
+    for row in [_shown(score) for score in validation.overall]:
+        table.add_row(*(column.show(row.get(column.key)) for column in COLUMNS), style="bold")
+    return table
+
+
+def _shown(score: Score) -> dict[str, Cell]:
+    row = score_row(score)
+    rmse, r2 = score.rmse_interval_m, score.r_squared_interval
+    remarks = [f"{count} {reason}" for reason, count in score.rejected.items()]
+    if score.unpaired_count:
+        remarks.append(f"{score.unpaired_count} unpaired")
+    if score.fitted_on:
+        remarks.insert(0, "fitted on, not in overall")
+    return row | {
+        "rmse_interval": f"{rmse.low * 1e3:.3f} … {rmse.high * 1e3:.3f}" if rmse else "–",
+        "r_squared_interval": f"{r2.low:.4f} … {r2.high:.4f}" if r2 else "–",
+        "remark": ", ".join(remarks),
+    }
+
+
+def _json_score(score: Score) -> dict[str, Any]:
+    return {key: json_value(value) for key, value in score_row(score).items()} | {
+        "rejected": dict(score.rejected)
+    }

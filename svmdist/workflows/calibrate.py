@@ -1,0 +1,61 @@
+"""Calibrate: where the tool is seen, against where it truly is, to the quadratics of eqs. (5) and (6)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.metadata import version
+
+import numpy as np
+
+from svmdist.errors import CalibrationError
+from svmdist.estimation.calibration import Calibration, CalibrationSamples, SourceFile, fit_calibration
+from svmdist.estimation.equations import PlaneMapping, Quadratic
+from svmdist.estimation.methods import make_estimator
+from svmdist.profile import Profile
+from svmdist.recording.reader import Recording
+from svmdist.workflows.estimate import estimate
+
+PIXELS_AS_THEY_ARE = PlaneMapping("corrected", Quadratic(0.0, 1.0, 0.0), Quadratic(0.0, 1.0, 0.0))
+"""The estimator needs a mapping; calibration reads its pixels only."""
+
+
+def calibrate(recordings: Sequence[Recording], profile: Profile, method: str = "overlay") -> Calibration:
+    """Fit a calibration to recordings with ground truth of the tool's position.
+
+    Raises CalibrationError for recordings of different cameras, too few frames or too little of the image
+    covered, and RecordingError where a recording has no true tool pose.
+    """
+    if not recordings:
+        raise CalibrationError("expected at least one recording to calibrate with, found none")
+    camera = recordings[0].camera
+    samples = []
+    for recording in recordings:
+        if not camera.same_optics(recording.camera):
+            raise CalibrationError(
+                f"recordings of different cameras cannot be calibrated together: {recordings[0].name}"
+                f" and {recording.name} differ"
+            )
+        samples.append(collect_samples(recording, profile, method))
+    return fit_calibration(
+        CalibrationSamples(
+            np.concatenate([part.tool_px for part in samples]),
+            np.concatenate([part.tool_m for part in samples]),
+        ),
+        camera,
+        method,
+        created_by=f"svmdist {version('svmdist')}",
+        sources=tuple(
+            SourceFile(name=recording.path.name, sha256=recording.sha256()) for recording in recordings
+        ),
+    )
+
+
+def collect_samples(recording: Recording, profile: Profile, method: str) -> CalibrationSamples:
+    """Pairs of tool pixel and true position in the camera's plane, of all frames that have both."""
+    estimator = make_estimator(method, profile, PIXELS_AS_THEY_ARE)
+    rows = [row for row in estimate(recording, estimator) if row.measured]
+    stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
+    tool_px = np.array([(row.tool_x_px, row.tool_y_px) for row in rows], np.float64).reshape(-1, 2)
+    truth = recording.transform_track(profile.frames.camera, profile.frames.tool, ground_truth=True)
+    T_camera_tool = truth.at(stamps_ns)
+    return CalibrationSamples(tool_px[T_camera_tool.valid], T_camera_tool.values[T_camera_tool.valid, :2, 3])

@@ -1,0 +1,82 @@
+"""What a measurement is made with: profile, method, equations and calibration, resolved and checked once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from svmdist.camera import Camera
+from svmdist.errors import CalibrationError, UsageError, did_you_mean
+from svmdist.estimation.calibration import Calibration, load_calibration
+from svmdist.estimation.equations import PRINTED_MAPPING, Equations, PlaneMapping, degeneracies
+from svmdist.estimation.methods import METHODS, Estimator, make_estimator
+from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
+from svmdist.recording.reader import Recording
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything that turns a recording into estimates. Make it with `prepare`."""
+
+    profile: Profile
+    method: str
+    equations: Equations
+    calibration: Calibration | None
+
+    @property
+    def mapping(self) -> PlaneMapping:
+        """The mapping from pixels to the plane: printed as it stands, or the calibration's."""
+        if self.equations == "printed":
+            return PRINTED_MAPPING
+        assert self.calibration is not None  # prepare() saw to it
+        return self.calibration.mapping
+
+    def estimator_for(self, recording: Recording) -> Estimator:
+        """Make the estimator for a recording; raises CalibrationError for another camera."""
+        if self.equations == "corrected" and self.calibration is not None:
+            self.calibration.require_camera(recording.camera, recording.name)
+        return make_estimator(self.method, self.profile, self.mapping)
+
+    def was_fitted_on(self, recording: Recording) -> bool:
+        """Whether the calibration was fitted on this very recording: then its figures prove nothing."""
+        if self.calibration is None or self.equations == "printed":
+            return False
+        return recording.sha256() in {source.sha256 for source in self.calibration.sources}
+
+    def degeneracies(self, camera: Camera) -> list[str]:
+        """Sentences about where the equations cannot be right for this camera's image."""
+        return degeneracies(self.mapping, camera.width_px, camera.height_px)
+
+
+def prepare(
+    profile: str | Path = DEFAULT_PROFILE,
+    method: str = "overlay",
+    equations: Equations = "corrected",
+    calibration: Path | None = None,
+) -> Setup:
+    """Load what a measurement needs, by names and paths.
+
+    The calibration is the given one, else the one that ships beside the profile. Raises ProfileError,
+    CalibrationError or UsageError.
+    """
+    if method not in METHODS:
+        raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
+    if equations not in ("corrected", "printed"):
+        raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
+    loaded = load_profile(profile)
+    if equations == "printed":
+        if calibration is not None:
+            raise UsageError(
+                "--equations printed takes the paper's numbers: it cannot be used with a calibration"
+            )
+        return Setup(loaded, method, equations, None)
+    return Setup(loaded, method, equations, load_calibration(calibration or _beside(profile, loaded)))
+
+
+def _beside(profile: str | Path, loaded: Profile) -> Path:
+    if loaded.calibration is None:
+        raise CalibrationError(
+            f"profile {loaded.name} ships no calibration: make one with `svmdist calibrate` and name it with"
+            " --calibration"
+        )
+    return profile_path(profile).parent / loaded.calibration
