@@ -1,0 +1,104 @@
+"""What every encoding shares: the error of a message that cannot become a sample, and the checks of its values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.recording.images import ImageError
+from svmdist.samples import Image, JointSample
+from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
+
+MAX_STAMP_NS = (1 << 63) - 1
+NS = 1_000_000_000
+MAX_JOINTS = 10_000
+MAX_TRANSFORMS = 10_000
+KNOWN_DISTORTION = frozenset({"", "plumb_bob", "rational_polynomial", "none"})
+
+
+class DecodeError(ValueError):
+    """A message that does not hold what its schema promises."""
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedImage:
+    """An image message whose pixels are decoded only when asked for; `decode` raises ImageError."""
+
+    stamp_ns: int
+    frame_id: str
+    decode: Callable[[], Image]
+
+
+def broken_image(log_time_ns: int, reason: str) -> EncodedImage:
+    """Make an image whose decoding fails, for a message that is broken before its pixels."""
+
+    def fail() -> Image:
+        raise ImageError(reason)
+
+    return EncodedImage(min(log_time_ns, MAX_STAMP_NS), "", fail)
+
+
+def checked_stamp_ns(stamp_ns: int) -> int:
+    """Return a stamp that fits into 64 bits with sign and is not negative; DecodeError for any other."""
+    if not 0 <= stamp_ns <= MAX_STAMP_NS:
+        raise DecodeError(f"the stamp {stamp_ns} ns is out of range")
+    return stamp_ns
+
+
+def checked_transform(translation_m: Sequence[float], quaternion_xyzw: Sequence[float]) -> Array:
+    """Build a transform, shape (4, 4); DecodeError for values that are not finite or name no rotation."""
+    if not np.all(np.isfinite(translation_m)):
+        raise DecodeError("a translation is not finite")
+    try:
+        return make_transform(rotation_from_quaternion_xyzw(quaternion_xyzw), translation_m)
+    except ValueError as problem:
+        raise DecodeError(str(problem)) from None
+
+
+def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[float]) -> JointSample:
+    """Build a joint sample; DecodeError for names that repeat and positions that are missing or not finite."""
+    if len(names) != len(positions) or not names:
+        raise DecodeError(f"{len(names)} joint names and {len(positions)} positions")
+    if len(set(names)) != len(names):
+        raise DecodeError("joint names repeat")
+    values = np.array(positions, np.float64)
+    if not np.all(np.isfinite(values)):
+        raise DecodeError(
+            f"the position of joint {names[int(np.argmin(np.isfinite(values)))]!r} is not finite"
+        )
+    return JointSample(stamp_ns, tuple(names), values)
+
+
+def checked_camera(
+    size_px: tuple[int, int],
+    K: Sequence[float],
+    D: Sequence[float],
+    R: Sequence[float],
+    P: Sequence[float],
+    frame_id: str,
+    distortion_model: str,
+) -> Camera:
+    """Build a camera; DecodeError for a matrix of another size, an uncalibrated camera or an unknown distortion."""
+    if len(K) != 9 or len(R) not in {0, 9} or len(P) not in {0, 12} or len(D) > 14:
+        raise DecodeError(f"K, R, P, D have {len(K)}, {len(R)}, {len(P)}, {len(D)} elements")
+    if not np.all(np.isfinite([*K, *D, *R, *P])):
+        raise DecodeError("the calibration is not finite")
+    if K[0] <= 0 or K[4] <= 0 or min(size_px) < 1:
+        raise DecodeError(
+            f"the camera is not calibrated: fx = {K[0]}, fy = {K[4]}, {size_px[0]}x{size_px[1]} px"
+        )
+    if any(D) and distortion_model.lower() not in KNOWN_DISTORTION:
+        choices = ", ".join(sorted(KNOWN_DISTORTION - {""}))
+        raise DecodeError(f"distortion model {distortion_model!r} is not known; the choices are {choices}")
+    return Camera(
+        size_px[0],
+        size_px[1],
+        np.array(K, np.float64).reshape(3, 3),
+        np.array(D, np.float64),
+        np.array(R, np.float64).reshape(3, 3) if any(R) else None,
+        np.array(P, np.float64).reshape(3, 4) if any(P) else None,
+        frame_id,
+    )

@@ -1,0 +1,137 @@
+"""Samples out of Foxglove's messages, and out of svmdist's own, in protobuf."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from google.protobuf.message import DecodeError as ProtobufError
+
+from svmdist.recording.checks import (
+    MAX_JOINTS,
+    MAX_TRANSFORMS,
+    NS,
+    DecodeError,
+    EncodedImage,
+    checked_camera,
+    checked_joints,
+    checked_stamp_ns,
+    checked_transform,
+)
+from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
+from svmdist.recording.images import decode_still
+from svmdist.recording.limits import Limits
+from svmdist.recording.sources import RawMessage
+from svmdist.samples import (
+    CameraSample,
+    DistanceSample,
+    JointSample,
+    PoseSample,
+    TransformSample,
+    TransformsSample,
+)
+from svmdist.transforms import Array
+
+IDENTITY_XYZW = (0.0, 0.0, 0.0, 1.0)
+MESSAGES: dict[str, Any] = {
+    message.DESCRIPTOR.full_name: message
+    for message in (
+        CompressedImage,
+        CameraCalibration,
+        JointStates,
+        PoseInFrame,
+        FrameTransform,
+        FrameTransforms,
+        GroundTruthDistance,
+    )
+}
+
+
+def parse_protobuf(raw: RawMessage) -> Any:
+    """Parse the bytes as the message that the schema names; DecodeError when they are none."""
+    try:
+        return MESSAGES[raw.schema].FromString(bytes(raw.data))
+    except (ProtobufError, RecursionError, UnicodeDecodeError, ValueError) as problem:
+        raise DecodeError(f"not a {raw.schema}: {problem}") from None
+
+
+def stamp_of(message: Any, log_time_ns: int) -> int:
+    """Take the message's own stamp in ns, or the log time where it has none."""
+    if not message.HasField("timestamp"):
+        return checked_stamp_ns(log_time_ns)
+    return checked_stamp_ns(message.timestamp.seconds * NS + message.timestamp.nanos)
+
+
+def to_compressed_image(message: Any, log_time_ns: int, limits: Limits) -> EncodedImage:
+    """Take over a foxglove.CompressedImage; its `format` is not believed, the data say what they are."""
+    data = message.data
+    return EncodedImage(stamp_of(message, log_time_ns), message.frame_id, lambda: decode_still(data, limits))
+
+
+def to_camera(message: Any, log_time_ns: int) -> CameraSample:
+    """Convert a foxglove.CameraCalibration."""
+    size_px = (message.width, message.height)
+    camera = checked_camera(
+        size_px, message.K, message.D, message.R, message.P, message.frame_id, message.distortion_model
+    )
+    return CameraSample(stamp_of(message, log_time_ns), camera)
+
+
+def to_joints(message: Any, log_time_ns: int) -> JointSample:
+    """Convert a foxglove.JointStates; joints without a position are left out."""
+    if len(message.joints) > MAX_JOINTS:
+        raise DecodeError(f"{len(message.joints)} joints, the limit is {MAX_JOINTS}")
+    joints = [joint for joint in message.joints if joint.HasField("position")]
+    return checked_joints(
+        stamp_of(message, log_time_ns),
+        [joint.name for joint in joints],
+        [joint.position for joint in joints],
+    )
+
+
+def to_pose(message: Any, log_time_ns: int) -> PoseSample:
+    """Convert a foxglove.PoseInFrame."""
+    T = _transform(message.pose, "position", "orientation")
+    return PoseSample(stamp_of(message, log_time_ns), message.frame_id, T)
+
+
+def to_transforms(message: Any, log_time_ns: int) -> TransformsSample:
+    """Convert a foxglove.FrameTransform or FrameTransforms."""
+    parts = message.transforms if hasattr(message, "transforms") else [message]
+    if len(parts) > MAX_TRANSFORMS:
+        raise DecodeError(f"{len(parts)} transforms, the limit is {MAX_TRANSFORMS}")
+    samples = tuple(
+        TransformSample(
+            stamp_of(part, log_time_ns),
+            part.parent_frame_id,
+            part.child_frame_id,
+            _transform(part, "translation", "rotation"),
+        )
+        for part in parts
+    )
+    return TransformsSample(samples[0].stamp_ns if samples else checked_stamp_ns(log_time_ns), samples)
+
+
+def to_distance(message: Any, log_time_ns: int) -> DistanceSample:
+    """Convert a svmdist.GroundTruthDistance."""
+    values = (message.planar_m, message.spatial_m, message.clearance_m)
+    if not np.all(np.isfinite(values)):
+        raise DecodeError("a distance is not finite")
+    return DistanceSample(stamp_of(message, log_time_ns), *values)
+
+
+def _transform(message: Any, position_field: str, rotation_field: str) -> Array:
+    position, rotation = getattr(message, position_field), getattr(message, rotation_field)
+    # An unset rotation means none; one that is set to four zeros is an error.
+    xyzw = (
+        (rotation.x, rotation.y, rotation.z, rotation.w)
+        if message.HasField(rotation_field)
+        else IDENTITY_XYZW
+    )
+    return checked_transform((position.x, position.y, position.z), xyzw)

@@ -1,0 +1,113 @@
+"""Decoding compressed stills: checked before OpenCV sees them, and never a pixel that was not written."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+
+# OpenCV reads this once, when it is imported; the header check below holds in any case.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
+
+import cv2
+import numpy as np
+
+from svmdist.recording.limits import Limits
+from svmdist.samples import Image
+
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+JPEG_MAGIC = b"\xff\xd8\xff"
+JPEG_END = b"\xff\xd9"
+JPEG_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+JPEG_BARE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
+
+
+class ImageError(ValueError):
+    """An image that cannot be decoded, or must not be."""
+
+
+def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
+    """Decode a PNG or JPEG to BGR, shape (height, width, 3) of uint8; grey becomes BGR, alpha is dropped.
+
+    Raises ImageError for another format, a size above the limits, truncated or corrupt data, and for
+    16-bit images, which would lose half of their bits.
+    """
+    data = bytes(data)
+    if len(data) > limits.image_bytes:
+        raise ImageError(f"{len(data)} bytes, the limit is {limits.image_bytes}")
+    if data.startswith(PNG_MAGIC):
+        width_px, height_px = _check_png(data)
+    elif data.startswith(JPEG_MAGIC):
+        width_px, height_px = _check_jpeg(data)
+    else:
+        raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
+    check_dimensions(width_px, height_px, limits)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except (cv2.error, MemoryError) as problem:
+        raise ImageError(" ".join(str(problem).split())) from None
+    if image is None or image.shape != (height_px, width_px, 3):
+        raise ImageError("its data do not decode")
+    return np.asarray(image, np.uint8)
+
+
+def check_dimensions(width_px: int, height_px: int, limits: Limits) -> None:
+    """Refuse an empty image and one of too many pixels with ImageError."""
+    if width_px < 1 or height_px < 1:
+        raise ImageError(f"an image of {width_px}x{height_px} px is empty")
+    if width_px * height_px > limits.image_pixels:
+        raise ImageError(f"{width_px}x{height_px} px, the limit is {limits.image_pixels} px")
+
+
+def _check_png(data: bytes) -> tuple[int, int]:
+    """Verify the CRC of every chunk, up to the end: OpenCV decodes truncated and corrupt PNGs without a word."""
+    view = memoryview(data)
+    position = len(PNG_MAGIC)
+    size_px: tuple[int, int] | None = None
+    while position + 12 <= len(view):
+        (length,) = struct.unpack_from(">I", view, position)
+        end = position + 12 + length
+        if end > len(view):
+            break
+        kind = bytes(view[position + 4 : position + 8])
+        (crc,) = struct.unpack_from(">I", view, end - 4)
+        if zlib.crc32(view[position + 4 : end - 4]) != crc:
+            raise ImageError(f"the CRC of PNG chunk {kind!r} is wrong")
+        if kind == b"IHDR" and size_px is None and length == 13:
+            width_px, height_px, bit_depth = struct.unpack_from(">IIB", view, position + 8)
+            size_px = width_px, height_px
+            if bit_depth > 8:
+                raise ImageError(f"a PNG of {bit_depth} bits; 8 are expected")
+        elif size_px is None:
+            raise ImageError("a PNG without a header")
+        if kind == b"acTL":
+            raise ImageError("an animated PNG; a still is expected")
+        if kind == b"IEND":
+            return size_px
+        position = end
+    raise ImageError(f"a PNG that ends early, after {len(data)} bytes")
+
+
+def _check_jpeg(data: bytes) -> tuple[int, int]:
+    """Read the dimensions from the frame header, and see that the end marker is there."""
+    if JPEG_END not in data[-64:]:  # some cameras pad with zeros behind it
+        raise ImageError(f"a JPEG that ends early, after {len(data)} bytes")
+    position = 2
+    while position + 4 <= len(data):
+        if data[position] != 0xFF:
+            break
+        marker = data[position + 1]
+        if marker == 0xFF:  # a fill byte
+            position += 1
+            continue
+        if marker in JPEG_BARE_MARKERS:
+            position += 2
+            continue
+        (length,) = struct.unpack_from(">H", data, position + 2)
+        if marker in JPEG_FRAME_MARKERS and length >= 8 and position + 9 <= len(data):
+            bit_depth, height_px, width_px = struct.unpack_from(">BHH", data, position + 4)
+            if bit_depth != 8:
+                raise ImageError(f"a JPEG of {bit_depth} bits; 8 are expected")
+            return width_px, height_px
+        position += 2 + length
+    raise ImageError("a JPEG without a frame header")

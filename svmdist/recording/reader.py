@@ -1,0 +1,251 @@
+"""Opening recordings: the one way in which everything else reads logs, whatever their format."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.errors import RecordingError
+from svmdist.profile import Profile
+from svmdist.recording.checks import DecodeError, EncodedImage, broken_image
+from svmdist.recording.decoding import decode
+from svmdist.recording.health import Health, Loss, LossKind
+from svmdist.recording.images import ImageError
+from svmdist.recording.limits import Limits
+from svmdist.recording.opening import open_source
+from svmdist.recording.pairing import LoggedImage, pair_with_joints
+from svmdist.recording.sources import RawMessage, Source, TopicInfo
+from svmdist.recording.topics import Role, TopicChoice
+from svmdist.recording.transform_tree import TransformTree
+from svmdist.samples import (
+    CameraSample,
+    DistanceSample,
+    ImageSample,
+    JointSample,
+    Observation,
+    PoseSample,
+    Rejection,
+    Sample,
+    Status,
+    TransformsSample,
+)
+from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack, sort_stamps
+
+
+def open_recording(
+    path: Path | str,
+    profile: Profile,
+    *,
+    limits: Limits | None = None,
+    topics: Mapping[str, str] | None = None,
+) -> Recording:
+    """Open a recording; `topics` overrides the profile's, by role: `{"image": "/left/image_raw"}`.
+
+    Raises RecordingError in one line for a file that is missing, empty, or no recording, and UsageError
+    for an unknown role. What is lost later while reading is counted in `health`.
+    """
+    limits = limits or Limits()
+    source = open_source(Path(path), limits)
+    choice = TopicChoice(source.topics(), profile.topics, topics or {}, source.path.name)
+    return Recording(source, choice, limits)
+
+
+class Recording:
+    """A log that can be read, over and over; every call streams the file anew and keeps nothing of it."""
+
+    def __init__(self, source: Source, choice: TopicChoice, limits: Limits) -> None:
+        self._source = source
+        self._choice = choice
+        self._limits = limits
+
+    @property
+    def path(self) -> Path:
+        """The file or folder."""
+        return self._source.path
+
+    @property
+    def name(self) -> str:
+        """The file's name without its suffix."""
+        return self._source.path.stem
+
+    @property
+    def health(self) -> Health:
+        """What was lost so far; complete after a pass over the whole log."""
+        return self._source.health
+
+    @cached_property
+    def metadata(self) -> dict[str, str]:
+        """The pairs of the metadata record `svmdist`; empty where there is none."""
+        return self._source.metadata()
+
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """List the topics, sorted by name."""
+        return self._source.topics()
+
+    def topic_of(self, role: Role | str) -> str | None:
+        """Name the topic that plays a role; None where the log has none."""
+        return self._choice.find(Role(role))
+
+    @cached_property
+    def camera(self) -> Camera:
+        """The first camera calibration; RecordingError where there is none."""
+        topic = self._choice.require(Role.CAMERA_INFO)
+        for _, sample in self._samples(topic):
+            if isinstance(sample, CameraSample):
+                return sample.camera
+        raise RecordingError(f"{self.path.name}: no usable camera calibration on {topic}")
+
+    def images(self) -> Iterator[ImageSample | Rejection]:
+        """Yield every image in file order, decoded; a Rejection stands for one that cannot be."""
+        topic = self._choice.require(Role.IMAGE)
+        logged_images = self._images_and_joints(topic)
+        return (self._pixels(logged, topic) for logged in logged_images if isinstance(logged, LoggedImage))
+
+    def observations(self) -> Iterator[Observation | Rejection]:
+        """Yield what an estimator may see of every image, in file order; memory does not grow with the log.
+
+        Joints are interpolated to the image's stamp between samples at most 0.1 s apart, None where the
+        log has none. Raises RecordingError at once where the log has no images or no camera.
+        """
+        image_topic = self._choice.require(Role.IMAGE)
+        camera = self.camera
+        joint_topic = self._choice.find(Role.JOINTS)
+        return self._observations(image_topic, joint_topic, camera)
+
+    def joint_track(self) -> JointTrack:
+        """Read all joint states."""
+        topic = self._choice.require(Role.JOINTS)
+        samples: list[JointSample] = []
+        for raw, sample in self._samples(topic):
+            if not isinstance(sample, JointSample):
+                continue
+            if samples and sample.names != samples[0].names:
+                self._lose(LossKind.MESSAGE, "its joints are others than those of the first message", raw)
+                continue
+            samples.append(sample)
+        if not samples:
+            raise RecordingError(f"{self.path.name}: no usable joint states on {topic}")
+        stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
+        order = sort_stamps(stamps_ns)
+        positions = np.array([sample.positions for sample in samples])
+        return JointTrack(stamps_ns[order], samples[0].names, positions[order])
+
+    def transform_track(self, parent: str, child: str, *, ground_truth: bool = False) -> TransformTrack:
+        """Read `T_parent_child` over time, composed along the tree of the believed or the true transforms.
+
+        Raises RecordingError where the log has no transforms, or none that link the two frames.
+        """
+        return self.transform_tree(ground_truth=ground_truth).track(parent, child)
+
+    def transform_tree(self, *, ground_truth: bool = False) -> TransformTree:
+        """Read all transforms, those that the robot believes or those that are true."""
+        if ground_truth:
+            static: tuple[str, ...] = ()
+            moving: str | None = self._choice.require(Role.GROUND_TRUTH_TF)
+        else:
+            static = self._choice.static_transforms()
+            moving = self._choice.find(Role.TF) if static else self._choice.require(Role.TF)
+        tree = TransformTree()
+        for raw, sample in self._samples(*static, *([moving] if moving else [])):
+            if isinstance(sample, TransformsSample):
+                for transform in sample.transforms:
+                    tree.add(transform, is_static=raw.topic in static)
+        return tree
+
+    def pose_track(self) -> PoseTrack:
+        """Read all poses; RecordingError where their frame changes."""
+        topic = self._choice.require(Role.POSE)
+        samples = [sample for _, sample in self._samples(topic) if isinstance(sample, PoseSample)]
+        frames = sorted({sample.frame_id for sample in samples})
+        if len(frames) != 1:
+            found = f"poses in several frames: {', '.join(frames)}" if frames else "no usable poses"
+            raise RecordingError(f"{self.path.name}: {found} on {topic}")
+        stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
+        order = sort_stamps(stamps_ns)
+        return PoseTrack(frames[0], stamps_ns[order], np.array([s.T_frame_pose for s in samples])[order])
+
+    def distance_track(self) -> DistanceTrack:
+        """Read all true distances."""
+        topic = self._choice.require(Role.GROUND_TRUTH_DISTANCE)
+        samples = [sample for _, sample in self._samples(topic) if isinstance(sample, DistanceSample)]
+        stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
+        rows = np.array([(s.planar_m, s.spatial_m, s.clearance_m) for s in samples]).reshape(-1, 3)
+        order = sort_stamps(stamps_ns)
+        return DistanceTrack(stamps_ns[order], *rows[order].T)
+
+    def sha256(self) -> str:
+        """Hash the file, or the files of a folder in the order of their names, as hexadecimal digits."""
+        digest = hashlib.sha256()
+        files = sorted(p for p in self.path.rglob("*") if p.is_file()) if self.path.is_dir() else [self.path]
+        for file in files:
+            try:
+                with file.open("rb") as stream:
+                    while piece := stream.read(1 << 20):
+                        digest.update(piece)
+            except OSError as problem:
+                raise RecordingError(f"{file}: cannot read: {problem.strerror or problem}") from None
+        return digest.hexdigest()
+
+    def _samples(self, *topics: str) -> Iterator[tuple[RawMessage, Sample | EncodedImage]]:
+        """Decode the messages of some topics; one that cannot be decoded is a loss."""
+        for raw in self._source.messages(frozenset(topics)):
+            sample = self._decode(raw)
+            if sample is not None:
+                yield raw, sample
+
+    def _decode(self, raw: RawMessage) -> Sample | EncodedImage | None:
+        try:
+            return decode(raw, self._limits)
+        except DecodeError as problem:
+            self._lose(LossKind.MESSAGE, str(problem), raw)
+            return None
+
+    def _observations(
+        self, image_topic: str, joint_topic: str | None, camera: Camera
+    ) -> Iterator[Observation | Rejection]:
+        topics = [image_topic] if joint_topic is None else [image_topic, joint_topic]
+        for logged, joints in pair_with_joints(self._images_and_joints(*topics)):
+            image = self._pixels(logged, image_topic)
+            if isinstance(image, ImageSample):
+                height_px, width_px = image.image_bgr.shape[:2]
+                if (width_px, height_px) != (camera.width_px, camera.height_px):
+                    detail = f"{width_px}x{height_px} px; the camera has {camera.width_px}x{camera.height_px}"
+                    yield Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, detail)
+                    continue
+                yield Observation(image.stamp_ns, image.image_bgr, camera, joints)
+            else:
+                yield image
+
+    def _images_and_joints(self, image_topic: str, *joint_topics: str) -> Iterator[LoggedImage | JointSample]:
+        names: tuple[str, ...] | None = None
+        for raw in self._source.messages(frozenset({image_topic, *joint_topics})):
+            if raw.topic == image_topic:
+                yield LoggedImage(raw.log_time_ns, raw.offset, self._encoded_image(raw))
+                continue
+            sample = self._decode(raw)
+            if isinstance(sample, JointSample) and sample.names == (names := names or sample.names):
+                yield sample
+
+    def _encoded_image(self, raw: RawMessage) -> EncodedImage:
+        """Decode all but the pixels; a message that is broken becomes an image that is broken."""
+        try:
+            image = decode(raw, self._limits)
+        except DecodeError as error:
+            return broken_image(raw.log_time_ns, str(error))
+        return image if isinstance(image, EncodedImage) else broken_image(raw.log_time_ns, "no image")
+
+    def _pixels(self, logged: LoggedImage, topic: str) -> ImageSample | Rejection:
+        image = logged.image
+        try:
+            return ImageSample(image.stamp_ns, image.frame_id, image.decode())
+        except ImageError as problem:
+            self.health.add(Loss(LossKind.IMAGE, str(problem), logged.offset, topic))
+            return Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, str(problem))
+
+    def _lose(self, kind: LossKind, detail: str, raw: RawMessage) -> None:
+        self.health.add(Loss(kind, detail, raw.offset, raw.topic))

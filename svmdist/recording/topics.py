@@ -1,0 +1,100 @@
+"""Which topic plays which role: the caller's choice, else the profile's, else the only one that fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+
+from svmdist.errors import RecordingError, UsageError, did_you_mean
+from svmdist.profile import Topics
+from svmdist.recording.decoding import Kind, kind_of
+from svmdist.recording.sources import TopicInfo
+
+
+class Role(StrEnum):
+    """What a topic is needed for; the names are the keys of a profile's `[topics]`."""
+
+    IMAGE = "image"
+    CAMERA_INFO = "camera_info"
+    JOINTS = "joints"
+    POSE = "pose"
+    TF = "tf"
+    GROUND_TRUTH_TF = "ground_truth_tf"
+    GROUND_TRUTH_DISTANCE = "ground_truth_distance"
+
+
+KINDS = {
+    Role.IMAGE: Kind.IMAGE,
+    Role.CAMERA_INFO: Kind.CAMERA,
+    Role.JOINTS: Kind.JOINTS,
+    Role.POSE: Kind.POSE,
+    Role.TF: Kind.TRANSFORMS,
+    Role.GROUND_TRUTH_TF: Kind.TRANSFORMS,
+    Role.GROUND_TRUTH_DISTANCE: Kind.DISTANCE,
+}
+
+
+class TopicChoice:
+    """The roles of one recording's topics."""
+
+    def __init__(
+        self, infos: Sequence[TopicInfo], wanted: Topics, overrides: Mapping[str, str], name: str
+    ) -> None:
+        for role in overrides:
+            if role not in list(Role):
+                raise UsageError(f"no role {role} for a topic: {did_you_mean(role, list(Role))}")
+        self._infos = tuple(infos)
+        self._wanted = wanted
+        self._overrides = overrides
+        self._name = name
+
+    def require(self, role: Role) -> str:
+        """Name the topic of a role; RecordingError lists the candidates, or the topics there are."""
+        kind = KINDS[role]
+        override = self._overrides.get(role)
+        if override is not None:
+            if override not in self._candidates(kind):
+                raise RecordingError(f"{self._name}: topic {override} carries no {kind}; {self._there_are()}")
+            return override
+        wanted: str | None = getattr(self._wanted, role)
+        candidates = self._candidates(kind)
+        if wanted in candidates:
+            return str(wanted)
+        # Truth must be named: any transforms could pass for it.
+        fitting = [] if role is Role.GROUND_TRUTH_TF else self._unclaimed(role, candidates)
+        if len(fitting) == 1:
+            return fitting[0]
+        expected = f" (the profile expects {wanted})" if wanted else ""
+        if fitting:
+            choices = ", ".join(fitting)
+            raise RecordingError(
+                f"{self._name}: several topics carry {kind}{expected}; choose one of {choices}"
+            )
+        raise RecordingError(f"{self._name}: no topic with {kind} for {role}{expected}; {self._there_are()}")
+
+    def find(self, role: Role) -> str | None:
+        """Name the topic of a role; None where there is none, or no single one."""
+        try:
+            return self.require(role)
+        except RecordingError:
+            if role in self._overrides:
+                raise
+            return None
+
+    def static_transforms(self) -> tuple[str, ...]:
+        """Name the topics whose transforms hold for the whole log, as ROS publishes them."""
+        return tuple(topic for topic in self._candidates(Kind.TRANSFORMS) if topic.endswith("tf_static"))
+
+    def _candidates(self, kind: Kind) -> list[str]:
+        return sorted(
+            {info.topic for info in self._infos if kind_of(info.schema, info.message_encoding) is kind}
+        )
+
+    def _unclaimed(self, role: Role, candidates: Sequence[str]) -> list[str]:
+        """Leave out topics that are known to play another role, and static transforms."""
+        others = {getattr(self._wanted, other) for other in Role if other is not role}
+        return [topic for topic in candidates if topic not in others and not topic.endswith("tf_static")]
+
+    def _there_are(self) -> str:
+        listed = ", ".join(f"{info.topic} ({info.schema or 'no schema'})" for info in self._infos)
+        return f"the topics are {listed}" if listed else "the recording has no topics"
