@@ -40,7 +40,10 @@ def blur_bench_command(
     form: TableFormatOption = TableFormat.TABLE,
     output: OutputOption = None,
 ) -> None:
-    """Count features, contour area and distance error under blur; without FILE, on every log in recordings/."""
+    """Measure features and error under blur.
+
+    Table I of the paper, reproducible. Without FILE, on every log in recordings/.
+    """
     import json
 
     from svmdist.recording.reader import open_recording

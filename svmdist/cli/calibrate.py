@@ -24,7 +24,10 @@ def calibrate_command(
     profile: ProfileOption = "psm13",
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
 ) -> None:
-    """Fit the quadratics of eqs. (5) and (6) to recordings with ground truth."""
+    """Fit the mapping from pixels to the plane.
+
+    Refits eqs. (5) and (6), one quadratic per axis, to recordings with ground truth.
+    """
     from svmdist.estimation.calibration import save_calibration
     from svmdist.profile import load_profile
     from svmdist.recording.reader import open_recording

@@ -37,7 +37,7 @@ def estimate_command(
     form: RowFormatOption = RowFormat.TABLE,
     output: OutputOption = None,
 ) -> None:
-    """Estimate the distance in every frame of recordings."""
+    """Estimate the distance in every frame."""
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.setup import prepare
 

@@ -41,7 +41,7 @@ class RowFormat(StrEnum):
 
 
 Files = Annotated[
-    list[Path], typer.Argument(metavar="FILE...", help="Recordings to read (MCAP).", show_default=False)
+    list[Path], typer.Argument(metavar="FILE", help="Recordings to read (MCAP).", show_default=False)
 ]
 OptionalFiles = Annotated[
     list[Path] | None,

@@ -53,7 +53,10 @@ def record_command(
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
     profile: ProfileOption = "psm13",
 ) -> None:
-    """Simulate the surgical robot and write a recording with ground truth."""
+    """Simulate the robot and write a recording.
+
+    The recording holds images, joint states, the transforms the robot believes, and ground truth.
+    """
     from svmdist.profile import load_profile
     from svmdist.simulation.scenarios import Scenario
     from svmdist.workflows.record import record
@@ -71,9 +74,8 @@ def record_command(
             force=force,
             on_progress=advance,
         )
-    say(
-        f"svmdist: {path}: {result.frame_count} frames, {result.message_count} messages, {result.size_bytes / 1e6:.2f} MB"
-    )
+    size_mb = result.size_bytes / 1e6
+    say(f"svmdist: {path}: {result.frame_count} frames, {result.message_count} messages, {size_mb:.2f} MB")
 
 
 @contextmanager

@@ -65,7 +65,11 @@ def validate_command(
     baseline: BaselineOption = None,
     write_baseline: WriteBaselineOption = None,
 ) -> None:
-    """Score estimates against the truth; without FILE, on every log in recordings/."""
+    """Score estimates against the truth.
+
+    Without FILE, on every log in recordings/. Each recording is compared with DH kinematics of its joint
+    states, as in the paper, and with the simulator's ground truth.
+    """
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.baseline import find_regressions, load_baseline, make_baseline, save_baseline
     from svmdist.workflows.setup import prepare

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from svmdist.errors import OutputError, RecordingError
 from svmdist.workflows.validate import Score, Validation
 
-SCHEMA = "svmdist.baseline/1"
+SCHEMA: Literal["svmdist.baseline/1"] = "svmdist.baseline/1"
 
 
 class Tolerance(BaseModel):
