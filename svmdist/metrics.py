@@ -96,7 +96,8 @@ def bootstrap_intervals(
 
     Neighbouring frames of a video err alike; drawing them one by one would promise too narrow an
     interval, so whole blocks are drawn, of length n^(1/3) rounded up unless given. None where there are
-    fewer than eight pairs; the R² interval is None where R² is undefined.
+    fewer than eight pairs; the R² interval is None where R² is undefined, for the pairs or for every
+    resample.
     """
     f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
     n = len(f)
@@ -114,7 +115,7 @@ def bootstrap_intervals(
     totals = np.sum((truths - truths.mean(1, keepdims=True)) ** 2, axis=1)
     usable = totals > 1e-12 * float(np.sum((y - y.mean()) ** 2))
     r2 = 1.0 - squares[usable] / totals[usable]
-    return rmse, _interval(r2, level)
+    return rmse, _interval(r2, level) if len(r2) else None
 
 
 def coverage(measured: int, frames: int) -> float:

@@ -1,0 +1,78 @@
+"""The pinhole camera: projection, held against OpenCV, and the comparison of two cameras."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from svmdist.camera import R_OPENGL_OPENCV, Camera
+
+CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
+
+
+def test_the_optical_axis_meets_the_middle_of_the_image():
+    """The middle of 640 x 480 pixels is (319.5, 239.5), since the first pixel's centre is (0, 0)."""
+    np.testing.assert_allclose(CAMERA.project([0.0, 0.0, 0.112]), [[319.5, 239.5]], atol=1e-12)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.floats(0.1, 3.0), st.integers(2, 4000), st.integers(2, 4000))
+def test_the_field_of_view_spans_the_whole_width(fov_rad, width_px, height_px):
+    """A ray at half the field of view meets the outer edge of the last pixel, half a pixel past its centre."""
+    camera = Camera.from_horizontal_fov(width_px, height_px, fov_rad)
+    x_px = camera.project([np.tan(fov_rad / 2), 0.0, 1.0])[0, 0]
+    assert x_px == pytest.approx(width_px - 0.5, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "distortion", [[], [0.1, -0.05, 0.0, 0.0], [-0.3, 0.12, 1e-3, -2e-3], [-0.3, 0.12, 1e-3, -2e-3, 0.04]]
+)
+def test_projection_equals_opencvs(distortion):
+    """project agrees with cv2.projectPoints within 1e-9 px, for no, four and five coefficients."""
+    p_m = np.random.default_rng(1).uniform([-0.05, -0.04, 0.08], [0.05, 0.04, 0.2], (40, 3))
+    camera = replace(CAMERA, D=np.array(distortion))
+    expected, _ = cv2.projectPoints(p_m, np.zeros(3), np.zeros(3), CAMERA.K, np.array(distortion))
+    np.testing.assert_allclose(camera.project(p_m), expected[:, 0], atol=1e-9)
+
+
+def test_opengl_and_opencv_axes_are_a_half_turn_apart():
+    """The change of axes is a rotation and its own inverse: x stays, y and z turn over."""
+    np.testing.assert_array_equal(R_OPENGL_OPENCV @ R_OPENGL_OPENCV, np.eye(3))
+    assert np.linalg.det(R_OPENGL_OPENCV) == 1.0
+    np.testing.assert_array_equal(R_OPENGL_OPENCV @ [1.0, 2.0, 3.0], [1.0, -2.0, -3.0])
+
+
+def test_cameras_are_alike_whatever_zeros_their_distortion_ends_with():
+    """No coefficients and five zeros are the same optics; frame and rectification are no optics."""
+    plain = Camera(640, 480, CAMERA.K, np.zeros(0), frame_id="other")
+    assert CAMERA.same_optics(plain)
+    assert plain.same_optics(CAMERA)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"width_px": 641},
+        {"height_px": 481},
+        {"K": CAMERA.K + np.diag([1e-3, 0, 0])},
+        {"K": CAMERA.K + np.array([[0, 0, 1e-3], [0, 0, 0], [0, 0, 0]])},
+        {"D": np.array([1e-6])},
+    ],
+)
+def test_a_difference_beyond_the_tolerance_makes_another_camera(change):
+    """Size, focal length, principal point and distortion each tell two cameras apart, both ways round."""
+    other = replace(CAMERA, **change)
+    assert not CAMERA.same_optics(other, tolerance_px=5e-4)
+    assert not other.same_optics(CAMERA, tolerance_px=5e-4)
+
+
+def test_the_tolerance_is_in_pixels():
+    """A focal length off by 0.009 px passes a tolerance of 0.01 px, and 0.011 px does not."""
+    for off_px, alike in ((0.009, True), (0.011, False)):
+        other = replace(CAMERA, K=CAMERA.K + np.diag([off_px, 0, 0]))
+        assert CAMERA.same_optics(other, tolerance_px=0.01) is alike

@@ -1,0 +1,191 @@
+"""Laws of rigid transforms, held against SciPy as an independent implementation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from svmdist.transforms import (
+    interpolate_transforms,
+    inverse,
+    make_transform,
+    quaternion_xyzw_from_rotation,
+    rotation_angle,
+    rotation_from_quaternion_xyzw,
+    rotation_x,
+    rotation_y,
+    rotation_z,
+    slerp_xyzw,
+    transform_points,
+)
+
+quick = settings(deadline=None, max_examples=60)
+angles_rad = st.floats(-2 * np.pi, 2 * np.pi)
+lengths_m = st.floats(-10.0, 10.0)
+vectors_m = st.tuples(lengths_m, lengths_m, lengths_m)
+axes = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)).filter(
+    lambda axis: np.linalg.norm(axis) > 1e-3
+)
+
+
+def rotation_about(axis: tuple[float, float, float], angle_rad: float) -> np.ndarray:
+    """Rotation by SciPy about any axis, shape (3, 3)."""
+    unit = np.array(axis) / np.linalg.norm(axis)
+    return Rotation.from_rotvec(unit * angle_rad).as_matrix()
+
+
+def random_transforms(count: int, seed: int) -> np.ndarray:
+    """Uniformly random rotations with translations of some metres, shape (count, 4, 4)."""
+    rng = np.random.default_rng(seed)
+    return make_transform(Rotation.random(count, rng=rng).as_matrix(), rng.normal(size=(count, 3)))
+
+
+@quick
+@given(axes, angles_rad, vectors_m)
+def test_a_transform_times_its_inverse_is_the_identity(axis, angle_rad, t_m):
+    """T @ inverse(T) = inverse(T) @ T = I within 1e-13 relative to the translation's size."""
+    T = make_transform(rotation_about(axis, angle_rad), t_m)
+    np.testing.assert_allclose(T @ inverse(T), np.eye(4), atol=2e-13)
+    np.testing.assert_allclose(inverse(T) @ T, np.eye(4), atol=2e-13)
+
+
+def test_transforms_of_a_stack_equal_those_of_its_members():
+    """Leading axes broadcast: inverting a stack inverts each member, bit for bit."""
+    T = random_transforms(7, seed=1)
+    np.testing.assert_array_equal(inverse(T), np.stack([inverse(member) for member in T]))
+
+
+def test_one_rotation_broadcasts_over_many_translations():
+    """make_transform takes one rotation and n translations, and puts each where it belongs."""
+    t_m = np.arange(15.0).reshape(5, 3)
+    T = make_transform(rotation_z(0.3), t_m)
+    assert T.shape == (5, 4, 4)
+    np.testing.assert_array_equal(T[:, :3, 3], t_m)
+    np.testing.assert_array_equal(T[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (5, 1)))
+
+
+def test_mapping_points_equals_the_homogeneous_product():
+    """transform_points(T, p) is T @ [p, 1] within 1e-14."""
+    T = random_transforms(1, seed=2)[0]
+    p_m = np.random.default_rng(3).normal(size=(20, 3))
+    expected = (T @ np.column_stack([p_m, np.ones(20)]).T).T[:, :3]
+    np.testing.assert_allclose(transform_points(T, p_m), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize(("rotation", "axis"), [(rotation_x, 0), (rotation_y, 1), (rotation_z, 2)])
+@pytest.mark.parametrize("angle_rad", [0.0, 0.4, np.pi / 2, -2.5, np.pi])
+def test_elementary_rotations_turn_by_the_right_hand_rule(rotation, axis, angle_rad):
+    """rotation_x, _y and _z equal the rotation vector along their axis within 1e-15."""
+    expected = Rotation.from_rotvec(np.eye(3)[axis] * angle_rad).as_matrix()
+    np.testing.assert_allclose(rotation(angle_rad), expected, atol=1e-15)
+
+
+@quick
+@given(axes, angles_rad)
+def test_a_rotation_survives_the_round_trip_through_a_quaternion(axis, angle_rad):
+    """R -> quaternion -> R returns R within 1e-14 at every angle."""
+    R = rotation_about(axis, angle_rad)
+    q = quaternion_xyzw_from_rotation(R)
+    assert q[3] >= 0.0
+    assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-15)
+    np.testing.assert_allclose(rotation_from_quaternion_xyzw(q), R, atol=1e-14)
+
+
+@pytest.mark.parametrize("offset_rad", [0.0, 1e-16, 1e-12, 1e-9, 1e-6, -1e-9, -1e-12])
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (-1, 1, 1), (1, -2, 3)])
+def test_half_turns_survive_the_round_trip(axis, offset_rad):
+    """Near half a turn, where the textbook formula loses all digits, the round trip still holds 1e-14."""
+    R = rotation_about(axis, np.pi + offset_rad)
+    np.testing.assert_allclose(rotation_from_quaternion_xyzw(quaternion_xyzw_from_rotation(R)), R, atol=1e-14)
+
+
+def test_quaternions_equal_scipys():
+    """Both directions agree with SciPy within 1e-14, for a stack."""
+    reference = Rotation.random(50, rng=np.random.default_rng(4))
+    R = reference.as_matrix()
+    np.testing.assert_allclose(
+        quaternion_xyzw_from_rotation(R), reference.as_quat(canonical=True), atol=1e-14
+    )
+    np.testing.assert_allclose(rotation_from_quaternion_xyzw(3.0 * reference.as_quat()), R, atol=1e-14)
+
+
+@pytest.mark.parametrize("quaternion", [[0, 0, 0, 0], [np.nan, 0, 0, 1], [np.inf, 0, 0, 1]])
+def test_a_quaternion_that_names_no_rotation_is_refused(quaternion):
+    """Zero and non-finite quaternions raise ValueError instead of giving NaN."""
+    with pytest.raises(ValueError, match="finite quaternion"):
+        rotation_from_quaternion_xyzw(quaternion)
+
+
+@quick
+@given(axes, st.one_of(st.floats(0.0, 3.1), st.sampled_from([0.0, 1e-12, 1e-9, 1e-7])))
+def test_the_angle_between_rotations_is_exact_when_small(axis, angle_rad):
+    """rotation_angle recovers the angle within 1e-14 below a right angle, where arccos would lose 1e-8."""
+    R = rotation_about((0.2, 1.0, -0.4), 1.1)
+    found = float(rotation_angle(R, R @ rotation_about(axis, angle_rad)))
+    assert found == pytest.approx(angle_rad, abs=1e-14 if angle_rad < 1.5 else 1e-7)
+
+
+@quick
+@given(st.integers(0, 10_000), st.floats(0.0, 1.0))
+def test_slerp_equals_scipys(seed, fraction):
+    """slerp of random rotations agrees with scipy.spatial.transform.Slerp within 1e-12."""
+    pair = Rotation.random(2, rng=np.random.default_rng(seed))
+    q = pair.as_quat()
+    found = slerp_xyzw(q[:1], q[1:], np.array([fraction]))[0]
+    expected = Slerp([0.0, 1.0], pair)(fraction)
+    assert (Rotation.from_quat(found).inv() * expected).magnitude() < 1e-12
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 1e-6, 0.5, 3.0])
+def test_slerp_meets_its_endpoints(angle_rad):
+    """At fractions 0 and 1 slerp gives the endpoints within 1e-15, also for equal and nearly equal ones."""
+    start = Rotation.from_rotvec([0.3, -0.2, 0.9])
+    end = start * Rotation.from_rotvec([angle_rad, 0, 0])
+    q0, q1 = start.as_quat()[None], end.as_quat()[None]
+    np.testing.assert_allclose(slerp_xyzw(q0, q1, np.array([0.0])), q0, atol=1e-15)
+    np.testing.assert_allclose(slerp_xyzw(q0, q1, np.array([1.0])), q1, atol=1e-15)
+
+
+def test_slerp_takes_the_shorter_arc():
+    """q and -q name one rotation: flipping the sign of an end does not send the path the long way round."""
+    start, end = Rotation.identity().as_quat()[None], Rotation.from_rotvec([0, 0, 1.0]).as_quat()[None]
+    for sign in (1.0, -1.0):
+        middle = Rotation.from_quat(slerp_xyzw(start, sign * end, np.array([0.5]))[0])
+        assert middle.magnitude() == pytest.approx(0.5, abs=1e-14)
+
+
+@pytest.mark.parametrize("start_ns", [0, 1_700_000_000_000_000_000])
+def test_interpolated_transforms_equal_scipys(start_ns):
+    """Between stamps, rotation follows Slerp and translation a straight line, also at stamps of today.
+
+    Nanoseconds since 1970 need 61 bits, more than a double holds: only differences may be floats.
+    """
+    T = random_transforms(6, seed=5)
+    offsets_ns = np.array([0, 10, 25, 1_000_000, 1_000_033, 2_000_000], np.int64)
+    at_offset_ns = np.array([0, 3, 10, 24, 25, 777_777, 1_000_010, 1_999_999, 2_000_000], np.int64)
+    found = interpolate_transforms(start_ns + offsets_ns, T, start_ns + at_offset_ns)
+    rotations = Slerp(offsets_ns.astype(float), Rotation.from_matrix(T[:, :3, :3]))(
+        at_offset_ns.astype(float)
+    )
+    np.testing.assert_allclose(found[:, :3, :3], rotations.as_matrix(), atol=1e-12)
+    for axis in range(3):
+        expected = np.interp(at_offset_ns, offsets_ns, T[:, axis, 3])
+        np.testing.assert_allclose(found[:, axis, 3], expected, atol=1e-14)
+
+
+def test_interpolation_is_clamped_to_the_ends_of_the_track():
+    """Stamps before the first and after the last give the first and the last transform."""
+    T = random_transforms(3, seed=6)
+    found = interpolate_transforms(np.array([10, 20, 30]), T, np.array([-5, 9, 31, 10**12]))
+    np.testing.assert_allclose(found, T[[0, 0, 2, 2]], atol=1e-14)
+
+
+def test_interpolation_accepts_a_stamp_that_occurs_twice():
+    """A repeated stamp, as logs have, gives a finite transform of that stamp rather than 0 / 0."""
+    T = random_transforms(3, seed=7)
+    found = interpolate_transforms(np.array([10, 20, 20]), T, np.array([15, 20]))
+    assert np.all(np.isfinite(found))
+    np.testing.assert_allclose(found[1], T[1], atol=1e-14)
