@@ -1,0 +1,172 @@
+"""DH chains, held against an explicit product of elementary matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from svmdist.errors import KinematicsError
+from svmdist.kinematics.chain import chain_of
+from svmdist.kinematics.dh import (
+    DHChain,
+    DHRow,
+    forward_kinematics,
+    frame_transforms,
+    link_transforms,
+    select_joints,
+)
+from svmdist.profile import load_profile
+from svmdist.transforms import make_transform, rotation_x, rotation_z
+
+angles_rad = st.floats(-np.pi, np.pi)
+lengths_m = st.floats(-1.0, 1.0)
+rows = st.builds(
+    DHRow,
+    name=st.just("joint"),
+    joint=st.sampled_from(["revolute", "prismatic", "fixed"]),
+    a_m=lengths_m,
+    alpha_rad=angles_rad,
+    d_m=lengths_m,
+    theta_rad=angles_rad,
+)
+THREE = DHChain(
+    (
+        DHRow("slide", "prismatic", a_m=0.1, d_m=0.2, lower=0.0, upper=0.5),
+        DHRow("bracket", "fixed", alpha_rad=np.pi / 2, theta_rad=0.3),
+        DHRow("turn", "revolute", a_m=0.05, alpha_rad=-0.4, lower=-1.0, upper=2.0),
+    ),
+    T_last_tool=make_transform(rotation_x(0.7), [0.01, 0.02, 0.03]),
+)
+
+
+def turn(R: np.ndarray) -> np.ndarray:
+    """A rotation as a transform, shape (4, 4)."""
+    return make_transform(R, np.zeros(3))
+
+
+def shift(x_m: float = 0.0, z_m: float = 0.0) -> np.ndarray:
+    """A translation along x and z as a transform, shape (4, 4)."""
+    return make_transform(np.eye(3), [x_m, 0.0, z_m])
+
+
+def elementary_product(row: DHRow, value: float, convention: str) -> np.ndarray:
+    """The four elementary motions of one row, multiplied in the order that defines the convention."""
+    theta = row.theta_rad + (value if row.joint == "revolute" else 0.0)
+    d = row.d_m + (value if row.joint == "prismatic" else 0.0)
+    about_z, along_z = turn(rotation_z(theta)), shift(z_m=d)
+    about_x, along_x = turn(rotation_x(row.alpha_rad)), shift(x_m=row.a_m)
+    if convention == "standard":
+        return about_z @ along_z @ along_x @ about_x
+    return about_x @ along_x @ about_z @ along_z
+
+
+@settings(deadline=None, max_examples=100)
+@given(rows, angles_rad, st.sampled_from(["standard", "modified"]))
+def test_a_row_is_the_product_of_its_elementary_motions(row, value, convention):
+    """Each row's matrix equals the product of two rotations and two shifts within 1e-15."""
+    chain = DHChain((row,), convention)
+    q = [] if row.joint == "fixed" else [value]
+    np.testing.assert_allclose(
+        link_transforms(chain, q)[0], elementary_product(row, value, convention), atol=1e-15
+    )
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(rows, min_size=1, max_size=8), st.sampled_from(["standard", "modified"]), st.integers(0, 999))
+def test_a_chain_is_the_product_of_its_rows_and_the_tool(row_list, convention, seed):
+    """Forward kinematics equals the running product of elementary motions and the tool within 1e-12."""
+    T_last_tool = THREE.T_last_tool
+    chain = DHChain(tuple(row_list), convention, T_last_tool)
+    q = np.random.default_rng(seed).uniform(-1, 1, len(chain.joint_names))
+    values = iter(q)
+    T, frames = np.eye(4), []
+    for row in row_list:
+        T = T @ elementary_product(row, 0.0 if row.joint == "fixed" else next(values), convention)
+        frames.append(T)
+    np.testing.assert_allclose(frame_transforms(chain, q), frames, atol=1e-12)
+    np.testing.assert_allclose(forward_kinematics(chain, q), T @ T_last_tool, atol=1e-12)
+
+
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+def test_many_joint_vectors_equal_one_at_a_time(convention):
+    """A stack of joint vectors of any shape gives the transforms of its members within 1e-15."""
+    chain = DHChain(THREE.rows, convention, THREE.T_last_tool)
+    q = np.random.default_rng(1).uniform(-1, 1, (3, 4, 2))
+    for function in (forward_kinematics, frame_transforms, link_transforms):
+        many = function(chain, q)
+        single = np.array([[function(chain, member) for member in row] for row in q])
+        np.testing.assert_allclose(many, single, atol=1e-15)
+
+
+def test_the_shipped_robot_gives_rigid_transforms():
+    """All 13 frames of the shipped chain are rotations with determinant +1, within 1e-12, inside the limits."""
+    robot = load_profile().robot
+    assert robot is not None
+    chain = chain_of(robot)
+    assert len(chain.joint_names) == 13
+    q = np.random.default_rng(2).uniform(chain.lower, chain.upper, (200, 13))
+    R = frame_transforms(chain, q)[..., :3, :3]
+    np.testing.assert_allclose(R @ np.swapaxes(R, -1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-12)
+
+
+def test_a_chain_carries_every_field_of_its_profile():
+    """chain_of drops and swaps nothing: names, types, lengths, angles and limits arrive as they stand."""
+    robot = load_profile().robot
+    assert robot is not None
+    chain = chain_of(robot)
+    for joint, row in zip(robot.joints, chain.rows, strict=True):
+        assert (joint.name, joint.type, joint.a_m, joint.alpha_rad) == (
+            row.name,
+            row.joint,
+            row.a_m,
+            row.alpha_rad,
+        )
+        assert (joint.d_m, joint.theta_rad, joint.lower, joint.upper) == (
+            row.d_m,
+            row.theta_rad,
+            row.lower,
+            row.upper,
+        )
+
+
+def test_fixed_rows_take_no_joint_value():
+    """Names and limits list the joints that move, base first, without the fixed rows."""
+    assert THREE.joint_names == ("slide", "turn")
+    np.testing.assert_array_equal(THREE.lower, [0.0, -1.0])
+    np.testing.assert_array_equal(THREE.upper, [0.5, 2.0])
+
+
+def test_quarter_turn_twists_are_exact():
+    """A twist of π/2 leaves exact zeros: cos(π/2) = 6e-17 would tilt every frame behind it."""
+    T = link_transforms(DHChain((DHRow("j", "fixed", alpha_rad=np.pi / 2),)), [])[0]
+    np.testing.assert_array_equal(T, [[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize("q", [0.0, [], [1.0], [1.0, 2.0, 3.0], [[1.0], [2.0]], np.zeros((2, 0))])
+@pytest.mark.parametrize("function", [forward_kinematics, frame_transforms, link_transforms])
+def test_a_wrong_number_of_joints_is_an_error_with_both_counts(function, q):
+    """Joint vectors of a wrong length raise KinematicsError that says what was expected and found."""
+    with pytest.raises(KinematicsError, match=r"expected 2 joint values .* found shape \("):
+        function(THREE, q)
+
+
+def test_select_joints_brings_a_logs_order_into_the_chains():
+    """Positions follow their names, whatever the log's order, and joints the chain lacks are dropped."""
+    found = select_joints(THREE, ("turn", "camera", "slide"), [[1.0, 9.0, 2.0], [3.0, 9.0, 4.0]])
+    np.testing.assert_array_equal(found, [[2.0, 1.0], [4.0, 3.0]])
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (("turn", "elbow"), "needs the joints slide; the log has turn, elbow"),
+        ((), "needs the joints slide, turn; the log has none"),
+    ],
+)
+def test_select_joints_names_the_joints_that_are_missing(names, message):
+    """A log without a needed joint raises KinematicsError with the missing names and those there are."""
+    with pytest.raises(KinematicsError, match=message):
+        select_joints(THREE, names, np.zeros(len(names)))

@@ -1,0 +1,88 @@
+"""The paper's kinematic equations: what is printed, what is corrected, and where they differ."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics
+from svmdist.kinematics.paper import (
+    camera_base_printed,
+    displacement_cm_corrected,
+    displacement_cm_printed,
+    first_link,
+    last_link_corrected,
+    last_link_printed,
+    planar_distance_cm,
+)
+from svmdist.profile import load_profile
+
+ANGLES_RAD = (0.0, 0.3, np.pi / 2, -2.0, np.pi)
+
+
+def test_eq_28_as_printed_maps_everything_to_zero():
+    """The printed transform is the zero matrix, so that eq. (31) is zero whatever the joints are."""
+    assert camera_base_printed().shape == (4, 4)
+    assert not np.any(camera_base_printed() @ first_link(0.1, 0.2))
+
+
+@pytest.mark.parametrize("q_m", [0.0, 0.17])
+def test_eq_29_is_a_standard_dh_row(q_m):
+    """eq. (29) equals the row a = l1, α = 0, d = d1, θ = 0 of a prismatic joint, bit for bit."""
+    chain = DHChain((DHRow("slide", "prismatic", a_m=0.09, d_m=0.6),))
+    np.testing.assert_array_equal(first_link(0.09, 0.6 + q_m), forward_kinematics(chain, [q_m]))
+
+
+@pytest.mark.parametrize("theta_rad", ANGLES_RAD)
+def test_eq_30_corrected_is_a_standard_dh_row(theta_rad):
+    """eq. (30), corrected, equals the row a = 0, α = π/2, d = 0 of a revolute joint, bit for bit."""
+    chain = DHChain((DHRow("jaw", "revolute", alpha_rad=np.pi / 2),))
+    np.testing.assert_array_equal(last_link_corrected(theta_rad), forward_kinematics(chain, [theta_rad]))
+
+
+@pytest.mark.parametrize("theta_rad", ANGLES_RAD)
+def test_eq_30_as_printed_is_a_reflection(theta_rad):
+    """The printed rotation part is orthogonal with determinant -1, the corrected one +1, within 1e-15."""
+    printed, corrected = last_link_printed(theta_rad)[:3, :3], last_link_corrected(theta_rad)[:3, :3]
+    np.testing.assert_allclose(printed @ printed.T, np.eye(3), atol=1e-15)
+    assert np.linalg.det(printed) == pytest.approx(-1.0, abs=1e-15)
+    assert np.linalg.det(corrected) == pytest.approx(1.0, abs=1e-15)
+    # Only the third column differs, by its sign.
+    np.testing.assert_array_equal(printed * [1, 1, -1], corrected)
+
+
+def test_the_shipped_chain_begins_with_eq_29_and_ends_with_eq_30():
+    """Joint 1 is prismatic with α = θ = 0, joint 13 revolute with α = π/2 and a = d = 0 (Table II)."""
+    robot = load_profile().robot
+    assert robot is not None
+    first, last = robot.joints[0], robot.joints[-1]
+    assert robot.convention == "standard"
+    assert (first.type, first.alpha_rad, first.theta_rad) == ("prismatic", 0.0, 0.0)
+    assert (last.type, last.a_m, last.d_m, last.theta_rad) == ("revolute", 0.0, 0.0, 0.0)
+    assert last.alpha_rad == np.pi / 2
+
+
+def test_eqs_33_34_as_printed_divide_metres_by_a_hundred():
+    """The printed displacement is (0.099 - x) / 100, (0.043 - y) / 100, from numbers written out here."""
+    found = displacement_cm_printed(np.array([0.059, 0.013, 0.5]))
+    np.testing.assert_allclose(found, [0.0004, 0.0003], rtol=1e-12)
+
+
+def test_eqs_33_34_corrected_are_ten_thousand_times_the_printed_ones():
+    """With the tissue at (0.099, 0.043) m, the two readings differ by 10^4 and by nothing else."""
+    p_m = np.random.default_rng(1).normal(size=(20, 3))
+    corrected = displacement_cm_corrected(p_m, np.array([0.099, 0.043, 0.7]))
+    np.testing.assert_allclose(corrected, 1e4 * displacement_cm_printed(p_m), rtol=1e-12)
+
+
+def test_eqs_33_to_35_corrected_give_centimetres():
+    """A tool 3 cm and 4 cm beside the tissue is 5 cm away, whatever their depths."""
+    p_m = np.array([[0.01, 0.02, 0.1], [0.01, 0.02, 9.0]])
+    tissue_m = np.array([[0.04, 0.06, 0.0], [-0.02, -0.02, 1.0]])
+    np.testing.assert_allclose(planar_distance_cm(displacement_cm_corrected(p_m, tissue_m)), 5.0, rtol=1e-12)
+
+
+def test_eq_35_of_the_printed_displacement():
+    """eq. (35) of the printed reading is the same tool's 5 cm shown as 0.0005."""
+    found = planar_distance_cm(displacement_cm_printed(np.array([0.099 - 0.03, 0.043 - 0.04, 0.2])))
+    assert found == pytest.approx(0.0005, rel=1e-12)
