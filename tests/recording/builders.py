@@ -1,0 +1,124 @@
+"""Small recordings for the tests: one scene, written natively or again with another compression."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+from svmdist.camera import Camera
+from svmdist.recording.writer import RecordingWriter
+from svmdist.samples import (
+    CameraSample,
+    DistanceSample,
+    ImageSample,
+    JointSample,
+    PoseSample,
+    Sample,
+    TransformSample,
+    TransformsSample,
+)
+from svmdist.transforms import Array, make_transform, rotation_x, rotation_z
+
+CAMERA = Camera.from_horizontal_fov(32, 24, 1.0)
+PERIOD_NS = 40_000_000
+COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A sample and the topic it belongs on."""
+
+    topic: str
+    sample: Sample
+
+
+def pose(number: int) -> Array:
+    """A pose that turns and moves with its number."""
+    return make_transform(rotation_z(0.1 * number) @ rotation_x(0.05 * number), [0.01 * number, 0.02, 0.1])
+
+
+def scene(frame_count: int = 5, *, stamp_offset_ns: int = 1_000_000_000) -> list[Entry]:
+    """Everything a recording can carry: images at 25 Hz, joints at 100 Hz, in the order of their stamps."""
+    rng = np.random.default_rng(7)
+    entries = []
+    for frame in range(frame_count):
+        stamp_ns = stamp_offset_ns + frame * PERIOD_NS
+        image = rng.integers(0, 256, (CAMERA.height_px, CAMERA.width_px, 3), np.uint8)
+        tf = TransformSample(stamp_ns, "camera", "tool", pose(frame))
+        entries += [
+            Entry("/ECM/left/camera_info", CameraSample(stamp_ns, CAMERA)),
+            Entry("/ECM/left/image", ImageSample(stamp_ns, "camera", image)),
+            Entry("/PSM1/measured_cp", PoseSample(stamp_ns, "base", pose(frame))),
+            Entry("/tf", TransformsSample(stamp_ns, (tf,))),
+            Entry("/ground_truth/tf", TransformsSample(stamp_ns, (tf,))),
+            Entry("/ground_truth/distance", DistanceSample(stamp_ns, 0.1, 0.2, -0.001 * frame)),
+        ]
+        for step in range(4):
+            joint_ns = stamp_ns + step * PERIOD_NS // 4
+            positions = np.array([0.5 * frame + 0.125 * step, -1.0])
+            entries.append(Entry("/PSM1/measured_js", JointSample(joint_ns, ("yaw", "pitch"), positions)))
+    return entries
+
+
+def write_scene(path: Path, entries: list[Entry], metadata: dict[str, str] | None = None) -> Path:
+    """Write entries with the recording's own writer."""
+    with RecordingWriter(path, metadata or {"scenario": "test", "seed": "7"}) as writer:
+        for entry in entries:
+            writer.write(entry.topic, entry.sample)
+    return path
+
+
+def rewrite(
+    source: Path, target: Path, compression: str, *, chunk_size: int = 4096, data_crc: bool = True
+) -> Path:
+    """Copy a recording into smaller chunks of another compression, with the mcap library alone."""
+    with source.open("rb") as stream, target.open("wb") as output:
+        writer = Writer(
+            output, chunk_size=chunk_size, compression=COMPRESSIONS[compression], enable_data_crcs=data_crc
+        )
+        writer.start(library="tests")
+        schemas: dict[int, int] = {0: 0}
+        channels: dict[int, int] = {}
+        for record in StreamReader(stream).records:
+            match record:
+                case Schema() if record.id not in schemas:
+                    schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+                case Channel() if record.id not in channels:
+                    channels[record.id] = writer.register_channel(
+                        record.topic, record.message_encoding, schemas[record.schema_id], record.metadata
+                    )
+                case Message():
+                    writer.add_message(
+                        channels[record.channel_id],
+                        record.log_time,
+                        record.data,
+                        record.publish_time,
+                        record.sequence,
+                    )
+                case Metadata():
+                    writer.add_metadata(record.name, record.metadata)
+        writer.finish()
+    return target
+
+
+def write_messages(
+    path: Path, messages: list[tuple[str, str, str, bytes, int]], compression: str = "zstd"
+) -> Path:
+    """Write raw messages, each as topic, schema name, message encoding, data and log time in ns."""
+    with path.open("wb") as output:
+        writer = Writer(output, compression=COMPRESSIONS[compression])
+        writer.start()
+        channels: dict[tuple[str, str, str], int] = {}
+        for topic, schema, encoding, data, log_time_ns in messages:
+            key = (topic, schema, encoding)
+            if key not in channels:
+                schema_id = writer.register_schema(schema, {"cdr": "ros2msg"}.get(encoding, encoding), b"")
+                channels[key] = writer.register_channel(topic, encoding, schema_id)
+            writer.add_message(channels[key], log_time_ns, data, log_time_ns)
+        writer.finish()
+    return path

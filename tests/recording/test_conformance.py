@@ -1,0 +1,64 @@
+"""The MCAP project's conformance files read equal to their JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.opcode import Opcode
+
+from svmdist.recording.bodies import parse
+from svmdist.recording.container import Container, MessageRecord
+from svmdist.recording.health import Health
+from svmdist.recording.limits import Limits
+
+REPOSITORY = Path(__file__).parents[2]
+FOLDER = Path(os.environ.get("SVMDIST_CONFORMANCE", REPOSITORY.parent / "shared" / "conformance"))
+FILES = sorted(FOLDER.glob("*.mcap"))
+
+
+def as_json(value: Any) -> Any:
+    """Write a field as the conformance files do: numbers and bytes as decimal text, maps with text keys."""
+    match value:
+        case bytes():
+            return [str(byte) for byte in value]
+        case int():
+            return str(value)
+        case dict():
+            return {str(key): as_json(item) for key, item in value.items()}
+        case _:
+            return value
+
+
+def read_as_json(path: Path) -> list[dict[str, Any]]:
+    """Read a file through the hardened container, every field of every record."""
+    health = Health()
+    found = []
+    for record in Container(path, Limits(), health).records():
+        if isinstance(record, MessageRecord):
+            kind = "Message"
+            fields: dict[str, Any] = {
+                "channel_id": record.channel_id,
+                "data": bytes(record.data),
+                "log_time": record.log_time_ns,
+                "publish_time": record.publish_time_ns,
+                "sequence": record.sequence,
+            }
+        else:
+            body = parse(Opcode(record.opcode), record.body)
+            kind, fields = type(body).__name__, vars(body)
+        found.append({"type": kind, "fields": [[name, as_json(fields[name])] for name in sorted(fields)]})
+    assert health.losses == ()
+    return found
+
+
+@pytest.mark.skipif(
+    not FILES, reason=f"no conformance files in {FOLDER}; SVMDIST_CONFORMANCE names another place"
+)
+def test_all_files_read_equal_to_their_json() -> None:
+    assert len(FILES) == 416
+    for path in FILES:
+        assert read_as_json(path) == json.loads(path.with_suffix(".json").read_text())["records"], path.name

@@ -1,0 +1,168 @@
+"""Damage of every kind: cut files, flipped bits, structural mutants. Nothing wrong, nothing lost in silence."""
+
+from __future__ import annotations
+
+import random
+import resource
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from svmdist.errors import SvmdistError
+from svmdist.profile import Profile
+from svmdist.recording.health import LossKind
+from svmdist.recording.reader import open_recording
+from svmdist.samples import Observation
+
+from .builders import COMPRESSIONS, rewrite, scene, write_scene
+from .faults import Reading, flip_bit, is_subsequence, mutate, read, split
+
+CHUNK_OPCODE = 6
+MESSAGE_OPCODE = 5
+
+
+@dataclass(frozen=True)
+class Intact:
+    """A recording before it is broken."""
+
+    data: bytes
+    reading: Reading
+
+
+@pytest.fixture(scope="module", params=sorted(COMPRESSIONS))
+def small(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Intact:
+    """A few frames in several chunks, by compression."""
+    return make_intact(tmp_path_factory.mktemp("small"), request.param, 3, 3000)
+
+
+@pytest.fixture(scope="module", params=sorted(COMPRESSIONS))
+def larger(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Intact:
+    """Two seconds in chunks as large as the recorder's, by compression."""
+    return make_intact(tmp_path_factory.mktemp("larger"), request.param, 50, 60_000)
+
+
+def make_intact(folder: Path, compression: str, frame_count: int, chunk_size: int) -> Intact:
+    """Write a scene with a compression, and read it once."""
+    native = write_scene(folder / "native.mcap", scene(frame_count))
+    path = rewrite(native, folder / "intact.mcap", compression, chunk_size=chunk_size)
+    reading = read(path)
+    assert reading is not None
+    assert reading.is_clean
+    assert len(reading.messages) == frame_count * 10
+    return Intact(path.read_bytes(), reading)
+
+
+def chunk_ends(data: bytes) -> list[tuple[int, int]]:
+    """End of every chunk in the file, and the number of messages in it."""
+    from .faults import expand
+
+    return [
+        (part.end, sum(inner.opcode == MESSAGE_OPCODE for inner in split(expand(part.body)[1], 0)))
+        for part in split(data)
+        if part.opcode == CHUNK_OPCODE
+    ]
+
+
+def check_cut(intact: Intact, ends: list[tuple[int, int]], size_bytes: int, path: Path) -> None:
+    """All complete chunks come back, what comes back is an exact prefix, and the loss is told."""
+    path.write_bytes(intact.data[:size_bytes])
+    reading = read(path)
+    if reading is None:
+        assert size_bytes <= 8
+        return
+    certain = sum(count for end, count in ends if end <= size_bytes)
+    assert len(reading.messages) >= certain, size_bytes
+    assert reading.messages == intact.reading.messages[: len(reading.messages)], size_bytes
+    assert LossKind.TRUNCATED in reading.kinds, size_bytes
+    assert reading.metadata in (intact.reading.metadata, {}), size_bytes
+
+
+def test_truncation_at_some_bytes(small: Intact, tmp_path: Path) -> None:
+    ends = chunk_ends(small.data)
+    near_ends = [end + step for end, _ in ends for step in (-1, 0, 1)]
+    for size_bytes in [*range(40), *range(40, len(small.data), 211), *near_ends, len(small.data) - 1]:
+        check_cut(small, ends, size_bytes, tmp_path / "cut.mcap")
+
+
+@pytest.mark.fault
+def test_truncation_at_every_byte(small: Intact, tmp_path: Path) -> None:
+    ends = chunk_ends(small.data)
+    for size_bytes in range(len(small.data)):
+        check_cut(small, ends, size_bytes, tmp_path / "cut.mcap")
+
+
+@pytest.mark.parametrize("count", [20, pytest.param(1000, marks=pytest.mark.fault)])
+def test_truncation_of_a_larger_log(larger: Intact, tmp_path: Path, count: int) -> None:
+    rng = random.Random(1)
+    ends = chunk_ends(larger.data)
+    for _ in range(count):
+        check_cut(larger, ends, rng.randrange(len(larger.data)), tmp_path / "cut.mcap")
+
+
+@pytest.mark.parametrize("count", [300, pytest.param(10_000, marks=pytest.mark.fault)])
+def test_flipped_bits_give_no_wrong_value_and_no_silent_loss(
+    small: Intact, tmp_path: Path, count: int
+) -> None:
+    rng = random.Random(2)
+    path = tmp_path / "flipped.mcap"
+    for number in range(count):
+        path.write_bytes(flip_bit(small.data, rng))
+        reading = read(path)
+        if reading is None:
+            continue
+        assert is_subsequence(reading.messages, small.reading.messages), number
+        assert not reading.is_clean, number
+        assert reading.metadata in (small.reading.metadata, {}), number
+
+
+@pytest.mark.parametrize("count", [200, pytest.param(5_000, marks=pytest.mark.fault)])
+def test_flipped_bits_without_a_crc_of_the_data_section(tmp_path: Path, count: int) -> None:
+    """Foreign recorders write none: chunks still protect their messages, and no loss of one is silent."""
+    native = write_scene(tmp_path / "native.mcap", scene(3))
+    path = rewrite(native, tmp_path / "foreign.mcap", "zstd", chunk_size=3000, data_crc=False)
+    data, intact = path.read_bytes(), read(path)
+    assert intact is not None
+    rng = random.Random(3)
+    for number in range(count):
+        path.write_bytes(flip_bit(data, rng))
+        reading = read(path)
+        if reading is None:
+            continue
+        assert is_subsequence(reading.messages, intact.messages), number
+        assert len(reading.messages) == len(intact.messages) or not reading.is_clean, number
+
+
+@pytest.mark.parametrize("count", [300, pytest.param(7_000, marks=pytest.mark.fault)])
+def test_structural_mutants_end_in_a_result_or_a_clear_error(
+    small: Intact, tmp_path: Path, profile: Profile, count: int
+) -> None:
+    """Three compressions make 21,000 mutants in the long form, each read through the whole facade."""
+    rng = random.Random(4)
+    path = tmp_path / "mutant.mcap"
+    for number in range(count):
+        path.write_bytes(mutate(small.data, rng))
+        started_s = time.perf_counter()
+        read_everything(path, profile)
+        assert time.perf_counter() - started_s < 5.0, number
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 1 << 20  # in KiB: 1 GiB
+
+
+def read_everything(path: Path, profile: Profile) -> None:
+    """Do all that can be done with a recording; only errors of svmdist's own may come out."""
+    with suppress(SvmdistError):
+        recording = open_recording(path, profile)
+        for action in (
+            lambda: recording.metadata,
+            recording.joint_track,
+            recording.distance_track,
+            recording.pose_track,
+            lambda: recording.transform_track("camera", "tool"),
+            lambda: recording.transform_track("camera", "tool", ground_truth=True),
+            lambda: [isinstance(item, Observation) for item in recording.observations()],
+        ):
+            with suppress(SvmdistError):
+                action()  # type: ignore[no-untyped-call]
+        assert all("\n" not in line for line in recording.health.describe())

@@ -1,0 +1,137 @@
+"""What is written is read again, to the last bit where the encoding allows it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from google.protobuf.descriptor_pb2 import FileDescriptorProto
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from svmdist.profile import Profile
+from svmdist.recording.checks import EncodedImage
+from svmdist.recording.decoding import decode
+from svmdist.recording.encoding import encode, message_type
+from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthDistance
+from svmdist.recording.limits import Limits
+from svmdist.recording.reader import open_recording
+from svmdist.recording.sources import RawMessage
+from svmdist.samples import (
+    CameraSample,
+    DistanceSample,
+    ImageSample,
+    JointSample,
+    Observation,
+    PoseSample,
+    Sample,
+    TransformSample,
+    TransformsSample,
+)
+from svmdist.transforms import make_transform, rotation_from_quaternion_xyzw
+
+from .builders import CAMERA, Entry
+
+SCHEMAS = Path(__file__).parents[2] / "schemas"
+stamps = st.integers(0, 2**62)
+numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
+names = st.text(st.characters(codec="utf-8"), min_size=1, max_size=20)
+lengths = st.floats(-1e3, 1e3)
+
+
+def there_and_back(sample: Sample) -> Any:
+    """Encode and decode a sample."""
+    schema = message_type(type(sample)).name
+    return decode(RawMessage("/t", schema, "protobuf", sample.stamp_ns, encode(sample)), Limits())
+
+
+@st.composite
+def rigid(draw: st.DrawFn) -> np.ndarray:
+    """A rigid transform, shape (4, 4)."""
+    q = draw(arrays(np.float64, 4, elements=st.floats(-1, 1)).filter(lambda q: np.linalg.norm(q) > 0.01))
+    return make_transform(rotation_from_quaternion_xyzw(q), draw(arrays(np.float64, 3, elements=lengths)))
+
+
+@given(stamps, st.dictionaries(names, numbers, min_size=1, max_size=13))
+def test_joints_survive_exactly(stamp_ns: int, joints: dict[str, float]) -> None:
+    sample = JointSample(stamp_ns, tuple(joints), np.array(list(joints.values())))
+    back = there_and_back(sample)
+    assert (back.stamp_ns, back.names) == (sample.stamp_ns, sample.names)
+    np.testing.assert_array_equal(back.positions, sample.positions)
+
+
+@given(stamps, numbers, numbers, numbers)
+def test_distances_survive_exactly(stamp_ns: int, planar: float, spatial: float, clearance: float) -> None:
+    sample = DistanceSample(stamp_ns, planar, spatial, clearance)
+    assert there_and_back(sample) == sample
+
+
+@given(stamps, names, names, rigid())
+def test_transforms_survive_to_rounding(stamp_ns: int, parent: str, child: str, T: np.ndarray) -> None:
+    one = TransformSample(stamp_ns, parent, child, T)
+    back = there_and_back(TransformsSample(stamp_ns, (one, one)))
+    assert [(b.stamp_ns, b.parent, b.child) for b in back.transforms] == [(stamp_ns, parent, child)] * 2
+    np.testing.assert_allclose(back.transforms[1].T_parent_child, T, rtol=0, atol=1e-14)
+    pose = there_and_back(PoseSample(stamp_ns, parent, T))
+    assert (pose.stamp_ns, pose.frame_id) == (stamp_ns, parent)
+    np.testing.assert_allclose(pose.T_frame_pose, T, rtol=0, atol=1e-14)
+
+
+@settings(max_examples=30)
+@given(stamps, arrays(np.uint8, st.tuples(st.integers(1, 40), st.integers(1, 40), st.just(3))))
+def test_images_survive_exactly(stamp_ns: int, image: np.ndarray) -> None:
+    back = there_and_back(ImageSample(stamp_ns, "camera", image))
+    assert isinstance(back, EncodedImage)
+    assert back.stamp_ns == stamp_ns
+    np.testing.assert_array_equal(back.decode(), image)
+
+
+def test_camera_survives_exactly() -> None:
+    back = there_and_back(CameraSample(5, CAMERA)).camera
+    assert (back.width_px, back.height_px, back.frame_id) == (CAMERA.width_px, CAMERA.height_px, "camera")
+    for ours, theirs in ((back.K, CAMERA.K), (back.D, CAMERA.D), (back.P, CAMERA.P)):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_recording_gives_everything_back(native: Path, entries: list[Entry], profile: Profile) -> None:
+    recording = open_recording(native, profile)
+    observations = list(recording.observations())
+    images = [entry.sample for entry in entries if isinstance(entry.sample, ImageSample)]
+    assert [o.stamp_ns for o in observations] == [image.stamp_ns for image in images]
+    for frame, (observation, image) in enumerate(zip(observations, images, strict=True)):
+        assert isinstance(observation, Observation)
+        np.testing.assert_array_equal(observation.image_bgr, image.image_bgr)
+        assert observation.joints is not None
+        np.testing.assert_array_equal(observation.joints.positions, [0.5 * frame, -1.0])
+    assert recording.name == "scene"
+    assert recording.metadata == {"scenario": "test", "seed": "7"}
+    assert recording.camera.same_optics(CAMERA)
+    assert recording.joint_track().positions.shape == (20, 2)
+    assert recording.distance_track().clearance_m.tolist() == [-0.001 * frame for frame in range(5)]
+    assert recording.pose_track().frame_id == "base"
+    truth = recording.transform_track("camera", "tool", ground_truth=True)
+    np.testing.assert_allclose(truth.T_parent_child[:, 0, 3], 0.01 * np.arange(5), atol=1e-15)
+    assert {info.topic: info.message_count for info in recording.topics()}["/PSM1/measured_js"] == 20
+    assert recording.health.is_clean
+
+
+def test_the_proto_and_its_python_agree() -> None:
+    text = re.sub(r"//.*", "", (SCHEMAS / "svmdist/GroundTruthDistance.proto").read_text())
+    declared = re.findall(r"(\S+) (\w+) = (\d+);", text)
+    file = FileDescriptorProto()
+    DESCRIPTOR.CopyToProto(file)
+    (message,) = file.message_type
+    types = {1: "double", 11: "google.protobuf.Timestamp"}
+    assert file.package == "svmdist"
+    assert message.name == GroundTruthDistance.DESCRIPTOR.name
+    assert declared == [(types[f.type], f.name, str(f.number)) for f in message.field]
+
+
+def test_generated_code_loads_without_warnings() -> None:
+    code = "import svmdist.recording.ground_truth_distance_pb2"
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)

@@ -1,0 +1,147 @@
+"""The writer: byte-identical, never replacing, readable when interrupted, honest about a full disk."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from svmdist.errors import OutputError, UsageError
+from svmdist.profile import Profile
+from svmdist.recording.reader import open_recording
+from svmdist.recording.writer import RecordingWriter
+from svmdist.samples import DistanceSample, ImageSample
+
+from .builders import Entry, scene, write_scene
+
+FILL_A_DISK = """
+import resource, sys
+from pathlib import Path
+from svmdist.errors import OutputError
+from tests_builders import scene, write_scene
+limits = [int(text) for text in sys.argv[2:]]
+entries = scene(40)
+for limit in limits:
+    path = Path(sys.argv[1]) / f"{limit}.mcap"
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    try:
+        write_scene(path, entries)
+    except OutputError as problem:
+        assert "cannot write" in str(problem) and "\\n" not in str(problem), problem
+        assert not path.exists()
+        assert path.with_name(path.name + ".part").stat().st_size <= limit
+        print("refused")
+    else:
+        print("written")
+"""
+
+
+def test_a_rerun_is_byte_identical(tmp_path: Path, entries: list[Entry], native: Path) -> None:
+    assert write_scene(tmp_path / "again.mcap", entries).read_bytes() == native.read_bytes()
+
+
+def test_chunks_hold_at_most_256_kib(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    path = tmp_path / "large.mcap"
+    with RecordingWriter(path, {}) as writer:
+        for frame in range(40):
+            image = rng.integers(0, 256, (120, 160, 3), np.uint8)
+            writer.write("/image", ImageSample(frame * 1_000_000, "camera", image))
+    with path.open("rb") as stream:
+        summary = make_reader(stream, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) > 5
+    assert max(index.uncompressed_size for index in summary.chunk_indexes) <= 256 * 1024
+
+
+def test_log_and_publish_times_are_the_stamps(native: Path, entries: list[Entry]) -> None:
+    with native.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        found = [
+            (channel.topic, message.log_time, message.publish_time)
+            for _, channel, message in reader.iter_messages(log_time_order=False)
+        ]
+        assert reader.get_header().library.startswith("svmdist ")
+    assert found == [(e.topic, e.sample.stamp_ns, e.sample.stamp_ns) for e in entries]
+
+
+def test_nothing_is_replaced_without_force(tmp_path: Path) -> None:
+    path = write_scene(tmp_path / "a.mcap", scene(1))
+    before = path.read_bytes()
+    with pytest.raises(UsageError, match=r"exists already.*--force"):
+        write_scene(path, scene(2))
+    assert path.read_bytes() == before
+    with RecordingWriter(path, {}, force=True) as writer:
+        writer.write("/d", DistanceSample(1, 1.0, 2.0, 3.0))
+    assert path.read_bytes() != before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_interrupted_recording_keeps_its_part(tmp_path: Path, profile: Profile) -> None:
+    path = tmp_path / "a.mcap"
+
+    def record() -> None:
+        with RecordingWriter(path, {"seed": "1"}) as writer:
+            for entry in scene(4):
+                writer.write(entry.topic, entry.sample)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record()
+    assert not path.exists()
+    part = open_recording(tmp_path / "a.mcap.part", profile)
+    assert len(list(part.images())) == 4
+    assert part.metadata == {"seed": "1"}
+    assert "truncated" in part.health.describe()[0]
+    with pytest.raises(UsageError, match="interrupted"):
+        write_scene(path, scene(1))
+
+
+def test_at_most_a_quarter_of_a_second_is_only_in_memory(tmp_path: Path, profile: Profile) -> None:
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path, {}) as writer:
+        for entry in scene(50):
+            writer.write(entry.topic, entry.sample)
+        on_disk = open_recording(writer.part_path, profile).distance_track().stamps_ns
+    assert entries_end(path, profile) - on_disk[-1] <= 300_000_000
+
+
+def entries_end(path: Path, profile: Profile) -> int:
+    """Stamp of the last distance."""
+    return int(open_recording(path, profile).distance_track().stamps_ns[-1])
+
+
+def test_one_topic_carries_one_type(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "a.mcap", {}) as writer:
+        writer.write("/t", DistanceSample(1, 1.0, 1.0, 1.0))
+        with pytest.raises(ValueError, match="/t carries DistanceSample, not ImageSample"):
+            writer.write("/t", ImageSample(1, "camera", np.zeros((2, 2, 3), np.uint8)))
+        with pytest.raises(ValueError, match="cannot record a str"):
+            writer.write("/u", "text")  # type: ignore[arg-type]
+
+
+def test_an_unwritable_place_is_one_clear_line(tmp_path: Path) -> None:
+    for path, reason in ((tmp_path / "no" / "a.mcap", "No such file"), (tmp_path, "is a directory")):
+        with pytest.raises(OutputError, match=reason):
+            write_scene(path, [])
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs RLIMIT_FSIZE")
+def test_a_full_disk_leaves_no_file_under_the_final_name(tmp_path: Path) -> None:
+    full_bytes = write_scene(tmp_path / "full.mcap", scene(40)).stat().st_size
+    limits = [full_bytes * step // 50 for step in range(50)]
+    script = tmp_path / "fill.py"
+    script.write_text(FILL_A_DISK.replace("tests_builders", "recording.builders"))
+    done = subprocess.run(
+        [sys.executable, script, tmp_path, *map(str, [*limits, full_bytes])],
+        env={"PYTHONPATH": str(Path(__file__).parents[1])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stderr == ""
+    assert done.stdout.split() == ["refused"] * 50 + ["written"]
