@@ -23,15 +23,15 @@ SUBPIXEL_BITS = 4
 
 @dataclass(frozen=True, slots=True)
 class FoundMarker:
-    """What the search for the marker gave: a status, counts, and where it got that far, places.
+    """What the search for the marker gave: a status, counts and places, None where it did not get that far.
 
     `corners_px` has shape (4, 2) and `centroid_px` shape (2,), both in px of the image.
     """
 
     status: Status
     keypoint_count: int
-    match_count: int = 0
-    inlier_count: int = 0
+    match_count: int | None = None
+    inlier_count: int | None = None
     corners_px: Array | None = None
     centroid_px: Array | None = None
 
