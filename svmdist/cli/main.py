@@ -24,18 +24,23 @@ app = typer.Typer(
 )
 
 
-@app.callback()
-def main(
-    version: Annotated[
-        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)
-    ] = False,
-) -> None:
-    """Print the version where asked for; everything else is a subcommand's."""
-    if version:
-        from importlib.metadata import version as installed
+def _print_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
 
-        print(f"svmdist {installed('svmdist')}")
+        print(f"svmdist {version('svmdist')}")
         raise typer.Exit
+
+
+VersionOption = Annotated[
+    bool,
+    typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version),
+]
+
+
+@app.callback()
+def main(version: VersionOption = False) -> None:
+    """Hold the options of `svmdist` itself; everything else is a subcommand's."""
 
 
 app.command("record")(record.record_command)

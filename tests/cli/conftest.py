@@ -1,0 +1,53 @@
+"""Running the command line in the test's own process, with what it wrote and its exit code."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from svmdist.cli.main import run
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command left: its exit code, stdout and stderr."""
+
+    code: int
+    out: str
+    err: str
+
+
+Cli = Callable[..., Outcome]
+
+
+@pytest.fixture
+def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Cli:
+    """Run `svmdist` with arguments."""
+
+    def call(*arguments: object) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["svmdist", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as exit_info:
+            run()
+        captured = capsys.readouterr()
+        return Outcome(int(exit_info.value.code or 0), captured.out, captured.err)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def synthetic_calibration(synthetic_log: Path) -> Path:
+    """A calibration fitted on the synthetic log."""
+    from svmdist.estimation.calibration import save_calibration
+    from svmdist.profile import load_profile
+    from svmdist.recording.reader import open_recording
+    from svmdist.workflows.calibrate import calibrate
+
+    profile = load_profile()
+    path = synthetic_log.with_suffix(".calibration.toml")
+    save_calibration(calibrate([open_recording(synthetic_log, profile)], profile), path)
+    return path

@@ -1,0 +1,220 @@
+"""Bad input gets one clear line, the right exit code, and no traceback."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from svmdist.samples import CameraSample, Sample
+from tests.cli.conftest import Cli
+from tests.synthetic import make_scene, write_log
+
+
+def _one_line(err: str) -> str:
+    lines = err.strip().splitlines()
+    assert len(lines) == 1, err
+    assert "Traceback" not in err
+    return lines[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("missing.mcap", None, "missing.mcap"),
+        ("empty.mcap", b"", "empty"),
+        ("text.mcap", b"stamp,x,y\n1,2,3\n" * 50, "MCAP"),
+        ("old.bag", b"#ROSBAG V2.0\n" + b"\0" * 4096, "ROS 1"),
+    ],
+)
+def test_unusable_file(cli: Cli, tmp_path: Path, name: str, content: bytes | None, said: str) -> None:
+    """A missing, empty or foreign file is named with what was found, and the exit code is 1."""
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    outcome = cli("estimate", path)
+    assert (outcome.code, outcome.out) == (1, "")
+    line = _one_line(outcome.err)
+    assert name in line
+    assert said.lower() in line.lower()
+
+
+def test_missing_topic_lists_the_topics(cli: Cli, tmp_path: Path) -> None:
+    """A log without images names what is missing and the topics that there are."""
+
+    def without_images(topic: str, sample: Sample) -> Sample | None:
+        return None if "image" in topic else sample
+
+    outcome = cli("estimate", write_log(tmp_path / "blind.mcap", frame_count=3, change=without_images))
+    line = _one_line(outcome.err)
+    assert outcome.code == 1
+    assert "image" in line
+    assert "/PSM1/measured_js" in line
+
+
+def test_truncated_file(cli: Cli, tmp_path: Path, synthetic_log: Path, synthetic_calibration: Path) -> None:
+    """Of a file that was cut off, the readable frames are measured; the loss is said and the exit code is 3."""
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(synthetic_log.read_bytes()[: synthetic_log.stat().st_size // 2])
+    outcome = cli("estimate", cut, "--calibration", synthetic_calibration, "-f", "csv")
+    whole = cli("estimate", synthetic_log, "--calibration", synthetic_calibration, "-f", "csv")
+    rows = [line.replace("cut,", "synthetic,") for line in outcome.out.splitlines()]
+    assert outcome.code == 3
+    assert "truncated at byte" in outcome.err
+    assert 2 < len(rows) < len(whole.out.splitlines())
+    assert rows == whole.out.splitlines()[: len(rows)]
+
+
+def test_corrupt_image_is_rejected_and_the_rest_measured(
+    cli: Cli, tmp_path: Path, synthetic_calibration: Path
+) -> None:
+    """One broken PNG costs its own frame only."""
+    broken = tmp_path / "broken.mcap"
+    _write_with_broken_image(broken, frame=3)
+    outcome = cli("estimate", broken, "--calibration", synthetic_calibration, "-f", "csv")
+    status = [line.split(",")[2] for line in outcome.out.splitlines()[1:]]
+    assert status == ["ok", "ok", "ok", "corrupt_image", "ok", "ok"]
+    assert outcome.code == 3
+
+
+def test_calibration_of_another_camera(cli: Cli, tmp_path: Path, synthetic_calibration: Path) -> None:
+    """A calibration used with another camera is refused, and both cameras are described."""
+    path = write_log(tmp_path / "small.mcap", make_scene(320, 240), frame_count=3)
+    outcome = cli("estimate", path, "--calibration", synthetic_calibration)
+    line = _one_line(outcome.err)
+    assert outcome.code == 1
+    assert "640x480" in line
+    assert "320x240" in line
+
+
+def test_other_intrinsics_are_another_camera(cli: Cli, tmp_path: Path, synthetic_calibration: Path) -> None:
+    """The same size with another focal length is another camera, too."""
+
+    def refocus(_: str, sample: Sample) -> Sample:
+        if not isinstance(sample, CameraSample):
+            return sample
+        K = sample.camera.K.copy()
+        K[0, 0] += 5.0
+        return replace(sample, camera=replace(sample.camera, K=K))
+
+    path = write_log(tmp_path / "refocused.mcap", frame_count=3, change=refocus)
+    outcome = cli("validate", path, "--calibration", synthetic_calibration)
+    assert outcome.code == 1
+    assert "another camera" in _one_line(outcome.err)
+
+
+@pytest.mark.parametrize("command", ["estimate", "validate", "blur-bench"])
+def test_unwritable_output_fails_before_the_work(
+    cli: Cli, tmp_path: Path, synthetic_log: Path, command: str
+) -> None:
+    """An output in a folder that does not exist is said at once."""
+    outcome = cli(command, synthetic_log, "-o", tmp_path / "nowhere" / "rows.csv")
+    assert (outcome.code, outcome.out) == (1, "")
+    assert "nowhere" in _one_line(outcome.err)
+
+
+def test_full_device(cli: Cli, synthetic_log: Path, synthetic_calibration: Path) -> None:
+    """A device without space is an error, not a short result with exit code 0."""
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    outcome = cli(
+        "estimate", synthetic_log, "--calibration", synthetic_calibration, "-f", "csv", "-o", "/dev/full"
+    )
+    assert outcome.code == 1
+    assert "/dev/full" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["estimate"], "FILE"),
+        (["estimate", "x.mcap", "--method", "orb"], "overlay"),
+        (["estimate", "x.mcap", "--equations", "fixed"], "corrected"),
+        (["estimate", "x.mcap", "-f", "xml"], "jsonl"),
+        (["estimate", "x.mcap", "--equations", "printed", "--calibration", "c.toml"], "calibration"),
+        (["blur-bench", "x.mcap", "--kernel", "gaussian=4"], "odd"),
+        (["blur-bench", "x.mcap", "--kernel", "gausian=5"], "did you mean gaussian"),
+        (["record", "--scenario", "dance"], "sweep"),
+        (["frobnicate"], "frobnicate"),
+    ],
+)
+def test_usage_errors(cli: Cli, arguments: list[str], said: str) -> None:
+    """A wrong request exits with 2 and names the choices."""
+    outcome = cli(*arguments)
+    assert outcome.code == 2
+    assert said in outcome.err
+    assert "Traceback" not in outcome.err
+
+
+def test_wrong_profile_key(cli: Cli, tmp_path: Path) -> None:
+    """An unknown key of a profile is named with the file and the nearest valid key."""
+    path = tmp_path / "mine.toml"
+    path.write_text('name = "mine"\n[segmentation.tissue]\nhue = [170, 8]\nmin_aera_px = 50\n')
+    outcome = cli("estimate", "x.mcap", "--profile", path)
+    line = _one_line(outcome.err)
+    assert outcome.code == 1
+    assert "mine.toml" in line
+    assert "did you mean min_area_px" in line
+
+
+def test_validate_without_recordings(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without FILE and without recordings/, the line says where it looked."""
+    monkeypatch.chdir(tmp_path)
+    outcome = cli("validate")
+    assert outcome.code == 2
+    assert "recordings" in _one_line(outcome.err)
+
+
+def test_names_from_a_file_cannot_drive_a_terminal(cli: Cli, tmp_path: Path) -> None:
+    """Control characters in a file's name reach neither stdout nor stderr."""
+    path = tmp_path / "a\x1b[31mred.mcap"
+    path.write_bytes(b"nothing")
+    outcome = cli("estimate", path)
+    assert outcome.code == 1
+    assert "\x1b" not in outcome.err
+
+
+def test_closed_pipe_is_quiet(synthetic_log: Path, synthetic_calibration: Path) -> None:
+    """`svmdist estimate … | head -1` ends without a complaint."""
+    estimate = f"{sys.executable} -m svmdist estimate {synthetic_log} --calibration {synthetic_calibration}"
+    command = f"{estimate} -f csv | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr
+    assert "BrokenPipe" not in done.stderr
+
+
+def test_record_without_pybullet_says_why(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where PyBullet is missing, `record` says why and what to do, and leaves no file."""
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    output = tmp_path / "sweep.mcap"
+    outcome = cli("record", "--duration", "0.5", "-o", output)
+    assert outcome.code == 1
+    assert "svmdist[sim]" in _one_line(outcome.err)
+    assert list(tmp_path.iterdir()) == []
+
+
+def _write_with_broken_image(path: Path, frame: int) -> None:
+    """Write a synthetic log whose n-th PNG has a flipped bit in its pixels."""
+    import svmdist.recording.writer as writer_module
+
+    count = 0
+    encode = writer_module.encode
+
+    def encode_broken(sample: Sample) -> bytes:
+        nonlocal count
+        data = encode(sample)
+        if type(sample).__name__ == "ImageSample":
+            count += 1
+            if count == frame + 1:
+                at = data.index(b"IDAT") + 200
+                data = data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :]
+        return data
+
+    writer_module.encode = encode_broken  # type: ignore[assignment]
+    try:
+        write_log(path, frame_count=6)
+    finally:
+        writer_module.encode = encode
