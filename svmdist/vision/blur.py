@@ -25,7 +25,7 @@ def apply_blur(image_bgr: Image, blur: Blur, kernel_px: int) -> Image:
     """Degrade an image, shape (h, w, 3), with a kernel of `kernel_px` (odd) pixels.
 
     Erosion and dilation use a square kernel; Gaussian has OpenCV's sigma for the kernel,
-    0.3 ((k - 1) / 2 - 1) + 0.8; bilateral has sigma 75 in colour and k in space.
+    0.3 ((k - 1) / 2 - 1) + 0.8 px; bilateral has sigma 75 in colour and k in space.
     """
     if kernel_px < 1 or kernel_px % 2 == 0:
         raise ValueError(f"a kernel has an odd size of at least 1 px, found {kernel_px}")
@@ -38,7 +38,9 @@ def apply_blur(image_bgr: Image, blur: Blur, kernel_px: int) -> Image:
         case Blur.DILATION:
             return np.asarray(cv2.dilate(image_bgr, square), np.uint8)
         case Blur.GAUSSIAN:
-            return np.asarray(cv2.GaussianBlur(image_bgr, (kernel_px, kernel_px), 0), np.uint8)
+            # Stated, not left to OpenCV: it takes narrower binomial kernels up to 7 px.
+            sigma_px = 0.3 * ((kernel_px - 1) / 2 - 1) + 0.8
+            return np.asarray(cv2.GaussianBlur(image_bgr, (kernel_px, kernel_px), sigma_px), np.uint8)
         case Blur.MEDIAN:
             return np.asarray(cv2.medianBlur(image_bgr, kernel_px), np.uint8)
         case Blur.BILATERAL:

@@ -45,10 +45,12 @@ def detect_orb(image_grey: Image, feature_count: int, mask: Image | None = None)
 
     A featureless image gives no features rather than an error.
     """
+    if min(image_grey.shape) <= 2 * EDGE_MARGIN_PX:  # all margin; OpenCV fails on the smallest of these
+        return _no_features()
     orb = cv2.ORB_create(nfeatures=feature_count, edgeThreshold=EDGE_MARGIN_PX, patchSize=EDGE_MARGIN_PX)  # type: ignore[attr-defined]
     keypoints, descriptors = orb.detectAndCompute(image_grey, mask)
     if descriptors is None or not keypoints:
-        return Features(np.zeros((0, 2)), np.zeros((0, DESCRIPTOR_BYTES), np.uint8))
+        return _no_features()
     points_px = np.array([keypoint.pt for keypoint in keypoints], np.float64)
     return Features(points_px, np.asarray(descriptors, np.uint8))
 
@@ -75,3 +77,7 @@ def match_features(template: Features, frame: Features, ratio: float) -> Matches
 def hamming(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> int:
     """Number of bits in which two descriptors, shape (32,), differ."""
     return int(np.bitwise_count(np.bitwise_xor(a, b)).sum())
+
+
+def _no_features() -> Features:
+    return Features(np.zeros((0, 2)), np.zeros((0, DESCRIPTOR_BYTES), np.uint8))
