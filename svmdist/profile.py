@@ -276,7 +276,8 @@ def _describe(problem: ValidationError, model: type[BaseModel]) -> Iterator[str]
         key = ".".join(str(part) for part in location)
         if item["type"] == "extra_forbidden":
             siblings = _model_at(model, location[:-1])
-            choices = list(siblings.model_fields) if siblings else []
+            fields = siblings.model_fields if siblings else {}
+            choices = [field.alias or name for name, field in fields.items()]
             yield f"unknown key {key}: {did_you_mean(str(location[-1]), choices)}"
         elif item["type"] == "missing":
             yield f"missing key {key}"

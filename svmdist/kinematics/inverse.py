@@ -1,0 +1,95 @@
+"""Inverse kinematics of a DH chain: damped least squares on the tool's position, many targets at once.
+
+Only the joints that the caller frees may move; the others keep their values, so that a wrist can follow
+its own motion while the arm carries it along a path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from svmdist.errors import KinematicsError
+from svmdist.kinematics.dh import DHChain, forward_kinematics, frame_transforms
+from svmdist.transforms import Array
+
+
+def position_jacobian(chain: DHChain, q: ArrayLike) -> Array:
+    """Derivative of the tool's position by the joints, shape (..., 3, n_joints), in m per joint unit.
+
+    A revolute joint moves the tool by z x (p_tool - p_joint), a prismatic one by z (Siciliano et al.,
+    "Robotics", sec. 3.1.3); z and p_joint belong to the axis that the joint moves about.
+    """
+    frames = frame_transforms(chain, q)
+    p_tool = (frames[..., -1, :, :] @ chain.T_last_tool)[..., :3, 3]
+    columns = []
+    for index, row in enumerate(chain.rows):
+        if row.joint == "fixed":
+            continue
+        # Standard DH moves about the z of the frame before, modified DH about the z of its own frame.
+        axis_index = index - 1 if chain.convention == "standard" else index
+        if axis_index < 0:
+            z, p_joint = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+        else:
+            z, p_joint = frames[..., axis_index, :3, 2], frames[..., axis_index, :3, 3]
+        moves = np.cross(z, p_tool - p_joint) if row.joint == "revolute" else z
+        columns.append(np.broadcast_to(moves, p_tool.shape))
+    return np.stack(columns, -1)
+
+
+def solve_position(
+    chain: DHChain,
+    q_start: ArrayLike,
+    p_base_tool_m: ArrayLike,
+    free_joints: Sequence[str],
+    *,
+    tolerance_m: float = 1e-9,
+    damping: float = 1e-4,
+    max_iterations: int = 60,
+) -> Array:
+    """Find joints, shape (n, n_joints), that bring the tool's origin to targets in the base frame, (n, 3).
+
+    `q_start`, shape (n, n_joints), gives the first guess of the free joints and the values of all others.
+    `damping` is in the unit of the Jacobian; 1e-4 m is far below the lever arms of a surgical robot, so
+    that it slows convergence down near singularities only. Raises KinematicsError for a target that is
+    out of reach or needs a joint outside its limits.
+    """
+    q = np.array(q_start, np.float64)
+    targets_m = np.asarray(p_base_tool_m, np.float64)
+    if q.ndim != 2 or targets_m.shape != (len(q), 3):
+        raise KinematicsError(
+            f"expected joints (n, {len(chain.joint_names)}) and targets (n, 3), "
+            f"found {q.shape} and {targets_m.shape}"
+        )
+    missing = [name for name in free_joints if name not in chain.joint_names]
+    if missing:
+        raise KinematicsError(f"the chain has no joint {', '.join(missing)}; it has {chain.joint_names}")
+    free = [chain.joint_names.index(name) for name in free_joints]
+    for _ in range(max_iterations):
+        error_m = targets_m - forward_kinematics(chain, q)[:, :3, 3]
+        if float(np.max(np.abs(error_m), initial=0.0)) <= tolerance_m:
+            break
+        J = position_jacobian(chain, q)[:, :, free]
+        # dq = J^T (J J^T + λ² I)^-1 e (Nakamura & Hanafusa 1986)
+        damped = J @ np.swapaxes(J, 1, 2) + damping**2 * np.eye(3)
+        q[:, free] += (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, error_m[:, :, None]))[..., 0]
+    else:
+        worst = int(np.argmax(np.linalg.norm(error_m, axis=1)))
+        raise KinematicsError(
+            f"position {worst} is out of reach: {np.linalg.norm(error_m[worst]):.3g} m are left "
+            f"after {max_iterations} steps"
+        )
+    _check_limits(chain, q)
+    return q
+
+
+def _check_limits(chain: DHChain, q: Array) -> None:
+    outside = (q < chain.lower) | (q > chain.upper)
+    if outside.any():
+        row, column = (int(index[0]) for index in np.nonzero(outside))
+        raise KinematicsError(
+            f"joint {chain.joint_names[column]} would have to go to {q[row, column]:.4g}, outside its limits "
+            f"{chain.lower[column]:.4g} to {chain.upper[column]:.4g}"
+        )

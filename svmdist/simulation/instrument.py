@@ -1,0 +1,89 @@
+"""The instrument's parts: a mesh for each, the DH row whose link carries it, and its colour.
+
+The coloured knuckle is a sphere about the tool's origin. What meets it is slimmer, or stands beside it:
+the camera sees the whole of it, so its silhouette's centroid is the projection of the tool's origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.profile import Instrument
+from svmdist.simulation.meshes import Mesh, bar, loft, revolve, sphere
+from svmdist.transforms import make_transform, rotation_x, rotation_z
+
+SHAFT_RGBA = (0.13, 0.13, 0.145, 1.0)
+STEEL_RGBA = (0.62, 0.63, 0.65, 1.0)
+DARK_STEEL_RGBA = (0.45, 0.46, 0.48, 1.0)
+KNUCKLE_RGBA = (0.0, 0.62, 0.70, 1.0)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A convex mesh in the DH frame of the row `link`, drawn in one colour."""
+
+    name: str
+    link: str
+    mesh: Mesh
+    colour_rgba: tuple[float, float, float, float]
+
+
+def make_parts(instrument: Instrument, links: tuple[str, ...], wrist_length_m: float) -> tuple[Part, ...]:
+    """Build the parts for the last four links: roll, wrist pitch, wrist yaw, jaw (as in dVRK tools).
+
+    In the roll's frame the shaft runs along +y, away from the tip; in the wrist's frames the tip lies
+    along +x and the jaws turn about z. `wrist_length_m` is the distance from the wrist's pitch axis to the
+    tool's origin.
+    """
+    roll, wrist_pitch, wrist_yaw, jaw = links[-4:]
+    wrist_m, knuckle_m = instrument.wrist_radius_m, instrument.knuckle_radius_m
+    T_roll_shaft = make_transform(rotation_z(np.pi / 2), np.zeros(3))
+    # The jaw's frame is turned by its α of π/2 against the wrist's.
+    T_jaw_wrist = make_transform(rotation_x(-np.pi / 2), np.zeros(3))
+    shaft_m, length_m = instrument.shaft_radius_m, instrument.shaft_length_m
+    neck_m = 2.2 * wrist_m
+    shaft = revolve(
+        np.array([neck_m, neck_m + 0.0006, length_m]), np.array([shaft_m - 0.0006, shaft_m, shaft_m])
+    )
+    collar = revolve(np.array([0.8 * wrist_m, neck_m + 0.0002]), np.array([wrist_m, shaft_m - 0.0004]))
+    hinge = sphere(wrist_m)
+    fork_m = knuckle_m + 0.0004  # the fork's tines stand beside the knuckle
+    bridge_x_m = -wrist_length_m + np.array([0.0, 0.3, 0.45]) * wrist_length_m
+    bridge = loft(
+        bridge_x_m,
+        np.array([0.9 * wrist_m, 0.5 * wrist_m, 0.3 * wrist_m]),
+        np.array([0.9 * wrist_m, fork_m + 0.0003, fork_m]),
+        roundness=2.6,
+    )
+    tine = bar((-0.62 * wrist_length_m, 0.0006), 0.0005, 0.0003)
+    tines = [
+        tine.transformed(make_transform(np.eye(3), [0.0, 0.0, side * (fork_m + 0.0001)]))
+        for side in (-1.0, 1.0)
+    ]
+    blade = _jaw(instrument)
+    lower = blade.transformed(make_transform(np.eye(3), [0.0, -0.55 * instrument.jaw_radius_m, 0.0]))
+    upper = blade.transformed(
+        T_jaw_wrist @ make_transform(np.eye(3), [0.0, 0.55 * instrument.jaw_radius_m, 0.0])
+    )
+    return (
+        Part("shaft", roll, shaft.transformed(T_roll_shaft), SHAFT_RGBA),
+        Part("collar", roll, collar.transformed(T_roll_shaft), STEEL_RGBA),
+        Part("hinge", roll, hinge, DARK_STEEL_RGBA),
+        Part("bridge", wrist_pitch, bridge, STEEL_RGBA),
+        Part("left_tine", wrist_pitch, tines[0], STEEL_RGBA),
+        Part("right_tine", wrist_pitch, tines[1], STEEL_RGBA),
+        Part("knuckle", wrist_yaw, sphere(knuckle_m), KNUCKLE_RGBA),
+        Part("fixed_jaw", wrist_yaw, lower, STEEL_RGBA),
+        Part("moving_jaw", jaw, upper, STEEL_RGBA),
+    )
+
+
+def _jaw(instrument: Instrument) -> Mesh:
+    """A blade along +x from inside the knuckle to a rounded tip; thin across the hinge, wider along it."""
+    length_m, radius_m = instrument.jaw_length_m, instrument.jaw_radius_m
+    x = np.array([0.06, 0.4, 0.8, 0.93, 0.98, 1.0]) * length_m
+    half_width = np.array([0.75, 0.95, 0.72, 0.55, 0.38, 0.12]) * radius_m
+    half_thickness = np.array([0.5, 0.52, 0.42, 0.34, 0.24, 0.08]) * radius_m
+    return loft(x, half_thickness, half_width, roundness=2.8)

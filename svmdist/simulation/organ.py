@@ -1,0 +1,91 @@
+"""The tissue organ of one seed: a convex, slightly irregular dome about its own frame.
+
+The tissue frame's origin is the area centroid of the outline on the floor, so that the centroid of the
+organ's silhouette, seen from straight above, is the projection of that origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.simulation.meshes import Mesh, smooth_normals
+from svmdist.transforms import Array
+
+SEMI_AXES_M = (0.028, 0.022)
+HEIGHT_M = 0.008
+TEXTURE_SPAN_M = 0.07
+"""The texture image covers a square of this side about the tissue frame's origin."""
+
+RING_COUNT = 44
+SIDE_COUNT = 160
+
+
+@dataclass(frozen=True)
+class Organ:
+    """Mesh in the tissue frame, its outline on the floor, shape (n, 2) in m, and its height in m."""
+
+    mesh: Mesh
+    outline_m: Array
+    height_m: float
+
+
+def make_organ(rng: np.random.Generator) -> Organ:
+    """Make the organ of a random stream.
+
+    Height over the plane is concave in the outline's gauge (1 on the outline, 0 at the apex), and the
+    outline is convex, so the body is convex. Convexity lets Bullet compute exact distances to it.
+    """
+    angle = np.linspace(0.0, 2.0 * np.pi, SIDE_COUNT, endpoint=False)
+    outline_m = _outline(angle, rng)
+    outline_m -= polygon_centroid(outline_m)
+    # The apex beside the centroid, as no organ is symmetric.
+    apex_m = rng.uniform(-1.0, 1.0, 2) * (0.004, 0.003)
+    height_m = HEIGHT_M * rng.uniform(0.97, 1.03)
+    # Rings crowd at the rim, where the dome is steep.
+    gauge = np.sin(np.linspace(0.0, np.pi / 2, RING_COUNT + 1)[1:])
+    profile = (1.0 - gauge**2.3) ** 0.62
+    xy_m = apex_m + gauge[:, None, None] * (outline_m - apex_m)
+    z_m = np.broadcast_to(height_m * profile[:, None, None], (RING_COUNT, SIDE_COUNT, 1))
+    vertices_m = np.vstack([[*apex_m, height_m], np.concatenate([xy_m, z_m], -1).reshape(-1, 3)])
+    faces = _fan_and_rings()
+    normals = smooth_normals(vertices_m, faces)
+    uv = 0.5 + vertices_m[:, :2] / TEXTURE_SPAN_M
+    return Organ(Mesh(vertices_m, normals, uv, faces), outline_m, float(height_m))
+
+
+def polygon_centroid(polygon_m: Array) -> Array:
+    """Area centroid of a simple polygon, shape (n, 2), by the shoelace formula."""
+    x, y = polygon_m[:, 0], polygon_m[:, 1]
+    next_x, next_y = np.roll(x, -1), np.roll(y, -1)
+    cross = x * next_y - next_x * y
+    moments = np.array([((x + next_x) * cross).sum(), ((y + next_y) * cross).sum()])
+    return np.asarray(moments / (3.0 * cross.sum()))
+
+
+def _outline(angle: Array, rng: np.random.Generator) -> Array:
+    """A superellipse-like outline with two faint waves; their amplitudes keep it convex."""
+    a_m, b_m = SEMI_AXES_M
+    exponent = rng.uniform(2.05, 2.2)
+    radius_m = (np.abs(np.cos(angle) / a_m) ** exponent + np.abs(np.sin(angle) / b_m) ** exponent) ** (
+        -1.0 / exponent
+    )
+    wave = sum(
+        amplitude * np.cos(order * angle + rng.uniform(0.0, 2.0 * np.pi))
+        for order, amplitude in ((2, 0.02), (3, 0.025))
+    )
+    return np.asarray((radius_m * (1.0 + wave))[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1))
+
+
+def _fan_and_rings() -> NDArray[np.int64]:
+    """Triangles of the dome: a fan at the apex, then rings, then a floor plate that closes the body."""
+    side = np.arange(SIDE_COUNT)
+    following = (side + 1) % SIDE_COUNT
+    parts = [np.stack([np.zeros_like(side), 1 + side, 1 + following], -1)]
+    for ring in range(RING_COUNT - 1):
+        inner, outer = 1 + ring * SIDE_COUNT, 1 + (ring + 1) * SIDE_COUNT
+        parts.append(np.stack([inner + side, outer + side, outer + following], -1))
+        parts.append(np.stack([inner + side, outer + following, inner + following], -1))
+    return np.concatenate(parts)

@@ -1,0 +1,125 @@
+"""Where everything stands for one seed: pure geometry, without PyBullet.
+
+World: z up, floor at z = 0, the camera on the z axis looking straight down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.errors import SimulationError
+from svmdist.kinematics.chain import chain_of
+from svmdist.kinematics.dh import DHChain, frame_transforms
+from svmdist.profile import Profile
+from svmdist.samples import Image
+from svmdist.simulation.instrument import Part, make_parts
+from svmdist.simulation.meshes import Mesh, loft, smooth_normals
+from svmdist.simulation.organ import Organ, make_organ
+from svmdist.simulation.textures import floor_texture, tissue_texture
+from svmdist.transforms import Array, inverse, make_transform, rotation_z
+
+FLOOR_HALF_M = 0.16
+TISSUE_SHIFT_M = 0.0015
+"""By seed, the organ stands this far from the camera's axis at most, along x and along y."""
+
+R_WORLD_CAMERA: Array = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The world of one seed: the chain and where its base, the camera and the tissue stand."""
+
+    chain: DHChain
+    posture: Array
+    camera: Camera
+    T_world_base: Array
+    T_world_camera: Array
+    T_world_tissue: Array
+    organ: Organ
+    parts: tuple[Part, ...]
+    retractor: Mesh
+    tissue_texture: Image
+    floor_texture: Image
+
+    @property
+    def T_camera_base(self) -> Array:
+        """Where the base stands for the camera, shape (4, 4)."""
+        return inverse(self.T_world_camera) @ self.T_world_base
+
+    @property
+    def T_camera_tissue(self) -> Array:
+        """Where the tissue stands for the camera, shape (4, 4)."""
+        return inverse(self.T_world_camera) @ self.T_world_tissue
+
+    def link_poses(self, q: Array) -> dict[str, Array]:
+        """Poses `T_world_link`, shape (..., 4, 4), of all rows by name, for joints (..., n_joints)."""
+        frames = self.T_world_base @ frame_transforms(self.chain, q)
+        return {row.name: frames[..., index, :, :] for index, row in enumerate(self.chain.rows)}
+
+
+def make_scene(profile: Profile, seed: int) -> Scene:
+    """Set up the world of a seed; raises SimulationError for a profile that describes no simulation."""
+    if profile.robot is None or profile.instrument is None or profile.simulation is None:
+        raise SimulationError(
+            f"profile {profile.name} cannot be simulated: it needs [robot], [instrument] and [simulation]"
+        )
+    chain, settings = chain_of(profile.robot), profile.simulation
+    missing = [name for name in chain.joint_names if name not in settings.posture]
+    if missing or len(chain.rows) < 4:
+        raise SimulationError(
+            f"profile {profile.name} cannot be simulated: simulation.posture lacks {', '.join(missing)}"
+            if missing
+            else f"profile {profile.name} cannot be simulated: an instrument needs four joints or more"
+        )
+    # One stream for each thing, so that one of them can change without moving the others.
+    place, shape, red, dull = (np.random.default_rng([seed, stream]) for stream in range(4))
+    T_world_tissue = make_transform(
+        rotation_z(place.uniform(-np.pi, np.pi)),
+        [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0],
+    )
+    return Scene(
+        chain=chain,
+        posture=np.array([settings.posture[name] for name in chain.joint_names]),
+        camera=Camera.from_horizontal_fov(
+            settings.width_px, settings.height_px, settings.horizontal_fov_rad, profile.frames.camera
+        ),
+        T_world_base=make_transform(rotation_z(settings.base_yaw_rad), settings.base_position_m),
+        T_world_camera=make_transform(R_WORLD_CAMERA, [0.0, 0.0, settings.camera_height_m]),
+        T_world_tissue=T_world_tissue,
+        organ=make_organ(shape),
+        parts=make_parts(
+            profile.instrument, tuple(row.name for row in chain.rows), profile.robot.joints[-3].a_m
+        ),
+        retractor=make_retractor(),
+        tissue_texture=tissue_texture(red),
+        floor_texture=floor_texture(dull),
+    )
+
+
+def make_floor() -> Mesh:
+    """A flat sheet in the world's frame at z = 0, finely divided for even shading."""
+    count = 33
+    axis = np.linspace(-FLOOR_HALF_M, FLOOR_HALF_M, count)
+    x, y = np.meshgrid(axis, axis)
+    vertices_m = np.stack([x.ravel(), y.ravel(), np.zeros(count * count)], -1)
+    row, column = np.meshgrid(np.arange(count - 1), np.arange(count - 1), indexing="ij")
+    a = (row * count + column).ravel()
+    faces = np.concatenate(
+        [np.stack([a, a + 1, a + count + 1], -1), np.stack([a, a + count + 1, a + count], -1)]
+    )
+    uv = 0.5 + vertices_m[:, :2] / (2.0 * FLOOR_HALF_M)
+    return Mesh(vertices_m, smooth_normals(vertices_m, faces), uv, faces)
+
+
+def make_retractor() -> Mesh:
+    """A flat steel blade along +x from its tip at the origin; `occlusion` swings it over the instrument."""
+    x_m = np.array([0.0, 0.0008, 0.002, 0.004, 0.008, 0.09])
+    return loft(
+        x_m,
+        np.array([0.0035, 0.0052, 0.0062, 0.0068, 0.007, 0.007]),
+        np.array([0.0006, 0.0007, 0.0008, 0.0008, 0.0008, 0.0008]),
+        roundness=3.0,
+    )

@@ -1,0 +1,77 @@
+"""From a motion of the tool to joint trajectories, by inverse kinematics, with clearances met exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.errors import KinematicsError, SimulationError
+from svmdist.kinematics.inverse import solve_position
+from svmdist.simulation.clearance import ClearanceMeter
+from svmdist.simulation.scenarios import Motion, Scenario, Stage, plan_motion
+from svmdist.simulation.scene import Scene
+from svmdist.transforms import Array, inverse, make_transform, rotation_z, transform_points
+
+RETRACTOR_HEIGHT_M = 0.06
+CLEARANCE_TOLERANCE_M = 1e-6
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Exact joints, shape (n, n_joints), and the retractor's poses (n, 4, 4), or None where there is none."""
+
+    q: Array
+    T_world_retractor: Array | None
+
+
+def make_trajectory(
+    scene: Scene, scenario: Scenario, working_height_m: float, progress: Array, meter: ClearanceMeter
+) -> Trajectory:
+    """Plan a scenario in a scene at values of progress, shape (n,); raises SimulationError out of reach."""
+    stage = Stage(scene.T_world_tissue[:2, 3], scene.organ.height_m, working_height_m, scenario.duration_s)
+    motion = plan_motion(scenario, progress, stage)
+    try:
+        if motion.clearance_m is not None:
+            lowest = plan_motion(scenario, np.array([motion.lowest_at]), stage)
+            motion = _lowered(motion, _lowering_m(scene, lowest, meter))
+        q = _joints(scene, motion)
+    except KinematicsError as problem:
+        raise SimulationError(f"scenario {scenario.name}: {problem}") from None
+    return Trajectory(q, _retractor_poses(motion))
+
+
+def _joints(scene: Scene, motion: Motion) -> Array:
+    names = scene.chain.joint_names
+    q = np.tile(scene.posture, (len(motion.p_world_tool_m), 1))
+    q[:, -4:] += motion.wrist_rad
+    targets_m = transform_points(inverse(scene.T_world_base), motion.p_world_tool_m)
+    # Seven distal joints, as in every PSM: yaw, pitch and insertion place the wrist.
+    return solve_position(scene.chain, q, targets_m, names[-7:-4])
+
+
+def _lowering_m(scene: Scene, lowest: Motion, meter: ClearanceMeter) -> float:
+    """Find by bisection how far to lower the path for the wanted clearance at its lowest point."""
+    assert lowest.clearance_m is not None
+    low, high = -0.01, 0.03
+    while high - low > CLEARANCE_TOLERANCE_M:
+        middle = 0.5 * (low + high)
+        clearance_m = meter.clearance_m(_joints(scene, _lowered(lowest, middle))[0])
+        low, high = (middle, high) if clearance_m > lowest.clearance_m else (low, middle)
+    return 0.5 * (low + high)
+
+
+def _lowered(motion: Motion, by_m: float) -> Motion:
+    assert motion.lowering is not None
+    p_m = motion.p_world_tool_m.copy()
+    p_m[:, 2] -= by_m * motion.lowering
+    return Motion(p_m, motion.wrist_rad, motion.retractor_xy_m, motion.clearance_m, motion.lowering)
+
+
+def _retractor_poses(motion: Motion) -> Array | None:
+    if motion.retractor_xy_m is None:
+        return None
+    count = len(motion.retractor_xy_m)
+    xyz_m = np.column_stack([motion.retractor_xy_m, np.full(count, RETRACTOR_HEIGHT_M)])
+    # The blade's tip points to -y: it comes in from the top of the image.
+    return make_transform(rotation_z(np.pi / 2), xyz_m)
