@@ -120,9 +120,14 @@ def fit_calibration(
 ) -> Calibration:
     """Fit eqs. (5) and (6) by least squares, one quadratic per axis.
 
-    Raises CalibrationError for too few samples, or for samples that span too little of the image to
-    carry a quadratic.
+    Raises CalibrationError for too few samples, for samples that span too little of the image to carry a
+    quadratic, and for a camera without focal length, as logs of uncalibrated cameras have it.
     """
+    if not (np.all(np.isfinite(camera.K)) and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
+        raise CalibrationError(
+            "expected a camera with intrinsics to calibrate: found"
+            f" fx_px = {camera.K[0, 0]:g}, fy_px = {camera.K[1, 1]:g}"
+        )
     count = len(samples.tool_px)
     if count < MIN_SAMPLE_COUNT:
         raise CalibrationError(
@@ -174,7 +179,13 @@ def _fit_axis(samples: CalibrationSamples, axis: int) -> tuple[QuadraticModel, A
     truth_cm = samples.tool_m[:, axis] * 100.0
     # Fitted about the middle of the samples: S and S² are nearly parallel over an image otherwise.
     middle_cm = float(screen_cm.mean())
-    q, linear, constant = np.polynomial.polynomial.polyfit(screen_cm - middle_cm, truth_cm, 2)[::-1]
+    fitted, (_, rank, _, _) = np.polynomial.polynomial.polyfit(screen_cm - middle_cm, truth_cm, 2, full=True)
+    if rank < 3:
+        raise CalibrationError(
+            f"the tool must be seen at three places or more to fit a quadratic: along {'xy'[axis]} it is seen"
+            f" at {len(np.unique(screen_cm))}"
+        )
+    constant, linear, q = fitted
     model = QuadraticModel(
         quadratic_per_cm=float(q),
         linear=float(linear - 2.0 * q * middle_cm),
@@ -186,7 +197,8 @@ def _fit_axis(samples: CalibrationSamples, axis: int) -> tuple[QuadraticModel, A
 
 def _describe(camera: Camera) -> str:
     K = camera.K
+    distortion = ", ".join(f"{value:g}" for value in np.trim_zeros(camera.D, "b"))
     return (
         f"{camera.width_px}x{camera.height_px} with fx {K[0, 0]:.2f}, fy {K[1, 1]:.2f},"
-        f" cx {K[0, 2]:.2f}, cy {K[1, 2]:.2f} px"
+        f" cx {K[0, 2]:.2f}, cy {K[1, 2]:.2f} px and {f'distortion {distortion}' if distortion else 'no distortion'}"
     )
