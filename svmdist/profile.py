@@ -35,12 +35,12 @@ def _parse_angle(value: Any) -> Any:
         return value
     text = value.replace(" ", "")
     sign, text = (-1.0, text[1:]) if text.startswith("-") else (1.0, text)
-    factor, _, rest = text.rpartition("*")
-    symbol, _, divisor = rest.partition("/")
+    factor, times, rest = text.rpartition("*")
+    symbol, over, divisor = rest.partition("/")
     try:
         if symbol != "pi":
             raise ValueError
-        return sign * (float(factor) if factor else 1.0) * np.pi / (float(divisor) if divisor else 1.0)
+        return sign * (float(factor) if times else 1.0) * np.pi / (float(divisor) if over else 1.0)
     except (ValueError, ZeroDivisionError):
         raise ValueError(
             f"expected rad as a number or a multiple of pi such as 'pi/2', found {value!r}"

@@ -1,0 +1,274 @@
+"""Profiles: what ships loads, and every mistake in a file becomes one line with file, key and nearest key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from svmdist.errors import ProfileError, did_you_mean
+from svmdist.profile import (
+    DEFAULT_PROFILE,
+    ColourRegion,
+    Joint,
+    Profile,
+    load_profile,
+    profile_path,
+    shipped_profiles,
+)
+
+TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")
+MINIMAL = """
+name = "mine"
+[segmentation.tissue]
+hue = [170, 8]
+min_area_px = 50
+[segmentation.instrument]
+hue = [80, 105]
+min_area_px = 100
+[marker]
+outline_bgr = [0, 255, 0]
+[marker.outline]
+hue = [58, 62]
+min_area_px = 100
+"""
+
+
+def load_text(folder: Path, text: str) -> Profile:
+    """Load a profile from its text."""
+    path = folder / "mine.toml"
+    path.write_text(text, "utf-8")
+    return load_profile(path)
+
+
+@pytest.mark.parametrize("name", shipped_profiles())
+def test_every_shipped_profile_loads(name):
+    """Each profile in the package is valid, carries its own name and opens by name and by path."""
+    profile = load_profile(name)
+    assert profile.name == name
+    assert load_profile(profile_path(name)) == profile
+
+
+def test_the_default_profile_is_the_papers():
+    """The default ships, and has the paper's gates (50, 100, 100), ratio 0.75, 3 px and a chain of 13 joints."""
+    assert DEFAULT_PROFILE in shipped_profiles()
+    profile = load_profile()
+    gates = (profile.segmentation.tissue, profile.segmentation.instrument, profile.marker.outline)
+    assert [region.min_area_px for region in gates] == [50, 100, 100]
+    assert (profile.features.ratio, profile.features.reprojection_px) == (0.75, 3.0)
+    assert profile.robot is not None
+    assert len(profile.robot.joints) == 13
+
+
+def test_the_posture_names_the_joints_of_the_chain():
+    """The shipped posture has a value inside the limits for every joint, and no other joint."""
+    profile = load_profile()
+    assert profile.robot is not None
+    assert profile.simulation is not None
+    posture = profile.simulation.posture
+    assert list(posture) == [joint.name for joint in profile.robot.joints]
+    assert all(joint.lower <= posture[joint.name] <= joint.upper for joint in profile.robot.joints)
+
+
+def test_a_profile_needs_only_colours_and_a_marker(tmp_path):
+    """Without robot, simulation and topics a profile loads: a log may have no kinematics to compare with."""
+    profile = load_text(tmp_path, MINIMAL)
+    assert (profile.robot, profile.simulation, profile.instrument, profile.calibration) == (None,) * 4
+    assert profile.topics.image is None
+    assert profile.features.ratio == 0.75
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "min_area_px = 50",
+            "min_aera_px = 50",
+            r"unknown key segmentation\.tissue\.min_aera_px: did you mean min_area_px\?",
+        ),
+        ("[features]", "[feature]", r"unknown key feature: did you mean features\?"),
+        ("ratio = 0.75", "ratoi = 0.75", r"unknown key features\.ratoi: did you mean ratio\?"),
+        ("a_m = 0.09,", "a = 0.09,", r"unknown key robot\.joints\.0\.a: "),
+        (
+            "camera_height_m",
+            "camera_hight_m",
+            r"unknown key simulation\.camera_hight_m: did you mean camera_height_m\?",
+        ),
+        ("ratio = 0.75", "ratio = 1.5", r"features\.ratio: .*less than 1 \(found 1\.5\)"),
+        (
+            "hue = [170, 8]",
+            "hue = [170, 200]",
+            r"segmentation\.tissue\.hue\.1: .*less than or equal to 179 \(found 200\)",
+        ),
+        ("hue = [170, 8]", "hue = 170", r"segmentation\.tissue\.hue: .*tuple.* \(found 170\)"),
+        (
+            "saturation = [110, 255]",
+            "saturation = [255, 110]",
+            r"segmentation\.tissue: saturation = \[255, 110\] is empty",
+        ),
+        ("value = [60, 255]", "value = [255, 60]", r"segmentation\.tissue: value = \[255, 60\] is empty"),
+        ("size_px = 96", "size_px = 12", r"marker\.size_px: .*greater than or equal to 48 \(found 12\)"),
+        ("size_px = 96", "size_px = nan", r"marker\.size_px: .*finite"),
+        ("camera_height_m = 0.112", "camera_height_m = -1", r"simulation\.camera_height_m: .*greater than 0"),
+        ("camera_height_m = 0.112", "camera_height_m = inf", r"simulation\.camera_height_m: .*finite"),
+        (
+            "min_match_count = 10",
+            "min_match_count = 3",
+            r"features\.min_match_count: .*equal to 4 \(found 3\)",
+        ),
+        (
+            'convention = "standard"',
+            'convention = "craig"',
+            r"robot\.convention: .*'standard' or 'modified' \(found 'craig'\)",
+        ),
+        (
+            'type = "prismatic", a_m',
+            'type = "sliding", a_m',
+            r"robot\.joints\.0\.type: .*'prismatic'.* \(found 'sliding'\)",
+        ),
+        (
+            'alpha_rad = "-pi/2"',
+            'alpha_rad = "90 deg"',
+            r"alpha_rad: expected rad as a number or a multiple of pi",
+        ),
+        (
+            "lower = 0.0, upper = 0.8",
+            "lower = 0.8, upper = 0.8",
+            r"robot\.joints\.0: joint setup_1: lower limit 0\.8 is not below",
+        ),
+        ('name = "setup_2"', 'name = "setup_1"', r"robot: joint names must differ; given twice: setup_1"),
+        ('name = "psm13"', "", "missing key name"),
+        ("outline_bgr = [0, 255, 0]", "", r"missing key marker\.outline_bgr"),
+        (
+            "[robot]",
+            "[robot]\ntool_rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]",
+            r"robot: tool_rotation is not a rotation",
+        ),
+    ],
+)
+def test_a_mistake_names_file_key_and_what_was_expected(tmp_path, old, new, message):
+    """Each mistake gives one line that begins with the file and names the key and the value or nearest key."""
+    assert old in TEXT
+    with pytest.raises(ProfileError, match=message) as caught:
+        load_text(tmp_path, TEXT.replace(old, new, 1))
+    assert str(caught.value).startswith(f"{tmp_path / 'mine.toml'}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_several_mistakes_are_told_at_once(tmp_path):
+    """Two mistakes give one line with both, so that they can be mended together."""
+    with pytest.raises(ProfileError) as caught:
+        load_text(tmp_path, TEXT.replace("ratio = 0.75", "ratio = 2").replace("size_px = 96", "size = 96"))
+    assert "features.ratio: " in str(caught.value)
+    assert "unknown key marker.size: did you mean size_px?" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "angle_rad"),
+    [
+        ("pi", np.pi),
+        ("-pi", -np.pi),
+        ("pi/2", np.pi / 2),
+        ("-pi/2", -np.pi / 2),
+        ("2*pi/3", 2 * np.pi / 3),
+        ("-0.5 * pi / 4", -np.pi / 8),
+        (0.25, 0.25),
+        (-1, -1.0),
+    ],
+)
+def test_angles_are_numbers_or_multiples_of_pi(text, angle_rad):
+    """A multiple of pi is exact: 'pi/2' is the double that NumPy calls π/2."""
+    assert Joint(name="j", type="revolute", alpha_rad=text).alpha_rad == angle_rad
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "-",
+        "90",
+        "90deg",
+        "pi/0",
+        "pi*2",
+        "pi/2/2",
+        "pi/pi",
+        "2pi",
+        "--pi",
+        "tau",
+        "nan*pi",
+        "pi/nan",
+        "inf*pi",
+        "pi/",
+        "*pi",
+    ],
+)
+def test_other_text_is_no_angle(text):
+    """Anything else is refused rather than read as something that was not meant."""
+    with pytest.raises(ValueError, match="alpha_rad"):
+        Joint(name="j", type="revolute", alpha_rad=text)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 179), st.integers(0, 179))
+def test_a_hue_may_wrap_around(first, last):
+    """Every pair of hues is a range, since red lies on both sides of 0."""
+    assert ColourRegion(hue=(first, last), min_area_px=1).hue == (first, last)
+
+
+def test_a_rotation_of_the_tool_becomes_a_transform(tmp_path):
+    """tool_rotation stands in the upper left of T_last_tool, and its absence is the identity."""
+    text = TEXT.replace("[robot]", "[robot]\ntool_rotation = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]", 1)
+    robot = load_text(tmp_path, text).robot
+    plain = load_profile().robot
+    assert robot is not None
+    assert plain is not None
+    np.testing.assert_array_equal(
+        robot.T_last_tool, [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    )
+    if plain.tool_rotation is None:
+        np.testing.assert_array_equal(plain.T_last_tool, np.eye(4))
+
+
+def test_a_missing_file_says_so(tmp_path):
+    """A path that does not exist is one line with the path and the reason; so is a folder."""
+    with pytest.raises(ProfileError, match=r"none\.toml: cannot read: No such file"):
+        load_profile(tmp_path / "none.toml")
+    with pytest.raises(ProfileError, match="cannot read: Is a directory"):
+        load_profile(tmp_path)
+
+
+def test_a_misspelt_name_lists_the_profiles():
+    """A name that does not ship names the nearest, all that ship, and that a path may be given."""
+    with pytest.raises(
+        ProfileError, match=r"no profile named psm31: did you mean psm13\? .*path to a \.toml"
+    ):
+        load_profile("psm31")
+
+
+def test_a_file_that_is_not_toml_says_where(tmp_path):
+    """Broken syntax is one line with the file, the line and the column."""
+    with pytest.raises(ProfileError, match=r"mine\.toml: not a TOML file: .*line 2, column 11"):
+        load_text(tmp_path, 'name = "x"\nhue = [1, = 2]\n')
+
+
+def test_a_file_that_is_not_utf_8_says_at_which_byte(tmp_path):
+    """Latin-1 text is named as such rather than read as something else."""
+    path = tmp_path / "latin.toml"
+    path.write_bytes('name = "Gerät"'.encode("latin-1"))
+    with pytest.raises(ProfileError, match=r"latin\.toml: not a TOML file: byte 11 is not UTF-8"):
+        load_profile(path)
+
+
+@pytest.mark.parametrize("name", ["ratoi", "rati", "ratioo"])
+def test_the_nearest_name_comes_first(name):
+    """A slip of the keyboard is answered with the word that was meant."""
+    assert did_you_mean(name, ["size_px", "ratio"]).startswith("did you mean ratio? ")
+
+
+def test_a_name_like_none_gets_the_choices_alone():
+    """Without a near name the choices are listed in order; without choices it says that."""
+    assert did_you_mean("xyz", ["b", "a"]) == "The choices are: a, b"
+    assert did_you_mean("xyz", []) == "There are none to choose from"
