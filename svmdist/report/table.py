@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from rich.console import Console
 from rich.table import Table as RichTable
@@ -33,6 +34,7 @@ def number(digits: int, factor: float = 1.0) -> Callable[[Cell], str]:
     """Show a number with a fixed count of digits, in another unit: `number(2, 1e3)` shows m as mm."""
 
     def show(value: Cell) -> str:
+        value = json_value(value)
         return f"{float(value) * factor:.{digits}f}" if isinstance(value, int | float) else "–"
 
     return show
@@ -45,9 +47,11 @@ def percent(digits: int) -> Callable[[Cell], str]:
 
 def rich_table(title: str, columns: Sequence[Column], rows: Iterable[Row]) -> RichTable:
     """Build the table for a person; text is printed as it stands, without markup."""
-    table = RichTable(title=title, title_justify="left", title_style="bold")
+    table = RichTable(title=Text(printable(title)), title_justify="left", title_style="bold")
     for column in columns:
-        table.add_column(column.heading, justify="left" if column.is_text else "right", overflow="fold")
+        # As Text: a plain "[mm]" would be taken for markup and vanish.
+        justify: Literal["left", "right"] = "left" if column.is_text else "right"
+        table.add_column(Text(column.heading), justify=justify, overflow="fold")
     for row in rows:
         table.add_row(*(Text(printable(column.show(row.get(column.key)))) for column in columns))
     return table
@@ -124,6 +128,8 @@ def _csv_cell(value: Cell) -> str:
     value = json_value(value)
     if value is None:
         return ""
+    if isinstance(value, float):
+        return repr(float(value))  # a NumPy float is one, and writes its type into its repr
     return csv_text(value) if isinstance(value, str) else repr(value)
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from rich.table import Table as RichTable
+from rich.text import Text
 
 from svmdist.report.table import Cell, Column, json_value, number, percent, rich_table
+from svmdist.report.text import printable
 from svmdist.workflows.validate import PAPER_R_SQUARED, Score, Validation
 
 SCHEMA = "svmdist.validation/1"
@@ -118,7 +120,9 @@ def validation_table(validation: Validation) -> RichTable:
     )
     table.add_section()
     for row in [_shown(score) for score in validation.overall]:
-        table.add_row(*(column.show(row.get(column.key)) for column in COLUMNS), style="bold")
+        table.add_row(
+            *(Text(printable(column.show(row.get(column.key)))) for column in COLUMNS), style="bold"
+        )
     return table
 
 
