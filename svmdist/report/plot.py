@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,17 +24,22 @@ MAX_GAP_IN_STEPS = 3.0
 def save_plot(validation: Validation, path: Path, reference: Reference | None = None) -> None:
     """Draw one panel a recording and write the figure in the format of the path's suffix.
 
-    Raises OutputError for a suffix matplotlib cannot write, and where writing fails.
+    Raises OutputError for a suffix matplotlib cannot write, for a reference that no recording has, and
+    where writing fails.
     """
     scores = _scores_to_draw(validation, reference)
+    if not scores:
+        raise OutputError(f"{path}: nothing to draw: no recording was compared with {reference}")
     figure = draw(scores)
-    formats = figure.canvas.get_supported_filetypes()
+    formats = set(figure.canvas.get_supported_filetypes()) - {"pgf"}  # which needs a TeX installation
     suffix = path.suffix.lstrip(".").lower()
     if suffix not in formats:
         raise OutputError(f"{path}: cannot draw a .{suffix}: the choices are {', '.join(sorted(formats))}")
     try:
         # SVG ids and dates would differ between two runs on the same data.
-        with mpl.rc_context({"svg.hashsalt": "svmdist"}):
+        with mpl.rc_context({"svg.hashsalt": "svmdist"}), warnings.catch_warnings():
+            # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
+            warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
             figure.savefig(path, dpi=150, metadata={"Date": None} if suffix == "svg" else None)
     except OSError as problem:
         raise OutputError(f"{path}: cannot write: {problem.strerror or problem}") from None
