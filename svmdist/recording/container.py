@@ -62,6 +62,7 @@ class Container:
         self.path = path
         self.definitions = Definitions(limits)
         self.tally = Tally()
+        self.loss_count = 0
         self._limits = limits
         self._health = health
         self._check = check or DataSectionCheck(path, limits)
@@ -184,6 +185,7 @@ class Container:
             channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(body)
             if channel_id not in self.definitions.channels or channel_id in self.definitions.ambiguous:
                 self.tally.lost_by_channel[channel_id] += 1
+                self.loss_count += 1
                 return
             self.tally.add_message(channel_id, log_time_ns)
             data = body[MESSAGE_HEAD.size :]
@@ -273,6 +275,7 @@ class Container:
             )
 
     def _lose(self, kind: LossKind, detail: str, offset: int | None = None) -> None:
+        self.loss_count += 1
         self._health.add(Loss(kind, detail, offset))
 
 

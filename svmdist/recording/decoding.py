@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
 from typing import Any
 
-from svmdist.recording import foxglove
+from svmdist.recording import foxglove, ros
 from svmdist.recording.checks import DecodeError, EncodedImage, checked_stamp_ns
+from svmdist.recording.foxglove_json import parse_json
 from svmdist.recording.limits import Limits
+from svmdist.recording.ros_wire import CdrWire, Ros1Wire
 from svmdist.recording.sources import RawMessage
+from svmdist.recording.video import VideoDecoder
 from svmdist.samples import Sample
 
 
@@ -23,50 +27,93 @@ class Kind(StrEnum):
     DISTANCE = "true distances"
 
 
-FOXGLOVE_KINDS = {
-    "foxglove.CompressedImage": Kind.IMAGE,
-    "foxglove.CameraCalibration": Kind.CAMERA,
-    "foxglove.JointStates": Kind.JOINTS,
-    "foxglove.PoseInFrame": Kind.POSE,
-    "foxglove.FrameTransform": Kind.TRANSFORMS,
-    "foxglove.FrameTransforms": Kind.TRANSFORMS,
-    "svmdist.GroundTruthDistance": Kind.DISTANCE,
+Converter = Callable[..., Sample | EncodedImage]
+
+FOXGLOVE: dict[str, tuple[Kind, Converter]] = {
+    "foxglove.CompressedImage": (Kind.IMAGE, foxglove.to_compressed_image),
+    "foxglove.RawImage": (Kind.IMAGE, foxglove.to_raw_image),
+    "foxglove.CompressedVideo": (Kind.IMAGE, foxglove.to_video_frame),
+    "foxglove.CameraCalibration": (Kind.CAMERA, foxglove.to_camera),
+    "foxglove.JointStates": (Kind.JOINTS, foxglove.to_joints),
+    "foxglove.PoseInFrame": (Kind.POSE, foxglove.to_pose),
+    "foxglove.FrameTransform": (Kind.TRANSFORMS, foxglove.to_transforms),
+    "foxglove.FrameTransforms": (Kind.TRANSFORMS, foxglove.to_transforms),
+    "svmdist.GroundTruthDistance": (Kind.DISTANCE, foxglove.to_distance),
 }
+ROS: dict[str, tuple[Kind, Converter]] = {
+    "sensor_msgs/Image": (Kind.IMAGE, ros.to_image),
+    "sensor_msgs/CompressedImage": (Kind.IMAGE, ros.to_compressed_image),
+    "sensor_msgs/CameraInfo": (Kind.CAMERA, ros.to_camera),
+    "sensor_msgs/JointState": (Kind.JOINTS, ros.to_joints),
+    "geometry_msgs/PoseStamped": (Kind.POSE, ros.to_pose),
+    "geometry_msgs/TransformStamped": (Kind.POSE, ros.to_transform_as_pose),
+    "tf2_msgs/TFMessage": (Kind.TRANSFORMS, ros.to_transforms),
+    "tf/tfMessage": (Kind.TRANSFORMS, ros.to_transforms),
+}
+SCHEMAS = {"protobuf": FOXGLOVE, "json": FOXGLOVE, "cdr": ROS, "ros1": ROS}
+WIRES = {"cdr": CdrWire, "ros1": Ros1Wire}
 
 
 def kind_of(schema: str, message_encoding: str) -> Kind | None:
     """Tell what a topic carries; None for a schema or an encoding that svmdist does not read."""
-    return FOXGLOVE_KINDS.get(schema) if message_encoding == "protobuf" else None
+    found = SCHEMAS.get(message_encoding, {}).get(_short(schema))
+    return None if found is None else found[0]
 
 
-def decode(raw: RawMessage, limits: Limits) -> Sample | EncodedImage:
-    """Turn a message into a sample; the pixels of an image stay encoded until they are asked for.
+class Decoder:
+    """Turns the messages of one pass over a log into samples; videos need one that goes on."""
 
-    Raises DecodeError for a message that is too large, malformed, or holds values that mean nothing.
-    """
-    checked_stamp_ns(raw.log_time_ns)
-    kind = kind_of(raw.schema, raw.message_encoding)
-    # The fields around an image take less than the smallest limit.
-    limit = limits.message_bytes + (limits.image_bytes if kind is Kind.IMAGE else 0)
-    if len(raw.data) > limit:
-        raise DecodeError(f"a message of {len(raw.data)} bytes, the limit is {limit}")
-    message = foxglove.parse_protobuf(raw)
-    return _convert(kind, message, raw.log_time_ns, limits)
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._videos: dict[str, VideoDecoder] = {}
+        self._failure_count = 0
+
+    def decode(self, raw: RawMessage) -> Sample | EncodedImage:
+        """Turn a message into a sample; the pixels of an image stay encoded until they are asked for.
+
+        Raises DecodeError for a message that is too large, malformed, or holds values that mean nothing.
+        """
+        try:
+            return self._decode(raw)
+        except DecodeError:
+            self._failure_count += 1
+            raise
+
+    def _decode(self, raw: RawMessage) -> Sample | EncodedImage:
+        checked_stamp_ns(raw.log_time_ns)
+        found = SCHEMAS.get(raw.message_encoding, {}).get(_short(raw.schema))
+        if found is None:
+            raise DecodeError(
+                f"schema {raw.schema!r} in {raw.message_encoding!r} is not one that svmdist reads"
+            )
+        kind, convert = found
+        limit = self._limit_bytes(kind, raw)
+        if len(raw.data) > limit:
+            raise DecodeError(f"a message of {len(raw.data)} bytes, the limit is {limit}")
+        message = self._parse(raw)
+        if kind is not Kind.IMAGE:
+            return convert(message, raw.log_time_ns)
+        if convert is foxglove.to_video_frame:
+            video = self._videos.setdefault(raw.topic, VideoDecoder(self._limits))
+            return convert(message, raw.log_time_ns, video, raw.losses_before + self._failure_count)
+        return convert(message, raw.log_time_ns, self._limits)
+
+    def _parse(self, raw: RawMessage) -> Any:
+        if raw.message_encoding in WIRES:
+            return WIRES[raw.message_encoding](raw.data)
+        return parse_json(raw) if raw.message_encoding == "json" else foxglove.parse_protobuf(raw)
+
+    def _limit_bytes(self, kind: Kind, raw: RawMessage) -> int:
+        if kind is not Kind.IMAGE:
+            return self._limits.message_bytes
+        if raw.message_encoding == "json":
+            return self._limits.json_bytes
+        # The fields around the pixels take less than a message that has none.
+        is_raw = _short(raw.schema) in {"foxglove.RawImage", "sensor_msgs/Image"}
+        pixels = 4 * self._limits.image_pixels if is_raw else self._limits.image_bytes
+        return pixels + self._limits.message_bytes
 
 
-def _convert(kind: Kind | None, message: Any, log_time_ns: int, limits: Limits) -> Sample | EncodedImage:
-    match kind:
-        case Kind.IMAGE:
-            return foxglove.to_compressed_image(message, log_time_ns, limits)
-        case Kind.CAMERA:
-            return foxglove.to_camera(message, log_time_ns)
-        case Kind.JOINTS:
-            return foxglove.to_joints(message, log_time_ns)
-        case Kind.POSE:
-            return foxglove.to_pose(message, log_time_ns)
-        case Kind.TRANSFORMS:
-            return foxglove.to_transforms(message, log_time_ns)
-        case Kind.DISTANCE:
-            return foxglove.to_distance(message, log_time_ns)
-        case None:
-            raise DecodeError("the schema is not one that svmdist reads")
+def _short(schema: str) -> str:
+    """Leave out the `/msg/` of ROS 2, which ROS 1 and some recorders do not write."""
+    return schema.replace("/msg/", "/", 1)

@@ -8,6 +8,7 @@ import zstandard
 from svmdist.recording.limits import Limits
 
 STEP_BYTES = 1 << 20
+ZSTD_HEAD_BYTES = 18
 
 
 class DecompressionError(ValueError):
@@ -29,6 +30,17 @@ def decompress(compression: str, data: memoryview, size_bytes: int, limits: Limi
 def decompress_prefix(compression: str, data: memoryview, size_bytes: int, limits: Limits) -> memoryview:
     """Expand as much of a cut chunk as its first bytes tell: an exact prefix of what was compressed."""
     return _expand(compression, data, size_bytes, limits)
+
+
+def decompress_message(data: bytes | memoryview, limit_bytes: int, limits: Limits) -> memoryview:
+    """Expand one message that was compressed on its own with zstd; it must declare its size."""
+    try:
+        size_bytes = zstandard.frame_content_size(bytes(data[:ZSTD_HEAD_BYTES]))
+    except zstandard.ZstdError as problem:
+        raise DecompressionError(f"not compressed with zstd: {problem}") from None
+    if not 0 <= size_bytes <= limit_bytes:
+        raise DecompressionError(f"a message of {size_bytes} bytes declared, the limit is {limit_bytes}")
+    return decompress("zstd", memoryview(data), size_bytes, limits)
 
 
 def _expand(compression: str, data: memoryview, size_bytes: int, limits: Limits) -> memoryview:

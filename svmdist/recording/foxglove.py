@@ -1,4 +1,4 @@
-"""Samples out of Foxglove's messages, and out of svmdist's own, in protobuf."""
+"""Samples out of Foxglove's messages, and out of svmdist's own, as protobuf objects."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError as ProtobufError
 
 from svmdist.recording.checks import (
@@ -27,7 +29,9 @@ from svmdist.recording.checks import (
 from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.recording.images import decode_still
 from svmdist.recording.limits import Limits
+from svmdist.recording.raw_images import decode_raw
 from svmdist.recording.sources import RawMessage
+from svmdist.recording.video import VideoDecoder
 from svmdist.samples import (
     CameraSample,
     DistanceSample,
@@ -43,6 +47,8 @@ MESSAGES: dict[str, Any] = {
     message.DESCRIPTOR.full_name: message
     for message in (
         CompressedImage,
+        CompressedVideo,
+        RawImage,
         CameraCalibration,
         JointStates,
         PoseInFrame,
@@ -72,6 +78,27 @@ def to_compressed_image(message: Any, log_time_ns: int, limits: Limits) -> Encod
     """Take over a foxglove.CompressedImage; its `format` is not believed, the data say what they are."""
     data = message.data
     return EncodedImage(stamp_of(message, log_time_ns), message.frame_id, lambda: decode_still(data, limits))
+
+
+def to_raw_image(message: Any, log_time_ns: int, limits: Limits) -> EncodedImage:
+    """Take over a foxglove.RawImage."""
+    size_px = (message.width, message.height)
+    encoding, step_bytes, data = message.encoding, message.step, message.data
+    return EncodedImage(
+        stamp_of(message, log_time_ns),
+        message.frame_id,
+        lambda: decode_raw(encoding, size_px, step_bytes, data, limits),
+    )
+
+
+def to_video_frame(message: Any, log_time_ns: int, video: VideoDecoder, loss_count: int) -> EncodedImage:
+    """Take over a foxglove.CompressedVideo; its frames must be decoded in order, each exactly once."""
+    video_format, data = message.format, message.data
+    return EncodedImage(
+        stamp_of(message, log_time_ns),
+        message.frame_id,
+        lambda: video.decode(video_format, data, loss_count),
+    )
 
 
 def to_camera(message: Any, log_time_ns: int) -> CameraSample:

@@ -13,7 +13,7 @@ from svmdist.recording.bodies import MalformedRecordError, parse
 from svmdist.recording.container import Container, MessageRecord
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.limits import Limits
-from svmdist.recording.sources import RawMessage, TopicInfo
+from svmdist.recording.sources import RawMessage, TopicInfo, merge_topics
 from svmdist.recording.summary import read_trusted_summary
 from svmdist.recording.vouching import DataSectionCheck
 from svmdist.recording.writer import METADATA_NAME
@@ -38,7 +38,7 @@ class McapSource:
             for _ in container.records():
                 pass
             definitions, counts = container.definitions, container.tally.messages_by_channel
-            self._topics = _merge(
+            self._topics = merge_topics(
                 TopicInfo(
                     channel.topic, definitions.schema_name(channel), channel.message_encoding, counts[key]
                 )
@@ -83,6 +83,7 @@ class McapSource:
                     record.log_time_ns,
                     record.data,
                     record.offset,
+                    container.loss_count,
                 )
 
     def _container(self) -> Container:
@@ -104,7 +105,7 @@ class McapSource:
         schemas = {key: schema.name for key, schema in summary.schemas.items()}
         if any(channel.schema_id not in {0, *schemas} for channel in summary.channels.values()):
             return None
-        return _merge(
+        return merge_topics(
             TopicInfo(
                 channel.topic,
                 schemas.get(channel.schema_id, ""),
@@ -113,14 +114,3 @@ class McapSource:
             )
             for key, channel in summary.channels.items()
         )
-
-
-def _merge(infos: Iterator[TopicInfo]) -> tuple[TopicInfo, ...]:
-    """Join channels that share topic, schema and encoding: several publishers of one topic."""
-    merged: dict[tuple[str, str, str], int | None] = {}
-    for info in infos:
-        key = (info.topic, info.schema, info.message_encoding)
-        known = merged.get(key, 0)
-        both = known is not None and info.message_count is not None
-        merged[key] = (known or 0) + (info.message_count or 0) if both else None
-    return tuple(TopicInfo(*key, count) for key, count in sorted(merged.items()))

@@ -5,14 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 from svmdist.errors import RecordingError
-from svmdist.recording.framing import MAGIC
+from svmdist.recording.framing import MAGIC as MCAP_MAGIC
 from svmdist.recording.limits import Limits
 from svmdist.recording.mcap_source import McapSource
+from svmdist.recording.rosbag1_records import MAGIC as ROSBAG_MAGIC
+from svmdist.recording.rosbag1_source import Rosbag1Source
+from svmdist.recording.rosbag2_source import METADATA_FILE, Rosbag2Source, SqliteSource, is_message_compressed
 from svmdist.recording.sources import Source
 
+SQLITE_MAGIC = b"SQLite format 3\x00"
+
 LOOKS_LIKE = {
-    b"#ROSBAG V": "a ROS 1 bag",
-    b"SQLite format 3\x00": "an SQLite database",
+    b"#ROSBAG V1": "a ROS bag of version 1, from before 2010",
     b"\x1f\x8b": "gzip-compressed",
     b"\x28\xb5\x2f\xfd": "zstd-compressed",
     b"\x04\x22\x4d\x18": "lz4-compressed",
@@ -26,26 +30,46 @@ LOOKS_LIKE = {
 }
 
 
+WHAT_IS_EXPECTED = "an MCAP file, a ROS 1 bag or a rosbag2 folder"
+
+
 def open_source(path: Path, limits: Limits) -> Source:
     """Open a recording; RecordingError says in one line why a path cannot be one."""
     try:
         if path.is_dir():
-            raise RecordingError(f"{path}: is a directory, expected an MCAP file")
+            if (path / METADATA_FILE).is_file():
+                return Rosbag2Source(path, limits)
+            detail = f"a directory without {METADATA_FILE}"
+            raise RecordingError(f"{path}: is {detail}; expected {WHAT_IS_EXPECTED}")
         if not path.exists():
             raise RecordingError(f"{path}: no such file")
         if not path.is_file():
-            raise RecordingError(f"{path}: is no regular file, which reading it twice needs")
+            raise RecordingError(f"{path}: is no regular file, and only one can be read more than once")
         with path.open("rb") as file:
             start = file.read(64)
     except (OSError, ValueError) as problem:
         raise RecordingError(
             f"{path}: cannot read: {getattr(problem, 'strerror', None) or problem}"
         ) from None
+    source = _open_file(path, start, limits)
+    if is_message_compressed(source):
+        raise RecordingError(
+            f"{path}: a rosbag2 file whose messages are compressed one by one;"
+            f" open the folder that holds it and its {METADATA_FILE}"
+        )
+    return source
+
+
+def _open_file(path: Path, start: bytes, limits: Limits) -> Source:
     if not start:
-        raise RecordingError(f"{path}: is empty, expected an MCAP file")
-    if start.startswith(MAGIC):
+        raise RecordingError(f"{path}: is empty; expected {WHAT_IS_EXPECTED}")
+    if start.startswith(MCAP_MAGIC):
         return McapSource(path, limits)
-    if MAGIC.startswith(start):
+    if start.startswith(ROSBAG_MAGIC):
+        return Rosbag1Source(path, limits)
+    if start.startswith(SQLITE_MAGIC):
+        return SqliteSource(path, limits)
+    if MCAP_MAGIC.startswith(start):
         raise RecordingError(
             f"{path}: truncated at byte {len(start)}, inside the first bytes of an MCAP file"
         )

@@ -13,7 +13,7 @@ from svmdist.camera import Camera
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
 from svmdist.recording.checks import DecodeError, EncodedImage, broken_image
-from svmdist.recording.decoding import decode
+from svmdist.recording.decoding import Decoder
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.images import ImageError
 from svmdist.recording.limits import Limits
@@ -193,14 +193,15 @@ class Recording:
 
     def _samples(self, *topics: str) -> Iterator[tuple[RawMessage, Sample | EncodedImage]]:
         """Decode the messages of some topics; one that cannot be decoded is a loss."""
+        decoder = Decoder(self._limits)
         for raw in self._source.messages(frozenset(topics)):
-            sample = self._decode(raw)
+            sample = self._decode(decoder, raw)
             if sample is not None:
                 yield raw, sample
 
-    def _decode(self, raw: RawMessage) -> Sample | EncodedImage | None:
+    def _decode(self, decoder: Decoder, raw: RawMessage) -> Sample | EncodedImage | None:
         try:
-            return decode(raw, self._limits)
+            return decoder.decode(raw)
         except DecodeError as problem:
             self._lose(LossKind.MESSAGE, str(problem), raw)
             return None
@@ -223,21 +224,14 @@ class Recording:
 
     def _images_and_joints(self, image_topic: str, *joint_topics: str) -> Iterator[LoggedImage | JointSample]:
         names: tuple[str, ...] | None = None
+        decoder = Decoder(self._limits)
         for raw in self._source.messages(frozenset({image_topic, *joint_topics})):
             if raw.topic == image_topic:
-                yield LoggedImage(raw.log_time_ns, raw.offset, self._encoded_image(raw))
+                yield LoggedImage(raw.log_time_ns, raw.offset, _encoded_image(decoder, raw))
                 continue
-            sample = self._decode(raw)
+            sample = self._decode(decoder, raw)
             if isinstance(sample, JointSample) and sample.names == (names := names or sample.names):
                 yield sample
-
-    def _encoded_image(self, raw: RawMessage) -> EncodedImage:
-        """Decode all but the pixels; a message that is broken becomes an image that is broken."""
-        try:
-            image = decode(raw, self._limits)
-        except DecodeError as error:
-            return broken_image(raw.log_time_ns, str(error))
-        return image if isinstance(image, EncodedImage) else broken_image(raw.log_time_ns, "no image")
 
     def _pixels(self, logged: LoggedImage, topic: str) -> ImageSample | Rejection:
         image = logged.image
@@ -249,3 +243,12 @@ class Recording:
 
     def _lose(self, kind: LossKind, detail: str, raw: RawMessage) -> None:
         self.health.add(Loss(kind, detail, raw.offset, raw.topic))
+
+
+def _encoded_image(decoder: Decoder, raw: RawMessage) -> EncodedImage:
+    """Decode all but the pixels; a message that is broken becomes an image that is broken."""
+    try:
+        image = decoder.decode(raw)
+    except DecodeError as error:
+        return broken_image(raw.log_time_ns, str(error))
+    return image if isinstance(image, EncodedImage) else broken_image(raw.log_time_ns, "no image")

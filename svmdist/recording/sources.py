@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -22,7 +22,10 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """A message as it stands in the file; `data` may be a view that must be copied to be kept."""
+    """A message as it stands in the file; `data` may be a view that must be copied to be kept.
+
+    `losses_before` counts what this pass has lost so far: where it grows, messages may be missing.
+    """
 
     topic: str
     schema: str
@@ -30,6 +33,7 @@ class RawMessage:
     log_time_ns: int
     data: bytes | memoryview
     offset: int | None = None
+    losses_before: int = 0
 
 
 class Source(Protocol):
@@ -46,3 +50,14 @@ class Source(Protocol):
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield the messages of some topics, or of all, in file order; nothing is kept in memory."""
+
+
+def merge_topics(infos: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
+    """Join channels that share topic, schema and encoding: several publishers of one topic."""
+    merged: dict[tuple[str, str, str], int | None] = {}
+    for info in infos:
+        key = (info.topic, info.schema, info.message_encoding)
+        known = merged.get(key, 0)
+        both = known is not None and info.message_count is not None
+        merged[key] = (known or 0) + (info.message_count or 0) if both else None
+    return tuple(TopicInfo(*key, count) for key, count in sorted(merged.items()))

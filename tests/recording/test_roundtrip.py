@@ -16,7 +16,7 @@ from hypothesis.extra.numpy import arrays
 
 from svmdist.profile import Profile
 from svmdist.recording.checks import EncodedImage
-from svmdist.recording.decoding import decode
+from svmdist.recording.decoding import Decoder
 from svmdist.recording.encoding import encode, message_type
 from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthDistance
 from svmdist.recording.limits import Limits
@@ -47,7 +47,7 @@ lengths = st.floats(-1e3, 1e3)
 def there_and_back(sample: Sample) -> Any:
     """Encode and decode a sample."""
     schema = message_type(type(sample)).name
-    return decode(RawMessage("/t", schema, "protobuf", sample.stamp_ns, encode(sample)), Limits())
+    return Decoder(Limits()).decode(RawMessage("/t", schema, "protobuf", sample.stamp_ns, encode(sample)))
 
 
 @st.composite
