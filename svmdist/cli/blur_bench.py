@@ -20,6 +20,8 @@ from svmdist.cli.options import (
     ProfileOption,
     TableFormat,
     TableFormatOption,
+    TopicOption,
+    topics_of,
 )
 from svmdist.errors import UsageError, did_you_mean
 
@@ -37,6 +39,7 @@ def blur_bench_command(
     ] = None,
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
+    topic: TopicOption = None,
     form: TableFormatOption = TableFormat.TABLE,
     output: OutputOption = None,
 ) -> None:
@@ -57,7 +60,9 @@ def blur_bench_command(
         kernel or [], [str(blur) for blur in DEFAULT_KERNELS_PX]
     )
     setup = prepare(profile, "overlay", "corrected", calibration)
-    recordings = [open_recording(path, setup.profile) for path in files_or_golden(files)]
+    recordings = [
+        open_recording(path, setup.profile, topics=topics_of(topic)) for path in files_or_golden(files)
+    ]
     measured = blur_bench(recordings, setup, {blur: kernels_px[str(blur)] for blur in DEFAULT_KERNELS_PX})
     rows = [blur_row(row) for row in measured]
     match form:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from svmdist.cli.console import report_health, require_output_folder, say
-from svmdist.cli.options import Files, Method, MethodOption, ProfileOption
+from svmdist.cli.options import Files, Method, MethodOption, ProfileOption, TopicOption, topics_of
 from svmdist.errors import UsageError
 
 
@@ -22,6 +22,7 @@ def calibrate_command(
     ],
     method: MethodOption = Method.OVERLAY,
     profile: ProfileOption = "psm13",
+    topic: TopicOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
 ) -> None:
     """Fit the mapping from pixels to the plane.
@@ -37,7 +38,7 @@ def calibrate_command(
     if output.exists() and not force:
         raise UsageError(f"{output} exists; --force replaces it")
     loaded = load_profile(profile)
-    recordings = [open_recording(path, loaded) for path in files]
+    recordings = [open_recording(path, loaded, topics=topics_of(topic)) for path in files]
     calibration = calibrate(recordings, loaded, method.value)
     save_calibration(calibration, output)
     fit = calibration.fit

@@ -20,6 +20,8 @@ from svmdist.cli.options import (
     ProfileOption,
     RowFormat,
     RowFormatOption,
+    TopicOption,
+    topics_of,
 )
 
 if TYPE_CHECKING:
@@ -34,6 +36,7 @@ def estimate_command(
     equations: EquationsOption = EquationsChoice.CORRECTED,
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
+    topic: TopicOption = None,
     form: RowFormatOption = RowFormat.TABLE,
     output: OutputOption = None,
 ) -> None:
@@ -43,7 +46,7 @@ def estimate_command(
 
     require_output_folder(output)
     setup = prepare(profile, method.value, equations.value, calibration)
-    recordings = [open_recording(path, setup.profile) for path in files]
+    recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in files]
     tally: Counter[str] = Counter()
     write_lines(_lines(form, _rows(recordings, setup, tally)), output)
     _summarise(tally)

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from svmdist.errors import UsageError
+
 
 class Method(StrEnum):
     """`--method`: the paper's, or its ablation."""
@@ -49,6 +51,15 @@ OptionalFiles = Annotated[
         metavar="[FILE]...", help="Recordings; without any, every .mcap in recordings/.", show_default=False
     ),
 ]
+TopicOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="ROLE=TOPIC",
+        help="Topic for a role (image, camera_info, joints, pose, tf, …), over the profile's; may be repeated.",
+        show_default=False,
+    ),
+]
 MethodOption = Annotated[
     Method,
     typer.Option("--method", help="overlay: the paper's virtual marker; centroid: the same without marker."),
@@ -77,3 +88,14 @@ OutputOption = Annotated[
 ]
 TableFormatOption = Annotated[TableFormat, typer.Option("--format", "-f", help="Form of the data.")]
 RowFormatOption = Annotated[RowFormat, typer.Option("--format", "-f", help="Form of the data.")]
+
+
+def topics_of(options: list[str] | None) -> dict[str, str]:
+    """Parse ROLE=TOPIC options; raises UsageError. Whether the role exists is checked when a log is opened."""
+    topics = {}
+    for option in options or []:
+        role, equals, topic = option.partition("=")
+        if not (role and equals and topic):
+            raise UsageError(f"--topic {option}: expected ROLE=TOPIC, as in image=/left/image_raw")
+        topics[role] = topic
+    return topics

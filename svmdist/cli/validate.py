@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -27,11 +29,15 @@ from svmdist.cli.options import (
     ProfileOption,
     TableFormat,
     TableFormatOption,
+    TopicOption,
+    topics_of,
 )
+from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
     from svmdist.workflows.validate import Validation
 
+MAX_LAG_S = 3600.0
 PlotOption = Annotated[
     Path | None,
     typer.Option(
@@ -53,6 +59,50 @@ WriteBaselineOption = Annotated[
 ]
 
 
+LagOption = Annotated[
+    str,
+    typer.Option(
+        "--lag",
+        metavar="auto|SECONDS",
+        help="Offset of the image stamps, positive when they are late; auto estimates it.",
+    ),
+]
+
+
+class TruthChoice(StrEnum):
+    """`--truth`."""
+
+    GROUND_TRUTH = "ground_truth"
+    TF = "tf"
+    POSE = "pose"
+    KINEMATICS = "kinematics"
+
+
+TruthOption = Annotated[
+    list[TruthChoice] | None,
+    typer.Option(
+        "--truth",
+        help="Reference to compare with; may be repeated. Default: all the log has.",
+        show_default=False,
+    ),
+]
+TruthTfOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--truth-tf",
+        metavar="PARENT:CHILD",
+        help="Transform to take as the truth of tool or tissue, as camera:tool; twice for both.",
+        show_default=False,
+    ),
+]
+MaxGapOption = Annotated[
+    float,
+    typer.Option(
+        "--max-gap", min=0.0, max=60.0, help="Longest gap in the truth to interpolate across, in s."
+    ),
+]
+
+
 def validate_command(
     files: OptionalFiles = None,
     method: MethodOption = Method.OVERLAY,
@@ -61,6 +111,11 @@ def validate_command(
     profile: ProfileOption = "psm13",
     form: TableFormatOption = TableFormat.TABLE,
     output: OutputOption = None,
+    topic: TopicOption = None,
+    truth: TruthOption = None,
+    truth_tf: TruthTfOption = None,
+    max_gap: MaxGapOption = 0.1,
+    lag: LagOption = "0",
     save_plot: PlotOption = None,
     baseline: BaselineOption = None,
     write_baseline: WriteBaselineOption = None,
@@ -73,6 +128,7 @@ def validate_command(
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.baseline import find_regressions, load_baseline, make_baseline, save_baseline
     from svmdist.workflows.setup import prepare
+    from svmdist.workflows.truth import Reference, truth_rules
     from svmdist.workflows.validate import validate
 
     for target in (output, save_plot, write_baseline):
@@ -80,8 +136,10 @@ def validate_command(
     paths = files_or_golden(files)
     stored = load_baseline(baseline) if baseline else None
     setup = prepare(profile, method.value, equations.value, calibration)
-    recordings = [open_recording(path, setup.profile) for path in paths]
-    result = validate(recordings, setup)
+    references = tuple(Reference(choice.value) for choice in dict.fromkeys(truth)) if truth else None
+    rules = truth_rules(tuple(truth_tf or ()), setup.profile, references, round(max_gap * 1e9))
+    recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in paths]
+    result = validate(recordings, setup, rules, _parse_lag(lag))
     _write(result, form, output)
     if save_plot:
         from svmdist.report.plot import save_plot as draw_to
@@ -99,6 +157,19 @@ def validate_command(
         else:
             say(f"svmdist: no figure is worse than in {baseline}")
     raise typer.Exit(code)
+
+
+def _parse_lag(text: str) -> float | Literal["auto"]:
+    """A number of seconds, or auto; raises UsageError."""
+    if text == "auto":
+        return "auto"
+    try:
+        lag_s = float(text)
+    except ValueError:
+        lag_s = math.nan
+    if not abs(lag_s) <= MAX_LAG_S:
+        raise UsageError(f"--lag {text}: expected auto or seconds within ±{MAX_LAG_S:g}, as in 0.12")
+    return lag_s
 
 
 def _write(result: Validation, form: TableFormat, output: Path | None) -> None:

@@ -7,6 +7,8 @@ from typing import Any
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from svmdist.estimation.lag import LagEstimate
+from svmdist.metrics import ErrorStatistics
 from svmdist.report.table import Cell, Column, json_value, number, percent, rich_table
 from svmdist.report.text import printable
 from svmdist.workflows.validate import PAPER_R_SQUARED, Score, Validation
@@ -38,6 +40,10 @@ VALIDATION_KEYS = (
     "r_squared_high",
     "fitted_on",
     "rejected",
+    "lag_s",
+    "lag_confidence",
+    "r_squared_uncorrected",
+    "rmse_uncorrected_m",
 )
 """Columns of the CSV. In JSON `rejected` is an object of counts by reason."""
 
@@ -69,6 +75,7 @@ PAPER_NOTE = (
 def score_row(score: Score) -> dict[str, Cell]:
     """One score in SI, flat, with the keys of `VALIDATION_KEYS`."""
     statistics, rmse, r2 = score.statistics, score.rmse_interval_m, score.r_squared_interval
+    lag, uncorrected = score.lag, score.uncorrected
     return {
         "recording": score.recording,
         "method": score.method,
@@ -94,6 +101,10 @@ def score_row(score: Score) -> dict[str, Cell]:
         "r_squared_high": r2.high if r2 else None,
         "fitted_on": score.fitted_on,
         "rejected": " ".join(f"{reason}={count}" for reason, count in score.rejected.items()),
+        "lag_s": lag.lag_s if lag else None,
+        "lag_confidence": lag.confidence if lag else None,
+        "r_squared_uncorrected": uncorrected.r_squared if uncorrected else None,
+        "rmse_uncorrected_m": uncorrected.rmse if uncorrected else None,
     }
 
 
@@ -134,11 +145,21 @@ def _shown(score: Score) -> dict[str, Cell]:
         remarks.append(f"{score.unpaired_count} unpaired")
     if score.fitted_on:
         remarks.insert(0, "fitted on, not in overall")
+    if score.lag and score.lag.lag_s != 0.0 and score.uncorrected:
+        remarks.append(_lag_remark(score.lag, score.uncorrected))
     return row | {
         "rmse_interval": f"{rmse.low * 1e3:.3f} … {rmse.high * 1e3:.3f}" if rmse else "–",
         "r_squared_interval": f"{r2.low:.4f} … {r2.high:.4f}" if r2 else "–",
         "remark": ", ".join(remarks),
     }
+
+
+def _lag_remark(lag: LagEstimate, uncorrected: ErrorStatistics) -> str:
+    before = "–" if uncorrected.r_squared is None else f"{uncorrected.r_squared:.4f}"
+    return (
+        f"lag {lag.lag_s * 1e3:+.1f} ms (confidence {lag.confidence:.2f});"
+        f" before: R² {before}, RMSE {uncorrected.rmse * 1e3:.3f} mm"
+    )
 
 
 def _json_score(score: Score) -> dict[str, Any]:

@@ -1,20 +1,22 @@
-"""The references that estimates are held against: kinematics as in the paper, and the simulator's truth."""
+"""The references that estimates are held against: simulator's truth, kinematics, transforms or poses of the log."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.errors import RecordingError
+from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.equations import Equations
 from svmdist.kinematics import paper
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
+from svmdist.tracks import MAX_GAP_NS, PoseTrack, Sampled, TransformTrack
 from svmdist.transforms import Array
 
 KINEMATICS_PRINTED_NOTE = (
@@ -24,10 +26,68 @@ KINEMATICS_PRINTED_NOTE = (
 
 
 class Reference(StrEnum):
-    """What is taken for the truth."""
+    """What is taken for the truth, the strongest first."""
 
     GROUND_TRUTH = "ground_truth"
+    """svmdist's own truth, from the simulator."""
+    TF = "tf"
+    """A pair of transforms of the log, as a tracking system publishes them."""
+    POSE = "pose"
+    """A pose topic for the tool, as CRTK's measured_cp."""
     KINEMATICS = "kinematics"
+    """DH kinematics of the log's joint states: eqs. (31)–(35), as in the paper."""
+
+
+PoseAt = Callable[[NDArray[np.int64]], Sampled]
+"""Stamps, shape (n,), to poses, shape (n, 4, 4), and which of them are known."""
+
+FramePair = tuple[str, str]
+"""Parent and child frame of a transform."""
+
+
+@dataclass(frozen=True, slots=True)
+class TruthRules:
+    """Which references to use, and where their parts come from.
+
+    `references` None means: every one the log has, of ground truth and kinematics; of tf instead of ground
+    truth where its frames are named. `tool_frames` and `tissue_frames` name transforms from the camera
+    (parent, child) to tool and tissue.
+    """
+
+    references: tuple[Reference, ...] | None = None
+    tool_frames: FramePair | None = None
+    tissue_frames: FramePair | None = None
+    max_gap_ns: int = MAX_GAP_NS
+
+    @property
+    def wanted(self) -> tuple[Reference, ...]:
+        """The references to try."""
+        if self.references is not None:
+            return self.references
+        if self.tool_frames is not None:
+            return (Reference.TF, Reference.KINEMATICS)
+        return (Reference.GROUND_TRUTH, Reference.KINEMATICS)
+
+
+def truth_rules(
+    pairs: tuple[str, ...],
+    profile: Profile,
+    references: tuple[Reference, ...] | None,
+    max_gap_ns: int = MAX_GAP_NS,
+) -> TruthRules:
+    """Make rules from `parent:child` texts: the child that is the profile's tissue frame is the tissue.
+
+    With two pairs and neither child the profile's tissue, the first is the tool, the second the tissue.
+    Raises UsageError for a text of another form.
+    """
+    frames = [_parse_pair(pair) for pair in pairs]
+    if len(frames) > 2:
+        raise UsageError(f"--truth-tf names the tool and the tissue: two at most, found {len(frames)}")
+    tissue = next((pair for pair in frames if pair[1] == profile.frames.tissue), None)
+    if tissue is None and len(frames) == 2:
+        tissue = frames[1]
+    tool = next((pair for pair in frames if pair is not tissue), None)
+    return TruthRules(references, tool, tissue, max_gap_ns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,40 +104,96 @@ def planar_truth(
     reference: Reference,
     stamps_ns: NDArray[np.int64],
     equations: Equations = "corrected",
+    rules: TruthRules | None = None,
 ) -> PlanarTruth:
     """Planar distances between tool and tissue by a reference, interpolated to stamps, never extrapolated.
 
     Raises RecordingError or KinematicsError where the log has no such reference.
     """
+    rules = rules or TruthRules()
     if reference is Reference.GROUND_TRUTH:
-        return _from_simulator(recording, stamps_ns)
-    return _from_kinematics(recording, profile, stamps_ns, equations)
+        truth = recording.distance_track().at(stamps_ns, rules.max_gap_ns)
+        return PlanarTruth(truth.planar_m, truth.valid)
+    if reference is Reference.KINEMATICS and equations == "printed":
+        return _from_printed_kinematics(recording, profile, stamps_ns, rules)
+    tool = tool_track(recording, profile, reference, rules)(stamps_ns)
+    tissue = _tissue_track(recording, profile, rules).at(stamps_ns, rules.max_gap_ns)
+    displacement_cm = paper.displacement_cm_corrected(tool.values[:, :3, 3], tissue.values[:, :3, 3])
+    return PlanarTruth(paper.planar_distance_cm(displacement_cm) / 100.0, tool.valid & tissue.valid)
 
 
-def _from_simulator(recording: Recording, stamps_ns: NDArray[np.int64]) -> PlanarTruth:
-    truth = recording.distance_track().at(stamps_ns)
-    return PlanarTruth(truth.planar_m, truth.valid)
+def tool_track(
+    recording: Recording, profile: Profile, reference: Reference, rules: TruthRules | None = None
+) -> PoseAt:
+    """`T_camera_tool` by a reference, as a function of stamps, shape (n,), to values of shape (n, 4, 4).
+
+    The log is read once, here. Raises RecordingError or KinematicsError where it has no such reference.
+    """
+    rules = rules or TruthRules()
+    frames, gap_ns = profile.frames, rules.max_gap_ns
+    if reference is Reference.GROUND_TRUTH:
+        return _at(recording.transform_track(frames.camera, frames.tool, ground_truth=True), gap_ns)
+    if reference is Reference.TF:
+        return _at(recording.transform_track(*(rules.tool_frames or (frames.camera, frames.tool))), gap_ns)
+    if reference is Reference.POSE:
+        poses = recording.pose_track()
+        return _in_camera(recording, profile, poses.frame_id, _at(poses, gap_ns), gap_ns)
+    return _in_camera(recording, profile, frames.base, kinematic_track(recording, profile, gap_ns), gap_ns)
 
 
-def _from_kinematics(
-    recording: Recording, profile: Profile, stamps_ns: NDArray[np.int64], equations: Equations
-) -> PlanarTruth:
-    """eqs. (31)–(35): the chain from camera to tool, and its distance from the tissue in the camera's plane."""
+def kinematic_track(recording: Recording, profile: Profile, max_gap_ns: int = MAX_GAP_NS) -> PoseAt:
+    """`T_base_tool` by DH kinematics of the measured joints, eq. (31), as a function of stamps."""
     if profile.robot is None:
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)
     joints = recording.joint_track()
-    q = joints.at(stamps_ns)
-    T_base_tool = forward_kinematics(chain, select_joints(chain, joints.names, q.values))
-    if equations == "printed":
-        # The translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
-        displacement_cm = paper.displacement_cm_printed(T_base_tool[:, :3, 3])
-        return PlanarTruth(paper.planar_distance_cm(displacement_cm) / 100.0, q.valid)
-    frames = profile.frames
-    camera_base = recording.transform_track(frames.camera, frames.base).at(stamps_ns)
-    tissue = recording.transform_track(frames.camera, frames.tissue, ground_truth=True).at(stamps_ns)
-    T_camera_tool = camera_base.values @ T_base_tool
-    displacement_cm = paper.displacement_cm_corrected(T_camera_tool[:, :3, 3], tissue.values[:, :3, 3])
-    return PlanarTruth(
-        paper.planar_distance_cm(displacement_cm) / 100.0, q.valid & camera_base.valid & tissue.valid
-    )
+    select_joints(chain, joints.names, joints.positions[:1])  # says at once which joints are missing
+
+    def at(stamps_ns: NDArray[np.int64]) -> Sampled:
+        q = joints.at(stamps_ns, max_gap_ns)
+        return Sampled(forward_kinematics(chain, select_joints(chain, joints.names, q.values)), q.valid)
+
+    return at
+
+
+def _at(track: TransformTrack | PoseTrack, max_gap_ns: int) -> PoseAt:
+    return lambda stamps_ns: track.at(stamps_ns, max_gap_ns)
+
+
+def _in_camera(recording: Recording, profile: Profile, frame: str, tool: PoseAt, max_gap_ns: int) -> PoseAt:
+    """From a frame to the camera, by the transforms that the log believes."""
+    if frame == profile.frames.camera:
+        return tool
+    camera_frame = recording.transform_track(profile.frames.camera, frame)
+
+    def at(stamps_ns: NDArray[np.int64]) -> Sampled:
+        T_camera_frame, T_frame_tool = camera_frame.at(stamps_ns, max_gap_ns), tool(stamps_ns)
+        return Sampled(T_camera_frame.values @ T_frame_tool.values, T_camera_frame.valid & T_frame_tool.valid)
+
+    return at
+
+
+def _tissue_track(recording: Recording, profile: Profile, rules: TruthRules) -> TransformTrack:
+    """From the named transform, else from the simulator's truth."""
+    if rules.tissue_frames is not None:
+        return recording.transform_track(*rules.tissue_frames)
+    return recording.transform_track(profile.frames.camera, profile.frames.tissue, ground_truth=True)
+
+
+def _from_printed_kinematics(
+    recording: Recording, profile: Profile, stamps_ns: NDArray[np.int64], rules: TruthRules
+) -> PlanarTruth:
+    """eqs. (33)–(35) to the letter, on the tool in the base frame, which the identity for (28) leaves.
+
+    The translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
+    """
+    T_base_tool = kinematic_track(recording, profile, rules.max_gap_ns)(stamps_ns)
+    displacement_cm = paper.displacement_cm_printed(T_base_tool.values[:, :3, 3])
+    return PlanarTruth(paper.planar_distance_cm(displacement_cm) / 100.0, T_base_tool.valid)
+
+
+def _parse_pair(text: str) -> FramePair:
+    parent, colon, child = text.partition(":")
+    if not (parent and colon and child) or ":" in child:
+        raise UsageError(f"--truth-tf {text}: expected PARENT:CHILD, as in camera:tool")
+    return parent, child

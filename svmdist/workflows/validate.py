@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.equations import Equations
+from svmdist.estimation.lag import LagEstimate
 from svmdist.metrics import ErrorStatistics, Interval, bootstrap_intervals, coverage, error_statistics
 from svmdist.recording.reader import Recording
 from svmdist.samples import Estimate
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import estimate
+from svmdist.workflows.lag import Lag, recording_lag
 from svmdist.workflows.setup import Setup
-from svmdist.workflows.truth import KINEMATICS_PRINTED_NOTE, Reference, planar_truth
+from svmdist.workflows.truth import KINEMATICS_PRINTED_NOTE, Reference, TruthRules, planar_truth
 
 BOOTSTRAP_SEED = 36
 PAPER_R_SQUARED = 0.78
@@ -38,7 +40,8 @@ class Score:
     """How one method did on one recording, or on all of them, against one reference.
 
     `sample_count` pairs were scored; of `frame_count` frames, `rejected` were not measured, by reason,
-    and `unpaired_count` were measured where the reference has no value. Lengths in m.
+    and `unpaired_count` were measured where the reference has no value. Lengths in m. `lag` was taken off
+    the image stamps before pairing; `uncorrected` are the statistics without that.
     """
 
     recording: str
@@ -53,6 +56,8 @@ class Score:
     rmse_interval_m: Interval | None
     r_squared_interval: Interval | None
     pairs: Pairs = field(repr=False)
+    lag: LagEstimate | None = None
+    uncorrected: ErrorStatistics | None = None
 
     @property
     def sample_count(self) -> int:
@@ -80,25 +85,27 @@ class Validation:
 
     @property
     def primary(self) -> Score | None:
-        """The overall score against the strongest reference there is: the simulator's truth, else kinematics."""
+        """The overall score against the strongest reference there is, in the order of `Reference`."""
         by_reference = {score.reference: score for score in self.overall}
-        return by_reference.get(Reference.GROUND_TRUTH) or by_reference.get(Reference.KINEMATICS)
+        return next((by_reference[reference] for reference in Reference if reference in by_reference), None)
 
 
 def validate(
-    recordings: Sequence[Recording], setup: Setup, references: Sequence[Reference] = tuple(Reference)
+    recordings: Sequence[Recording], setup: Setup, rules: TruthRules | None = None, lag: Lag = 0.0
 ) -> Validation:
     """Score a setup on recordings against each reference that they have.
 
-    Recordings the calibration was fitted on are scored, marked, and left out of the overall score.
-    Raises RecordingError where a recording has no reference at all.
+    `lag` in s is taken off the image stamps, or estimated first. Recordings the calibration was fitted on
+    are scored, marked, and left out of the overall score. Raises RecordingError where a recording has no
+    reference at all.
     """
+    rules = rules or TruthRules()
     scores: list[Score] = []
     notes: list[str] = []
     for recording in recordings:
-        scores += _score_recording(recording, setup, references, notes)
+        scores += _score_recording(recording, setup, rules, lag, notes)
     overall = []
-    for reference in references:
+    for reference in rules.wanted:
         counted = [score for score in scores if score.reference is reference and not score.fitted_on]
         if counted:
             overall.append(_pool(counted))
@@ -106,16 +113,19 @@ def validate(
 
 
 def _score_recording(
-    recording: Recording, setup: Setup, references: Sequence[Reference], notes: list[str]
+    recording: Recording, setup: Setup, rules: TruthRules, lag: Lag, notes: list[str]
 ) -> list[Score]:
-    notes += [f"{note}" for note in setup.degeneracies(recording.camera)]
+    notes += setup.degeneracies(recording.camera)
     rows = list(estimate(recording, setup.estimator_for(recording)))
     if not rows:
         raise RecordingError(f"{recording.name}: there is no image to measure")
+    offset = _resolve_lag(rows, recording, setup, rules, lag)
+    if not offset.told:
+        notes.append(f"{recording.name}: the lag cannot be told and 0 is used: {offset.reason}")
     scores, missing = [], []
-    for reference in references:
+    for reference in rules.wanted:
         try:
-            scores.append(score_rows(rows, recording, setup, reference))
+            scores.append(score_rows(rows, recording, setup, reference, rules, offset))
         except (RecordingError, KinematicsError) as problem:
             missing.append(f"{recording.name}: no {reference} to compare with: {problem}")
     if not scores:
@@ -126,22 +136,50 @@ def _score_recording(
     return scores
 
 
-def score_rows(rows: Sequence[Estimate], recording: Recording, setup: Setup, reference: Reference) -> Score:
+def _resolve_lag(
+    rows: Sequence[Estimate], recording: Recording, setup: Setup, rules: TruthRules, lag: Lag
+) -> LagEstimate:
+    """The lag that was asked for, known for sure; or an estimate of it."""
+    if lag == "auto":
+        return recording_lag(rows, recording, setup.profile, rules)
+    return LagEstimate(float(lag), None, 1.0)
+
+
+def score_rows(
+    rows: Sequence[Estimate],
+    recording: Recording,
+    setup: Setup,
+    reference: Reference,
+    rules: TruthRules | None = None,
+    lag: LagEstimate | None = None,
+) -> Score:
     """Score the estimates of one recording, shape (n_frames,), against one reference."""
     measured = [row for row in rows if row.measured]
     stamps_ns = np.array([row.stamp_ns for row in measured], np.int64)
     distance_m = np.array([row.distance_m for row in measured], np.float64)
-    truth = planar_truth(recording, setup.profile, reference, stamps_ns, setup.equations)
-    pairs = Pairs(stamps_ns[truth.valid], distance_m[truth.valid], truth.planar_m[truth.valid])
+
+    def pair(lag_s: float) -> tuple[Pairs, int]:
+        shifted_ns = stamps_ns - round(lag_s * 1e9)
+        truth = planar_truth(recording, setup.profile, reference, shifted_ns, setup.equations, rules)
+        valid = truth.valid
+        return Pairs(shifted_ns[valid], distance_m[valid], truth.planar_m[valid]), int(
+            np.count_nonzero(~valid)
+        )
+
+    lag_s = lag.lag_s if lag else 0.0
+    pairs, unpaired_count = pair(lag_s)
+    uncorrected = pairs if lag_s == 0.0 else pair(0.0)[0]
     return _score(
         pairs,
+        uncorrected=uncorrected,
+        lag=lag,
         recording=recording.name,
         setup_method=setup.method,
         equations=setup.equations,
         reference=reference,
         frame_count=len(rows),
         rejected=Counter(str(row.status) for row in rows if not row.measured),
-        unpaired_count=int(np.count_nonzero(~truth.valid)),
+        unpaired_count=unpaired_count,
         fitted_on=setup.was_fitted_on(recording),
     )
 
@@ -158,6 +196,8 @@ def _pool(scores: Sequence[Score]) -> Score:
         rejected.update(score.rejected)
     return _score(
         pairs,
+        uncorrected=None,
+        lag=None,
         recording="overall",
         setup_method=scores[0].method,
         equations=scores[0].equations,
@@ -172,6 +212,8 @@ def _pool(scores: Sequence[Score]) -> Score:
 def _score(
     pairs: Pairs,
     *,
+    uncorrected: Pairs | None,
+    lag: LagEstimate | None,
     recording: str,
     setup_method: str,
     equations: Equations,
@@ -195,4 +237,6 @@ def _score(
         rmse_interval_m,
         r_squared_interval,
         pairs,
+        lag,
+        error_statistics(uncorrected.estimate_m, uncorrected.truth_m) if uncorrected else None,
     )

@@ -1,0 +1,150 @@
+"""The lag between image and kinematic stamps: found by moving one against the other until they agree.
+
+The tool's track in the image is compared with the track that kinematics predict for it, shifted by a
+candidate lag. The two differ by more than time: a wrong camera-to-base transform turns, scales and shifts
+the prediction. A 2x3 affine map, held near the identity by a prior, takes that up, so that only what moves
+in step decides. For each lag the best map is a linear least-squares fit (a profile likelihood).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.transforms import Array
+
+Predict = Callable[[NDArray[np.int64]], tuple[Array, NDArray[np.bool_]]]
+"""Stamps, shape (n,), to the tool's predicted pixels, shape (n, 2), and which of them are known, (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class LagRules:
+    """How a lag is searched for and when it is believed."""
+
+    max_lag_s: float = 3.0
+    coarse_step_s: float = 0.01
+    """The track of a hand-held tool hardly turns within 10 ms, so that no minimum is stepped over."""
+    min_pairs: int = 12
+    min_motion_px: float = 4.0
+    """Standard deviation of the predicted track below which noise could pass for motion."""
+    map_std: float = 0.2
+    """Prior of the affine map's four factors about the identity: a turn or scale of some 10°, or 20 %."""
+    pixel_std: float = 1.0
+    """What segmentation leaves of noise in a position; weighs the prior."""
+    max_std_s: float = 0.02
+    """A lag less certain than this is not told."""
+    rival_distance_s: float = 0.15
+    """Minima further away than this are other answers, not the same one."""
+    min_confidence: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class LagEstimate:
+    """A lag in s, positive when the image stamps are late, with its standard deviation.
+
+    `confidence` in [0, 1] is how much better the best lag explains the images than the best lag elsewhere:
+    1 - J_best / J_rival. Where the lag cannot be told, it is 0 and `reason` says why.
+    """
+
+    lag_s: float
+    std_s: float | None
+    confidence: float
+    reason: str = ""
+
+    @property
+    def told(self) -> bool:
+        """Whether the motion was enough to tell."""
+        return not self.reason
+
+
+def estimate_lag(
+    stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict, rules: LagRules | None = None
+) -> LagEstimate:
+    """Estimate the lag from where the tool was seen, shape (n, 2) in px, at image stamps, shape (n,)."""
+    rules = rules or LagRules()
+    if len(stamps_ns) < rules.min_pairs:
+        return _untold(f"{len(stamps_ns)} measured frames; {rules.min_pairs} are needed")
+    still = float(np.sqrt(np.mean(np.var(seen_px, axis=0))))
+    if still < rules.min_motion_px:
+        return _untold(
+            f"the tool moves by {still:.1f} px in the image; {rules.min_motion_px:g} px are needed"
+        )
+    objective = _Objective(stamps_ns, seen_px, predict, rules)
+    lags_s = np.arange(-rules.max_lag_s, rules.max_lag_s + rules.coarse_step_s / 2, rules.coarse_step_s)
+    costs = np.array([objective(lag_s) for lag_s in lags_s])
+    if not np.isfinite(costs).any():
+        return _untold("images and kinematics do not overlap in time")
+    best = int(np.nanargmin(np.where(np.isfinite(costs), costs, np.nan)))
+    lag_s = _refine(objective, float(lags_s[best]), rules.coarse_step_s)
+    cost = objective(lag_s)
+    rivals = costs[np.abs(lags_s - lag_s) > rules.rival_distance_s]
+    rival = float(np.min(rivals, initial=np.inf))
+    confidence = 1.0 - cost / rival if np.isfinite(rival) and rival > 0 else 0.0
+    std_s = objective.std_s(lag_s)
+    if std_s is None or std_s > rules.max_std_s:
+        return _untold("the motion is too slow to tell the lag")
+    if confidence < rules.min_confidence:
+        return _untold(f"another lag explains the images nearly as well (confidence {confidence:.2f})")
+    return LagEstimate(lag_s, std_s, confidence)
+
+
+class _Objective:
+    """Mean squared error in px² per measured coordinate of the best map at a lag, prior included."""
+
+    def __init__(
+        self, stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict, rules: LagRules
+    ) -> None:
+        self._stamps_ns, self._seen_px, self._predict, self._rules = stamps_ns, seen_px, predict, rules
+        self._min_pairs = max(rules.min_pairs, len(stamps_ns) // 4)
+
+    def __call__(self, lag_s: float) -> float:
+        fit = self._fit(lag_s)
+        return fit[0] if fit else np.inf
+
+    def std_s(self, lag_s: float) -> float | None:
+        """Standard deviation of the lag: noise over speed, as in any least-squares fit of a shift."""
+        step_s = 0.01
+        here, ahead, behind = self._fit(lag_s), self._fit(lag_s + step_s), self._fit(lag_s - step_s)
+        if not (here and ahead and behind):
+            return None
+        mean_cost, count = here[0], here[1]
+        # J(τ + h) ≈ J + v² h² with v the mean speed that the map cannot take up.
+        curvature = (ahead[0] + behind[0] - 2.0 * mean_cost) / step_s**2 / 2.0
+        return float(np.sqrt(mean_cost / (curvature * 2 * count))) if curvature > 0 else None
+
+    def _fit(self, lag_s: float) -> tuple[float, int] | None:
+        predicted, known = self._predict(self._stamps_ns - round(lag_s * 1e9))
+        if np.count_nonzero(known) < self._min_pairs:
+            return None
+        p, s = predicted[known], self._seen_px[known]
+        p, s = p - p.mean(0), s - s.mean(0)
+        count = len(p)
+        motion = float(np.sqrt(np.mean(p**2)))
+        if motion < self._rules.min_motion_px:
+            return None
+        weight = (self._rules.pixel_std / self._rules.map_std) ** 2
+        change = np.linalg.solve(p.T @ p + weight * np.eye(2), p.T @ (s - p))
+        residual = s - p - p @ change
+        cost = float(np.sum(residual**2) + weight * np.sum(change**2)) / (2 * count)
+        # Frames drop out at the ends of the search; less motion left must not pass for a better fit.
+        return cost * float(np.mean(self._seen_px.var(0))) / float(np.mean(s**2)), count
+
+
+def _refine(objective: _Objective, start_s: float, step_s: float) -> float:
+    """Golden-section search between the neighbours of the coarse minimum, down to 0.05 ms."""
+    ratio = (np.sqrt(5.0) - 1.0) / 2.0
+    low, high = start_s - step_s, start_s + step_s
+    while high - low > 5e-5:
+        left, right = high - ratio * (high - low), low + ratio * (high - low)
+        if objective(left) <= objective(right):
+            high = right
+        else:
+            low = left
+    return float((low + high) / 2.0)
+
+
+def _untold(reason: str) -> LagEstimate:
+    return LagEstimate(0.0, None, 0.0, reason)

@@ -1,0 +1,55 @@
+"""The lag of a recording: the tool's track in the images against its track by kinematics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.errors import KinematicsError, RecordingError
+from svmdist.estimation.lag import LagEstimate, Predict, estimate_lag
+from svmdist.profile import Profile
+from svmdist.recording.reader import Recording
+from svmdist.samples import Estimate
+from svmdist.transforms import Array
+from svmdist.workflows.truth import PoseAt, Reference, TruthRules, tool_track
+
+Lag = float | Literal["auto"]
+"""A lag in s, positive when the image stamps are late, or `auto` to estimate it."""
+
+
+def recording_lag(
+    rows: Sequence[Estimate], recording: Recording, profile: Profile, rules: TruthRules
+) -> LagEstimate:
+    """Estimate the lag of a recording from its measured frames.
+
+    The tool's motion is taken from kinematics, else from the strongest other reference the log has.
+    """
+    measured = [row for row in rows if row.measured and row.tool_x_px is not None]
+    stamps_ns = np.array([row.stamp_ns for row in measured], np.int64)
+    seen_px = np.array([(row.tool_x_px, row.tool_y_px) for row in measured], np.float64).reshape(-1, 2)
+    problems = []
+    for reference in (Reference.KINEMATICS, Reference.POSE, Reference.TF, Reference.GROUND_TRUTH):
+        try:
+            at = tool_track(recording, profile, reference, rules)
+        except (RecordingError, KinematicsError) as problem:
+            problems.append(str(problem))
+            continue
+        return estimate_lag(stamps_ns, seen_px, _predictor(at, recording))
+    return LagEstimate(0.0, None, 0.0, f"the log has no motion of the tool but in its images: {problems[0]}")
+
+
+def _predictor(at: PoseAt, recording: Recording) -> Predict:
+    camera = recording.camera
+
+    def predict(stamps_ns: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
+        pose = at(stamps_ns)
+        p_camera_m = pose.values[:, :3, 3]
+        known = pose.valid & (np.where(pose.valid, p_camera_m[:, 2], 0.0) > 1e-3)
+        predicted = np.full((len(stamps_ns), 2), np.nan)
+        predicted[known] = camera.project(p_camera_m[known])
+        return predicted, known
+
+    return predict
