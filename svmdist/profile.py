@@ -134,6 +134,8 @@ class Joint(StrictModel):
     theta_rad: Angle = 0.0
     lower: Angle = -np.pi
     upper: Angle = np.pi
+    aliases: tuple[str, ...] = ()
+    """Other names under which logs carry this joint."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Joint:
@@ -156,7 +158,7 @@ class Robot(StrictModel):
 
     @model_validator(mode="after")
     def _sound(self) -> Robot:
-        names = [joint.name for joint in self.joints]
+        names = [name for joint in self.joints for name in (joint.name, *joint.aliases)]
         doubles = sorted({name for name in names if names.count(name) > 1})
         if doubles:
             raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")

@@ -18,6 +18,7 @@ def chain_of(robot: Robot) -> DHChain:
             joint.theta_rad,
             joint.lower,
             joint.upper,
+            joint.aliases,
         )
         for joint in robot.joints
     )

@@ -36,6 +36,7 @@ class DHRow:
     theta_rad: float = 0.0
     lower: float = -np.pi
     upper: float = np.pi
+    aliases: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -112,14 +113,22 @@ def frame_transforms(chain: DHChain, q: ArrayLike) -> Array:
 def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) -> Array:
     """Bring positions, shape (..., len(names)), into the chain's order; joints it lacks are dropped.
 
-    Raises KinematicsError that names the joints the log does not have.
+    A joint is found by its name or by an alias. Raises KinematicsError that names the joints the log does
+    not have.
     """
-    missing = [name for name in chain.joint_names if name not in names]
+    order, missing = [], []
+    for row in chain.rows:
+        if row.joint == "fixed":
+            continue
+        found = next((name for name in (row.name, *row.aliases) if name in names), None)
+        if found is None:
+            missing.append(row.name)
+        else:
+            order.append(names.index(found))
     if missing:
         raise KinematicsError(
             f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
         )
-    order = [names.index(name) for name in chain.joint_names]
     return np.asarray(positions, np.float64)[..., order]
 
 

@@ -128,7 +128,7 @@ def test_the_overall_score_is_the_one_against_the_strongest_reference():
     both = tuple(score(reference=reference) for reference in (Reference.KINEMATICS, Reference.GROUND_TRUTH))
     document = validation_document(Validation(both, both, ()))
     assert document["overall"]["reference"] == str(Reference.GROUND_TRUTH)
-    assert set(document["overall_by_reference"]) == {str(reference) for reference in Reference}
+    assert list(document["overall_by_reference"]) == ["kinematics", "ground_truth"]
     assert validation_document(Validation(both, (), ()))["overall"] is None
 
 

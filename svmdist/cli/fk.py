@@ -1,0 +1,79 @@
+"""`svmdist fk`: the tool's pose for each joint state of a log."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from svmdist.cli.console import report_health, require_output_folder, say, write_lines
+from svmdist.cli.options import OutputOption, ProfileOption, TopicOption, topics_of
+
+if TYPE_CHECKING:
+    from svmdist.workflows.fk import PoseErrors
+
+
+class PoseFormat(StrEnum):
+    """`--format` of poses."""
+
+    CSV = "csv"
+    JSON = "json"
+    TUM = "tum"
+
+
+def fk_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to read.", show_default=False)],
+    joints: Annotated[
+        str | None,
+        typer.Option("--joints", metavar="TOPIC", help="Topic of the joint states.", show_default=False),
+    ] = None,
+    profile: ProfileOption = "psm13",
+    topic: TopicOption = None,
+    form: Annotated[
+        PoseFormat, typer.Option("--format", "-f", help="Form of the data; tum is what evo reads.")
+    ] = PoseFormat.CSV,
+    output: OutputOption = None,
+) -> None:
+    """Print the tool pose of every joint state.
+
+    Forward kinematics by the profile's chain, in its base frame. Where the log has a pose topic, the
+    errors against it are said on stderr.
+    """
+    from svmdist.profile import load_profile
+    from svmdist.recording.reader import open_recording
+    from svmdist.report.poses import POSE_KEYS, pose_rows, tum_lines
+    from svmdist.report.table import csv_lines, json_array_lines
+    from svmdist.workflows.fk import fk
+
+    require_output_folder(output)
+    loaded = load_profile(profile)
+    topics = topics_of(topic) | ({"joints": joints} if joints else {})
+    recording = open_recording(file, loaded, topics=topics)
+    result = fk(recording, loaded)
+    match form:
+        case PoseFormat.CSV:
+            write_lines(csv_lines(POSE_KEYS, pose_rows(result)), output)
+        case PoseFormat.JSON:
+            write_lines(json_array_lines(POSE_KEYS, pose_rows(result)), output)
+        case PoseFormat.TUM:
+            write_lines(tum_lines(result), output)
+    if result.errors is not None:
+        _say_errors(result.errors)
+    raise typer.Exit(report_health([recording]))
+
+
+def _say_errors(errors: PoseErrors) -> None:
+    import numpy as np
+
+    if len(errors.stamps_ns) == 0:
+        say(f"svmdist: no pose of the topic (frame {errors.frame_id}) is near a joint state in time")
+        return
+    position_mm, angle_deg = errors.position_m * 1e3, np.degrees(errors.angle_rad)
+    say(
+        f"svmdist: against {len(position_mm)} poses in frame {errors.frame_id}:"
+        f" position RMSE {np.sqrt(np.mean(position_mm**2)):.4g} mm, max {position_mm.max():.4g} mm;"
+        f" angle RMSE {np.sqrt(np.mean(angle_deg**2)):.4g}°, max {angle_deg.max():.4g}°;"
+        f" {errors.unpaired_count} joint states without a pose"
+    )

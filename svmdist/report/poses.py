@@ -1,0 +1,27 @@
+"""Poses as rows: CSV and JSON in SI, and TUM, the trajectory format that evo reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from svmdist.report.table import Cell
+from svmdist.transforms import quaternion_xyzw_from_rotation
+from svmdist.workflows.fk import ForwardKinematics
+
+POSE_KEYS = ("stamp_ns", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+
+
+def pose_rows(result: ForwardKinematics) -> Iterator[dict[str, Cell]]:
+    """One row a joint state, with the keys of `POSE_KEYS`."""
+    quaternions_xyzw = quaternion_xyzw_from_rotation(result.T_base_tool[:, :3, :3])
+    for stamp_ns, T, q in zip(result.stamps_ns, result.T_base_tool, quaternions_xyzw, strict=True):
+        values = (int(stamp_ns), *(float(v) for v in T[:3, 3]), *(float(v) for v in q))
+        yield dict(zip(POSE_KEYS, values, strict=True))
+
+
+def tum_lines(result: ForwardKinematics) -> Iterator[str]:
+    """One line a joint state: `timestamp x y z qx qy qz qw`, time in s with all nine decimals."""
+    for row in pose_rows(result):
+        seconds, nanoseconds = divmod(int(row["stamp_ns"] or 0), 1_000_000_000)
+        numbers = " ".join(f"{row[key]:.17g}" for key in POSE_KEYS[1:])
+        yield f"{seconds}.{nanoseconds:09d} {numbers}\n"

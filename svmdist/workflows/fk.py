@@ -1,0 +1,72 @@
+"""Forward kinematics of a log: the tool's pose for each joint state, and its error against a pose topic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.errors import RecordingError
+from svmdist.kinematics.chain import chain_of
+from svmdist.kinematics.dh import forward_kinematics, select_joints
+from svmdist.profile import Profile
+from svmdist.recording.reader import Recording
+from svmdist.tracks import MAX_GAP_NS, PoseTrack
+from svmdist.transforms import Array, inverse, rotation_angle
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Kinematics against a pose topic: position error, shape (n,) in m, and angle, shape (n,) in rad.
+
+    `frame_id` is the frame of the topic's poses. Where it is not the chain's base, a constant offset
+    between the frames is part of the error.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    position_m: Array
+    angle_rad: Array
+    frame_id: str
+    unpaired_count: int
+
+
+@dataclass(frozen=True)
+class ForwardKinematics:
+    """`T_base_tool`, shape (n, 4, 4), at the stamps of the joint states; errors where the log has poses."""
+
+    stamps_ns: NDArray[np.int64]
+    T_base_tool: Array
+    errors: PoseErrors | None
+
+
+def fk(recording: Recording, profile: Profile, max_gap_ns: int = MAX_GAP_NS) -> ForwardKinematics:
+    """Compute the tool's pose for every joint state of a recording by the profile's chain.
+
+    Raises RecordingError where there are no joint states or the profile has no chain, and KinematicsError
+    where the chain's joints are not in them.
+    """
+    if profile.robot is None:
+        raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
+    chain = chain_of(profile.robot)
+    joints = recording.joint_track()
+    T_base_tool = forward_kinematics(chain, select_joints(chain, joints.names, joints.positions))
+    errors = None
+    if recording.topic_of("pose") is not None:
+        errors = _errors(joints.stamps_ns, T_base_tool, recording.pose_track(), max_gap_ns)
+    return ForwardKinematics(joints.stamps_ns, T_base_tool, errors)
+
+
+def _errors(
+    stamps_ns: NDArray[np.int64], T_base_tool: Array, poses: PoseTrack, max_gap_ns: int
+) -> PoseErrors:
+    measured = poses.at(stamps_ns, max_gap_ns)
+    valid = measured.valid
+    difference = inverse(T_base_tool[valid]) @ measured.values[valid]
+    return PoseErrors(
+        stamps_ns[valid],
+        np.linalg.norm(difference[:, :3, 3], axis=-1),
+        rotation_angle(difference[:, :3, :3], np.eye(3)),
+        poses.frame_id,
+        int(np.count_nonzero(~valid)),
+    )
