@@ -1,0 +1,93 @@
+"""The lag between images and kinematics, on made-up tracks whose lag is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from svmdist.estimation.lag import estimate_lag
+
+PERIOD_NS = 100_000_000
+STAMPS_NS = np.arange(80, dtype=np.int64) * PERIOD_NS
+
+
+def _track(seconds: np.ndarray, amplitude_px: float = 90.0) -> np.ndarray:
+    """A smooth, aperiodic motion in px, shape (n, 2)."""
+    x = np.sin(1.7 * seconds) + 0.5 * np.sin(0.61 * seconds + 1.0)
+    y = np.cos(2.3 * seconds + 0.4) + 0.4 * np.sin(0.83 * seconds)
+    return amplitude_px * np.stack([x, y], -1) + 250.0
+
+
+def _predict(stamps_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Kinematics know the motion from -0.2 s to 8.2 s."""
+    seconds = stamps_ns / 1e9
+    return _track(seconds), (seconds >= -0.2) & (seconds <= 8.2)
+
+
+@settings(deadline=None, max_examples=25)
+@given(lag_s=st.floats(-2.5, 2.5), seed=st.integers(0, 10_000))
+def test_a_known_lag_is_found(lag_s: float, seed: int) -> None:
+    """With 0.5 px of noise, any lag within ±2.5 s is found to 5 ms, and the image stamps are late when it is > 0."""
+    noise = np.random.default_rng(seed).normal(0.0, 0.5, (80, 2))
+    seen_px = _track(STAMPS_NS / 1e9) + noise
+    estimate = estimate_lag(STAMPS_NS + round(lag_s * 1e9), seen_px, _predict)
+    assert estimate.told
+    assert estimate.lag_s == pytest.approx(lag_s, abs=5e-3)
+    assert estimate.confidence > 0.8
+
+
+def test_standard_deviation_is_honest() -> None:
+    """Over 60 draws of noise, the error's spread agrees with the stated standard deviation within a factor of 2."""
+    errors, stated = [], []
+    for seed in range(60):
+        noise = np.random.default_rng(seed).normal(0.0, 1.5, (80, 2))
+        estimate = estimate_lag(STAMPS_NS, _track(STAMPS_NS / 1e9) + noise, _predict)
+        errors.append(estimate.lag_s)
+        stated.append(estimate.std_s)
+    assert 0.5 < np.std(errors) / np.mean([std for std in stated if std is not None]) < 2.0
+
+
+def test_a_wrong_camera_pose_does_not_pass_for_time() -> None:
+    """A prediction turned by 5°, scaled by 8 % and shifted by 40 px still gives the lag."""
+    turn = np.deg2rad(5.0)
+    R = 1.08 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    seen_px = _track(STAMPS_NS / 1e9) @ R.T + 40.0
+    estimate = estimate_lag(STAMPS_NS + 730_000_000, seen_px, _predict)
+    assert estimate.lag_s == pytest.approx(0.73, abs=1e-3)
+
+
+def test_no_motion_says_so() -> None:
+    """A tool that stands still tells no lag: 0 is used and the reason is given."""
+    seen_px = _track(STAMPS_NS / 1e9, amplitude_px=0.3)
+    estimate = estimate_lag(STAMPS_NS, seen_px, _predict)
+    assert (estimate.lag_s, estimate.told, estimate.confidence) == (0.0, False, 0.0)
+    assert "moves by" in estimate.reason
+
+
+def test_an_ambiguous_motion_says_so() -> None:
+    """A motion that repeats every second fits at several lags: none is told."""
+
+    def circle(seconds: np.ndarray) -> np.ndarray:
+        return 80.0 * np.stack([np.cos(2 * np.pi * seconds), np.sin(2 * np.pi * seconds)], -1)
+
+    def predict(stamps_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return circle(stamps_ns / 1e9), np.ones(len(stamps_ns), np.bool_)
+
+    noise = np.random.default_rng(1).normal(0.0, 0.5, (80, 2))
+    estimate = estimate_lag(STAMPS_NS, circle(STAMPS_NS / 1e9) + noise, predict)
+    assert not estimate.told
+    assert "another lag" in estimate.reason
+
+
+def test_unrelated_motions_are_not_believed() -> None:
+    """Images that have nothing to do with the kinematics give no lag."""
+    seen_px = np.cumsum(np.random.default_rng(3).normal(0.0, 12.0, (80, 2)), axis=0)
+    assert not estimate_lag(STAMPS_NS, seen_px, _predict).told
+
+
+def test_no_overlap_in_time() -> None:
+    """Clocks that are an hour apart do not meet within the search."""
+    estimate = estimate_lag(STAMPS_NS + 3_600 * 10**9, _track(STAMPS_NS / 1e9), _predict)
+    assert "do not overlap" in estimate.reason
