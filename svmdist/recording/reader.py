@@ -178,11 +178,18 @@ class Recording:
         order = sort_stamps(stamps_ns)
         return DistanceTrack(stamps_ns[order], *rows[order].T)
 
+    def raw_messages(self) -> Iterator[RawMessage]:
+        """Yield every message of every topic in file order, not decoded."""
+        return self._source.messages()
+
+    def size_bytes(self) -> int:
+        """Size of the file, or of all files of a folder."""
+        return sum(file.stat().st_size for file in self._files())
+
     def sha256(self) -> str:
         """Hash the file, or the files of a folder in the order of their names, as hexadecimal digits."""
         digest = hashlib.sha256()
-        files = sorted(p for p in self.path.rglob("*") if p.is_file()) if self.path.is_dir() else [self.path]
-        for file in files:
+        for file in self._files():
             try:
                 with file.open("rb") as stream:
                     while piece := stream.read(1 << 20):
@@ -190,6 +197,13 @@ class Recording:
             except OSError as problem:
                 raise RecordingError(f"{file}: cannot read: {problem.strerror or problem}") from None
         return digest.hexdigest()
+
+    def _files(self) -> list[Path]:
+        return (
+            sorted(file for file in self.path.iterdir() if file.is_file())
+            if self.path.is_dir()
+            else [self.path]
+        )
 
     def _samples(self, *topics: str) -> Iterator[tuple[RawMessage, Sample | EncodedImage]]:
         """Decode the messages of some topics; one that cannot be decoded is a loss."""

@@ -1,0 +1,169 @@
+"""What is in a recording: statistics of every topic, in one pass, for a person who has never seen it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from svmdist.camera import Camera
+from svmdist.profile import Profile
+from svmdist.recording.checks import DecodeError
+from svmdist.recording.decoding import Decoder, kind_of
+from svmdist.recording.health import Health
+from svmdist.recording.limits import Limits
+from svmdist.recording.reader import open_recording
+from svmdist.recording.sources import RawMessage
+from svmdist.recording.topics import Role
+from svmdist.samples import CameraSample, JointSample, TransformsSample
+
+GAP_FACTOR = 3.0
+"""A gap is a distance of stamps above three mean periods: one or two lost messages are jitter."""
+MAX_NAMES = 1000
+
+
+@dataclass(frozen=True)
+class TopicSummary:
+    """Statistics of one topic, over the stamps of its messages, or over log times where it has none.
+
+    `rate_hz` is None with fewer than two messages; `largest_gap_s` is the longest time without one.
+    """
+
+    topic: str
+    schema: str
+    message_encoding: str
+    kind: str | None
+    message_count: int
+    rate_hz: float | None
+    start_ns: int | None
+    end_ns: int | None
+    largest_gap_s: float
+    gap_count: int
+    out_of_order_count: int
+    undecodable_count: int
+
+
+@dataclass(frozen=True)
+class RecordingSummary:
+    """A whole recording; `roles` names the topic of every role that one could be found for."""
+
+    path: Path
+    size_bytes: int
+    metadata: dict[str, str]
+    duration_s: float
+    topics: tuple[TopicSummary, ...]
+    roles: dict[str, str]
+    cameras: dict[str, Camera]
+    frames: tuple[str, ...]
+    joint_names: dict[str, tuple[str, ...]]
+    health: Health
+
+
+class _Statistics:
+    """Statistics of one topic while it is read: constant memory, whatever the length."""
+
+    def __init__(self, first: RawMessage) -> None:
+        self.schema = first.schema
+        self.message_encoding = first.message_encoding
+        self.count = 0
+        self.undecodable_count = 0
+        self.out_of_order_count = 0
+        self.start_ns: int | None = None
+        self.end_ns: int | None = None
+        self.largest_gap_ns = 0
+        self.gap_count = 0
+        self._previous_ns: int | None = None
+
+    def add(self, stamp_ns: int) -> None:
+        self.count += 1
+        previous_ns, self._previous_ns = self._previous_ns, stamp_ns
+        self.start_ns = stamp_ns if self.start_ns is None else min(self.start_ns, stamp_ns)
+        self.end_ns = stamp_ns if self.end_ns is None else max(self.end_ns, stamp_ns)
+        if previous_ns is None:
+            return
+        if stamp_ns < previous_ns:
+            self.out_of_order_count += 1
+            return
+        gap_ns = stamp_ns - previous_ns
+        # The mean period so far stands for the true one; the first few messages say nothing yet.
+        if self.count > 5 and gap_ns * (self.count - 2) > GAP_FACTOR * (previous_ns - self.start_ns):
+            self.gap_count += 1
+        self.largest_gap_ns = max(self.largest_gap_ns, gap_ns)
+
+    def summary(self, topic: str) -> TopicSummary:
+        span_s = 0.0 if self.start_ns is None or self.end_ns is None else (self.end_ns - self.start_ns) / 1e9
+        kind = kind_of(self.schema, self.message_encoding)
+        return TopicSummary(
+            topic,
+            self.schema,
+            self.message_encoding,
+            None if kind is None else str(kind),
+            self.count,
+            (self.count - 1) / span_s if span_s > 0 else None,
+            self.start_ns,
+            self.end_ns,
+            self.largest_gap_ns / 1e9,
+            self.gap_count,
+            self.out_of_order_count,
+            self.undecodable_count,
+        )
+
+
+def inspect_recording(
+    path: Path | str,
+    profile: Profile,
+    *,
+    limits: Limits | None = None,
+    topics: Mapping[str, str] | None = None,
+) -> RecordingSummary:
+    """Read a whole recording once and summarise it; pixels are not decoded.
+
+    Raises RecordingError where the path is no recording; a topic that svmdist cannot read is still counted.
+    """
+    limits = limits or Limits()
+    recording = open_recording(path, profile, limits=limits, topics=topics)
+    decoder = Decoder(limits)
+    statistics: dict[str, _Statistics] = {}
+    cameras: dict[str, Camera] = {}
+    frames: set[str] = set()
+    joint_names: dict[str, tuple[str, ...]] = {}
+    for raw in recording.raw_messages():
+        topic = statistics.setdefault(raw.topic, _Statistics(raw))
+        stamp_ns = raw.log_time_ns
+        if kind_of(raw.schema, raw.message_encoding) is not None:
+            try:
+                sample = decoder.decode(raw)
+            except DecodeError:
+                topic.undecodable_count += 1
+            else:
+                stamp_ns = sample.stamp_ns
+                match sample:
+                    case CameraSample(camera=camera):
+                        cameras.setdefault(raw.topic, camera)
+                    case JointSample(names=names):
+                        joint_names.setdefault(raw.topic, names)
+                    case TransformsSample(transforms=transforms) if len(frames) < MAX_NAMES:
+                        frames.update(name for one in transforms for name in (one.parent, one.child))
+                    case _:
+                        pass
+        topic.add(stamp_ns)
+    for info in recording.topics():
+        if info.topic not in statistics:
+            empty = RawMessage(info.topic, info.schema, info.message_encoding, 0, b"")
+            statistics[info.topic] = _Statistics(empty)
+    found = [topic.summary(name) for name, topic in sorted(statistics.items())]
+    starts = [topic.start_ns for topic in found if topic.start_ns is not None]
+    ends = [topic.end_ns for topic in found if topic.end_ns is not None]
+    roles = {str(role): name for role in Role if (name := recording.topic_of(role)) is not None}
+    return RecordingSummary(
+        recording.path,
+        recording.size_bytes(),
+        recording.metadata,
+        (max(ends) - min(starts)) / 1e9 if starts else 0.0,
+        tuple(found),
+        roles,
+        cameras,
+        tuple(sorted(frames)),
+        joint_names,
+        recording.health,
+    )

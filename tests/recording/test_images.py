@@ -1,0 +1,94 @@
+"""Compressed stills: whole and true, or refused; never a wrong pixel."""
+
+from __future__ import annotations
+
+import random
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from svmdist.recording.images import ImageError, decode_still
+from svmdist.recording.limits import Limits
+
+from .faults import flip_bit
+
+IMAGE = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (48, 64, 3), np.uint8), (0, 0), 2)
+
+
+def encode(suffix: str, image: np.ndarray) -> bytes:
+    """Compress an image."""
+    return cv2.imencode(suffix, image)[1].tobytes()
+
+
+PNG = encode(".png", IMAGE)
+JPEG = encode(".jpg", IMAGE)
+
+
+def test_png_is_lossless_and_jpeg_near() -> None:
+    np.testing.assert_array_equal(decode_still(PNG, Limits()), IMAGE)
+    assert np.abs(decode_still(JPEG, Limits()).astype(int) - IMAGE).mean() < 3
+    padded = JPEG + bytes(10)
+    np.testing.assert_array_equal(decode_still(padded, Limits()), decode_still(JPEG, Limits()))
+
+
+def test_grey_becomes_bgr_and_alpha_is_dropped() -> None:
+    grey = decode_still(encode(".png", IMAGE[:, :, 0]), Limits())
+    np.testing.assert_array_equal(grey, np.repeat(IMAGE[:, :, :1], 3, 2))
+    with_alpha = np.dstack([IMAGE, IMAGE[:, :, 0]])
+    np.testing.assert_array_equal(decode_still(encode(".png", with_alpha), Limits()), IMAGE)
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "found nothing"),
+        (b"GIF89a" + bytes(20), "expected a PNG or JPEG"),
+        (encode(".bmp", IMAGE), "expected a PNG or JPEG"),
+        (encode(".png", IMAGE.astype(np.uint16) * 257), "16 bits"),
+        (PNG[:-1], "ends early"),
+        (PNG[: len(PNG) // 2], "ends early"),
+        (JPEG[: len(JPEG) // 2], "ends early"),
+        (PNG[:8] + PNG[33:], "without a header"),
+    ],
+)
+def test_what_is_no_whole_still_is_refused(data: bytes, reason: str) -> None:
+    with pytest.raises(ImageError, match=reason):
+        decode_still(data, Limits())
+
+
+def test_limits_hold_before_decoding() -> None:
+    with pytest.raises(ImageError, match="the limit is 100"):
+        decode_still(PNG, Limits(image_pixels=100))
+    with pytest.raises(ImageError, match="the limit is 50"):
+        decode_still(PNG, Limits(image_bytes=50))
+    with pytest.raises(ImageError, match="the limit is 100"):
+        decode_still(JPEG, Limits(image_pixels=100))
+
+
+def test_a_flipped_bit_in_a_png_never_gives_another_picture() -> None:
+    rng = random.Random(5)
+    for _ in range(500):
+        try:
+            image = decode_still(flip_bit(PNG, rng), Limits())
+        except ImageError:
+            continue
+        np.testing.assert_array_equal(image, IMAGE)
+
+
+def test_pixel_data_that_end_early_are_refused_although_every_crc_is_right() -> None:
+    raw = b"".join(b"\0" + row.tobytes() for row in IMAGE[:, :, ::-1])
+
+    def png(pixels: bytes) -> bytes:
+        def part(kind: bytes, body: bytes) -> bytes:
+            return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+        head = struct.pack(">IIBBBBB", 64, 48, 8, 2, 0, 0, 0)
+        return PNG[:8] + part(b"IHDR", head) + part(b"IDAT", pixels) + part(b"IEND", b"")
+
+    np.testing.assert_array_equal(decode_still(png(zlib.compress(raw)), Limits()), IMAGE)
+    for broken in (zlib.compress(raw[: len(raw) // 2]), zlib.compress(raw)[:-200], b""):
+        with pytest.raises(ImageError):
+            decode_still(png(broken), Limits())

@@ -1,0 +1,84 @@
+"""Laws of interpolation: exact at the samples, between them, never outside, never across a long gap."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack, bracket, sort_stamps
+from svmdist.transforms import make_transform, rotation_z
+
+stamp_lists = st.lists(st.integers(0, 10**12), min_size=1, max_size=30, unique=True).map(sorted)
+
+
+@given(stamp_lists, st.lists(st.integers(0, 10**12), max_size=30), st.integers(0, 10**11))
+def test_a_stamp_is_valid_between_samples_that_are_near(stamps: list[int], at: list[int], gap: int) -> None:
+    found = bracket(np.array(stamps), np.array(at, np.int64), gap)
+    for stamp, valid, left, right, fraction in zip(
+        at, found.valid, found.left, found.right, found.fraction, strict=True
+    ):
+        before = [s for s in stamps if s <= stamp]
+        after = [s for s in stamps if s >= stamp]
+        expected = bool(before) and bool(after) and after[0] - before[-1] <= gap
+        assert valid == expected
+        if valid:
+            assert (stamps[left], stamps[right]) == (before[-1], after[0])
+            assert 0.0 <= fraction <= 1.0
+
+
+@given(stamp_lists)
+def test_samples_come_back_to_the_last_bit(stamps: list[int]) -> None:
+    positions = np.random.default_rng(0).normal(size=(len(stamps), 3))
+    sampled = JointTrack(np.array(stamps), ("a", "b", "c"), positions).at(np.array(stamps), 0)
+    assert sampled.valid.all()
+    np.testing.assert_array_equal(sampled.values, positions)
+
+
+def test_lines_are_interpolated_exactly_and_gaps_are_refused() -> None:
+    stamps = np.array([0, 10, 20, 500])
+    track = JointTrack(stamps, ("a",), stamps[:, None] * 0.5)
+    sampled = track.at(np.array([-1, 0, 5, 17, 300, 500, 501]), 100)
+    np.testing.assert_array_equal(sampled.valid, [False, True, True, True, False, True, False])
+    np.testing.assert_allclose(sampled.values[sampled.valid, 0], [0.0, 2.5, 8.5, 250.0], rtol=1e-15)
+    assert np.isnan(sampled.values[~sampled.valid]).all()
+
+
+def test_distances_keep_their_columns() -> None:
+    track = DistanceTrack(
+        np.array([0, 10]), np.array([1.0, 2.0]), np.array([3.0, 5.0]), np.array([-1.0, 0.0])
+    )
+    sampled = track.at(np.array([5]))
+    assert (sampled.planar_m[0], sampled.spatial_m[0], sampled.clearance_m[0]) == (1.5, 4.0, -0.5)
+
+
+@pytest.mark.parametrize("kind", ["transform", "pose"])
+def test_half_way_is_half_the_turn(kind: str) -> None:
+    T = np.stack([make_transform(np.eye(3), [0, 0, 0]), make_transform(rotation_z(1.0), [2, 0, 0])])
+    stamps = np.array([0, 1000])
+    track = PoseTrack("a", stamps, T) if kind == "pose" else TransformTrack("a", "b", stamps, T)
+    sampled = track.at(np.array([500, 1001]))
+    np.testing.assert_allclose(sampled.values[0], make_transform(rotation_z(0.5), [1, 0, 0]), atol=1e-15)
+    assert sampled.valid.tolist() == [True, False]
+    assert np.isnan(sampled.values[1]).all()
+
+
+def test_a_static_transform_holds_always_and_a_single_sample_only_at_its_stamp() -> None:
+    T = make_transform(rotation_z(0.3), [1, 2, 3])[None]
+    static = TransformTrack("a", "b", np.array([5]), T, is_static=True).at(np.array([0, 10**15]))
+    assert static.valid.all()
+    np.testing.assert_array_equal(static.values[1], T[0])
+    single = TransformTrack("a", "b", np.array([5]), T).at(np.array([4, 5, 6]))
+    assert single.valid.tolist() == [False, True, False]
+
+
+def test_an_empty_track_knows_nothing() -> None:
+    empty = JointTrack(np.zeros(0, np.int64), ("a", "b"), np.zeros((0, 2)))
+    sampled = empty.at(np.array([1, 2]))
+    assert sampled.values.shape == (2, 2)
+    assert not sampled.valid.any()
+
+
+def test_sorting_keeps_the_last_of_equal_stamps() -> None:
+    assert sort_stamps(np.array([3, 1, 3, 2, 1])).tolist() == [4, 3, 2]
