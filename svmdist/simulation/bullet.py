@@ -5,6 +5,7 @@ PyBullet's C code prints to the process's standard output; data goes there, so i
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import os
 import sys
@@ -30,6 +31,8 @@ def quiet_stdout() -> Iterator[None]:
             os.dup2(nowhere.fileno(), 1)
         yield
     finally:
+        # C keeps its own buffer: without this it would be written after all, when the process ends.
+        ctypes.CDLL(None).fflush(None)
         os.dup2(saved, 1)
         os.close(saved)
 

@@ -44,8 +44,10 @@ def make_parts(instrument: Instrument, links: tuple[str, ...], wrist_length_m: f
     T_jaw_wrist = make_transform(rotation_x(-np.pi / 2), np.zeros(3))
     shaft_m, length_m = instrument.shaft_radius_m, instrument.shaft_length_m
     neck_m = 2.2 * wrist_m
+    # Many short rings: TinyRenderer walks the bounding box of every triangle, and long ones are slow.
+    rings_m = np.linspace(neck_m + 0.0006, length_m, 60)
     shaft = revolve(
-        np.array([neck_m, neck_m + 0.0006, length_m]), np.array([shaft_m - 0.0006, shaft_m, shaft_m])
+        np.concatenate([[neck_m], rings_m]), np.concatenate([[shaft_m - 0.0006], np.full(60, shaft_m)])
     )
     collar = revolve(np.array([0.8 * wrist_m, neck_m + 0.0002]), np.array([wrist_m, shaft_m - 0.0004]))
     hinge = sphere(wrist_m)

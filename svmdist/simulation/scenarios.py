@@ -127,7 +127,7 @@ def _descent(
     sag = 0.004 * np.sin(np.pi * there) ** 2 * rng.uniform(-1.0, 1.0)
     p_m = start + there[:, None] * (target - start)
     p_m[:, 1] += sag
-    wrist = _wrist(rng, s) * (1.0 - 0.8 * there[:, None])
+    wrist = _wrist(rng, s) * (1.0 - there[:, None])  # still at the lowest point, so that it is the lowest
     wrist[:, 2] -= 0.25 * there  # the jaws bend down to the tissue
     # The last millimetres come last: `there` cubed is still smooth, and late.
     return Motion(p_m, wrist, clearance_m=clearance_m, lowering=there**3, lowest_at=lowest_at)
