@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from svmdist.errors import OutputError, UsageError
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.health import Health
 
 
 class ExitCode(IntEnum):
@@ -60,10 +60,14 @@ def write_table(table: Table, notes: Sequence[str], output: Path | None) -> None
     """Write a table for a person: as wide as the terminal, or as it needs in a pipe or a file."""
     from svmdist.report.table import render
 
-    is_terminal = output is None and sys.stdout.isatty()
-    width = os.get_terminal_size().columns if is_terminal else None
-    text = render(table, width=width, colour=is_terminal and "NO_COLOR" not in os.environ)
+    width = terminal_width(output)
+    text = render(table, width=width, colour=width is not None and "NO_COLOR" not in os.environ)
     write_lines([text, *(f"{note}\n" for note in notes)], output)
+
+
+def terminal_width(output: Path | None) -> int | None:
+    """Columns of the terminal that stdout is; None where the data goes to a pipe or a file."""
+    return os.get_terminal_size().columns if output is None and sys.stdout.isatty() else None
 
 
 def require_output_folder(output: Path | None) -> None:
@@ -89,7 +93,19 @@ def files_or_golden(files: Sequence[Path] | None) -> list[Path]:
     return found
 
 
-def report_health(recordings: Iterable[Recording]) -> ExitCode:
+class HasHealth(Protocol):
+    """A recording, or a summary of one."""
+
+    @property
+    def path(self) -> Path:
+        """The file or folder."""
+
+    @property
+    def health(self) -> Health:
+        """What was lost while reading it."""
+
+
+def report_health(recordings: Iterable[HasHealth]) -> ExitCode:
     """Say what was lost while reading, once a recording; the exit code tells whether anything was."""
     code = ExitCode.CLEAN
     for recording in recordings:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from svmdist.cli import blur_bench, calibrate, estimate, fk, record, validate
+from svmdist.cli import blur_bench, calibrate, estimate, fk, info, record, validate
 from svmdist.cli.console import ExitCode, say
 from svmdist.errors import SvmdistError, UsageError
 
@@ -43,6 +43,7 @@ def main(version: VersionOption = False) -> None:
     """Hold the options of `svmdist` itself; everything else is a subcommand's."""
 
 
+app.command("info")(info.info_command)
 app.command("record")(record.record_command)
 app.command("calibrate")(calibrate.calibrate_command)
 app.command("estimate")(estimate.estimate_command)

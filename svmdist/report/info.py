@@ -1,0 +1,112 @@
+"""A recording's summary as lines for a person, as rows, and as the JSON document `svmdist.info/1`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from svmdist.camera import Camera
+from svmdist.profile import Profile
+from svmdist.recording.inspect import RecordingSummary, TopicSummary
+from svmdist.report.table import Cell, Column, number, render, rich_table
+from svmdist.report.text import printable
+from svmdist.workflows.abilities import abilities
+
+SCHEMA = "svmdist.info/1"
+
+TOPIC_KEYS = (
+    "topic",
+    "schema",
+    "message_encoding",
+    "kind",
+    "message_count",
+    "rate_hz",
+    "start_ns",
+    "end_ns",
+    "largest_gap_s",
+    "gap_count",
+    "out_of_order_count",
+    "undecodable_count",
+)
+
+TOPIC_COLUMNS = (
+    Column("topic", "topic", is_text=True),
+    Column("schema", "schema", is_text=True),
+    Column("message_encoding", "encoding", is_text=True),
+    Column("message_count", "messages"),
+    Column("rate_hz", "rate [Hz]", number(1)),
+    Column("gap_count", "gaps"),
+    Column("largest_gap_s", "largest gap [s]", number(3)),
+    Column("out_of_order_count", "out of order"),
+    Column("undecodable_count", "unreadable"),
+)
+
+
+def topic_row(topic: TopicSummary) -> dict[str, Cell]:
+    """One topic, flat, with the keys of `TOPIC_KEYS`."""
+    return {key: getattr(topic, key) for key in TOPIC_KEYS}
+
+
+def info_document(summary: RecordingSummary, profile: Profile) -> dict[str, Any]:
+    """The JSON document."""
+    return {
+        "schema": SCHEMA,
+        "path": str(summary.path),
+        "size_bytes": summary.size_bytes,
+        "duration_s": summary.duration_s,
+        "metadata": summary.metadata,
+        "topics": [topic_row(topic) for topic in summary.topics],
+        "roles": summary.roles,
+        "cameras": {topic: _camera_document(camera) for topic, camera in summary.cameras.items()},
+        "frames": list(summary.frames),
+        "joint_names": {topic: list(names) for topic, names in summary.joint_names.items()},
+        "is_clean": summary.health.is_clean,
+        "losses": [str(loss) for loss in summary.health.losses],
+        "commands": {
+            ability.command: {"served": ability.served, "missing": list(ability.missing)}
+            for ability in abilities(summary, profile)
+        },
+    }
+
+
+def info_lines(summary: RecordingSummary, profile: Profile, width: int | None = None) -> Iterator[str]:
+    """The summary for a person."""
+    yield f"{printable(str(summary.path))}: {summary.size_bytes / 1e6:.2f} MB, {summary.duration_s:.2f} s\n"
+    if summary.metadata:
+        pairs = ", ".join(f"{key} {value}" for key, value in summary.metadata.items())
+        yield f"made with   {printable(pairs)}\n"
+    yield render(rich_table("", TOPIC_COLUMNS, [topic_row(topic) for topic in summary.topics]), width=width)
+    for topic, camera in summary.cameras.items():
+        yield f"camera      {printable(topic)}: {_camera_line(camera)}\n"
+    if summary.frames:
+        yield f"frames      {printable(', '.join(summary.frames))}\n"
+    for topic, names in summary.joint_names.items():
+        yield f"joints      {printable(topic)}: {printable(', '.join(names))}\n"
+    roles = ", ".join(f"{role} {topic}" for role, topic in summary.roles.items())
+    yield f"roles       {printable(roles) or 'none of the topics is one that svmdist reads'}\n"
+    for ability in abilities(summary, profile):
+        verdict = "yes" if ability.served else f"no: it lacks {'; '.join(ability.missing)}"
+        yield f"{ability.command:<11} {printable(verdict)}\n"
+    losses = len(summary.health.losses)
+    yield f"health      {'clean' if summary.health.is_clean else f'{losses} losses'}\n"
+
+
+def _camera_line(camera: Camera) -> str:
+    K = camera.K
+    distortion = (
+        "no distortion" if not camera.D.any() else f"distortion {' '.join(f'{d:.4g}' for d in camera.D)}"
+    )
+    return (
+        f"{camera.width_px}x{camera.height_px}, fx {K[0, 0]:.2f}, fy {K[1, 1]:.2f}, cx {K[0, 2]:.2f},"
+        f" cy {K[1, 2]:.2f} px, {distortion}, frame {camera.frame_id}"
+    )
+
+
+def _camera_document(camera: Camera) -> dict[str, Any]:
+    return {
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "K": camera.K.tolist(),
+        "D": camera.D.tolist(),
+        "frame_id": camera.frame_id,
+    }
