@@ -68,6 +68,7 @@ class Container:
         self._check = check or DataSectionCheck(path, limits)
         self._summary = Summary()
         self._data_ended = False
+        self._has_recalled = False
         self._is_aligned = True  # no record was jumped over, so running CRCs mean something
 
     def records(self) -> Iterator[Record | MessageRecord]:
@@ -183,6 +184,8 @@ class Container:
                 self._lose(LossKind.RECORD, "a message without a head", offset)
                 return
             channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(body)
+            if channel_id not in self.definitions.channels:
+                self._recall_definitions()
             if channel_id not in self.definitions.channels or channel_id in self.definitions.ambiguous:
                 self.tally.lost_by_channel[channel_id] += 1
                 self.loss_count += 1
@@ -201,6 +204,16 @@ class Container:
             return
         yield Record(opcode, body, offset)
 
+    def _recall_definitions(self) -> None:
+        """Take definitions that were lost with their chunk from the summary, where its CRC vouches for it."""
+        if self._has_recalled:
+            return
+        self._has_recalled = True
+        with self.path.open("rb") as file:
+            summary = read_trusted_summary(file, file.seek(0, 2), self._limits)
+        if summary is not None:
+            self.definitions.complete(summary.schemas, summary.channels)
+
     def _note_summary(self, frame: Frame) -> None:
         try:
             self._summary.add(frame.opcode, memoryview(frame.body or b""), self._limits)
@@ -211,7 +224,7 @@ class Container:
 
     def _salvage(self, frame: Frame, *, was_cut: bool) -> Iterator[Record | MessageRecord]:
         """Deliver what is certain of a record that reaches beyond the end of the file."""
-        if frame.opcode != Opcode.CHUNK or frame.length > self._limits.record_bytes or not frame.body:
+        if frame.opcode != Opcode.CHUNK or not frame.body:
             return
         try:
             data = expand_cut_chunk(frame.body, self._limits, may_be_prefix=was_cut)

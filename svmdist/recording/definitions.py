@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from svmdist.recording.bodies import (
     ChannelBody,
     MalformedRecordError,
@@ -69,6 +71,11 @@ class Definitions:
             )
         self._count(len(body))
         self.channels[channel.id] = channel
+
+    def complete(self, schemas: Mapping[int, SchemaBody], channels: Mapping[int, ChannelBody]) -> None:
+        """Add what is not known yet from another account of the same file."""
+        self.schemas = {**schemas, **self.schemas}
+        self.channels.update({key: channel for key, channel in channels.items() if key not in self.channels})
 
     def schema_name(self, channel: ChannelBody) -> str:
         """Name of a channel's schema, empty where it has none."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from svmdist.recording.names import plain
+
 MAX_LISTED_LOSSES = 1000
 """A file with a million broken chunks must not fill the memory with reports about them."""
 
@@ -35,8 +37,8 @@ class Loss:
 
     def __str__(self) -> str:
         place = "" if self.byte_offset is None else f" at byte {self.byte_offset}"
-        topic = "" if self.topic is None else f" on {self.topic}"
-        return f"{self.kind}{place}{topic}: {self.detail}"
+        topic = "" if self.topic is None else f" on {plain(self.topic)}"
+        return f"{self.kind}{place}{topic}: {plain(self.detail)}"
 
 
 @dataclass

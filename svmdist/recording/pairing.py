@@ -13,7 +13,7 @@ from svmdist.tracks import MAX_GAP_NS
 
 LOOK_AHEAD_NS = 3_000_000_000
 """How long, in log time, an image waits for the joints behind its stamp: clocks may differ by seconds."""
-MAX_WAITING = 256
+MAX_WAITING_BYTES = 64 << 20
 MAX_JOINT_SAMPLES = 20_000
 
 
@@ -22,6 +22,7 @@ class LoggedImage:
     """An image message, where and when it was logged."""
 
     log_time_ns: int
+    size_bytes: int
     offset: int | None
     image: EncodedImage
 
@@ -75,13 +76,16 @@ def pair_with_joints(
     """Yield every image in order with the joints at its stamp; messages come in file order."""
     joints = JointBuffer()
     waiting: deque[LoggedImage] = deque()
+    waiting_bytes = 0
     for message in messages:
         if isinstance(message, JointSample):
             joints.add(message)
         else:
             waiting.append(message)
-        while waiting and _is_ready(waiting, joints):
+            waiting_bytes += message.size_bytes
+        while waiting and (waiting_bytes > MAX_WAITING_BYTES or _is_ready(waiting, joints)):
             ready = waiting.popleft()
+            waiting_bytes -= ready.size_bytes
             yield ready, joints.at(ready.image.stamp_ns)
     for left in waiting:
         yield left, joints.at(left.image.stamp_ns)
@@ -92,5 +96,4 @@ def _is_ready(waiting: deque[LoggedImage], joints: JointBuffer) -> bool:
     return (
         first.image.stamp_ns <= joints.newest_ns
         or waiting[-1].log_time_ns - first.log_time_ns > LOOK_AHEAD_NS
-        or len(waiting) > MAX_WAITING
     )

@@ -17,6 +17,7 @@ from svmdist.recording.decoding import Decoder
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.images import ImageError
 from svmdist.recording.limits import Limits
+from svmdist.recording.names import plain, plain_list
 from svmdist.recording.opening import open_source
 from svmdist.recording.pairing import LoggedImage, pair_with_joints
 from svmdist.recording.sources import RawMessage, Source, TopicInfo
@@ -35,6 +36,8 @@ from svmdist.samples import (
     TransformsSample,
 )
 from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack, sort_stamps
+
+OTHER_JOINTS = "its joints are others than those of the first message"
 
 
 def open_recording(
@@ -98,7 +101,7 @@ class Recording:
         for _, sample in self._samples(topic):
             if isinstance(sample, CameraSample):
                 return sample.camera
-        raise RecordingError(f"{self.path.name}: no usable camera calibration on {topic}")
+        raise RecordingError(f"{self.path.name}: no usable camera calibration on {plain(topic)}")
 
     def images(self) -> Iterator[ImageSample | Rejection]:
         """Yield every image in file order, decoded; a Rejection stands for one that cannot be."""
@@ -125,11 +128,11 @@ class Recording:
             if not isinstance(sample, JointSample):
                 continue
             if samples and sample.names != samples[0].names:
-                self._lose(LossKind.MESSAGE, "its joints are others than those of the first message", raw)
+                self._lose(LossKind.MESSAGE, OTHER_JOINTS, raw)
                 continue
             samples.append(sample)
         if not samples:
-            raise RecordingError(f"{self.path.name}: no usable joint states on {topic}")
+            raise RecordingError(f"{self.path.name}: no usable joint states on {plain(topic)}")
         stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
         order = sort_stamps(stamps_ns)
         positions = np.array([sample.positions for sample in samples])
@@ -163,8 +166,8 @@ class Recording:
         samples = [sample for _, sample in self._samples(topic) if isinstance(sample, PoseSample)]
         frames = sorted({sample.frame_id for sample in samples})
         if len(frames) != 1:
-            found = f"poses in several frames: {', '.join(frames)}" if frames else "no usable poses"
-            raise RecordingError(f"{self.path.name}: {found} on {topic}")
+            found = f"poses in several frames: {plain_list(frames)}" if frames else "no usable poses"
+            raise RecordingError(f"{self.path.name}: {found} on {plain(topic)}")
         stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
         order = sort_stamps(stamps_ns)
         return PoseTrack(frames[0], stamps_ns[order], np.array([s.T_frame_pose for s in samples])[order])
@@ -241,11 +244,17 @@ class Recording:
         decoder = Decoder(self._limits)
         for raw in self._source.messages(frozenset({image_topic, *joint_topics})):
             if raw.topic == image_topic:
-                yield LoggedImage(raw.log_time_ns, raw.offset, _encoded_image(decoder, raw))
+                image = _encoded_image(decoder, raw)
+                yield LoggedImage(raw.log_time_ns, len(raw.data), raw.offset, image)
                 continue
             sample = self._decode(decoder, raw)
-            if isinstance(sample, JointSample) and sample.names == (names := names or sample.names):
+            if not isinstance(sample, JointSample):
+                continue
+            names = names or sample.names
+            if sample.names == names:
                 yield sample
+            else:
+                self._lose(LossKind.MESSAGE, OTHER_JOINTS, raw)
 
     def _pixels(self, logged: LoggedImage, topic: str) -> ImageSample | Rejection:
         image = logged.image

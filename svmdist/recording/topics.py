@@ -8,6 +8,7 @@ from enum import StrEnum
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.profile import Topics
 from svmdist.recording.decoding import Kind, kind_of
+from svmdist.recording.names import plain, plain_list
 from svmdist.recording.sources import TopicInfo
 
 
@@ -54,7 +55,9 @@ class TopicChoice:
         override = self._overrides.get(role)
         if override is not None:
             if override not in self._candidates(kind):
-                raise RecordingError(f"{self._name}: topic {override} carries no {kind}; {self._there_are()}")
+                raise RecordingError(
+                    f"{self._name}: topic {plain(override)} carries no {kind}; {self._there_are()}"
+                )
             return override
         wanted: str | None = getattr(self._wanted, role)
         candidates = self._candidates(kind)
@@ -66,7 +69,7 @@ class TopicChoice:
             return fitting[0]
         expected = f" (the profile expects {wanted})" if wanted else ""
         if fitting:
-            choices = ", ".join(fitting)
+            choices = plain_list(fitting)
             raise RecordingError(
                 f"{self._name}: several topics carry {kind}{expected}; choose one of {choices}"
             )
@@ -96,5 +99,5 @@ class TopicChoice:
         return [topic for topic in candidates if topic not in others and not topic.endswith("tf_static")]
 
     def _there_are(self) -> str:
-        listed = ", ".join(f"{info.topic} ({info.schema or 'no schema'})" for info in self._infos)
+        listed = plain_list(f"{info.topic} ({info.schema or 'no schema'})" for info in self._infos)
         return f"the topics are {listed}" if listed else "the recording has no topics"

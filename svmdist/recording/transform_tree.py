@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from svmdist.errors import RecordingError, did_you_mean
+from svmdist.recording.names import plain, plain_list
 from svmdist.samples import TransformSample
 from svmdist.tracks import MAX_GAP_NS, TransformTrack, sort_stamps
 from svmdist.transforms import Array, inverse
@@ -89,7 +90,7 @@ class TransformTree:
         for frame in (parent, child):
             if frame not in self.frames:
                 raise RecordingError(
-                    f"no frame {frame} in the transforms: {did_you_mean(frame, self.frames)}"
+                    f"no frame {frame} in the transforms: {did_you_mean(frame, map(plain, self.frames))}"
                 )
         if parent == child:
             raise RecordingError(
@@ -97,7 +98,7 @@ class TransformTree:
             )
         reached = self._reach(parent)
         if child not in reached:
-            here, there = ", ".join(sorted(reached)), ", ".join(sorted(self._reach(child)))
+            here, there = plain_list(sorted(reached)), plain_list(sorted(self._reach(child)))
             raise RecordingError(
                 f"no transform links {parent} and {child}: on one side are {here}; on the other {there}"
             )

@@ -1,0 +1,27 @@
+"""Names that come from a file, made safe to stand in one line of an error or a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+MAX_NAME_LENGTH = 300
+MAX_LISTED_NAMES = 40
+
+
+def plain(name: str) -> str:
+    r"""Write a name with its control characters escaped, shortened where it is endless.
+
+    >>> plain("/left\x1b[31m")
+    '/left\\x1b[31m'
+    """
+    shown = name if len(name) <= MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]}..."
+    if shown.isprintable():
+        return shown
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in shown)
+
+
+def plain_list(names: Iterable[str]) -> str:
+    """List names, the first forty of them."""
+    listed = [plain(name) for name in names]
+    more = [f"and {len(listed) - MAX_LISTED_NAMES} more"] if len(listed) > MAX_LISTED_NAMES else []
+    return ", ".join(listed[:MAX_LISTED_NAMES] + more)

@@ -1,0 +1,178 @@
+"""Single faults, one by one: what exactly is lost, what is still read, and what the report says."""
+
+from __future__ import annotations
+
+import struct
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.errors import RecordingError
+from svmdist.profile import Profile
+from svmdist.recording import pairing
+from svmdist.recording.health import MAX_LISTED_LOSSES, Health, Loss, LossKind
+from svmdist.recording.reader import open_recording
+from svmdist.samples import CameraSample, DistanceSample, ImageSample, JointSample
+
+from .builders import CAMERA, Entry, rewrite, scene, write_messages, write_scene
+from .faults import Part, Reading, expand, join, pack_chunk, read, split
+
+MAGIC_BYTES = 8
+MESSAGE, CHUNK, STATISTICS = 5, 6, 11
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A recording in some chunks."""
+    folder = tmp_path_factory.mktemp("losses")
+    native = write_scene(folder / "native.mcap", scene(6))
+    return rewrite(native, folder / "a.mcap", "zstd", chunk_size=4000).read_bytes()
+
+
+@pytest.fixture(scope="module")
+def intact(data: bytes, tmp_path_factory: pytest.TempPathFactory) -> Reading:
+    """What it holds."""
+    return reading_of(data, tmp_path_factory.mktemp("intact"))
+
+
+def reading_of(data: bytes, folder: Path) -> Reading:
+    """Read a file that must be usable."""
+    path = folder / "broken.mcap"
+    path.write_bytes(data)
+    reading = read(path)
+    assert reading is not None
+    return reading
+
+
+def chunks(data: bytes) -> list[Part]:
+    """The chunks of a file."""
+    return [part for part in split(data[:-MAGIC_BYTES]) if part.opcode == CHUNK]
+
+
+def message_count(chunk: Part) -> int:
+    """Messages in a chunk."""
+    return sum(part.opcode == MESSAGE for part in split(expand(chunk.body)[1], 0))
+
+
+def test_a_chunk_with_a_wrong_crc_is_dropped_whole_and_reading_goes_on(
+    data: bytes, intact: Reading, tmp_path: Path
+) -> None:
+    second = chunks(data)[1]
+    place = second.offset + 9 + 24  # its CRC
+    reading = reading_of(data[:place] + b"\1\2\3\4" + data[place + 4 :], tmp_path)
+    start = message_count(chunks(data)[0])
+    end = start + message_count(second)
+    assert reading.messages == intact.messages[:start] + intact.messages[end:]
+    assert reading.kinds == {LossKind.CHUNK, LossKind.DATA_CRC, LossKind.STATISTICS, LossKind.RECORD}
+    assert reading.metadata == {}  # outside of chunks, where the data section's CRC alone could vouch for it
+
+
+def test_behind_a_broken_length_the_index_shows_where_to_go_on(
+    data: bytes, intact: Reading, tmp_path: Path
+) -> None:
+    second = chunks(data)[1]
+    place = second.offset + 1  # its length
+    for length in (1 << 40, (1 << 64) - 1, 3):
+        reading = reading_of(data[:place] + struct.pack("<Q", length) + data[place + 8 :], tmp_path)
+        start = message_count(chunks(data)[0])
+        end = start + message_count(second)
+        salvaged = end - start if length > len(data) else 0  # its data are whole, and their CRC is right
+        assert reading.messages == intact.messages[: start + salvaged] + intact.messages[end:], length
+        assert LossKind.STRUCTURE in reading.kinds
+
+
+def test_a_summary_that_promises_more_is_a_loss(data: bytes, intact: Reading, tmp_path: Path) -> None:
+    """A recording from which a whole chunk was cut out, its summary made right but for the statistics."""
+    parts = split(data[:-MAGIC_BYTES])
+    last = chunks(data)[-1]
+    kept = [(part.opcode, part.body) for part in parts if part.offset != last.offset]
+    kept = [
+        (opcode, body[:-4] + bytes(4) if opcode == 2 else body) for opcode, body in kept
+    ]  # no summary CRC
+    kept = [(opcode, bytes(4) if opcode == 15 else body) for opcode, body in kept]  # no data CRC
+    reading = reading_of(data[:MAGIC_BYTES] + join(kept) + data[-MAGIC_BYTES:], tmp_path)
+    assert len(reading.messages) == len(intact.messages) - message_count(last)
+    assert reading.kinds == {LossKind.STATISTICS}
+
+
+def test_an_unknown_compression_is_refused(data: bytes, intact: Reading, tmp_path: Path) -> None:
+    broken = data.replace(struct.pack("<I", 4) + b"zstd", struct.pack("<I", 4) + b"zzzz", 1)
+    reading = reading_of(broken, tmp_path)
+    assert reading.messages == intact.messages[message_count(chunks(data)[0]) :] or not reading.messages
+    assert LossKind.CHUNK in reading.kinds
+
+
+def test_messages_of_a_channel_that_is_not_defined_are_counted(tmp_path: Path) -> None:
+    message = struct.pack("<HIQQ", 9, 0, 1, 1) + b"x"
+    content = join([(MESSAGE, message)] * 3)
+    file = join([(1, bytes(8)), (CHUNK, pack_chunk("zstd", content)), (15, bytes(4)), (2, bytes(20))])
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + file + b"\x89MCAP0\r\n")
+    reading = read(path)
+    assert reading is not None
+    assert reading.messages == []
+    assert reading.kinds == {LossKind.MESSAGE}
+
+
+def test_a_cut_file_says_so_once_with_its_figures(data: bytes, tmp_path: Path, profile: Profile) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(data[: chunks(data)[2].end])
+    recording = open_recording(path, profile)
+    expected = sum(message_count(chunk) for chunk in chunks(data)[:3])
+    for _ in range(3):
+        list(recording.images())
+    line = f"truncated at byte {path.stat().st_size}, {expected} messages recovered"
+    assert [loss.detail for loss in recording.health.losses] == [line]
+    assert recording.metadata == {"scenario": "test", "seed": "7"}
+
+
+def test_a_log_of_other_data_only_says_what_it_holds(tmp_path: Path, profile: Profile) -> None:
+    rows = [("/chatter\x1b[31m\n", "std_msgs/msg/String", "cdr", b"\0\1\0\0", 1)]
+    recording = open_recording(write_messages(tmp_path / "a.mcap", rows), profile)
+    with pytest.raises(RecordingError, match=r"the topics are /chatter\\x1b\[31m\\n \(std_msgs") as caught:
+        recording.joint_track()
+    assert str(caught.value).isprintable()
+
+
+def test_reports_of_losses_stay_short() -> None:
+    health = Health()
+    for number in range(3 * MAX_LISTED_LOSSES):
+        health.add(Loss(LossKind.CHUNK, "dropped", number, "/a\x1b"))
+    assert len(health.losses) == MAX_LISTED_LOSSES
+    assert health.unlisted_count > 0
+    lines = health.describe(5)
+    assert len(lines) == 6
+    assert all(line.isprintable() for line in lines)
+
+
+def test_memory_does_not_grow_with_the_length_of_the_log(
+    tmp_path: Path, profile: Profile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pairing, "MAX_JOINT_SAMPLES", 200)  # 20,000 of them would hide what else grows
+    peaks = []
+    for frame_count in (60, 600):
+        path = write_scene(tmp_path / f"{frame_count}.mcap", scene(frame_count))
+        recording = open_recording(path, profile)
+        recording.topics()
+        tracemalloc.start()
+        assert sum(1 for _ in recording.observations()) == frame_count
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.3 * peaks[0]
+
+
+def test_images_do_not_wait_in_memory_for_joints_that_never_come(tmp_path: Path, profile: Profile) -> None:
+    """Ten seconds of images whose joints are stamped an hour later: the look-ahead is bounded by its bytes."""
+    entries = [Entry("/ECM/left/camera_info", CameraSample(0, CAMERA))]
+    image = np.zeros((24, 32, 3), np.uint8)
+    joints = JointSample(3_600_000_000_000, ("a",), np.zeros(1))
+    entries += [
+        Entry("/ECM/left/image", ImageSample(frame * 40_000_000, "camera", image)) for frame in range(250)
+    ]
+    entries += [Entry("/PSM1/measured_js", joints), Entry("/d", DistanceSample(1, 1.0, 1.0, 1.0))]
+    recording = open_recording(write_scene(tmp_path / "a.mcap", entries), profile)
+    assert [item.stamp_ns for item in recording.observations()] == [
+        frame * 40_000_000 for frame in range(250)
+    ]
