@@ -35,7 +35,9 @@ def _fill(message: Message, document: Any) -> None:
         )
     if message.DESCRIPTOR.full_name == "google.protobuf.Timestamp":
         # Foxglove's JSON schemas call the parts of a time sec and nsec.
-        document = {"seconds": document["sec"], "nanos": document["nsec"]} if "sec" in document else {}
+        if not {"sec", "nsec"} <= document.keys():
+            raise TypeError("a time needs sec and nsec")
+        document = {"seconds": document["sec"], "nanos": document["nsec"]}
     message.SetInParent()
     for field in message.DESCRIPTOR.fields:
         value = document.get(field.name)

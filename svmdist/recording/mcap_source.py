@@ -10,7 +10,8 @@ from mcap.records import Metadata
 
 from svmdist.errors import RecordingError
 from svmdist.recording.bodies import MalformedRecordError, parse
-from svmdist.recording.container import Container, MessageRecord
+from svmdist.recording.container import Container
+from svmdist.recording.content import MessageRecord
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.limits import Limits
 from svmdist.recording.sources import RawMessage, TopicInfo, merge_topics
@@ -37,7 +38,7 @@ class McapSource:
             container = self._container()
             for _ in container.records():
                 pass
-            definitions, counts = container.definitions, container.tally.messages_by_channel
+            definitions, counts = container.content.definitions, container.content.tally.messages_by_channel
             self._topics = merge_topics(
                 TopicInfo(
                     channel.topic, definitions.schema_name(channel), channel.message_encoding, counts[key]
@@ -70,7 +71,7 @@ class McapSource:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield the messages of some topics, or of all, in file order."""
         container = self._container()
-        channels, definitions = container.definitions.channels, container.definitions
+        channels, definitions = container.content.definitions.channels, container.content.definitions
         for record in container.records():
             if not isinstance(record, MessageRecord):
                 continue
@@ -83,7 +84,7 @@ class McapSource:
                     record.log_time_ns,
                     record.data,
                     record.offset,
-                    container.loss_count,
+                    container.content.loss_count,
                 )
 
     def _container(self) -> Container:

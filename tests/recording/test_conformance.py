@@ -11,7 +11,8 @@ import pytest
 from mcap.opcode import Opcode
 
 from svmdist.recording.bodies import parse
-from svmdist.recording.container import Container, MessageRecord
+from svmdist.recording.container import Container
+from svmdist.recording.content import MessageRecord
 from svmdist.recording.health import Health
 from svmdist.recording.limits import Limits
 

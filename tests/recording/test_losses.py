@@ -83,6 +83,22 @@ def test_behind_a_broken_length_the_index_shows_where_to_go_on(
         assert LossKind.STRUCTURE in reading.kinds
 
 
+def test_a_chunk_that_contradicts_its_length_does_not_end_the_reading_of_a_cut_file(
+    data: bytes, intact: Reading, tmp_path: Path
+) -> None:
+    second, last = chunks(data)[1], chunks(data)[-1]
+    place = second.offset + 9 + 36  # the length of its data
+    broken = data[:place] + struct.pack("<Q", 1 << 30) + data[place + 8 :]
+    reading = reading_of(broken[: last.end], tmp_path)
+    start = message_count(chunks(data)[0])
+    # Channels that only the lost chunk defined are lost with it, and their messages are counted.
+    behind = intact.messages[start + message_count(second) :]
+    assert reading.messages[:start] == intact.messages[:start]
+    assert 0 < len(reading.messages[start:]) < len(behind)
+    assert all(message in behind for message in reading.messages[start:])
+    assert {LossKind.CHUNK, LossKind.TRUNCATED, LossKind.MESSAGE} <= reading.kinds
+
+
 def test_a_summary_that_promises_more_is_a_loss(data: bytes, intact: Reading, tmp_path: Path) -> None:
     """A recording from which a whole chunk was cut out, its summary made right but for the statistics."""
     parts = split(data[:-MAGIC_BYTES])

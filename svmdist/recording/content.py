@@ -1,0 +1,125 @@
+"""What schemas, channels and messages of an MCAP file mean, whether they stand in chunks or not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.opcode import Opcode
+
+from svmdist.recording.bodies import MESSAGE_HEAD
+from svmdist.recording.definitions import DefinitionError, Definitions
+from svmdist.recording.framing import HEAD, split_records
+from svmdist.recording.health import Health, Loss, LossKind
+from svmdist.recording.limits import Limits
+from svmdist.recording.summary import read_trusted_summary
+from svmdist.recording.tally import Tally
+
+IN_CHUNKS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A record that is no message; `offset` is its place in the file, or that of the chunk it was in."""
+
+    opcode: int
+    body: memoryview
+    offset: int
+
+
+@dataclass(frozen=True, slots=True)
+class MessageRecord:
+    """A message; `data` is a view into its chunk, to be copied by whoever keeps it."""
+
+    channel_id: int
+    sequence: int
+    log_time_ns: int
+    publish_time_ns: int
+    data: memoryview
+    offset: int
+
+
+class Content:
+    """The definitions, counts and losses of one pass over a file, which grow while it is read."""
+
+    def __init__(self, path: Path, limits: Limits, health: Health) -> None:
+        self.definitions = Definitions(limits)
+        self.tally = Tally()
+        self.loss_count = 0
+        self._path = path
+        self._limits = limits
+        self._health = health
+        self._has_recalled = False
+
+    def read_chunk(
+        self, data: memoryview, offset: int, *, is_prefix: bool = False
+    ) -> Iterator[Record | MessageRecord]:
+        """Yield what an expanded and verified chunk holds; of a prefix, the records that are complete."""
+        self.tally.chunk_count += 1
+        self.tally.chunk_offset_sum += offset
+        reached = 0
+        for number, (opcode, position, body) in enumerate(split_records(data)):
+            if number >= self._limits.chunk_records:
+                detail = f"more than {self._limits.chunk_records} records; the rest is dropped"
+                self.lose(LossKind.CHUNK, detail, offset)
+                return
+            if opcode == 0:
+                self.lose(LossKind.CHUNK, f"no record at {position} inside it; the rest is dropped", offset)
+                return
+            reached = position + HEAD.size + len(body)
+            if opcode in IN_CHUNKS:
+                yield from self.read(opcode, body, offset)
+        if reached < len(data) and not is_prefix:
+            self.lose(LossKind.CHUNK, "its last record is incomplete", offset)
+
+    def read(self, opcode: int, body: memoryview, offset: int) -> Iterator[Record | MessageRecord]:
+        """Take up a schema, a channel or a message, and yield it where it is sound."""
+        if opcode == Opcode.MESSAGE:
+            yield from self._message(body, offset)
+            return
+        try:
+            if opcode == Opcode.SCHEMA:
+                self.definitions.add_schema(body)
+            else:
+                self.definitions.add_channel(body)
+        except DefinitionError as problem:
+            self.lose(LossKind.DEFINITION, str(problem), offset)
+            return
+        yield Record(opcode, body, offset)
+
+    def _message(self, body: memoryview, offset: int) -> Iterator[MessageRecord]:
+        if len(body) < MESSAGE_HEAD.size:
+            self.lose(LossKind.RECORD, "a message without a head", offset)
+            return
+        channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(body)
+        if channel_id not in self.definitions.channels:
+            self._recall_definitions()
+        if channel_id not in self.definitions.channels or channel_id in self.definitions.ambiguous:
+            self.tally.lost_by_channel[channel_id] += 1
+            self.loss_count += 1
+            return
+        self.tally.add_message(channel_id, log_time_ns)
+        data = body[MESSAGE_HEAD.size :]
+        yield MessageRecord(channel_id, sequence, log_time_ns, publish_time_ns, data, offset)
+
+    def _recall_definitions(self) -> None:
+        """Take definitions that were lost with their chunk from the summary, where its CRC vouches for it."""
+        if self._has_recalled:
+            return
+        self._has_recalled = True
+        with self._path.open("rb") as file:
+            summary = read_trusted_summary(file, file.seek(0, 2), self._limits)
+        if summary is not None:
+            self.definitions.complete(summary.schemas, summary.channels)
+
+    def report_lost_messages(self) -> None:
+        """Report the messages whose channel is missing or ambiguous; call it where reading ends."""
+        for channel_id, count in sorted(self.tally.lost_by_channel.items()):
+            detail = f"{count} messages of channel {channel_id}, which is not (uniquely) defined"
+            self.lose(LossKind.MESSAGE, detail)
+
+    def lose(self, kind: LossKind, detail: str, offset: int | None = None) -> None:
+        """Report a loss."""
+        self.loss_count += 1
+        self._health.add(Loss(kind, detail, offset))
