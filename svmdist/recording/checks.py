@@ -14,6 +14,8 @@ from svmdist.transforms import Array, make_transform, rotation_from_quaternion_x
 
 MAX_STAMP_NS = (1 << 63) - 1
 NS = 1_000_000_000
+MAX_MAGNITUDE = 1e12
+"""In m, rad or px, far beyond anything real; squares and differences of such numbers are still finite."""
 MAX_JOINTS = 10_000
 MAX_TRANSFORMS = 10_000
 KNOWN_DISTORTION = frozenset({"", "plumb_bob", "rational_polynomial", "none"})
@@ -48,10 +50,18 @@ def checked_stamp_ns(stamp_ns: int) -> int:
     return stamp_ns
 
 
+def check_numbers(values: Sequence[float], what: str) -> None:
+    """Refuse numbers that are not finite or absurdly large with DecodeError."""
+    numbers = np.asarray(values, np.float64)
+    bad = ~(np.abs(numbers) <= MAX_MAGNITUDE)  # true for NaN too
+    if bad.any():
+        raise DecodeError(f"{what}: {numbers[bad][0]} is no usable number")
+
+
 def checked_transform(translation_m: Sequence[float], quaternion_xyzw: Sequence[float]) -> Array:
     """Build a transform, shape (4, 4); DecodeError for values that are not finite or name no rotation."""
-    if not np.all(np.isfinite(translation_m)):
-        raise DecodeError("a translation is not finite")
+    check_numbers(translation_m, "a translation")
+    check_numbers(quaternion_xyzw, "a quaternion")
     try:
         return make_transform(rotation_from_quaternion_xyzw(quaternion_xyzw), translation_m)
     except ValueError as problem:
@@ -64,12 +74,8 @@ def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[floa
         raise DecodeError(f"{len(names)} joint names and {len(positions)} positions")
     if len(set(names)) != len(names):
         raise DecodeError("joint names repeat")
-    values = np.array(positions, np.float64)
-    if not np.all(np.isfinite(values)):
-        raise DecodeError(
-            f"the position of joint {names[int(np.argmin(np.isfinite(values)))]!r} is not finite"
-        )
-    return JointSample(stamp_ns, tuple(names), values)
+    check_numbers(positions, "joint positions")
+    return JointSample(stamp_ns, tuple(names), np.array(positions, np.float64))
 
 
 def checked_camera(
@@ -84,8 +90,7 @@ def checked_camera(
     """Build a camera; DecodeError for a matrix of another size, an uncalibrated camera or an unknown distortion."""
     if len(K) != 9 or len(R) not in {0, 9} or len(P) not in {0, 12} or len(D) > 14:
         raise DecodeError(f"K, R, P, D have {len(K)}, {len(R)}, {len(P)}, {len(D)} elements")
-    if not np.all(np.isfinite([*K, *D, *R, *P])):
-        raise DecodeError("the calibration is not finite")
+    check_numbers([*K, *D, *R, *P], "a calibration")
     if K[0] <= 0 or K[4] <= 0 or min(size_px) < 1:
         raise DecodeError(
             f"the camera is not calibrated: fx = {K[0]}, fy = {K[4]}, {size_px[0]}x{size_px[1]} px"

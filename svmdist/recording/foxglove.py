@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
@@ -21,6 +20,7 @@ from svmdist.recording.checks import (
     NS,
     DecodeError,
     EncodedImage,
+    check_numbers,
     checked_camera,
     checked_joints,
     checked_stamp_ns,
@@ -148,8 +148,7 @@ def to_transforms(message: Any, log_time_ns: int) -> TransformsSample:
 def to_distance(message: Any, log_time_ns: int) -> DistanceSample:
     """Convert a svmdist.GroundTruthDistance."""
     values = (message.planar_m, message.spatial_m, message.clearance_m)
-    if not np.all(np.isfinite(values)):
-        raise DecodeError("a distance is not finite")
+    check_numbers(values, "a distance")
     return DistanceSample(stamp_of(message, log_time_ns), *values)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import MutableSequence
 from typing import Any
 
 from google.protobuf.descriptor import FieldDescriptor
@@ -41,20 +42,23 @@ def _fill(message: Message, document: Any) -> None:
     message.SetInParent()
     for field in message.DESCRIPTOR.fields:
         value = document.get(field.name)
-        if value is None:
-            continue
-        if field.is_repeated:
-            if not isinstance(value, list):
-                raise TypeError(f"a list is expected for {field.name}")
-            target = getattr(message, field.name)
-            if field.type == FieldDescriptor.TYPE_MESSAGE:
-                for item in value:
-                    _fill(target.add(), item)
-            else:
-                target.extend(value)
-        elif field.type == FieldDescriptor.TYPE_MESSAGE:
-            _fill(getattr(message, field.name), value)
-        elif field.type == FieldDescriptor.TYPE_BYTES:
-            setattr(message, field.name, base64.b64decode(value, validate=True))
-        elif field.type != FieldDescriptor.TYPE_ENUM:
-            setattr(message, field.name, value)
+        if value is not None:
+            _set(message, field, value)
+
+
+def _set(message: Message, field: Any, value: Any) -> None:
+    target: Any = getattr(message, field.name)
+    if isinstance(target, MutableSequence):  # protobuf before 6 has no field.is_repeated
+        if not isinstance(value, list):
+            raise TypeError(f"a list is expected for {field.name}")
+        if field.type != FieldDescriptor.TYPE_MESSAGE:
+            target.extend(value)
+            return
+        for item in value:
+            _fill(getattr(message, field.name).add(), item)
+    elif field.type == FieldDescriptor.TYPE_MESSAGE:
+        _fill(target, value)
+    elif field.type == FieldDescriptor.TYPE_BYTES:
+        setattr(message, field.name, base64.b64decode(value, validate=True))
+    else:
+        setattr(message, field.name, value)

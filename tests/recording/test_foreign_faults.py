@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import random
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -61,12 +63,10 @@ def test_mutants_of_foreign_logs(tmp_path: Path, profile: Profile, kind: str, co
 
 def decode_anything(raw: RawMessage) -> None:
     """Decode a message with all its pixels; only the two expected errors may come out."""
-    try:
+    with suppress(DecodeError, ImageError):
         sample = Decoder(Limits()).decode(raw)
         if isinstance(sample, EncodedImage):
             sample.decode()
-    except (DecodeError, ImageError) as problem:
-        assert str(problem)
 
 
 ALL_SCHEMAS = [(encoding, schema) for encoding, schemas in SCHEMAS.items() for schema in schemas]
@@ -97,8 +97,6 @@ json_values = st.recursive(
 @settings(max_examples=300)
 @given(st.sampled_from(sorted(SCHEMAS["json"])), json_values)
 def test_any_json_as_any_message(schema: str, document: object) -> None:
-    import json
-
     decode_anything(RawMessage("/t", schema, "json", 1, json.dumps(document).encode()))
 
 

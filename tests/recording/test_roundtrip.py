@@ -39,7 +39,7 @@ from .builders import CAMERA, Entry
 
 SCHEMAS = Path(__file__).parents[2] / "schemas"
 stamps = st.integers(0, 2**62)
-numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
+numbers = st.floats(-1e12, 1e12)
 names = st.text(st.characters(codec="utf-8"), min_size=1, max_size=20)
 lengths = st.floats(-1e3, 1e3)
 
