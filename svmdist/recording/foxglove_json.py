@@ -55,7 +55,7 @@ def _set(message: Message, field: Any, value: Any) -> None:
             target.extend(value)
             return
         for item in value:
-            _fill(target.add(), item)
+            _fill(getattr(message, field.name).add(), item)
     elif field.type == FieldDescriptor.TYPE_MESSAGE:
         _fill(target, value)
     elif field.type == FieldDescriptor.TYPE_BYTES:

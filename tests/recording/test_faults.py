@@ -21,6 +21,7 @@ from .builders import COMPRESSIONS, rewrite, scene, write_scene
 from .faults import Reading, flip_bit, is_subsequence, mutate, read, split
 
 CHUNK_OPCODE = 6
+GOLDEN_LOGS = sorted((Path(__file__).parents[2] / "recordings").glob("*.mcap"))
 MESSAGE_OPCODE = 5
 
 
@@ -100,6 +101,21 @@ def test_truncation_of_a_larger_log(larger: Intact, tmp_path: Path, count: int) 
     ends = chunk_ends(larger.data)
     for _ in range(count):
         check_cut(larger, ends, rng.randrange(len(larger.data)), tmp_path / "cut.mcap")
+
+
+@pytest.mark.fault
+@pytest.mark.skipif(not GOLDEN_LOGS, reason="no golden logs in recordings/")
+@pytest.mark.parametrize("compression", sorted(COMPRESSIONS))
+def test_truncation_of_a_golden_log(tmp_path: Path, compression: str) -> None:
+    rng = random.Random(8)
+    path = rewrite(GOLDEN_LOGS[0], tmp_path / "golden.mcap", compression, chunk_size=200_000)
+    reading = read(path)
+    assert reading is not None
+    assert reading.is_clean
+    intact = Intact(path.read_bytes(), reading)
+    ends = chunk_ends(intact.data)
+    for _ in range(1000):
+        check_cut(intact, ends, rng.randrange(len(intact.data)), tmp_path / "cut.mcap")
 
 
 @pytest.mark.parametrize("count", [300, pytest.param(10_000, marks=pytest.mark.fault)])
