@@ -87,8 +87,9 @@ class ColourRegion(StrictModel):
     components: Literal["all", "largest"] = "all"
     """`all`: every connected part above the gate belongs to the region, since an instrument that crosses
     an organ cuts its region in two. `largest`: one part only."""
-    occlusion: Literal["none", "hull"] = "none"
-    """`hull`: the centroid is that of the convex hull, which fills in what the instrument hides."""
+    occlusion: Literal["none", "hull", "outline"] = "none"
+    """Where the centroid is taken when an instrument hides a part: of the visible pixels (`none`), of their
+    convex hull (`hull`), or of a smooth outline fitted to what of it is visible (`outline`)."""
 
     @model_validator(mode="after")
     def _ordered(self) -> ColourRegion:

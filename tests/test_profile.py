@@ -105,8 +105,8 @@ def test_a_profile_needs_only_colours_and_a_marker(tmp_path):
         ),
         ("hue = [170, 8]", "hue = 170", r"segmentation\.tissue\.hue: .*tuple.* \(found 170\)"),
         (
-            "saturation = [110, 255]",
-            "saturation = [255, 110]",
+            "saturation = [80, 255]",
+            "saturation = [255, 80]",
             r"segmentation\.tissue: saturation = \[255, 110\] is empty",
         ),
         ("value = [60, 255]", "value = [255, 60]", r"segmentation\.tissue: value = \[255, 60\] is empty"),

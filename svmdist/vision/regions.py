@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from svmdist.profile import ColourRegion
 from svmdist.samples import Image
 from svmdist.transforms import Array
+from svmdist.vision.completion import completed_centroid, polygon_centroid
 
 SPECK_FRACTION = 0.02
 """A part below this fraction of the largest one is a speck of colour elsewhere, not a part of the region:
@@ -49,8 +50,10 @@ def find_region(mask: Image, rule: ColourRegion) -> Region | None:
     if not parts:
         return None
     hull = np.asarray(cv2.convexHull(np.concatenate([contour for _, contour in parts])), np.int32)
-    if rule.occlusion == "hull":
-        centroid_px = _polygon_centroid(hull)
+    if rule.occlusion == "outline":
+        centroid_px = completed_centroid(mask, hull)
+    elif rule.occlusion == "hull":
+        centroid_px = polygon_centroid(hull)
     else:
         centroid_px = _pixel_centroid(mask, [contour for _, contour in parts])
     return Region(
@@ -103,10 +106,3 @@ def _filled(mask: Image, contour: NDArray[np.int32]) -> tuple[Image, Image]:
     inside = np.zeros((height, width), np.uint8)
     cv2.drawContours(inside, [contour], -1, 255, cv2.FILLED, offset=(-x, -y))
     return inside, mask[y : y + height, x : x + width]
-
-
-def _polygon_centroid(polygon: NDArray[np.int32]) -> Array:
-    moments = cv2.moments(polygon)
-    if moments["m00"] <= 0:  # all points on one line
-        return np.asarray(polygon.reshape(-1, 2).mean(0), np.float64)
-    return np.array([moments["m10"], moments["m01"]]) / moments["m00"]

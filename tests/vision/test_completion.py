@@ -1,0 +1,89 @@
+"""The outline of a partly hidden object: what completion gives back, and what it leaves alone."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from svmdist.vision.completion import completed_centroid, polygon_centroid
+
+CENTRE = np.array([310.0, 236.0])
+
+
+def _egg(width_px: int = 640, height_px: int = 480) -> np.ndarray:
+    """An egg-shaped mask, no ellipse, and its centroid."""
+    theta = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    radius = 110 + 14 * np.cos(2 * theta + 0.4) + 6 * np.cos(3 * theta)
+    points = CENTRE + radius[:, None] * np.stack([np.cos(theta), np.sin(theta)], -1)
+    mask = np.zeros((height_px, width_px), np.uint8)
+    cv2.fillPoly(mask, [np.round(points).astype(np.int32)], 255)
+    return mask
+
+
+def _hull(mask: np.ndarray) -> np.ndarray:
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return cv2.convexHull(np.concatenate(contours))
+
+
+def _pixel_mean(mask: np.ndarray) -> np.ndarray:
+    rows, columns = np.nonzero(mask)
+    return np.array([columns.mean(), rows.mean()])
+
+
+def test_a_whole_object_keeps_its_centroid() -> None:
+    """Nothing hidden: the centroid is that of the pixels within 0.5 px."""
+    mask = _egg()
+    np.testing.assert_allclose(completed_centroid(mask, _hull(mask)), _pixel_mean(mask), atol=0.5)
+
+
+@settings(deadline=None, max_examples=60)
+@given(angle_deg=st.floats(0, 360), offset_px=st.floats(-70, 70), half_width_px=st.floats(15, 30))
+def test_a_bar_across_costs_little(angle_deg: float, offset_px: float, half_width_px: float) -> None:
+    """An instrument from outside to the middle and beyond moves the centroid by under 4 px, anywhere."""
+    whole = _egg()
+    mask = whole.copy()
+    direction = np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))])
+    across = np.array([-direction[1], direction[0]])
+    start, end = CENTRE + offset_px * across - 60 * direction, CENTRE + offset_px * across + 400 * direction
+    corners = [start - half_width_px * across, end - half_width_px * across]
+    corners += [end + half_width_px * across, start + half_width_px * across]
+    cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], 0)
+    assert np.linalg.norm(completed_centroid(mask, _hull(mask)) - _pixel_mean(whole)) < 4.0
+
+
+@pytest.mark.parametrize("depth_px", [20, 35])
+@pytest.mark.parametrize("side", ["bottom", "left", "right", "top"])
+def test_a_covered_side_is_given_back(depth_px: int, side: str) -> None:
+    """Where a straight edge covers a side, the hull is off by several times what completion leaves."""
+    whole = _egg()
+    turned = np.rot90(whole, {"bottom": 0, "left": 1, "top": 2, "right": 3}[side]).copy()
+    truth = _pixel_mean(turned)
+    mask = turned.copy()
+    lowest = int(np.flatnonzero(mask.any(axis=1)).max())
+    mask[lowest - depth_px :] = 0
+    hull = _hull(mask)
+    hull_error = np.linalg.norm(polygon_centroid(hull) - truth)
+    error = np.linalg.norm(completed_centroid(mask, hull) - truth)
+    assert error < 0.5 * hull_error
+    assert error < 6.0
+
+
+def test_the_border_of_the_image_is_no_outline() -> None:
+    """An object that goes on beyond the image is completed, as far as a smooth curve can."""
+    shifted = np.roll(_egg(), -230, axis=1)
+    shifted[:, 500:] = 0
+    truth = CENTRE - [230.0, 0.0]
+    error = np.linalg.norm(completed_centroid(shifted, _hull(shifted)) - truth)
+    assert error < 0.5 * np.linalg.norm(_pixel_mean(shifted) - truth)
+
+
+def test_too_little_outline_falls_back_to_the_hull() -> None:
+    """A triangle has no curved outline at all: its hull's centroid is used."""
+    mask = np.zeros((200, 200), np.uint8)
+    triangle = np.array([[20, 20], [180, 30], [60, 170]], np.int32)
+    cv2.fillPoly(mask, [triangle], 255)
+    hull = _hull(mask)
+    np.testing.assert_array_equal(completed_centroid(mask, hull), polygon_centroid(hull))
