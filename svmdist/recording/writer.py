@@ -32,8 +32,8 @@ class RecordingWriter:
     >>> with RecordingWriter(path, {"scenario": "sweep"}) as writer:      # doctest: +SKIP
     ...     writer.write("/tf", sample)
 
-    An exception inside the block keeps the `.part` file, which holds all but the last quarter of a
-    second, and renames nothing. Chunks hold at most 256 KiB, or one message that is larger. `metadata`
+    An exception inside the block keeps the `.part` file, which holds everything written so far, and renames
+    nothing; a `.part` without any message is removed. Chunks hold at most 256 KiB, or one message that is larger. `metadata`
     becomes the record `svmdist`.
 
     Raises UsageError when the file exists and `force` is not set, OutputError when it cannot be written.
@@ -103,6 +103,8 @@ class RecordingWriter:
                 self._writer.flush()
             with suppress(OSError):
                 self._file.close()
+            if not self._channels:  # there is nothing in it worth keeping
+                self.part_path.unlink(missing_ok=True)
             return
         try:
             self._writer.finish()

@@ -101,6 +101,12 @@ def test_an_interrupted_recording_keeps_its_part(tmp_path: Path, profile: Profil
         write_scene(path, scene(1))
 
 
+def test_an_interruption_before_the_first_message_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError), RecordingWriter(tmp_path / "a.mcap", {}):
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_at_most_a_quarter_of_a_second_is_only_in_memory(tmp_path: Path, profile: Profile) -> None:
     path = tmp_path / "a.mcap"
     with RecordingWriter(path, {}) as writer:
