@@ -25,6 +25,10 @@ from svmdist.recording.sources import RawMessage, Source, TopicInfo, merge_topic
 METADATA_FILE = "metadata.yaml"
 MAX_METADATA_BYTES = 1 << 20
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+COUNT_PLAIN_TABLES = (
+    "SELECT COUNT(*) FROM sqlite_master WHERE name IN ('topics', 'messages') AND type = 'table' "
+    "AND sql LIKE 'CREATE TABLE%'"
+)
 STORED_FILE = re.compile(r"^\s*-\s*['\"]?([^'\"\n]+\.(?:mcap|db3)(?:\.zstd)?)['\"]?\s*$", re.MULTILINE)
 COMPRESSION_MODE = re.compile(r"^\s*compression_mode:\s*['\"]?(\w*)", re.MULTILINE)
 
@@ -40,9 +44,10 @@ class SqliteSource:
     def topics(self) -> tuple[TopicInfo, ...]:
         """List the topics, with counts by reading their messages' headers."""
         query = (
-            "SELECT name, type, serialization_format, (SELECT COUNT(*) FROM messages WHERE topic_id = t.id)"
+            "SELECT name, type, serialization_format, COALESCE(total, 0) FROM topics LEFT JOIN "
+            "(SELECT topic_id, COUNT(*) AS total FROM messages GROUP BY topic_id) ON topic_id = topics.id"
         )
-        rows = list(self._rows(f"{query} FROM topics AS t"))
+        rows = list(self._rows(query))
         return merge_topics(TopicInfo(str(a), str(b), str(c), int(n)) for a, b, c, n in rows)
 
     def metadata(self) -> dict[str, str]:
@@ -54,7 +59,7 @@ class SqliteSource:
         query = (
             "SELECT name, type, serialization_format, timestamp, length(data), "
             "CASE WHEN length(data) <= ? THEN data END, messages.id "
-            "FROM messages JOIN topics ON topics.id = messages.topic_id ORDER BY messages.id"
+            "FROM messages CROSS JOIN topics ON topics.id = messages.topic_id ORDER BY messages.id"
         )
         limit = self._limits.record_bytes
         losses = 0
@@ -73,10 +78,14 @@ class SqliteSource:
         count = 0
         try:
             with closing(sqlite3.connect(uri, uri=True)) as database:
+                # A view or a virtual table could run anything, and for ever.
+                (plain_tables,) = database.execute(COUNT_PLAIN_TABLES).fetchone()
+                if plain_tables != 2:
+                    raise RecordingError(f"{self.path}: an SQLite database, but not of rosbag2")
                 for row in database.execute(query, parameters):
                     count += 1
                     yield row
-        except (sqlite3.Error, OverflowError, MemoryError) as problem:
+        except (sqlite3.Error, UnicodeError, OverflowError, MemoryError) as problem:
             if count == 0:
                 raise RecordingError(f"{self.path}: no usable rosbag2 database: {problem}") from None
             detail = f"the rest of {self.path.name} is unreadable ({problem}), {count} messages recovered"

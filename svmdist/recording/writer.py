@@ -33,8 +33,8 @@ class RecordingWriter:
     ...     writer.write("/tf", sample)
 
     An exception inside the block keeps the `.part` file, which holds everything written so far, and renames
-    nothing; a `.part` without any message is removed. Chunks hold at most 256 KiB, or one message that is larger. `metadata`
-    becomes the record `svmdist`.
+    nothing; a `.part` without any message is removed. Chunks hold at most 256 KiB, or one message that is
+    larger. `metadata` becomes the record `svmdist`.
 
     Raises UsageError when the file exists and `force` is not set, OutputError when it cannot be written.
     """

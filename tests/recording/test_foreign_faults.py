@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import random
+import sqlite3
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
@@ -15,12 +16,14 @@ from hypothesis import strategies as st
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 
+from svmdist.errors import RecordingError
 from svmdist.profile import Profile
 from svmdist.recording.checks import DecodeError, EncodedImage
 from svmdist.recording.decoding import SCHEMAS, Decoder
 from svmdist.recording.images import ImageError
 from svmdist.recording.limits import Limits
 from svmdist.recording.mcap_source import McapSource
+from svmdist.recording.reader import open_recording
 from svmdist.recording.sources import RawMessage
 
 from .builders import scene
@@ -59,6 +62,17 @@ def test_mutants_of_foreign_logs(tmp_path: Path, profile: Profile, kind: str, co
         started_s = time.perf_counter()
         read_everything(path, profile)
         assert time.perf_counter() - started_s < 5.0, number
+
+
+def test_a_database_that_is_a_program_is_refused(tmp_path: Path, profile: Profile) -> None:
+    path = tmp_path / "a.db3"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("CREATE TABLE topics (id, name, type, serialization_format)")
+        endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i AS id, i AS topic_id FROM n"
+        database.execute(f"CREATE VIEW messages AS {endless}")
+        database.commit()
+    with pytest.raises(RecordingError, match="not of rosbag2"):
+        open_recording(path, profile)
 
 
 def decode_anything(raw: RawMessage) -> None:
