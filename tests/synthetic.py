@@ -50,7 +50,7 @@ class SyntheticScene:
         q = _middle_posture(self.profile)
         names = self.chain.joint_names
         q[names.index("setup_2")] += 0.021 * np.sin(1.9 * seconds)
-        q[names.index("setup_3")] += 0.046 * np.sin(2.7 * seconds + 0.4)
+        q[names.index("setup_3")] += 0.038 * np.sin(2.7 * seconds + 0.4)
         return q
 
     def T_camera_tool_at(self, seconds: float) -> Array:

@@ -107,7 +107,7 @@ def test_a_profile_needs_only_colours_and_a_marker(tmp_path):
         (
             "saturation = [80, 255]",
             "saturation = [255, 80]",
-            r"segmentation\.tissue: saturation = \[255, 110\] is empty",
+            r"segmentation\.tissue: saturation = \[255, 80\] is empty",
         ),
         ("value = [60, 255]", "value = [255, 60]", r"segmentation\.tissue: value = \[255, 60\] is empty"),
         ("size_px = 96", "size_px = 12", r"marker\.size_px: .*greater than or equal to 48 \(found 12\)"),

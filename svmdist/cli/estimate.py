@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import typer
@@ -48,7 +49,7 @@ def estimate_command(
     setup = prepare(profile, method.value, equations.value, calibration)
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in files]
     tally: Counter[str] = Counter()
-    write_lines(_lines(form, _rows(recordings, setup, tally)), output)
+    write_lines(_lines(form, _started(_rows(recordings, setup, tally))), output)
     _summarise(tally)
     raise typer.Exit(report_health(recordings))
 
@@ -65,6 +66,12 @@ def _rows(recordings: list[Recording], setup: Setup, tally: Counter[str]) -> Ite
             start_ns = row.stamp_ns if start_ns is None else start_ns
             tally[str(row.status)] += 1
             yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns)
+
+
+def _started(rows: Iterator[Row]) -> Iterator[Row]:
+    """Measure the first row at once, so that a log that cannot be read leaves no header behind."""
+    first = next(rows, None)
+    return iter(()) if first is None else chain([first], rows)
 
 
 def _lines(form: RowFormat, rows: Iterator[Row]) -> Iterator[str]:

@@ -179,6 +179,7 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
     from svmdist.report.validation import (
         PAPER_NOTE,
         VALIDATION_KEYS,
+        remarks,
         score_row,
         validation_document,
         validation_table,
@@ -188,7 +189,7 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
         say(f"svmdist: note: {note}")
     match form:
         case TableFormat.TABLE:
-            write_table(validation_table(result), [PAPER_NOTE], output)
+            write_table(validation_table(result), [*remarks(result), PAPER_NOTE], output)
         case TableFormat.CSV:
             scores = (*result.scores, *result.overall)
             write_lines(csv_lines(VALIDATION_KEYS, (score_row(score) for score in scores)), output)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from rich import box
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -47,7 +48,14 @@ def percent(digits: int) -> Callable[[Cell], str]:
 
 def rich_table(title: str, columns: Sequence[Column], rows: Iterable[Row]) -> RichTable:
     """Build the table for a person; text is printed as it stands, without markup."""
-    table = RichTable(title=Text(printable(title)), title_justify="left", title_style="bold")
+    table = RichTable(
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+        title=Text(printable(title)),
+        title_justify="left",
+        title_style="bold",
+    )
     for column in columns:
         # As Text: a plain "[mm]" would be taken for markup and vanish.
         justify: Literal["left", "right"] = "left" if column.is_text else "right"

@@ -7,7 +7,6 @@ from typing import Any
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from svmdist.estimation.lag import LagEstimate
 from svmdist.metrics import ErrorStatistics
 from svmdist.report.table import Cell, Column, json_value, number, percent, rich_table
 from svmdist.report.text import printable
@@ -51,20 +50,20 @@ COLUMNS = (
     Column("recording", "recording", is_text=True),
     Column("reference", "against", is_text=True),
     Column("sample_count", "n"),
-    Column("coverage", "coverage [%]", percent(1)),
+    Column("coverage", "cov. %", percent(1)),
     Column("r_squared", "R²", number(4)),
-    Column("r_squared_interval", "R² 95 %", is_text=True),
-    Column("rmse_m", "RMSE [mm]", number(3, 1e3)),
-    Column("rmse_interval", "RMSE 95 % [mm]", is_text=True),
-    Column("mae_m", "MAE [mm]", number(3, 1e3)),
-    Column("median_abs_error_m", "median [mm]", number(3, 1e3)),
-    Column("p95_abs_error_m", "p95 [mm]", number(3, 1e3)),
-    Column("max_abs_error_m", "max [mm]", number(3, 1e3)),
-    Column("bias_m", "bias [mm]", number(3, 1e3)),
-    Column("truth_std_m", "σ truth [mm]", number(2, 1e3)),
+    Column("r_squared_interval", "95 %", is_text=True),
+    Column("rmse_m", "RMSE", number(2, 1e3)),
+    Column("rmse_interval", "95 %", is_text=True),
+    Column("mae_m", "MAE", number(2, 1e3)),
+    Column("median_abs_error_m", "median", number(2, 1e3)),
+    Column("p95_abs_error_m", "p95", number(2, 1e3)),
+    Column("max_abs_error_m", "max", number(2, 1e3)),
+    Column("bias_m", "bias", number(2, 1e3)),
+    Column("truth_std_m", "σ truth", number(2, 1e3)),
     Column("pearson_r", "r", number(4)),
-    Column("remark", "remark", is_text=True),
 )
+"""Lengths in mm, as the title says: a unit in every heading would not fit a terminal."""
 
 PAPER_NOTE = (
     f"The paper reports R² = {PAPER_R_SQUARED:.0%} for its own scene and trajectory, without RMSE or n; the scenes"
@@ -125,7 +124,7 @@ def validation_table(validation: Validation) -> RichTable:
     """The table for a person: a row a recording and reference, then the overall rows."""
     first = next(iter(validation.scores))
     table = rich_table(
-        f"{first.method}, {first.equations} equations",
+        f"{first.method}, {first.equations} equations; errors in mm; 95 %: bootstrap interval",
         COLUMNS,
         [_shown(score) for score in validation.scores],
     )
@@ -137,29 +136,36 @@ def validation_table(validation: Validation) -> RichTable:
     return table
 
 
+def remarks(validation: Validation) -> list[str]:
+    """What the table has no room for, a line a recording: frames that were lost, lag, and what was fitted on."""
+    lines: dict[str, list[str]] = {}
+    for score in validation.scores:
+        found = ["fitted on this log: left out of the overall row"] if score.fitted_on else []
+        if score.rejected:
+            reasons = ", ".join(f"{count} {reason}" for reason, count in score.rejected.items())
+            found.append(f"not measured: {reasons} of {score.frame_count} frames")
+        if score.unpaired_count:
+            found.append(f"measured where there is no {score.reference}: {score.unpaired_count}")
+        if score.lag and score.lag.lag_s != 0.0 and score.uncorrected:
+            found.append(f"lag {score.lag.lag_s * 1e3:+.1f} ms (confidence {score.lag.confidence:.2f})")
+            found.append(f"without it against {score.reference}: {_figures(score.uncorrected)}")
+        known = lines.setdefault(score.recording, [])
+        known += [remark for remark in found if remark not in known]
+    return [printable(f"{name}: {'; '.join(found)}") for name, found in lines.items() if found]
+
+
 def _shown(score: Score) -> dict[str, Cell]:
     row = score_row(score)
     rmse, r2 = score.rmse_interval_m, score.r_squared_interval
-    remarks = [f"{count} {reason}" for reason, count in score.rejected.items()]
-    if score.unpaired_count:
-        remarks.append(f"{score.unpaired_count} unpaired")
-    if score.fitted_on:
-        remarks.insert(0, "fitted on, not in overall")
-    if score.lag and score.lag.lag_s != 0.0 and score.uncorrected:
-        remarks.append(_lag_remark(score.lag, score.uncorrected))
     return row | {
-        "rmse_interval": f"{rmse.low * 1e3:.3f} … {rmse.high * 1e3:.3f}" if rmse else "–",
-        "r_squared_interval": f"{r2.low:.4f} … {r2.high:.4f}" if r2 else "–",
-        "remark": ", ".join(remarks),
+        "rmse_interval": f"{rmse.low * 1e3:.2f}–{rmse.high * 1e3:.2f}" if rmse else "–",
+        "r_squared_interval": f"{r2.low:.3f}–{r2.high:.3f}" if r2 else "–",
     }
 
 
-def _lag_remark(lag: LagEstimate, uncorrected: ErrorStatistics) -> str:
-    before = "–" if uncorrected.r_squared is None else f"{uncorrected.r_squared:.4f}"
-    return (
-        f"lag {lag.lag_s * 1e3:+.1f} ms (confidence {lag.confidence:.2f});"
-        f" before: R² {before}, RMSE {uncorrected.rmse * 1e3:.3f} mm"
-    )
+def _figures(statistics: ErrorStatistics) -> str:
+    r2 = "–" if statistics.r_squared is None else f"{statistics.r_squared:.4f}"
+    return f"R² {r2}, RMSE {statistics.rmse * 1e3:.2f} mm"
 
 
 def _json_score(score: Score) -> dict[str, Any]:

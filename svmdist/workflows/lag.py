@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.lag import LagEstimate, Predict, estimate_lag
 from svmdist.profile import Profile
@@ -37,12 +38,12 @@ def recording_lag(
         except (RecordingError, KinematicsError) as problem:
             problems.append(str(problem))
             continue
-        return estimate_lag(stamps_ns, seen_px, _predictor(at, recording))
+        return estimate_lag(stamps_ns, seen_px, predictor(at, recording.camera))
     return LagEstimate(0.0, None, 0.0, f"the log has no motion of the tool but in its images: {problems[0]}")
 
 
-def _predictor(at: PoseAt, recording: Recording) -> Predict:
-    camera = recording.camera
+def predictor(at: PoseAt, camera: Camera) -> Predict:
+    """Project the tool's origin by poses `T_camera_tool` into the image."""
 
     def predict(stamps_ns: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
         pose = at(stamps_ns)

@@ -146,17 +146,19 @@ def test_the_table_shows_r_squared_with_rmse_sigma_and_n():
     statistics = made.scores[0].statistics
     assert statistics is not None
     shown = render(validation_table(made))
-    for heading in ("R²", "RMSE [mm]", "σ truth [mm]", "coverage [%]", "bias [mm]"):
+    for heading in ("errors in mm", "R²", "RMSE", "σ truth", "cov. %", "bias", " n "):
         assert heading in shown
     row = next(line for line in shown.splitlines() if "sweep.mcap" in line)
     for text in (
         f"{statistics.r_squared:.4f}",
-        f"{statistics.rmse * 1e3:.3f}",
+        f"{statistics.rmse * 1e3:.2f}",
         f"{statistics.truth_std * 1e3:.2f}",
     ):
         assert text in row
-    assert "fitted on, not in overall" in row
-    assert "9 no_instrument, 1 no_tissue, 2 unpaired" in row
+    (remark,) = remarks(made)
+    assert "fitted on this log" in remark
+    assert "not measured: 9 no_instrument, 1 no_tissue of" in remark
+    assert "2" in remark
 
 
 @pytest.mark.parametrize(
