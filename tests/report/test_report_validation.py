@@ -18,6 +18,7 @@ from svmdist.report.plot import draw, save_plot
 from svmdist.report.table import csv_lines, json_array_lines, render, rich_table
 from svmdist.report.validation import (
     VALIDATION_KEYS,
+    remarks,
     score_row,
     validation_document,
     validation_table,
