@@ -1,0 +1,71 @@
+"""The documentation against the program: what it shows is what is measured, what it names exists."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import REPOSITORY
+
+DOCUMENTS = sorted(
+    [*REPOSITORY.glob("*.md"), *REPOSITORY.glob("docs/**/*.md"), *REPOSITORY.glob("*/README.md")]
+)
+
+
+def test_readme_example_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The ten lines of Python in the README run as they stand, and end with the statistics."""
+    monkeypatch.chdir(REPOSITORY)
+    (code,) = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text("utf-8"), re.DOTALL)
+    exec(compile(code, "README.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 81
+    assert " ok 0.0" in lines[0]
+    assert lines[-1].startswith("ErrorStatistics(count=80")
+
+
+def test_readme_table_is_what_is_measured() -> None:
+    """The README's results table agrees with the golden logs measured now, to one unit of the last digit."""
+    from svmdist.workflows.setup import prepare
+    from tools.make_docs import BEGIN, END, results_table, score_logs
+
+    text = (REPOSITORY / "README.md").read_text("utf-8")
+    shown = text.partition(BEGIN)[2].partition(END)[0].strip().splitlines()
+    measured = results_table(score_logs(prepare())).strip().splitlines()
+    assert len(shown) == len(measured)
+    for a, b in zip(shown, measured, strict=True):
+        assert re.sub(r"-?[\d.]+", "#", a) == re.sub(r"-?[\d.]+", "#", b)
+        for x, y in zip(re.findall(r"-?\d+\.?\d*", a), re.findall(r"-?\d+\.?\d*", b), strict=True):
+            unit = 10.0 ** -len(x.partition(".")[2])
+            assert abs(float(x) - float(y)) <= 1.01 * unit, (a, b)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(REPOSITORY)))
+def test_links_lead_somewhere(document: Path) -> None:
+    """Every relative link of a document names a file that is there."""
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", document.read_text("utf-8")):
+        if "://" not in target:
+            assert (document.parent / target).exists(), target
+
+
+def test_every_command_is_in_the_readme() -> None:
+    """Each subcommand has a row in the README's table, and the README names no other."""
+    import typer
+
+    from svmdist.cli.main import app
+
+    commands = set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+    named = set(
+        re.findall(r"^\| `svmdist ([\w-]+)", (REPOSITORY / "README.md").read_text("utf-8"), re.MULTILINE)
+    )
+    assert named == commands
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(REPOSITORY)))
+def test_named_modules_exist(document: Path) -> None:
+    """A path such as `vision/marker.py` in a document names a module of the package."""
+    for path in re.findall(r"`(?:svmdist/)?((?:[a-z_]+/)*[a-z_]+\.py)`", document.read_text("utf-8")):
+        folders = (REPOSITORY / "svmdist", REPOSITORY)
+        there = any((folder / path).exists() for folder in folders)
+        assert there or any((REPOSITORY / "tests").rglob(path)), path
