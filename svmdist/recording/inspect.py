@@ -8,10 +8,10 @@ from pathlib import Path
 
 from svmdist.camera import Camera
 from svmdist.profile import Profile
-from svmdist.recording.checks import DecodeError
-from svmdist.recording.decoding import Decoder, kind_of
 from svmdist.recording.health import Health
 from svmdist.recording.limits import Limits
+from svmdist.recording.messages.checks import DecodeError
+from svmdist.recording.messages.decoding import Decoder, kind_of
 from svmdist.recording.reader import open_recording
 from svmdist.recording.sources import RawMessage
 from svmdist.recording.topics import Role

@@ -5,12 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from svmdist.errors import RecordingError
-from svmdist.recording.framing import MAGIC as MCAP_MAGIC
 from svmdist.recording.limits import Limits
-from svmdist.recording.mcap_source import McapSource
-from svmdist.recording.rosbag1_records import MAGIC as ROSBAG_MAGIC
-from svmdist.recording.rosbag1_source import Rosbag1Source
-from svmdist.recording.rosbag2_source import METADATA_FILE, Rosbag2Source, SqliteSource, is_message_compressed
+from svmdist.recording.mcap_file.framing import MAGIC as MCAP_MAGIC
+from svmdist.recording.mcap_file.source import McapSource
+from svmdist.recording.rosbag.bag1_records import MAGIC as ROSBAG_MAGIC
+from svmdist.recording.rosbag.bag1_source import Rosbag1Source
+from svmdist.recording.rosbag.bag2_source import (
+    METADATA_FILE,
+    Rosbag2Source,
+    SqliteSource,
+    is_message_compressed,
+)
 from svmdist.recording.sources import Source
 
 SQLITE_MAGIC = b"SQLite format 3\x00"

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from svmdist.recording.checks import EncodedImage
+from svmdist.recording.messages.checks import EncodedImage
 from svmdist.samples import JointSample
 from svmdist.tracks import MAX_GAP_NS
 

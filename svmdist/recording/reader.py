@@ -12,11 +12,11 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
-from svmdist.recording.checks import DecodeError, EncodedImage, broken_image
-from svmdist.recording.decoding import Decoder
 from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.images import ImageError
 from svmdist.recording.limits import Limits
+from svmdist.recording.messages.checks import DecodeError, EncodedImage, broken_image
+from svmdist.recording.messages.decoding import Decoder
+from svmdist.recording.messages.images import ImageError
 from svmdist.recording.names import plain, plain_list
 from svmdist.recording.opening import open_source
 from svmdist.recording.pairing import LoggedImage, pair_with_joints

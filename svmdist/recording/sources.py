@@ -9,6 +9,9 @@ from typing import Protocol
 
 from svmdist.recording.health import Health
 
+METADATA_NAME = "svmdist"
+"""The metadata record that says what a recording came from."""
+
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:

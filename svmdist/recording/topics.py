@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.profile import Topics
-from svmdist.recording.decoding import Kind, kind_of
+from svmdist.recording.messages.decoding import Kind, kind_of
 from svmdist.recording.names import plain, plain_list
 from svmdist.recording.sources import TopicInfo
 

@@ -13,10 +13,10 @@ from typing import IO, Self
 from mcap.writer import CompressionType, Writer
 
 from svmdist.errors import OutputError, UsageError
-from svmdist.recording.encoding import encode, message_type
+from svmdist.recording.messages.encoding import encode, message_type
+from svmdist.recording.sources import METADATA_NAME
 from svmdist.samples import Sample
 
-METADATA_NAME = "svmdist"
 CHUNK_BYTES = 240 * 1024
 """Leaves room in 256 KiB for the schemas and channels that a chunk may have to declare."""
 CHUNK_SPAN_NS = 250_000_000

@@ -15,7 +15,7 @@ import zstandard
 from svmdist.errors import RecordingError
 from svmdist.recording.health import LossKind
 from svmdist.recording.limits import Limits
-from svmdist.recording.mcap_source import McapSource
+from svmdist.recording.mcap_file.source import McapSource
 
 HEAD = struct.Struct("<BQ")
 MAGIC_BYTES = 8

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from mcap.opcode import Opcode
 
-from svmdist.recording.bodies import parse
-from svmdist.recording.container import Container
-from svmdist.recording.content import MessageRecord
 from svmdist.recording.health import Health
 from svmdist.recording.limits import Limits
+from svmdist.recording.mcap_file.bodies import parse
+from svmdist.recording.mcap_file.container import Container
+from svmdist.recording.mcap_file.content import MessageRecord
 
 REPOSITORY = Path(__file__).parents[2]
 FOLDER = Path(os.environ.get("SVMDIST_CONFORMANCE", REPOSITORY.parent / "shared" / "conformance"))

@@ -18,11 +18,11 @@ from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
-from svmdist.recording.checks import DecodeError, EncodedImage
-from svmdist.recording.decoding import SCHEMAS, Decoder
-from svmdist.recording.images import ImageError
 from svmdist.recording.limits import Limits
-from svmdist.recording.mcap_source import McapSource
+from svmdist.recording.mcap_file.source import McapSource
+from svmdist.recording.messages.checks import DecodeError, EncodedImage
+from svmdist.recording.messages.decoding import SCHEMAS, Decoder
+from svmdist.recording.messages.images import ImageError
 from svmdist.recording.reader import open_recording
 from svmdist.recording.sources import RawMessage
 

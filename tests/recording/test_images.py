@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.recording.images import ImageError, decode_still
 from svmdist.recording.limits import Limits
+from svmdist.recording.messages.images import ImageError, decode_still
 
 from .faults import flip_bit
 

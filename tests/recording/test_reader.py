@@ -11,9 +11,9 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.profile import Profile
-from svmdist.recording.encoding import encode
 from svmdist.recording.health import LossKind
 from svmdist.recording.inspect import inspect_recording
+from svmdist.recording.messages.encoding import encode
 from svmdist.recording.reader import open_recording
 from svmdist.samples import (
     CameraSample,

@@ -10,8 +10,8 @@ from typing import Any
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import Message
 
-from svmdist.recording.checks import DecodeError
-from svmdist.recording.foxglove import MESSAGES
+from svmdist.recording.messages.checks import DecodeError
+from svmdist.recording.messages.foxglove import MESSAGES
 from svmdist.recording.sources import RawMessage
 
 

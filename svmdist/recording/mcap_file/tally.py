@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from svmdist.recording.definitions import Definitions
-from svmdist.recording.summary import Summary
+from svmdist.recording.mcap_file.definitions import Definitions
+from svmdist.recording.mcap_file.summary import Summary
 
 
 @dataclass

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from svmdist.errors import RecordingError
-from svmdist.recording.images import ImageError, check_dimensions
 from svmdist.recording.limits import Limits
+from svmdist.recording.messages.images import ImageError, check_dimensions
 from svmdist.samples import Image
 
 NAL_UNIT = re.compile(rb"\x00\x00\x01(.)", re.DOTALL)

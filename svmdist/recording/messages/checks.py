@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.recording.images import ImageError
+from svmdist.recording.messages.images import ImageError
 from svmdist.samples import Image, JointSample
 from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
 

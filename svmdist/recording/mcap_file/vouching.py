@@ -6,9 +6,9 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from svmdist.recording.framing import MAGIC, FrameStream
 from svmdist.recording.limits import Limits
-from svmdist.recording.summary import read_footer
+from svmdist.recording.mcap_file.framing import MAGIC, FrameStream
+from svmdist.recording.mcap_file.summary import read_footer
 
 
 class DataSectionCheck:

@@ -15,14 +15,14 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 
 from svmdist.errors import RecordingError
-from svmdist.recording.bodies import MalformedRecordError, is_attachment_intact
-from svmdist.recording.chunks import ChunkError, expand_chunk, expand_cut_chunk
-from svmdist.recording.content import IN_CHUNKS, Content, MessageRecord, Record
-from svmdist.recording.framing import HEAD, MAGIC, Frame, FrameStream
 from svmdist.recording.health import Health, LossKind
 from svmdist.recording.limits import Limits
-from svmdist.recording.summary import Summary, read_footer, read_trusted_summary
-from svmdist.recording.vouching import DataSectionCheck
+from svmdist.recording.mcap_file.bodies import MalformedRecordError, is_attachment_intact
+from svmdist.recording.mcap_file.chunks import ChunkError, expand_chunk, expand_cut_chunk
+from svmdist.recording.mcap_file.content import IN_CHUNKS, Content, MessageRecord, Record
+from svmdist.recording.mcap_file.framing import HEAD, MAGIC, Frame, FrameStream
+from svmdist.recording.mcap_file.summary import Summary, read_footer, read_trusted_summary
+from svmdist.recording.mcap_file.vouching import DataSectionCheck
 
 
 class Container:

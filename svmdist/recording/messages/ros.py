@@ -6,7 +6,8 @@ ROS, and a parser that follows a file's own description can be led anywhere.
 
 from __future__ import annotations
 
-from svmdist.recording.checks import (
+from svmdist.recording.limits import Limits
+from svmdist.recording.messages.checks import (
     MAX_JOINTS,
     MAX_TRANSFORMS,
     DecodeError,
@@ -16,10 +17,9 @@ from svmdist.recording.checks import (
     checked_stamp_ns,
     checked_transform,
 )
-from svmdist.recording.images import decode_still
-from svmdist.recording.limits import Limits
-from svmdist.recording.raw_images import decode_raw
-from svmdist.recording.ros_wire import Ros1Wire
+from svmdist.recording.messages.images import decode_still
+from svmdist.recording.messages.raw_images import decode_raw
+from svmdist.recording.messages.ros_wire import Ros1Wire
 from svmdist.samples import CameraSample, JointSample, PoseSample, TransformSample, TransformsSample
 from svmdist.transforms import Array
 

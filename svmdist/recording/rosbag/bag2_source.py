@@ -19,7 +19,7 @@ from svmdist.errors import RecordingError
 from svmdist.recording.decompress import DecompressionError, decompress_message
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.limits import Limits
-from svmdist.recording.mcap_source import McapSource
+from svmdist.recording.mcap_file.source import McapSource
 from svmdist.recording.sources import RawMessage, Source, TopicInfo, merge_topics
 
 METADATA_FILE = "metadata.yaml"

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.recording.images import ImageError, check_dimensions
 from svmdist.recording.limits import Limits
+from svmdist.recording.messages.images import ImageError, check_dimensions
 from svmdist.samples import Image
 
 CHANNELS = {

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import BinaryIO
 
 from svmdist.errors import RecordingError
-from svmdist.recording import rosbag1_records
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.limits import Limits
-from svmdist.recording.rosbag1_records import (
+from svmdist.recording.rosbag import bag1_records
+from svmdist.recording.rosbag.bag1_records import (
     MAGIC,
     OP_CONNECTION,
     OP_MESSAGE,
@@ -94,15 +94,15 @@ class _Pass:
     def _record(self, record: BagRecord) -> Iterator[RawMessage]:
         try:
             match record.op:
-                case rosbag1_records.OP_BAG_HEADER if not record.is_cut:
+                case bag1_records.OP_BAG_HEADER if not record.is_cut:
                     self._is_indexed = record.number(b"index_pos") != 0
-                case rosbag1_records.OP_CHUNK:
+                case bag1_records.OP_CHUNK:
                     for inner in chunk_records(record, self._limits):
                         yield from self._inner(inner)
-                case rosbag1_records.OP_CHUNK_INFO if not record.is_cut:
+                case bag1_records.OP_CHUNK_INFO if not record.is_cut:
                     pairs = bytes(record.data)[: len(record.data) // 8 * 8]
                     self._declared_count += sum(count for _, count in struct.iter_unpack("<II", pairs))
-                case rosbag1_records.OP_MESSAGE | rosbag1_records.OP_CONNECTION if not record.is_cut:
+                case bag1_records.OP_MESSAGE | bag1_records.OP_CONNECTION if not record.is_cut:
                     yield from self._inner(record)
                 case _:
                     pass

@@ -10,7 +10,8 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 from mcap.records import Footer, Statistics
 
-from svmdist.recording.bodies import (
+from svmdist.recording.limits import Limits
+from svmdist.recording.mcap_file.bodies import (
     CHUNK_INDEX_HEAD,
     ChannelBody,
     MalformedRecordError,
@@ -19,8 +20,7 @@ from svmdist.recording.bodies import (
     parse_channel,
     parse_schema,
 )
-from svmdist.recording.framing import HEAD, MAGIC, TAIL_BYTES, split_records
-from svmdist.recording.limits import Limits
+from svmdist.recording.mcap_file.framing import HEAD, MAGIC, TAIL_BYTES, split_records
 
 
 @dataclass

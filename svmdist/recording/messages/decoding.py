@@ -6,13 +6,13 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Any
 
-from svmdist.recording import foxglove, ros
-from svmdist.recording.checks import DecodeError, EncodedImage, checked_stamp_ns
-from svmdist.recording.foxglove_json import parse_json
 from svmdist.recording.limits import Limits
-from svmdist.recording.ros_wire import CdrWire, Ros1Wire
+from svmdist.recording.messages import foxglove, ros
+from svmdist.recording.messages.checks import DecodeError, EncodedImage, checked_stamp_ns
+from svmdist.recording.messages.foxglove_json import parse_json
+from svmdist.recording.messages.ros_wire import CdrWire, Ros1Wire
+from svmdist.recording.messages.video import VideoDecoder
 from svmdist.recording.sources import RawMessage
-from svmdist.recording.video import VideoDecoder
 from svmdist.samples import Sample
 
 

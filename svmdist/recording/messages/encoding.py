@@ -18,7 +18,7 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 
-from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
+from svmdist.recording.messages.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.samples import (
     CameraSample,
     DistanceSample,

@@ -9,15 +9,14 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from svmdist.errors import RecordingError
-from svmdist.recording.bodies import MalformedRecordError, parse
-from svmdist.recording.container import Container
-from svmdist.recording.content import MessageRecord
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.limits import Limits
-from svmdist.recording.sources import RawMessage, TopicInfo, merge_topics
-from svmdist.recording.summary import read_trusted_summary
-from svmdist.recording.vouching import DataSectionCheck
-from svmdist.recording.writer import METADATA_NAME
+from svmdist.recording.mcap_file.bodies import MalformedRecordError, parse
+from svmdist.recording.mcap_file.container import Container
+from svmdist.recording.mcap_file.content import MessageRecord
+from svmdist.recording.mcap_file.summary import read_trusted_summary
+from svmdist.recording.mcap_file.vouching import DataSectionCheck
+from svmdist.recording.sources import METADATA_NAME, RawMessage, TopicInfo, merge_topics
 
 
 class McapSource:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import zlib
 
-from svmdist.recording.bodies import ChunkBody, MalformedRecordError, parse_chunk
 from svmdist.recording.decompress import DecompressionError, decompress, decompress_prefix
 from svmdist.recording.limits import Limits
+from svmdist.recording.mcap_file.bodies import ChunkBody, MalformedRecordError, parse_chunk
 
 
 class ChunkError(ValueError):

@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from svmdist.recording.checks import NS, DecodeError
+from svmdist.recording.messages.checks import NS, DecodeError
 from svmdist.transforms import Array
 
 PLAIN_CDR = {0: ">", 1: "<"}

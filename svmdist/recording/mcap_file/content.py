@@ -8,13 +8,13 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from svmdist.recording.bodies import MESSAGE_HEAD
-from svmdist.recording.definitions import DefinitionError, Definitions
-from svmdist.recording.framing import HEAD, split_records
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.limits import Limits
-from svmdist.recording.summary import read_trusted_summary
-from svmdist.recording.tally import Tally
+from svmdist.recording.mcap_file.bodies import MESSAGE_HEAD
+from svmdist.recording.mcap_file.definitions import DefinitionError, Definitions
+from svmdist.recording.mcap_file.framing import HEAD, split_records
+from svmdist.recording.mcap_file.summary import read_trusted_summary
+from svmdist.recording.mcap_file.tally import Tally
 
 IN_CHUNKS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
 

@@ -14,7 +14,8 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError as ProtobufError
 
-from svmdist.recording.checks import (
+from svmdist.recording.limits import Limits
+from svmdist.recording.messages.checks import (
     MAX_JOINTS,
     MAX_TRANSFORMS,
     NS,
@@ -26,12 +27,11 @@ from svmdist.recording.checks import (
     checked_stamp_ns,
     checked_transform,
 )
-from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
-from svmdist.recording.images import decode_still
-from svmdist.recording.limits import Limits
-from svmdist.recording.raw_images import decode_raw
+from svmdist.recording.messages.ground_truth_distance_pb2 import GroundTruthDistance
+from svmdist.recording.messages.images import decode_still
+from svmdist.recording.messages.raw_images import decode_raw
+from svmdist.recording.messages.video import VideoDecoder
 from svmdist.recording.sources import RawMessage
-from svmdist.recording.video import VideoDecoder
 from svmdist.samples import (
     CameraSample,
     DistanceSample,

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from svmdist.recording.bodies import (
+from svmdist.recording.limits import Limits
+from svmdist.recording.mcap_file.bodies import (
     ChannelBody,
     MalformedRecordError,
     SchemaBody,
     parse_channel,
     parse_schema,
 )
-from svmdist.recording.limits import Limits
 
 NO_SCHEMA_ID = 0
 

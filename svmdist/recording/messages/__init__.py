@@ -1,0 +1,1 @@
+"""Bytes of single messages to samples and back: Foxglove, ROS, images, video. No file formats."""
