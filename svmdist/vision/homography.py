@@ -15,6 +15,10 @@ SEED = 20
 """Fixed seed of the sampler: with it, and without threads, USAC gives the same bits everywhere."""
 
 
+REFIT_THRESHOLDS_PX = (1.5, 1.0, 0.7, 0.5, 0.3)
+REFIT_MIN_COUNT = 20
+
+
 @dataclass(frozen=True, slots=True)
 class Homography:
     """`H`, shape (3, 3) with H[2, 2] = 1, and which matches agree with it, shape (n,) of bool."""
@@ -47,9 +51,26 @@ def fit_homography(matches: Matches, reprojection_px: float) -> Homography | Non
         return None
     if fitted is None or not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
         return None
-    H = np.asarray(fitted / fitted[2, 2], np.float64)
+    H = _refit(np.asarray(fitted / fitted[2, 2], np.float64), matches)
     inliers = transfer_error(H, matches.template_px, matches.frame_px) <= reprojection_px
     return Homography(H, inliers) if np.count_nonzero(inliers) >= 4 else None
+
+
+def _refit(H: Array, matches: Matches) -> Array:
+    """Refit by least squares on the matches within shrinking thresholds, while they are many and agree.
+
+    A keypoint of ORB's coarse pyramid levels is off by up to a pixel and more, and is an inlier all the
+    same; the fine ones, which agree to a fraction of a pixel, shall decide.
+    """
+    for threshold_px in REFIT_THRESHOLDS_PX:
+        close = transfer_error(H, matches.template_px, matches.frame_px) <= threshold_px
+        if np.count_nonzero(close) < REFIT_MIN_COUNT:
+            break
+        fitted, _ = cv2.findHomography(matches.template_px[close], matches.frame_px[close], 0)
+        if fitted is None or not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
+            break
+        H = np.asarray(fitted / fitted[2, 2], np.float64)
+    return H
 
 
 def transfer(H: Array, points_px: Array) -> Array:
