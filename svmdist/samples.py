@@ -19,6 +19,9 @@ Image = NDArray[np.uint8]
 """A BGR image, shape (height, width, 3), or a mask, shape (height, width)."""
 
 
+Vector = tuple[float, float, float]
+
+
 @dataclass(frozen=True, slots=True)
 class ImageSample:
     """One decoded camera image: BGR, uint8, shape (height, width, 3)."""
@@ -87,16 +90,28 @@ Sample = ImageSample | JointSample | TransformsSample | PoseSample | CameraSampl
 
 
 @dataclass(frozen=True, slots=True)
-class Observation:
-    """What an estimator may see of one instant: the image, its camera, and the reported joints.
+class RightView:
+    """The right image of a stereo pair, its camera, and where that stands: `T_left_right`, shape (4, 4)."""
 
-    `joints` are interpolated to the image's stamp; None where the log has none near it.
+    image_bgr: Image
+    camera: Camera
+    T_left_right: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What an estimator may see of one instant: the image, its camera, and what the robot reports.
+
+    `joints` are interpolated to the image's stamp; `T_camera_base`, shape (4, 4), is what the robot
+    believes. Each of them, and the right view, is None where the log has none near the image.
     """
 
     stamp_ns: int
     image_bgr: Image
     camera: Camera
     joints: JointSample | None = None
+    right: RightView | None = None
+    T_camera_base: Array | None = None
 
 
 class Status(StrEnum):
@@ -126,7 +141,10 @@ class Rejection:
 class Estimate:
     """The outcome of one frame: a distance, or the reason why there is none.
 
-    `distance_m` is the planar distance. Positions are in px, areas are pixel counts. A field is None
+    `distance_m` is the planar distance, `spatial_m` the same in 3D, `clearance_m` the smallest distance
+    between the surfaces; each has a standard deviation where the method can tell one. The tool's position
+    in m, its axis and the direction of the shortest separation, from instrument to tissue (unit vectors),
+    are in the camera frame. Positions in the image are in px, areas are pixel counts. A field is None
     where the method did not get that far.
     """
 
@@ -143,6 +161,14 @@ class Estimate:
     match_count: int | None = None
     inlier_count: int | None = None
     detail: str = ""
+    spatial_m: float | None = None
+    clearance_m: float | None = None
+    distance_std_m: float | None = None
+    spatial_std_m: float | None = None
+    clearance_std_m: float | None = None
+    tool_position_m: Vector | None = None
+    tool_axis: Vector | None = None
+    clearance_direction: Vector | None = None
 
     @property
     def measured(self) -> bool:
