@@ -1,0 +1,34 @@
+"""Replaying a log holds one frame at a time, however long the log is."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+from svmdist.estimation.methods import make_estimator
+from svmdist.profile import load_profile
+from svmdist.recording.reader import open_recording
+from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE
+from svmdist.workflows.estimate import estimate
+from tests.synthetic import write_log
+
+
+def _peak_bytes(path: Path) -> int:
+    """Peak of what Python and NumPy allocate while every row is made and dropped."""
+    profile = load_profile()
+    estimator = make_estimator("overlay", profile, PIXELS_AS_THEY_ARE)
+    tracemalloc.start()
+    try:
+        for row in estimate(open_recording(path, profile), estimator):
+            assert row.stamp_ns
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
+    """Eight times the frames, and a peak that is no more than one frame higher."""
+    short, long = (write_log(tmp_path / f"{n}.mcap", frame_count=n) for n in (10, 80))
+    _peak_bytes(short)  # what is imported and cached on first use
+    one_frame = 640 * 480 * 3
+    assert _peak_bytes(long) < _peak_bytes(short) + one_frame
