@@ -38,7 +38,9 @@ def decompress_message(data: bytes | memoryview, limit_bytes: int, limits: Limit
         size_bytes = zstandard.frame_content_size(bytes(data[:ZSTD_HEAD_BYTES]))
     except zstandard.ZstdError as problem:
         raise DecompressionError(f"not compressed with zstd: {problem}") from None
-    if not 0 <= size_bytes <= limit_bytes:
+    if size_bytes < 0:
+        raise DecompressionError("a compressed message does not declare its size")
+    if size_bytes > limit_bytes:
         raise DecompressionError(f"a message of {size_bytes} bytes declared, the limit is {limit_bytes}")
     return decompress("zstd", memoryview(data), size_bytes, limits)
 

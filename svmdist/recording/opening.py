@@ -10,12 +10,8 @@ from svmdist.recording.mcap_file.framing import MAGIC as MCAP_MAGIC
 from svmdist.recording.mcap_file.source import McapSource
 from svmdist.recording.rosbag.bag1_records import MAGIC as ROSBAG_MAGIC
 from svmdist.recording.rosbag.bag1_source import Rosbag1Source
-from svmdist.recording.rosbag.bag2_source import (
-    METADATA_FILE,
-    Rosbag2Source,
-    SqliteSource,
-    is_message_compressed,
-)
+from svmdist.recording.rosbag.bag2_source import METADATA_FILE, Rosbag2Source, is_message_compressed
+from svmdist.recording.rosbag.sqlite_source import SqliteSource
 from svmdist.recording.sources import Source
 
 SQLITE_MAGIC = b"SQLite format 3\x00"

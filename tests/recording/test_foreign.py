@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -187,3 +189,43 @@ def test_a_missing_part_of_a_folder_is_a_loss(tmp_path: Path, entries: list[Entr
     metadata.write_text(metadata.read_text().replace("- a.db3", "- a.db3\n    - a_1.db3"))
     recording = open_recording(folder, profile)
     assert "a_1.db3" in recording.health.describe()[0]
+
+
+def test_a_file_that_lacks_messages_is_a_loss(tmp_path: Path, entries: list[Entry], profile: Profile) -> None:
+    """SQLite delivers what is left without a word: the numbers of the rows and the folder's counts show it."""
+    for name, condition, where in (("end", ">", "declares"), ("middle", "=", "follows")):
+        folder = write_rosbag2(tmp_path / name, ros_messages(entries), StoragePlugin.SQLITE3)
+        with closing(sqlite3.connect(next(folder.glob("*.db3")))) as database:
+            database.execute(f"DELETE FROM messages WHERE id {condition} 20")
+            database.commit()
+        recording = open_recording(folder, profile)
+        recording.joint_track()
+        assert where in recording.health.describe()[0]
+
+
+def test_a_cut_database_is_refused_and_an_unmerged_one_is_a_loss(
+    tmp_path: Path, entries: list[Entry], profile: Profile
+) -> None:
+    folder = write_rosbag2(tmp_path / "a", ros_messages(entries), StoragePlugin.SQLITE3)
+    (file,) = folder.glob("*.db3")
+    data = file.read_bytes()
+    for size_bytes in (50, 5000, len(data) // 2, len(data) - 4000, len(data) - 1):
+        file.write_bytes(data[:size_bytes])
+        with pytest.raises(RecordingError, match=f"truncated at byte {size_bytes}"):
+            open_recording(folder, profile)
+    file.write_bytes(data)
+    Path(f"{file}-wal").write_bytes(b"left")
+    assert "a.db3-wal" in open_recording(folder, profile).health.describe()[0]
+
+
+def test_an_unsupported_rosbag2_says_what_it_is(
+    tmp_path: Path, entries: list[Entry], profile: Profile
+) -> None:
+    folder = write_rosbag2(tmp_path / "a", ros_messages(entries), StoragePlugin.SQLITE3)
+    (file,) = folder.glob("*.db3")
+    file.rename(folder / "a.db3.zstd")
+    with pytest.raises(RecordingError, match=r"zstd -d a\.db3\.zstd"):
+        open_recording(folder, profile)
+    (folder / "a.db3.zstd").rename(folder / "a.other")
+    with pytest.raises(RecordingError, match="its storage is sqlite3"):
+        open_recording(folder, profile)

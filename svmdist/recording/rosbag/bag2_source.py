@@ -1,95 +1,32 @@
-"""rosbag2 recordings as a source of messages: folders of MCAP or SQLite files, and single SQLite files.
+"""rosbag2 folders as a source of messages, whether their files are MCAP or SQLite.
 
-Everything is read with the storage files alone. Of `metadata.yaml`, only the names of the files are
-held against what is there: a name in a file is never used as a path.
+Messages are read from the storage files alone. What `metadata.yaml` says of files and counts is only held
+against what is there: a name in a file is never used as a path.
 """
 
 from __future__ import annotations
 
 import re
-import sqlite3
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-from urllib.parse import quote
 
 from svmdist.errors import RecordingError
 from svmdist.recording.decompress import DecompressionError, decompress_message
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.limits import Limits
 from svmdist.recording.mcap_file.source import McapSource
+from svmdist.recording.names import plain
+from svmdist.recording.rosbag.sqlite_source import SqliteSource
 from svmdist.recording.sources import RawMessage, Source, TopicInfo, merge_topics
 
 METADATA_FILE = "metadata.yaml"
 MAX_METADATA_BYTES = 1 << 20
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-COUNT_PLAIN_TABLES = (
-    "SELECT COUNT(*) FROM sqlite_master WHERE name IN ('topics', 'messages') AND type = 'table' "
-    "AND sql LIKE 'CREATE TABLE%'"
-)
 STORED_FILE = re.compile(r"^\s*-\s*['\"]?([^'\"\n]+\.(?:mcap|db3)(?:\.zstd)?)['\"]?\s*$", re.MULTILINE)
+STORAGE = re.compile(r"^\s*storage_identifier:\s*['\"]?([^'\"\s]+)", re.MULTILINE)
 COMPRESSION_MODE = re.compile(r"^\s*compression_mode:\s*['\"]?(\w*)", re.MULTILINE)
-
-
-class SqliteSource:
-    """One `.db3` file of rosbag2."""
-
-    def __init__(self, path: Path, limits: Limits) -> None:
-        self.path = path
-        self.health = Health()
-        self._limits = limits
-
-    def topics(self) -> tuple[TopicInfo, ...]:
-        """List the topics, with counts by reading their messages' headers."""
-        query = (
-            "SELECT name, type, serialization_format, COALESCE(total, 0) FROM topics LEFT JOIN "
-            "(SELECT topic_id, COUNT(*) AS total FROM messages GROUP BY topic_id) ON topic_id = topics.id"
-        )
-        rows = list(self._rows(query))
-        return merge_topics(TopicInfo(str(a), str(b), str(c), int(n)) for a, b, c, n in rows)
-
-    def metadata(self) -> dict[str, str]:
-        """The files have no metadata of svmdist's."""
-        return {}
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Yield the messages of some topics, or of all, in the order in which they were stored."""
-        query = (
-            "SELECT name, type, serialization_format, timestamp, length(data), "
-            "CASE WHEN length(data) <= ? THEN data END, messages.id "
-            "FROM messages CROSS JOIN topics ON topics.id = messages.topic_id ORDER BY messages.id"
-        )
-        limit = self._limits.record_bytes
-        losses = 0
-        for topic, schema, encoding, time_ns, length, data, row in self._rows(query, limit):
-            if topics is not None and topic not in topics:
-                continue
-            if not isinstance(data, bytes) or not isinstance(time_ns, int):
-                losses += 1
-                detail = f"message {row} of {length} bytes is malformed or above the limit"
-                self.health.add(Loss(LossKind.RECORD, detail, None, str(topic)))
-                continue
-            yield RawMessage(str(topic), str(schema), str(encoding), time_ns, data, None, losses)
-
-    def _rows(self, query: str, *parameters: int) -> Iterator[tuple[Any, ...]]:
-        uri = f"file:{quote(str(self.path.resolve()))}?mode=ro&immutable=1"
-        count = 0
-        try:
-            with closing(sqlite3.connect(uri, uri=True)) as database:
-                # A view or a virtual table could run anything, and for ever.
-                (plain_tables,) = database.execute(COUNT_PLAIN_TABLES).fetchone()
-                if plain_tables != 2:
-                    raise RecordingError(f"{self.path}: an SQLite database, but not of rosbag2")
-                for row in database.execute(query, parameters):
-                    count += 1
-                    yield row
-        except (sqlite3.Error, UnicodeError, OverflowError, MemoryError) as problem:
-            if count == 0:
-                raise RecordingError(f"{self.path}: no usable rosbag2 database: {problem}") from None
-            detail = f"the rest of {self.path.name} is unreadable ({problem}), {count} messages recovered"
-            self.health.add(Loss(LossKind.TRUNCATED, detail))
 
 
 class Rosbag2Source:
@@ -100,15 +37,19 @@ class Rosbag2Source:
         self.health = Health()
         self._limits = limits
         self._message_bytes = 4 * limits.image_pixels + limits.message_bytes
-        files = storage_files(path)
-        if not files:
-            raise RecordingError(f"{path}: a rosbag2 folder without any .mcap or .db3 file")
-        packed = [file.name for file in path.iterdir() if file.name.endswith((".mcap.zstd", ".db3.zstd"))]
+        text = _read_metadata(path)
+        packed = sorted(
+            file.name for file in path.iterdir() if file.name.endswith((".mcap.zstd", ".db3.zstd"))
+        )
         if packed:
             raise RecordingError(
-                f"{path}: its files are compressed as a whole; expand them first: zstd -d {packed[0]}"
+                f"{path}: its files are compressed as a whole; expand them first: zstd -d {plain(packed[0])}"
             )
-        text = _read_metadata(path)
+        files = storage_files(path)
+        if not files:
+            storage = STORAGE.search(text)
+            found = f"; its storage is {plain(storage[1])}" if storage else ""
+            raise RecordingError(f"{path}: a rosbag2 folder without any .mcap or .db3 file{found}")
         missing = sorted(
             {Path(name).name for name in STORED_FILE.findall(text)} - {file.name for file in files}
         )
@@ -116,10 +57,13 @@ class Rosbag2Source:
             detail = f"{', '.join(missing[:3])} named in {METADATA_FILE} but not there"
             self.health.add(Loss(LossKind.STRUCTURE, detail))
         mode = COMPRESSION_MODE.search(text)
+        self._declared_counts = declared_counts(text)
         self._is_compressed = mode is not None and mode[1].upper() == "MESSAGE"
         open_one: dict[str, Callable[[Path, Limits], Source]] = {".mcap": McapSource, ".db3": SqliteSource}
         self._parts = [open_one[file.suffix](file, limits) for file in files]
         for part in self._parts:
+            for loss in part.health.losses:
+                self.health.add(loss)
             part.health = self.health
 
     def topics(self) -> tuple[TopicInfo, ...]:
@@ -133,9 +77,11 @@ class Rosbag2Source:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield the messages of some topics, or of all, file by file."""
         losses = 0
+        counts: Counter[str] = Counter()
         for part in self._parts:
             part_losses = 0
             for raw in part.messages(topics):
+                counts[raw.topic] += 1
                 part_losses = raw.losses_before
                 message = replace(raw, losses_before=losses + part_losses)
                 if not self._is_compressed:
@@ -149,6 +95,11 @@ class Rosbag2Source:
                     continue
                 yield replace(message, data=data)
             losses += part_losses + 1  # what the end of a file lost shows in no message of it
+        if self.health.is_clean:
+            for topic, declared in self._declared_counts.items():
+                if (topics is None or topic in topics) and declared != counts[topic]:
+                    detail = f"{METADATA_FILE} declares {declared} messages, {counts[topic]} were read"
+                    self.health.add(Loss(LossKind.STATISTICS, detail, None, topic))
 
 
 def storage_files(folder: Path) -> list[Path]:
@@ -158,6 +109,35 @@ def storage_files(folder: Path) -> list[Path]:
         return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
     return sorted((path for path in folder.iterdir() if path.suffix in {".mcap", ".db3"}), key=order)
+
+
+def declared_counts(text: str) -> dict[str, int]:
+    """Read the counts of messages by topic out of metadata.yaml: the items of `topics_with_message_count`."""
+    counts: dict[str, int] = {}
+    name: str | None = None
+    count: int | None = None
+    item_indent: int | None = None
+    lines = iter(text.splitlines())
+    for line in lines:
+        if line.strip() == "topics_with_message_count:":
+            break
+    for line in lines:
+        key, _, value = line.strip().removeprefix("- ").partition(":")
+        indent = len(line) - len(line.lstrip())
+        is_item = line.lstrip().startswith("- ")
+        item_indent = indent if item_indent is None else item_indent
+        if indent < item_indent or (indent == item_indent and not is_item):
+            break
+        if is_item and indent == item_indent:
+            name = count = None
+        value = value.strip().strip("'\"")
+        if key == "name" and name is None:
+            name = value
+        elif key == "message_count" and count is None and value.isdecimal() and len(value) < 20:
+            count = int(value)
+        if name is not None and count is not None:
+            counts[name] = count
+    return counts
 
 
 def is_message_compressed(source: Source) -> bool:
