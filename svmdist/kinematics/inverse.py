@@ -12,31 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.dh import DHChain, forward_kinematics, frame_transforms
+from svmdist.kinematics.dh import DHChain, forward_kinematics
+from svmdist.kinematics.jacobian import pose_jacobian
 from svmdist.transforms import Array
 
 
 def position_jacobian(chain: DHChain, q: ArrayLike) -> Array:
     """Derivative of the tool's position by the joints, shape (..., 3, n_joints), in m per joint unit.
 
-    A revolute joint moves the tool by z x (p_tool - p_joint), a prismatic one by z (Siciliano et al.,
-    "Robotics", sec. 3.1.3); z and p_joint belong to the axis that the joint moves about.
+    The upper half of `pose_jacobian`.
     """
-    frames = frame_transforms(chain, q)
-    p_tool = (frames[..., -1, :, :] @ chain.T_last_tool)[..., :3, 3]
-    columns = []
-    for index, row in enumerate(chain.rows):
-        if row.joint == "fixed":
-            continue
-        # Standard DH moves about the z of the frame before, modified DH about the z of its own frame.
-        axis_index = index - 1 if chain.convention == "standard" else index
-        if axis_index < 0:
-            z, p_joint = np.array([0.0, 0.0, 1.0]), np.zeros(3)
-        else:
-            z, p_joint = frames[..., axis_index, :3, 2], frames[..., axis_index, :3, 3]
-        moves = np.cross(z, p_tool - p_joint) if row.joint == "revolute" else z
-        columns.append(np.broadcast_to(moves, p_tool.shape))
-    return np.stack(columns, -1)
+    return pose_jacobian(chain, q)[..., :3, :]
 
 
 def solve_position(
