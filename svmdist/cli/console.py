@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Protocol
 
 from svmdist.errors import OutputError, UsageError
@@ -62,7 +63,8 @@ def write_table(table: Table, notes: Sequence[str], output: Path | None) -> None
 
     width = terminal_width(output)
     text = render(table, width=width, colour=width is not None and "NO_COLOR" not in os.environ)
-    write_lines([text, *(f"{note}\n" for note in notes)], output)
+    lines = [line for note in notes for line in (wrap(note, width) if width else [note])]
+    write_lines([text, *(f"{line}\n" for line in lines)], output)
 
 
 def terminal_width(output: Path | None) -> int | None:

@@ -15,6 +15,7 @@ from svmdist.cli.console import (
     report_health,
     require_output_folder,
     say,
+    terminal_width,
     write_lines,
     write_table,
 )
@@ -189,7 +190,9 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
         say(f"svmdist: note: {note}")
     match form:
         case TableFormat.TABLE:
-            write_table(validation_table(result), [*remarks(result), PAPER_NOTE], output)
+            write_table(
+                validation_table(result, terminal_width(output)), [*remarks(result), PAPER_NOTE], output
+            )
         case TableFormat.CSV:
             scores = (*result.scores, *result.overall)
             write_lines(csv_lines(VALIDATION_KEYS, (score_row(score) for score in scores)), output)

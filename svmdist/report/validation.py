@@ -48,7 +48,9 @@ VALIDATION_KEYS = (
 
 COLUMNS = (
     Column("recording", "recording", is_text=True),
-    Column("reference", "against", is_text=True),
+    Column(
+        "reference", "against", lambda name: "truth" if name == "ground_truth" else str(name), is_text=True
+    ),
     Column("sample_count", "n"),
     Column("coverage", "cov. %", percent(1)),
     Column("r_squared", "R²", number(4)),
@@ -56,14 +58,17 @@ COLUMNS = (
     Column("rmse_m", "RMSE", number(2, 1e3)),
     Column("rmse_interval", "95 %", is_text=True),
     Column("mae_m", "MAE", number(2, 1e3)),
-    Column("median_abs_error_m", "median", number(2, 1e3)),
+    Column("median_abs_error_m", "med.", number(2, 1e3)),
     Column("p95_abs_error_m", "p95", number(2, 1e3)),
     Column("max_abs_error_m", "max", number(2, 1e3)),
     Column("bias_m", "bias", number(2, 1e3)),
-    Column("truth_std_m", "σ truth", number(2, 1e3)),
+    Column("truth_std_m", "σ", number(2, 1e3)),
     Column("pearson_r", "r", number(4)),
 )
 """Lengths in mm, as the title says: a unit in every heading would not fit a terminal."""
+
+FULL_WIDTH = 124
+"""Columns of a terminal that the whole table needs."""
 
 PAPER_NOTE = (
     f"The paper reports R² = {PAPER_R_SQUARED:.0%} for its own scene and trajectory, without RMSE or n; the scenes"
@@ -120,18 +125,23 @@ def validation_document(validation: Validation) -> dict[str, Any]:
     }
 
 
-def validation_table(validation: Validation) -> RichTable:
-    """The table for a person: a row a recording and reference, then the overall rows."""
+def validation_table(validation: Validation, width: int | None = None) -> RichTable:
+    """The table for a person: a row a recording and reference, then the overall rows.
+
+    In a terminal narrower than `FULL_WIDTH` the intervals are left out, rather than every cell broken.
+    """
     first = next(iter(validation.scores))
+    narrow = width is not None and width < FULL_WIDTH
+    columns = [column for column in COLUMNS if not (narrow and column.key.endswith("_interval"))]
     table = rich_table(
-        f"{first.method}, {first.equations} equations; errors in mm; 95 %: bootstrap interval",
-        COLUMNS,
+        f"{first.method}, {first.equations} equations; errors and σ (of the truth) in mm; 95 %: bootstrap interval",
+        columns,
         [_shown(score) for score in validation.scores],
     )
     table.add_section()
     for row in [_shown(score) for score in validation.overall]:
         table.add_row(
-            *(Text(printable(column.show(row.get(column.key)))) for column in COLUMNS), style="bold"
+            *(Text(printable(column.show(row.get(column.key)))) for column in columns), style="bold"
         )
     return table
 

@@ -21,26 +21,33 @@ from svmdist.errors import SimulationError
 def quiet_stdout() -> Iterator[None]:
     """Send what C code writes to file descriptor 1 to nowhere for the time of the block."""
     sys.stdout.flush()
+    with _quiet(1):
+        yield
+
+
+@contextmanager
+def _quiet(descriptor: int) -> Iterator[None]:
     try:
-        saved = os.dup(1)
-    except OSError:  # standard output is closed: there is nothing to keep clean
+        saved = os.dup(descriptor)
+    except OSError:  # it is closed: there is nothing to keep clean
         yield
         return
     try:
         with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 1)
+            os.dup2(nowhere.fileno(), descriptor)
         yield
     finally:
         # C keeps its own buffer: without this it would be written after all, when the process ends.
         ctypes.CDLL(None).fflush(None)
-        os.dup2(saved, 1)
+        os.dup2(saved, descriptor)
         os.close(saved)
 
 
 def load_pybullet() -> Any:
     """Import PyBullet, or raise SimulationError that says why it is missing and what to do."""
     try:
-        with quiet_stdout():
+        # The banner with the build time goes to standard error.
+        with quiet_stdout(), _quiet(2):
             return importlib.import_module("pybullet")
     except ImportError as problem:
         version = f"{sys.version_info.major}.{sys.version_info.minor}"

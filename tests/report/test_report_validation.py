@@ -147,7 +147,7 @@ def test_the_table_shows_r_squared_with_rmse_sigma_and_n():
     statistics = made.scores[0].statistics
     assert statistics is not None
     shown = render(validation_table(made))
-    for heading in ("errors in mm", "R²", "RMSE", "σ truth", "cov. %", "bias", " n "):
+    for heading in ("in mm", "R²", "RMSE", "σ (of the truth)", "cov. %", "bias", " n "):
         assert heading in shown
     row = next(line for line in shown.splitlines() if "sweep.mcap" in line)
     for text in (
