@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.optimize import minimize
+
+from svmdist.geometry.closest import segment_to_segment, segment_to_triangle, winding_number
+from svmdist.geometry.separation import Separation, capsule_separation, separation
+from svmdist.geometry.surfaces import Capsules, Cloud, Mesh, Plane, Surface, join
+from svmdist.transforms import Array, make_transform, rotation_x, rotation_z, transform_points
+
+EXACT = 1e-9
+
+
+def capsule(start: list[float], end: list[float], radius: float) -> Capsules:
+    return Capsules(np.array([start]), np.array([end]), np.array([radius]))
+
+
+def random_capsules(rng: np.random.Generator, count: int) -> Capsules:
+    return Capsules(rng.normal(0, 1, (count, 3)), rng.normal(0, 1, (count, 3)), rng.uniform(0.01, 0.2, count))
+
+
+def icosphere(radius: float = 1.0) -> Mesh:
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius)
+    return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64))
+
+
+def box(size: list[float]) -> Mesh:
+    mesh = trimesh.creation.box(size)
+    return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64))
+
+
+def assert_consistent(found: Separation) -> None:
+    assert np.linalg.norm(found.direction) == pytest.approx(1.0, abs=EXACT)
+    np.testing.assert_allclose(
+        found.on_tissue_m, found.on_instrument_m + found.distance_m * found.direction, atol=EXACT
+    )
+
+
+def test_segments_agree_with_constrained_minimisation() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        a0, a1, b0, b1 = rng.normal(0, 1, (4, 3))
+
+        def distance2(x: Array, a0: Array = a0, a1: Array = a1, b0: Array = b0, b1: Array = b1) -> float:
+            return float(np.sum((a0 + x[0] * (a1 - a0) - b0 - x[1] * (b1 - b0)) ** 2))
+
+        best = min(
+            minimize(distance2, [s, t], bounds=[(0, 1), (0, 1)], tol=1e-16).fun
+            for s in (0, 0.5, 1)
+            for t in (0, 0.5, 1)
+        )
+        assert float(segment_to_segment(a0, a1, b0, b1).distance) == pytest.approx(np.sqrt(best), abs=1e-6)
+
+
+def test_parallel_crossing_and_pointlike_segments_are_exact() -> None:
+    x, y, z = np.eye(3)
+    assert segment_to_segment(0 * x, x, y, x + y).distance == pytest.approx(1.0, abs=EXACT)
+    assert segment_to_segment(0 * x, x, 2 * x + y, 3 * x + y).distance == pytest.approx(np.sqrt(2), abs=EXACT)
+    assert segment_to_segment(-x, x, -y, y).distance == pytest.approx(0.0, abs=EXACT)
+    assert segment_to_segment(x, x, 2 * z, 2 * z).distance == pytest.approx(np.sqrt(5), abs=EXACT)
+
+
+def test_segment_to_triangle_agrees_with_densely_sampled_trimesh() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(30):
+        start, end, *corners = rng.normal(0, 1, (5, 3))
+        triangle = np.array(corners)
+        along = np.linspace(0, 1, 4001)[:, None]
+        points = start + along * (end - start)
+        nearest = trimesh.triangles.closest_point(np.repeat(triangle[None], len(points), 0), points)
+        sampled = np.linalg.norm(nearest - points, axis=1).min()
+        exact = float(segment_to_triangle(start, end, triangle).distance)
+        # A sample lies within half a step of the closest point.
+        assert exact <= sampled + EXACT
+        assert sampled - exact <= np.linalg.norm(end - start) / 8000 + EXACT
+
+
+def test_spheres_to_a_mesh_agree_with_trimesh() -> None:
+    """A capsule without length is a point with a radius: trimesh's signed distance, inside and outside."""
+    rng = np.random.default_rng(3)
+    mesh = icosphere()
+    reference = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
+    for point in rng.uniform(-1.6, 1.6, (60, 3)):
+        found = separation(Capsules(point[None], point[None], np.array([0.1])), mesh)
+        signed = -trimesh.proximity.signed_distance(reference, point[None])[0]
+        assert found.distance_m == pytest.approx(signed - 0.1, abs=EXACT)
+        assert_consistent(found)
+
+
+def test_capsules_to_a_mesh_agree_with_every_triangle_in_turn() -> None:
+    rng = np.random.default_rng(4)
+    mesh = icosphere(0.4)
+    for _ in range(20):
+        capsules = random_capsules(rng, 5)
+        shift = np.array([0.0, 0.0, 3.5])
+        far = Capsules(capsules.start_m + shift, capsules.end_m + shift, capsules.radius_m)
+        every = segment_to_triangle(far.start_m[:, None], far.end_m[:, None], mesh.triangles_m[None]).distance
+        found = separation(far, mesh)
+        assert found.distance_m == pytest.approx((every - far.radius_m[:, None]).min(), abs=EXACT)
+        assert_consistent(found)
+
+
+def test_depth_of_a_needle_in_a_box_is_that_of_its_tip() -> None:
+    needle = capsule([0.1, 0.2, 0.4], [0.1, 0.2, 3.0], 0.01)
+    found = separation(needle, box([2, 2, 1.4]))  # its top is at z = 0.7
+    assert found.distance_m == pytest.approx(-0.31, abs=EXACT)
+    np.testing.assert_allclose(found.direction, [0, 0, -1], atol=1e-6)
+    assert_consistent(found)
+
+
+def test_depth_of_an_axis_that_runs_through_a_box_is_that_of_its_deepest_point() -> None:
+    through = capsule([-3, 0.0, 0.2], [3, 0.0, 0.2], 0.05)
+    assert separation(through, box([2, 2, 1])).distance_m == pytest.approx(-0.35, abs=EXACT)
+
+
+@pytest.mark.parametrize("surface", [box([2, 2, 1.4]), Plane(np.array([0.0, 0, 1]), 0.7)])
+def test_distance_passes_zero_without_a_jump_at_slope_minus_one(surface: Surface) -> None:
+    heights = np.linspace(0.9, 0.5, 81)
+    gaps = [separation(capsule([0.1, 0.0, h], [0.4, 0.0, h + 1], 0.05), surface).distance_m for h in heights]
+    np.testing.assert_allclose(gaps, heights - 0.75, atol=EXACT)
+
+
+def test_plane_and_fine_cloud_agree() -> None:
+    rng = np.random.default_rng(5)
+    capsules = random_capsules(rng, 4)
+    plane = Plane(np.array([0.0, 0.0, 1.0]), -4.0)
+    to_plane = separation(capsules, plane)
+    grid = np.stack(np.meshgrid(np.linspace(-4, 4, 801), np.linspace(-4, 4, 801)), -1).reshape(-1, 2)
+    cloud = Cloud(np.column_stack([grid, np.full(len(grid), -4.0)]))
+    found = separation(capsules, cloud)
+    assert 0.0 <= found.distance_m - to_plane.distance_m < 2e-5  # (0.005 √2)² / 2 / distance
+    assert_consistent(found)
+    assert_consistent(to_plane)
+
+
+def test_capsules_against_capsules() -> None:
+    a = join(capsule([0, 0, 0], [1, 0, 0], 0.1), capsule([0, 5, 0], [1, 5, 0], 0.1))
+    b = capsule([0.5, -1, 0.7], [0.5, 1, 0.7], 0.2)
+    found = capsule_separation(a, b)
+    assert (found.distance_m, found.capsule) == (pytest.approx(0.4, abs=EXACT), 0)
+    np.testing.assert_allclose(found.direction, [0, 0, 1], atol=EXACT)
+    crossing = capsule_separation(a, capsule([0.5, -1, 0], [0.5, 1, 0], 0.2))
+    assert crossing.distance_m == pytest.approx(-0.3, abs=EXACT)
+    assert abs(crossing.direction[2]) == pytest.approx(1.0, abs=EXACT)
+
+
+def test_separation_moves_with_the_frame() -> None:
+    rng = np.random.default_rng(6)
+    T = make_transform(rotation_x(0.4) @ rotation_z(1.1), [0.3, -2.0, 0.7])
+    mesh, capsules = icosphere(0.5), random_capsules(rng, 3)
+    here, there = separation(capsules, mesh), separation(capsules.transformed(T), mesh.transformed(T))
+    assert there.distance_m == pytest.approx(here.distance_m, abs=EXACT)
+    np.testing.assert_allclose(transform_points(T, here.on_tissue_m[None])[0], there.on_tissue_m, atol=1e-7)
+
+
+def test_direction_is_the_gradient_outside_and_inside() -> None:
+    mesh = icosphere()
+    for height in (1.3, 0.9):
+        tool = capsule([0.02, 0.05, height], [0.3, 0.1, height + 2], 0.05)
+        found = separation(tool, mesh)
+        gradient = []
+        for step in np.eye(3) * 1e-6:
+            ahead = separation(Capsules(tool.start_m + step, tool.end_m + step, tool.radius_m), mesh)
+            gradient.append((ahead.distance_m - found.distance_m) / 1e-6)
+        np.testing.assert_allclose(gradient, -found.direction, atol=1e-3)
+
+
+def test_winding_number_tells_inside_from_outside() -> None:
+    mesh = box([2, 2, 2])
+    points = np.array([[0.0, 0, 0], [0.9, -0.9, 0.9], [1.1, 0, 0], [5, 5, 5]])
+    np.testing.assert_allclose(winding_number(points, mesh.triangles_m), [1, 1, 0, 0], atol=EXACT)
+
+
+def test_a_cloud_without_points_is_refused() -> None:
+    with pytest.raises(ValueError, match="without points"):
+        separation(capsule([0, 0, 0], [1, 0, 0], 0.1), Cloud(np.zeros((0, 3))))
