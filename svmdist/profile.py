@@ -1,8 +1,8 @@
 """The scene profile (TOML): what a recording shows and how to measure it, checked when it is read.
 
-A profile names the topics and frames of a log, the colours of tissue and instrument, the marker and
-the feature matching, and the robot's chain. Everything that depends on a scene stands here, so that
-another scene needs another profile and no other code.
+A profile names the topics and frames of a log and the limits of what it may ask, the colours of tissue and
+instrument, the marker and the feature matching, and the robot's chain. Everything that depends on a scene
+stands here, so that another scene needs another profile and no other code.
 """
 
 from __future__ import annotations
@@ -47,7 +47,20 @@ def _parse_angle(value: Any) -> Any:
         ) from None
 
 
+def _parse_size(value: Any) -> Any:
+    """Accept a number of bytes, or text such as `512 MiB`."""
+    if not isinstance(value, str):
+        return value
+    number, _, unit = value.partition(" ")
+    if not number.isdecimal() or unit not in SIZE_UNITS:
+        raise ValueError(f"expected bytes as a number, or as '512 MiB', found {value!r}")
+    return int(number) * SIZE_UNITS[unit]
+
+
+SIZE_UNITS = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
+MIB = SIZE_UNITS["MiB"]
 Angle = Annotated[float, BeforeValidator(_parse_angle)]
+Size = Annotated[int, BeforeValidator(_parse_size), Field(ge=1 << 10, le=1 << 40)]
 Length = Annotated[float, Field(gt=0.0)]
 Byte = Annotated[int, Field(ge=0, le=255)]
 Hue = Annotated[int, Field(ge=0, le=179)]
@@ -72,6 +85,31 @@ class Frames(StrictModel):
     base: str = "base"
     tool: str = "tool"
     tissue: str = "tissue"
+
+
+class Limits(StrictModel):
+    """What a log may ask of the reader, checked before memory is allocated; what asks for more is a loss."""
+
+    record_bytes: Size = 256 * MIB
+    """One record of the file; it may never reach beyond the file either."""
+    chunk_bytes: Size = 256 * MIB
+    """One chunk after expansion; it must have exactly the size that it declares."""
+    chunk_records: int = Field(default=1_000_000, ge=1)
+    """Records inside one chunk."""
+    window_bytes: Size = 128 * MIB
+    """Memory that a zstd frame may claim for its window, beside the expanded chunk."""
+    definition_bytes: Size = 32 * MIB
+    """Schemas and channels of a whole file, which stay in memory while it is read."""
+    metadata_bytes: Size = 1 * MIB
+    """One metadata or statistics record."""
+    image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)
+    """One image, by the dimensions in its header, before it is decoded; OpenCV itself is held to 2^26."""
+    image_bytes: Size = 32 * MIB
+    """One compressed image."""
+    message_bytes: Size = 1 * MIB
+    """One message that is no image: joints, transforms and the like hold a few kilobytes."""
+    json_bytes: Size = 16 * MIB
+    """One JSON message; parsing can take thirty times its size in memory."""
 
 
 class ColourRegion(StrictModel):
@@ -216,6 +254,7 @@ class Profile(StrictModel):
     """File name of the calibration that ships beside this profile."""
     topics: Topics = Topics()
     frames: Frames = Frames()
+    limits: Limits = Limits()
     segmentation: Segmentation
     marker: Marker
     features: Features = Features()

@@ -272,3 +272,18 @@ def test_a_name_like_none_gets_the_choices_alone():
     """Without a near name the choices are listed in order; without choices it says that."""
     assert did_you_mean("xyz", ["b", "a"]) == "The choices are: a, b"
     assert did_you_mean("xyz", []) == "There are none to choose from"
+
+
+def test_limits_are_numbers_of_bytes_or_text_with_a_unit(tmp_path):
+    """A profile's [limits] override the defaults; text carries its unit, and nonsense is named."""
+    profile = load_text(tmp_path, MINIMAL + '[limits]\nchunk_bytes = "512 MiB"\nchunk_records = 5\n')
+    assert (profile.limits.chunk_bytes, profile.limits.chunk_records) == (512 << 20, 5)
+    assert profile.limits.record_bytes == 256 << 20
+    for line, expected in (
+        ('chunk_bytes = "512 MB"', "limits.chunk_bytes: expected bytes"),
+        ("chunk_bytes = -1", "limits.chunk_bytes"),
+        ("image_pixels = 100000000000", "limits.image_pixels"),
+        ("chunk_byte = 1", "did you mean chunk_bytes"),
+    ):
+        with pytest.raises(ProfileError, match=expected):
+            load_text(tmp_path, MINIMAL + f"[limits]\n{line}\n")

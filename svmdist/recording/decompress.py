@@ -5,7 +5,7 @@ from __future__ import annotations
 import lz4.frame
 import zstandard
 
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 
 STEP_BYTES = 1 << 20
 ZSTD_HEAD_BYTES = 18

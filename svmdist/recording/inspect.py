@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from svmdist.camera import Camera
-from svmdist.profile import Profile
+from svmdist.profile import Limits, Profile
 from svmdist.recording.health import Health
-from svmdist.recording.limits import Limits
 from svmdist.recording.messages.checks import DecodeError
 from svmdist.recording.messages.decoding import Decoder, kind_of
 from svmdist.recording.reader import open_recording
@@ -120,7 +119,7 @@ def inspect_recording(
 
     Raises RecordingError where the path is no recording; a topic that svmdist cannot read is still counted.
     """
-    limits = limits or Limits()
+    limits = limits or profile.limits
     recording = open_recording(path, profile, limits=limits, topics=topics)
     decoder = Decoder(limits)
     statistics: dict[str, _Statistics] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from svmdist.errors import RecordingError
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 from svmdist.recording.mcap_file.framing import MAGIC as MCAP_MAGIC
 from svmdist.recording.mcap_file.source import McapSource
 from svmdist.recording.rosbag.bag1_records import MAGIC as ROSBAG_MAGIC

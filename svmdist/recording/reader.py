@@ -11,9 +11,8 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError
-from svmdist.profile import Profile
+from svmdist.profile import Limits, Profile
 from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.limits import Limits
 from svmdist.recording.messages.checks import DecodeError, EncodedImage, broken_image
 from svmdist.recording.messages.decoding import Decoder
 from svmdist.recording.messages.images import ImageError
@@ -49,10 +48,11 @@ def open_recording(
 ) -> Recording:
     """Open a recording; `topics` overrides the profile's, by role: `{"image": "/left/image_raw"}`.
 
+    `limits` replaces the profile's.
     Raises RecordingError in one line for a file that is missing, empty, or no recording, and UsageError
     for an unknown role. What is lost later while reading is counted in `health`.
     """
-    limits = limits or Limits()
+    limits = limits or profile.limits
     source = open_source(Path(path), limits)
     choice = TopicChoice(source.topics(), profile.topics, topics or {}, source.path.name)
     return Recording(source, choice, limits)

@@ -13,8 +13,8 @@ import lz4.frame
 import zstandard
 
 from svmdist.errors import RecordingError
+from svmdist.profile import Limits
 from svmdist.recording.health import LossKind
-from svmdist.recording.limits import Limits
 from svmdist.recording.mcap_file.source import McapSource
 
 HEAD = struct.Struct("<BQ")

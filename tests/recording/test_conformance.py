@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from mcap.opcode import Opcode
 
+from svmdist.profile import Limits
 from svmdist.recording.health import Health
-from svmdist.recording.limits import Limits
 from svmdist.recording.mcap_file.bodies import parse
 from svmdist.recording.mcap_file.container import Container
 from svmdist.recording.mcap_file.content import MessageRecord

@@ -17,8 +17,7 @@ from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError
-from svmdist.profile import Profile
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits, Profile
 from svmdist.recording.mcap_file.source import McapSource
 from svmdist.recording.messages.checks import DecodeError, EncodedImage
 from svmdist.recording.messages.decoding import SCHEMAS, Decoder

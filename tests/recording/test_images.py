@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 from svmdist.recording.messages.images import ImageError, decode_still
 
 from .faults import flip_bit
@@ -62,8 +62,8 @@ def test_what_is_no_whole_still_is_refused(data: bytes, reason: str) -> None:
 def test_limits_hold_before_decoding() -> None:
     with pytest.raises(ImageError, match="the limit is 100"):
         decode_still(PNG, Limits(image_pixels=100))
-    with pytest.raises(ImageError, match="the limit is 50"):
-        decode_still(PNG, Limits(image_bytes=50))
+    with pytest.raises(ImageError, match="the limit is 1024"):
+        decode_still(PNG, Limits(image_bytes=1024))
     with pytest.raises(ImageError, match="the limit is 100"):
         decode_still(JPEG, Limits(image_pixels=100))
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError
-from svmdist.profile import Profile
+from svmdist.profile import Limits, Profile
 from svmdist.recording import pairing
 from svmdist.recording.health import MAX_LISTED_LOSSES, Health, Loss, LossKind
 from svmdist.recording.reader import open_recording
@@ -192,3 +192,12 @@ def test_images_do_not_wait_in_memory_for_joints_that_never_come(tmp_path: Path,
     assert [item.stamp_ns for item in recording.observations()] == [
         frame * 40_000_000 for frame in range(250)
     ]
+
+
+def test_a_profile_sets_the_limits(native: Path, profile: Profile) -> None:
+    """What asks for more than the profile allows is a loss; a caller's limits replace the profile's."""
+    strict = profile.model_copy(update={"limits": Limits(chunk_bytes=1024)})
+    recording = open_recording(native, strict)
+    assert list(recording.raw_messages()) == []
+    assert "the limit is 1024" in recording.health.describe()[0]
+    assert list(open_recording(native, strict, limits=Limits()).raw_messages())

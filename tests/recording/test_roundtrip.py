@@ -14,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from svmdist.profile import Profile
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits, Profile
 from svmdist.recording.messages.checks import EncodedImage
 from svmdist.recording.messages.decoding import Decoder
 from svmdist.recording.messages.encoding import encode, message_type

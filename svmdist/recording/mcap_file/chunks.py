@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import zlib
 
+from svmdist.profile import Limits
 from svmdist.recording.decompress import DecompressionError, decompress, decompress_prefix
-from svmdist.recording.limits import Limits
 from svmdist.recording.mcap_file.bodies import ChunkBody, MalformedRecordError, parse_chunk
 
 

@@ -15,8 +15,8 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 
 from svmdist.errors import RecordingError
+from svmdist.profile import Limits
 from svmdist.recording.health import Health, LossKind
-from svmdist.recording.limits import Limits
 from svmdist.recording.mcap_file.bodies import MalformedRecordError, is_attachment_intact
 from svmdist.recording.mcap_file.chunks import ChunkError, expand_chunk, expand_cut_chunk
 from svmdist.recording.mcap_file.content import IN_CHUNKS, Content, MessageRecord, Record

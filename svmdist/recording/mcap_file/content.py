@@ -8,8 +8,8 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
+from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.limits import Limits
 from svmdist.recording.mcap_file.bodies import MESSAGE_HEAD
 from svmdist.recording.mcap_file.definitions import DefinitionError, Definitions
 from svmdist.recording.mcap_file.framing import HEAD, split_records

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 from svmdist.recording.mcap_file.bodies import (
     ChannelBody,
     MalformedRecordError,

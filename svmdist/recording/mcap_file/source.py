@@ -9,8 +9,8 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from svmdist.errors import RecordingError
+from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.limits import Limits
 from svmdist.recording.mcap_file.bodies import MalformedRecordError, parse
 from svmdist.recording.mcap_file.container import Container
 from svmdist.recording.mcap_file.content import MessageRecord

@@ -10,7 +10,7 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 from mcap.records import Footer, Statistics
 
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 from svmdist.recording.mcap_file.bodies import (
     CHUNK_INDEX_HEAD,
     ChannelBody,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 from svmdist.recording.mcap_file.framing import MAGIC, FrameStream
 from svmdist.recording.mcap_file.summary import read_footer
 

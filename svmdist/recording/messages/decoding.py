@@ -6,7 +6,7 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Any
 
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 from svmdist.recording.messages import foxglove, ros
 from svmdist.recording.messages.checks import DecodeError, EncodedImage, checked_stamp_ns
 from svmdist.recording.messages.foxglove_json import parse_json

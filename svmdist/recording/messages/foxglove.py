@@ -14,7 +14,7 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError as ProtobufError
 
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 from svmdist.recording.messages.checks import (
     MAX_JOINTS,
     MAX_TRANSFORMS,

@@ -12,7 +12,7 @@ os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
 import cv2
 import numpy as np
 
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 from svmdist.samples import Image
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"

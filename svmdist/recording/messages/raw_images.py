@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 from svmdist.recording.messages.images import ImageError, check_dimensions
 from svmdist.samples import Image
 

@@ -6,7 +6,7 @@ ROS, and a parser that follows a file's own description can be led anywhere.
 
 from __future__ import annotations
 
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 from svmdist.recording.messages.checks import (
     MAX_JOINTS,
     MAX_TRANSFORMS,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from svmdist.errors import RecordingError
-from svmdist.recording.limits import Limits
+from svmdist.profile import Limits
 from svmdist.recording.messages.images import ImageError, check_dimensions
 from svmdist.samples import Image
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from svmdist.errors import RecordingError
+from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.limits import Limits
 from svmdist.recording.rosbag import bag1_records
 from svmdist.recording.rosbag.bag1_records import (
     MAGIC,

@@ -13,9 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from svmdist.errors import RecordingError
+from svmdist.profile import Limits
 from svmdist.recording.decompress import DecompressionError, decompress_message
 from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.limits import Limits
 from svmdist.recording.mcap_file.source import McapSource
 from svmdist.recording.names import plain
 from svmdist.recording.rosbag.sqlite_source import SqliteSource

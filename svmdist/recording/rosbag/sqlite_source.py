@@ -11,8 +11,8 @@ from typing import Any
 from urllib.parse import quote
 
 from svmdist.errors import RecordingError
+from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.limits import Limits
 from svmdist.recording.sources import RawMessage, TopicInfo, merge_topics
 
 HEADER_BYTES = 100
