@@ -227,6 +227,40 @@ class Instrument(StrictModel):
     jaw_radius_m: Length
 
 
+class Dome(StrictModel):
+    """A dome over the tissue's outline: height h (1 - g^a)^b at gauge g, 0 in the middle and 1 on the outline.
+
+    The defaults make half an ellipsoid. The outline itself comes from the image.
+    """
+
+    height_m: Length
+    gauge_exponent: float = Field(default=2.0, ge=1.0, le=20.0)
+    height_exponent: float = Field(default=0.5, gt=0.0, le=2.0)
+
+
+class Tissue(StrictModel):
+    """The plane that the tissue lies on, measured in the camera frame, and its shape above that plane.
+
+    The plane holds the points with `plane_normal` · p = -`plane_distance_m`: its normal points to the camera's
+    side. Without a dome the plane itself is the surface.
+    """
+
+    plane_normal: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    plane_distance_m: Length
+    plane_distance_std_m: float = Field(default=0.0, ge=0.0)
+    plane_tilt_std_rad: float = Field(default=0.0, ge=0.0)
+    """Standard deviation of the normal's direction about each of two axes."""
+    dome: Dome | None = None
+    surface_std_m: float = Field(default=0.0, ge=0.0)
+    """How far the shape stands off the real surface, as a standard deviation."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> Tissue:
+        if abs(float(np.linalg.norm(self.plane_normal)) - 1.0) > 1e-6:
+            raise ValueError("plane_normal must have length 1")
+        return self
+
+
 class Simulation(StrictModel):
     """What `svmdist record` needs beside the chain: where things stand, and what the encoders get wrong."""
 
@@ -260,6 +294,7 @@ class Profile(StrictModel):
     features: Features = Features()
     robot: Robot | None = None
     instrument: Instrument | None = None
+    tissue: Tissue | None = None
     simulation: Simulation | None = None
 
 
