@@ -206,10 +206,14 @@ def foxglove_json(sample: Sample) -> tuple[str, dict[str, Any]] | None:
         case PoseSample():
             pose = rigid(sample.T_frame_pose, "position", "orientation")
             return "foxglove.PoseInFrame", time | {"frame_id": sample.frame_id, "pose": pose}
-        case TransformsSample(transforms=(one,)):
-            frames = {"parent_frame_id": one.parent, "child_frame_id": one.child}
-            transform = time | frames | rigid(one.T_parent_child, "translation", "rotation")
-            return "foxglove.FrameTransforms", {"transforms": [transform]}
+        case TransformsSample():
+            transforms = [
+                time
+                | {"parent_frame_id": one.parent, "child_frame_id": one.child}
+                | rigid(one.T_parent_child, "translation", "rotation")
+                for one in sample.transforms
+            ]
+            return "foxglove.FrameTransforms", {"transforms": transforms}
     return None
 
 
