@@ -40,9 +40,11 @@ def test_a_whole_object_keeps_its_centroid() -> None:
 
 
 @settings(deadline=None, max_examples=60)
-@given(angle_deg=st.floats(0, 360), offset_px=st.floats(-70, 70), half_width_px=st.floats(15, 30))
+@given(angle_deg=st.floats(0, 360), offset_px=st.floats(-58, 58), half_width_px=st.floats(15, 30))
 def test_a_bar_across_costs_little(angle_deg: float, offset_px: float, half_width_px: float) -> None:
-    """An instrument from outside to the middle and beyond moves the centroid by under 4 px, anywhere."""
+    """An instrument from outside to the middle and beyond moves the centroid by under 3 px.
+
+    The pixels that are left move by 10 to 23 px. A bar that runs along the outline leaves slivers; see below."""
     whole = _egg()
     mask = whole.copy()
     direction = np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))])
@@ -51,7 +53,7 @@ def test_a_bar_across_costs_little(angle_deg: float, offset_px: float, half_widt
     corners = [start - half_width_px * across, end - half_width_px * across]
     corners += [end + half_width_px * across, start + half_width_px * across]
     cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], 0)
-    assert np.linalg.norm(completed_centroid(mask, _hull(mask)) - _pixel_mean(whole)) < 4.0
+    assert np.linalg.norm(completed_centroid(mask, _hull(mask)) - _pixel_mean(whole)) < 3.0
 
 
 @pytest.mark.parametrize("depth_px", [20, 35])
