@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,6 +117,21 @@ def bootstrap_intervals(
     usable = totals > 1e-12 * float(np.sum((y - y.mean()) ** 2))
     r2 = 1.0 - squares[usable] / totals[usable]
     return rmse, _interval(r2, level) if len(r2) else None
+
+
+def interval_coverage(
+    estimate: ArrayLike, truth: ArrayLike, std: ArrayLike, level: float = 0.95
+) -> float | None:
+    """Share of truths inside the normal interval estimate ± z std of a level; None for no pairs.
+
+    An honest 95 % interval holds 95 % of the truths: fewer, and the deviation is too small; all of them,
+    and it says nothing.
+    """
+    f, y, s = (np.asarray(values, np.float64) for values in (estimate, truth, std))
+    if len(f) == 0:
+        return None
+    z = NormalDist().inv_cdf(0.5 + level / 2.0)
+    return float(np.mean(np.abs(f - y) <= z * s))
 
 
 def coverage(measured: int, frames: int) -> float:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from svmdist.cli import blur_bench, calibrate, estimate, fk, info, record, validate
+from svmdist.cli import blur_bench, calibrate, compare, estimate, fk, info, record, validate
 from svmdist.cli.console import ExitCode, say
 from svmdist.errors import SvmdistError, UsageError
 
@@ -48,6 +48,7 @@ app.command("record")(record.record_command)
 app.command("calibrate")(calibrate.calibrate_command)
 app.command("estimate")(estimate.estimate_command)
 app.command("validate")(validate.validate_command)
+app.command("compare")(compare.compare_command)
 app.command("blur-bench")(blur_bench.blur_bench_command)
 app.command("fk")(fk.fk_command)
 
