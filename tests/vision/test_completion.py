@@ -44,7 +44,8 @@ def test_a_whole_object_keeps_its_centroid() -> None:
 def test_a_bar_across_costs_little(angle_deg: float, offset_px: float, half_width_px: float) -> None:
     """An instrument from outside to the middle and beyond moves the centroid by under 3 px.
 
-    The pixels that are left move by 10 to 23 px. A bar that runs along the outline leaves slivers; see below."""
+    The pixels that are left move by 10 to 23 px. A bar that runs along the outline leaves slivers; see below.
+    """
     whole = _egg()
     mask = whole.copy()
     direction = np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))])
