@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from svmdist.errors import ProfileError, SvmdistError, did_you_mean
-from svmdist.transforms import Array
+from svmdist.transforms import Array, make_transform
 
 DEFAULT_PROFILE = "psm13"
 Model = TypeVar("Model", bound="StrictModel")
@@ -67,10 +67,15 @@ Hue = Annotated[int, Field(ge=0, le=179)]
 
 
 class Topics(StrictModel):
-    """Topic names of a log; None means: the one topic whose schema fits."""
+    """Topic names of a log; None means: the one topic whose schema fits.
+
+    The right camera's topics and the true transforms must be named: their schemas fit others as well.
+    """
 
     image: str | None = None
     camera_info: str | None = None
+    right_image: str | None = None
+    right_camera_info: str | None = None
     joints: str | None = None
     pose: str | None = None
     tf: str | None = None
@@ -188,6 +193,12 @@ class Joint(StrictModel):
 Rotation = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 
+def _require_rotation(name: str, rotation: Rotation) -> None:
+    R = np.array(rotation)
+    if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+        raise ValueError(f"{name} is not a rotation: R R^T = I and det R = 1 are expected")
+
+
 class Robot(StrictModel):
     """The kinematic chain from base to tool."""
 
@@ -202,9 +213,7 @@ class Robot(StrictModel):
         if doubles:
             raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")
         if self.tool_rotation is not None:
-            R = np.array(self.tool_rotation)
-            if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
-                raise ValueError("tool_rotation is not a rotation: R R^T = I and det R = 1 are expected")
+            _require_rotation("tool_rotation", self.tool_rotation)
         return self
 
     @property
@@ -216,6 +225,25 @@ class Robot(StrictModel):
         return T
 
 
+class KinematicError(StrictModel):
+    """How wrong the robot's kinematics may be: standard deviations of constant errors, and how they drift.
+
+    The defaults are what cable-driven arms show: a degree and a millimetre at each joint, and a
+    camera-to-base transform whose rotation is off by two degrees about each axis and whose translation by
+    five millimetres along each.
+    """
+
+    joint_std_rad: Angle = float(np.deg2rad(1.0))
+    joint_std_m: float = Field(default=1e-3, ge=0.0)
+    camera_base_std_rad: Angle = float(np.deg2rad(2.0))
+    camera_base_std_m: float = Field(default=5e-3, ge=0.0)
+    first_moving_joint: str | None = None
+    """The joints before this one hold still while the instrument works: their errors are one with the
+    camera-to-base transform's. None: every joint moves."""
+    drift_rad_per_sqrt_s: float = Field(default=1e-4, ge=0.0)
+    drift_m_per_sqrt_s: float = Field(default=1e-5, ge=0.0)
+
+
 class Instrument(StrictModel):
     """The instrument's shape, in m, about the tool frame: what the simulation builds and clearance needs."""
 
@@ -225,6 +253,34 @@ class Instrument(StrictModel):
     knuckle_radius_m: Length
     jaw_length_m: Length
     jaw_radius_m: Length
+
+
+class Fiducial(StrictModel):
+    """A tag on a plate that a link of the instrument carries.
+
+    The tag's frame is OpenCV's: origin in the middle of the black square, x to the right and y up as one
+    reads the tag, z out of the plate towards who reads it.
+    """
+
+    family: Literal["16h5", "25h9", "36h10", "36h11"] = "36h11"
+    """The AprilTag family."""
+    id: int = Field(default=0, ge=0)
+    size_m: Length
+    """Side of the black square; the white margin around it is not in it."""
+    link: str
+    """The joint whose DH frame carries the plate."""
+    position_m: tuple[float, float, float]
+    rotation: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+    @model_validator(mode="after")
+    def _sound(self) -> Fiducial:
+        _require_rotation("rotation", self.rotation)
+        return self
+
+    @property
+    def T_link_tag(self) -> Array:
+        """Where the tag is on its link, shape (4, 4)."""
+        return make_transform(self.rotation, self.position_m)
 
 
 class Dome(StrictModel):
@@ -277,6 +333,8 @@ class Simulation(StrictModel):
     joint_rate_hz: float = Field(default=100.0, ge=1.0)
     encoder_std_rad: float = Field(default=0.0, ge=0.0)
     encoder_std_m: float = Field(default=0.0, ge=0.0)
+    stereo_baseline_m: Length = 0.005
+    """How far the right camera stands from the left one, along its x axis: that of a da Vinci's endoscope."""
 
 
 class Profile(StrictModel):
@@ -293,9 +351,20 @@ class Profile(StrictModel):
     marker: Marker
     features: Features = Features()
     robot: Robot | None = None
+    kinematic_error: KinematicError = KinematicError()
     instrument: Instrument | None = None
+    fiducial: Fiducial | None = None
     tissue: Tissue | None = None
     simulation: Simulation | None = None
+
+    @model_validator(mode="after")
+    def _fiducial_has_a_link(self) -> Profile:
+        if self.fiducial is not None and self.robot is not None:
+            links = [joint.name for joint in self.robot.joints]
+            if self.fiducial.link not in links:
+                choices = did_you_mean(self.fiducial.link, links)
+                raise ValueError(f"fiducial.link: no joint named {self.fiducial.link}: {choices}")
+        return self
 
 
 def shipped_profiles() -> tuple[str, ...]:

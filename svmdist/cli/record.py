@@ -43,6 +43,23 @@ def record_command(
         float,
         typer.Option("--noise", min=0.0, max=50.0, help="Sensor noise, standard deviation in 8-bit levels."),
     ] = 0.0,
+    stereo: Annotated[
+        bool, typer.Option("--stereo", help="Add the right camera: /ECM/right/image and its camera_info.")
+    ] = False,
+    tag: Annotated[
+        bool, typer.Option("--tag", help="Mount the profile's AprilTag plate on the instrument.")
+    ] = False,
+    kinematic_error: Annotated[
+        float,
+        typer.Option(
+            "--kinematic-error",
+            metavar="SCALE",
+            min=0.0,
+            max=20.0,
+            help="What the robot believes wrongly, drawn by seed: 1 is 1° and 1 mm in the joints, "
+            "2° and 5 mm from camera to base.",
+        ),
+    ] = 0.0,
     renderer: Annotated[Renderer, typer.Option("--renderer", help="Software or OpenGL.")] = Renderer.TINY,
     output: Annotated[
         Path | None,
@@ -58,6 +75,7 @@ def record_command(
     The recording holds images, joint states, the transforms the robot believes, and ground truth.
     """
     from svmdist.profile import load_profile
+    from svmdist.simulation.extras import Extras
     from svmdist.simulation.scenarios import Scenario
     from svmdist.workflows.record import record
 
@@ -71,6 +89,7 @@ def record_command(
             path,
             renderer=renderer.value,
             noise=noise,
+            extras=Extras(stereo, tag, kinematic_error),
             force=force,
             on_progress=advance,
         )

@@ -25,7 +25,8 @@ SEARCH_RADIUS_M = 0.2
 class ClearanceMeter:
     """Measures clearances of one scene; a context manager.
 
-    Every part of the instrument and the organ is convex, so that Bullet's convex hulls are the real meshes.
+    A fiducial plate counts as a part of the instrument. Every part and the organ is convex, so that
+    Bullet's convex hulls are the real meshes.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -35,8 +36,12 @@ class ClearanceMeter:
             with tempfile.TemporaryDirectory(prefix="svmdist-") as folder:
                 self._tissue = self._body(scene.organ.mesh, Path(folder) / "organ.obj")
                 self._parts = [
-                    (part, self._body(part.mesh, Path(folder) / f"{part.name}.obj")) for part in scene.parts
+                    (part.link, self._body(part.mesh, Path(folder) / f"{part.name}.obj"))
+                    for part in scene.parts
                 ]
+                if scene.plate is not None:
+                    mesh = scene.plate.mesh.transformed(scene.plate.T_link_tag)
+                    self._parts.append((scene.plate.link, self._body(mesh, Path(folder) / "plate.obj")))
         except BaseException:
             self.close()
             raise
@@ -46,8 +51,8 @@ class ClearanceMeter:
         """Smallest distance in m at joints `q`, shape (n_joints,); negative is penetration depth."""
         poses = self._scene.link_poses(q)
         smallest = np.inf
-        for part, body in self._parts:
-            self._place(body, poses[part.link])
+        for link, body in self._parts:
+            self._place(body, poses[link])
             points = self._client.call("getClosestPoints", body, self._tissue, SEARCH_RADIUS_M * SCALE)
             smallest = min(smallest, *(point[8] for point in points)) if points else smallest
         return float(smallest / SCALE)

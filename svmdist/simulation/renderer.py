@@ -33,7 +33,8 @@ OPTICS_SIGMA_PX = 0.8
 class Renderer:
     """A physics world with robot, tissue and floor in it; a context manager.
 
-    `frame_of` poses the robot and returns a BGR image, shape (height, width, 3).
+    `frame_of` poses the robot and returns a BGR image, shape (height, width, 3); `right_frame` then draws the
+    same instant for the right camera.
     """
 
     def __init__(self, scene: Scene, name: str = "tiny") -> None:
@@ -55,7 +56,8 @@ class Renderer:
         except BaseException:
             self.close()
             raise
-        self._view = (R4_OPENGL_OPENCV @ inverse(scene.T_world_camera)).T.ravel().tolist()
+        self._view = _view(scene.T_world_camera)
+        self._right_view = _view(scene.T_world_camera @ scene.T_camera_right)
         self._projection = _projection(scene.camera, _PIXEL_SHIFT[name])
 
     def frame_of(self, q: Array, T_world_retractor: Array | None = None) -> Image:
@@ -64,13 +66,23 @@ class Renderer:
             self._client.call("resetJointState", self._robot, joint, float(value))
         if T_world_retractor is not None:
             self._place(self._retractor, T_world_retractor)
+        plate = self._scene.plate
+        if plate is not None:
+            self._place(self._plate, self._scene.link_poses(q)[plate.link] @ plate.T_link_tag)
+        return self._draw(self._view)
+
+    def right_frame(self) -> Image:
+        """Draw what `frame_of` has posed, as the right camera sees it."""
+        return self._draw(self._right_view)
+
+    def _draw(self, view: list[float]) -> Image:
         camera = self._scene.camera
         with quiet_stdout():
             picture = self._client.call(
                 "getCameraImage",
                 camera.width_px,
                 camera.height_px,
-                viewMatrix=self._view,
+                viewMatrix=view,
                 projectionMatrix=self._projection,
                 lightDirection=LIGHT_DIRECTION,
                 lightColor=(1.0, 0.985, 0.96),
@@ -112,6 +124,9 @@ class Renderer:
         floor = self._body(make_floor(), folder / "floor.obj", (1.0, 1.0, 1.0, 1.0))
         self._paint(floor, scene.floor_texture, folder / "floor.png")
         self._retractor = self._body(scene.retractor, folder / "retractor.obj", (0.66, 0.67, 0.68, 1.0))
+        if scene.plate is not None:
+            self._plate = self._body(scene.plate.mesh, folder / "plate.obj", (1.0, 1.0, 1.0, 1.0))
+            self._paint(self._plate, scene.plate.texture, folder / "plate.png")
         away = np.eye(4)
         away[2, 3] = 1.0  # behind the camera
         self._place(self._retractor, away)
@@ -153,6 +168,11 @@ R4_OPENGL_OPENCV: Array = np.block([[R_OPENGL_OPENCV, np.zeros((3, 1))], [np.zer
 _PIXEL_SHIFT = {"tiny": (-0.5, 0.5), "egl": (0.0, 0.0)}
 """Where each renderer puts a pixel's centre, against OpenGL: TinyRenderer samples pixels at a corner.
 Measured with silhouettes of spheres all over the image, which agree with `Camera.project` to 0.03 px."""
+
+
+def _view(T_world_camera: Array) -> list[float]:
+    """OpenGL's view matrix, column by column."""
+    return [float(value) for value in (R4_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel()]
 
 
 def _projection(camera: Camera, shift_px: tuple[float, float]) -> list[float]:

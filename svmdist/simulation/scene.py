@@ -5,7 +5,7 @@ World: z up, floor at z = 0, the camera on the z axis looking straight down.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,9 +15,11 @@ from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.profile import Profile
 from svmdist.samples import Image
+from svmdist.simulation.extras import Extras
 from svmdist.simulation.instrument import Part, make_parts
 from svmdist.simulation.meshes import Mesh, loft, smooth_normals
 from svmdist.simulation.organ import Organ, make_organ
+from svmdist.simulation.plate import Plate, make_plate
 from svmdist.simulation.textures import floor_texture, tissue_texture
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
 
@@ -43,6 +45,20 @@ class Scene:
     retractor: Mesh
     tissue_texture: Image
     floor_texture: Image
+    baseline_m: float
+    plate: Plate | None = None
+
+    @property
+    def right_camera(self) -> Camera:
+        """The right camera of a rectified pair: the left one's intrinsics, and the baseline in P."""
+        P = np.hstack([self.camera.K, np.zeros((3, 1))])
+        P[0, 3] = -self.camera.K[0, 0] * self.baseline_m
+        return replace(self.camera, P=P, frame_id=f"{self.camera.frame_id}_right")
+
+    @property
+    def T_camera_right(self) -> Array:
+        """Where the right camera stands for the left one, shape (4, 4)."""
+        return make_transform(np.eye(3), [self.baseline_m, 0.0, 0.0])
 
     @property
     def T_camera_base(self) -> Array:
@@ -60,8 +76,9 @@ class Scene:
         return {row.name: frames[..., index, :, :] for index, row in enumerate(self.chain.rows)}
 
 
-def make_scene(profile: Profile, seed: int) -> Scene:
-    """Set up the world of a seed; raises SimulationError for a profile that describes no simulation."""
+def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Scene:
+    """Set up the world of a seed; raises SimulationError for a profile that describes no such simulation."""
+    extras = extras or Extras()
     if profile.robot is None or profile.instrument is None or profile.simulation is None:
         raise SimulationError(
             f"profile {profile.name} cannot be simulated: it needs [robot], [instrument] and [simulation]"
@@ -74,6 +91,8 @@ def make_scene(profile: Profile, seed: int) -> Scene:
             if missing
             else f"profile {profile.name} cannot be simulated: an instrument needs four joints or more"
         )
+    if extras.tag and profile.fiducial is None:
+        raise SimulationError(f"profile {profile.name} has no tag to mount: it needs [fiducial]")
     # One stream for each thing, so that one of them can change without moving the others.
     place, shape, red, dull = (np.random.default_rng([seed, stream]) for stream in range(4))
     T_world_tissue = make_transform(
@@ -96,6 +115,8 @@ def make_scene(profile: Profile, seed: int) -> Scene:
         retractor=make_retractor(),
         tissue_texture=tissue_texture(red),
         floor_texture=floor_texture(dull),
+        baseline_m=settings.stereo_baseline_m,
+        plate=make_plate(profile.fiducial) if extras.tag and profile.fiducial is not None else None,
     )
 
 

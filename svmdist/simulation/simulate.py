@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import UsageError
-from svmdist.kinematics.dh import DHChain, forward_kinematics, link_transforms
+from svmdist.kinematics.dh import forward_kinematics, link_transforms
 from svmdist.profile import Profile, Simulation
 from svmdist.samples import (
     CameraSample,
@@ -22,7 +22,9 @@ from svmdist.samples import (
     TransformSample,
     TransformsSample,
 )
+from svmdist.simulation.belief import Belief, draw_belief
 from svmdist.simulation.clearance import ClearanceMeter
+from svmdist.simulation.extras import Extras
 from svmdist.simulation.renderer import Renderer
 from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Scene, make_scene
@@ -33,7 +35,7 @@ START_NS = 1_700_000_000_000_000_000
 """The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
 CAMERA_INFO_PERIOD_NS = 1_000_000_000
 
-_ENCODER_STREAM, _NOISE_STREAM = 10, 11
+_NOISE_STREAM, _RIGHT_NOISE_STREAM = 11, 14
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class TopicNames:
 
     image: str
     camera_info: str
+    right_image: str
+    right_camera_info: str
     joints: str
     pose: str
     tf: str
@@ -55,6 +59,8 @@ def topic_names(profile: Profile) -> TopicNames:
     return TopicNames(
         topics.image or "/ECM/left/image",
         topics.camera_info or "/ECM/left/camera_info",
+        topics.right_image or "/ECM/right/image",
+        topics.right_camera_info or "/ECM/right/camera_info",
         topics.joints or "/PSM1/measured_js",
         topics.pose or "/PSM1/measured_cp",
         topics.tf or "/tf",
@@ -64,7 +70,12 @@ def topic_names(profile: Profile) -> TopicNames:
 
 
 def simulate(
-    scenario: Scenario, profile: Profile, *, renderer: str = "tiny", noise: float = 0.0
+    scenario: Scenario,
+    profile: Profile,
+    *,
+    renderer: str = "tiny",
+    noise: float = 0.0,
+    extras: Extras | None = None,
 ) -> Iterator[tuple[str, Sample]]:
     """Yield (topic, sample) in the order of time; `noise` is a standard deviation in 8-bit levels.
 
@@ -73,25 +84,31 @@ def simulate(
     """
     if not 0.0 <= noise <= 64.0:
         raise UsageError(f"noise is a standard deviation from 0 to 64 levels, found {noise:g}")
-    scene = make_scene(profile, scenario.seed)
+    extras = extras or Extras()
+    scene = make_scene(profile, scenario.seed, extras)
     settings = profile.simulation
     assert settings is not None  # make_scene has checked it
     images, joints = _stamps(scenario.frame_count, scenario.rate_hz), _joint_stamps(scenario, settings)
     stamps = np.union1d(images, joints)
     progress = (stamps - START_NS) / (scenario.duration_s * 1e9)
     topics = topic_names(profile)
-    noise_rng = np.random.default_rng([scenario.seed, _NOISE_STREAM])
+    noise_rng, right_noise_rng = (
+        np.random.default_rng([scenario.seed, stream]) for stream in (_NOISE_STREAM, _RIGHT_NOISE_STREAM)
+    )
+    belief = draw_belief(scene.chain, scene.T_camera_base, profile, scenario.seed, extras.kinematic_error)
     with ClearanceMeter(scene) as meter, Renderer(scene, renderer) as view:
         trajectory = make_trajectory(
             scene, scenario, settings.working_height_m, np.clip(progress, 0.0, 1.0), meter
         )
-        reported = trajectory.q + _encoder_offsets(scene.chain, settings, scenario.seed)
+        reported = trajectory.q + belief.joint_offsets
         with_image, with_joints = np.isin(stamps, images), np.isin(stamps, joints)
         next_camera_info_ns = START_NS
         for index, stamp in enumerate(stamps.tolist()):
             q = trajectory.q[index]
             if stamp >= next_camera_info_ns:
                 yield topics.camera_info, CameraSample(stamp, scene.camera)
+                if extras.stereo:
+                    yield topics.right_camera_info, CameraSample(stamp, scene.right_camera)
                 next_camera_info_ns += CAMERA_INFO_PERIOD_NS
             if with_joints[index]:
                 yield topics.joints, JointSample(stamp, scene.chain.joint_names, reported[index])
@@ -101,13 +118,16 @@ def simulate(
             yield topics.ground_truth_tf, truth
             yield topics.ground_truth_distance, _true_distances(truth, meter.clearance_m(q))
             if with_image[index]:
-                yield topics.tf, _believed_transforms(scene, profile, stamp, reported[index])
+                yield topics.tf, _believed_transforms(scene, profile, belief, extras, stamp, reported[index])
                 T_retractor = trajectory.T_world_retractor
                 image = view.frame_of(q, None if T_retractor is None else T_retractor[index])
                 yield (
                     topics.image,
                     ImageSample(stamp, scene.camera.frame_id, _with_noise(image, noise, noise_rng)),
                 )
+                if extras.stereo:
+                    image = _with_noise(view.right_frame(), noise, right_noise_rng)
+                    yield topics.right_image, ImageSample(stamp, scene.right_camera.frame_id, image)
 
 
 def _stamps(count: int, rate_hz: float) -> NDArray[np.int64]:
@@ -118,13 +138,6 @@ def _joint_stamps(scenario: Scenario, settings: Simulation) -> NDArray[np.int64]
     """Joint stamps up to the end of the recording, so that every image lies between two of them."""
     count = int(np.ceil(scenario.duration_s * settings.joint_rate_hz)) + 1
     return _stamps(count, settings.joint_rate_hz)
-
-
-def _encoder_offsets(chain: DHChain, settings: Simulation, seed: int) -> Array:
-    """What each encoder is off by throughout a recording, in rad or m, shape (n_joints,)."""
-    kinds = [row.joint for row in chain.rows if row.joint != "fixed"]
-    std = [settings.encoder_std_m if kind == "prismatic" else settings.encoder_std_rad for kind in kinds]
-    return np.asarray(np.random.default_rng([seed, _ENCODER_STREAM]).normal(0.0, 1.0, len(std)) * std)
 
 
 def _true_transforms(scene: Scene, profile: Profile, stamp_ns: int, q: Array) -> TransformsSample:
@@ -150,8 +163,10 @@ def _true_distances(truth: TransformsSample, clearance_m: float) -> DistanceSamp
     )
 
 
-def _believed_transforms(scene: Scene, profile: Profile, stamp_ns: int, reported: Array) -> TransformsSample:
-    """The camera-to-base transform and the whole chain as the reported joints place it."""
+def _believed_transforms(
+    scene: Scene, profile: Profile, belief: Belief, extras: Extras, stamp_ns: int, reported: Array
+) -> TransformsSample:
+    """The camera-to-base transform and the whole chain as the reported joints place it; the right camera."""
     frames, names = profile.frames, [row.name for row in scene.chain.rows]
     links = link_transforms(scene.chain, reported)
     children = [*names[:-1], frames.tool]
@@ -161,7 +176,10 @@ def _believed_transforms(scene: Scene, profile: Profile, stamp_ns: int, reported
         TransformSample(stamp_ns, parent, child, T)
         for parent, child, T in zip(parents, children, links, strict=True)
     ]
-    camera_base = TransformSample(stamp_ns, frames.camera, frames.base, scene.T_camera_base)
+    camera_base = TransformSample(stamp_ns, frames.camera, frames.base, belief.T_camera_base)
+    if extras.stereo:
+        right = scene.right_camera.frame_id
+        chain.append(TransformSample(stamp_ns, frames.camera, right, scene.T_camera_right))
     return TransformsSample(stamp_ns, (camera_base, *chain))
 
 

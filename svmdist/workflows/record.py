@@ -9,16 +9,16 @@ from pathlib import Path
 
 from svmdist.profile import Profile
 from svmdist.recording.writer import RecordingWriter
-from svmdist.samples import ImageSample
+from svmdist.simulation.extras import Extras
 from svmdist.simulation.scenarios import Scenario
-from svmdist.simulation.simulate import simulate
+from svmdist.simulation.simulate import simulate, topic_names
 
 VERSIONED_PACKAGES = ("svmdist", "pybullet", "numpy", "opencv-python-headless")
 
 
 @dataclass(frozen=True)
 class RecordResult:
-    """What was written: the numbers of images and messages, the size in bytes, and where."""
+    """What was written: the numbers of (left) images and messages, the size in bytes, and where."""
 
     path: Path
     frame_count: int
@@ -33,6 +33,7 @@ def record(
     *,
     renderer: str = "tiny",
     noise: float = 0.0,
+    extras: Extras | None = None,
     force: bool = False,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> RecordResult:
@@ -41,12 +42,15 @@ def record(
     Raises UsageError where the file exists and `force` is not set, OutputError where it cannot be written,
     SimulationError where PyBullet is missing or the profile cannot be simulated.
     """
+    extras = extras or Extras()
+    metadata = _metadata(scenario, profile, renderer, noise) | extras.metadata()
+    topics = topic_names(profile)
     frame_count = message_count = 0
-    with RecordingWriter(output, _metadata(scenario, profile, renderer, noise), force=force) as writer:
-        for topic, sample in simulate(scenario, profile, renderer=renderer, noise=noise):
+    with RecordingWriter(output, metadata, force=force) as writer:
+        for topic, sample in simulate(scenario, profile, renderer=renderer, noise=noise, extras=extras):
             writer.write(topic, sample)
             message_count += 1
-            if isinstance(sample, ImageSample):
+            if topic == topics.image:
                 frame_count += 1
                 if on_progress is not None:
                     on_progress(frame_count, scenario.frame_count)

@@ -1,0 +1,36 @@
+"""What a recording can have beyond the plain one. The defaults leave it plain, to the last bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from svmdist.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Extras:
+    """Options of a simulation.
+
+    `stereo` adds the right camera, `tag` mounts the profile's fiducial plate, `kinematic_error` scales what
+    the robot believes wrongly about its joints and about where the camera stands (0 none, 1 as the profile
+    says).
+    """
+
+    stereo: bool = False
+    tag: bool = False
+    kinematic_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.kinematic_error <= 20.0:
+            raise UsageError(
+                f"the scale of the kinematic error is from 0 to 20, found {self.kinematic_error:g}"
+            )
+
+    def metadata(self) -> dict[str, str]:
+        """Name what is set, for a recording's metadata; a plain recording names nothing."""
+        named = {
+            "stereo": "yes" if self.stereo else "",
+            "tag": "yes" if self.tag else "",
+            "kinematic_error": f"{self.kinematic_error:g}" if self.kinematic_error else "",
+        }
+        return {name: value for name, value in named.items() if value}
