@@ -6,13 +6,7 @@ from typing import Annotated
 
 import typer
 
-from svmdist.cli.console import (
-    files_or_golden,
-    report_health,
-    require_output_folder,
-    write_lines,
-    write_table,
-)
+from svmdist.cli.console import Summary, files_or_golden, report_health, require_output_folder, write_summary
 from svmdist.cli.options import (
     CalibrationOption,
     OptionalFiles,
@@ -47,11 +41,8 @@ def blur_bench_command(
 
     Table I of the paper, reproducible. Without FILE, on every log in recordings/.
     """
-    import json
-
     from svmdist.recording.reader import open_recording
     from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, BLUR_NOTE, blur_row
-    from svmdist.report.table import csv_lines, rich_table
     from svmdist.workflows.blur_bench import DEFAULT_KERNELS_PX, blur_bench
     from svmdist.workflows.setup import prepare
 
@@ -65,14 +56,8 @@ def blur_bench_command(
     ]
     measured = blur_bench(recordings, setup, {blur: kernels_px[str(blur)] for blur in DEFAULT_KERNELS_PX})
     rows = [blur_row(row) for row in measured]
-    match form:
-        case TableFormat.TABLE:
-            title = f"{measured[0].frame_count} frames of {len(recordings)} recordings"
-            write_table(rich_table(title, BLUR_COLUMNS, rows), [BLUR_NOTE], output)
-        case TableFormat.CSV:
-            write_lines(csv_lines(BLUR_KEYS, rows), output)
-        case TableFormat.JSON:
-            write_lines([json.dumps(rows, indent=1) + "\n"], output)
+    title = f"{measured[0].frame_count} frames of {len(recordings)} recordings"
+    write_summary(Summary(title, BLUR_COLUMNS, BLUR_KEYS, rows, [BLUR_NOTE]), form, output)
     raise typer.Exit(report_health(recordings))
 
 

@@ -10,8 +10,6 @@ from svmdist.cli.console import (
     files_or_golden,
     report_health,
     require_output_folder,
-    write_lines,
-    write_table,
 )
 from svmdist.cli.options import (
     CalibrationOption,
@@ -45,11 +43,8 @@ def compare_command(
     One pass over the images of each recording; per scenario and over all. Without FILE, on every log in
     recordings/.
     """
-    import json
-
     from svmdist.recording.reader import open_recording
     from svmdist.report.comparison import COMPARE_COLUMNS, COMPARE_KEYS, COMPARE_NOTE, compare_row
-    from svmdist.report.table import csv_lines, rich_table
     from svmdist.workflows.compare import compare
     from svmdist.workflows.setup import prepare
 
@@ -60,12 +55,6 @@ def compare_command(
         open_recording(path, setups[0].profile, topics=topics_of(topic)) for path in files_or_golden(files)
     ]
     rows = [compare_row(score) for score in compare(recordings, setups)]
-    match form:
-        case TableFormat.TABLE:
-            title = f"{len(methods)} methods on {len(recordings)} recordings"
-            write_table(rich_table(title, COMPARE_COLUMNS, rows), [COMPARE_NOTE], output)
-        case TableFormat.CSV:
-            write_lines(csv_lines(COMPARE_KEYS, rows), output)
-        case TableFormat.JSON:
-            write_lines([json.dumps(rows, indent=1) + "\n"], output)
+    title = f"{len(methods)} methods on {len(recordings)} recordings"
+    write_summary(Summary(title, COMPARE_COLUMNS, COMPARE_KEYS, rows, [COMPARE_NOTE]), form, output)
     raise typer.Exit(report_health(recordings))

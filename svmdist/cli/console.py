@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Protocol
 
+from svmdist.cli.options import TableFormat
 from svmdist.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from svmdist.recording.health import Health
+    from svmdist.report.table import Column, Row
 
 
 class ExitCode(IntEnum):
@@ -65,6 +68,32 @@ def write_table(table: Table, notes: Sequence[str], output: Path | None) -> None
     text = render(table, width=width, colour=width is not None and "NO_COLOR" not in os.environ)
     lines = [line for note in notes for line in (wrap(note, width) if width else [note])]
     write_lines([text, *(f"{line}\n" for line in lines)], output)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Rows to be written in any form: title, columns and notes for a person, keys for machines."""
+
+    title: str
+    columns: Sequence[Column]
+    keys: Sequence[str]
+    rows: Sequence[Row]
+    notes: Sequence[str] = ()
+
+
+def write_summary(summary: Summary, form: TableFormat, output: Path | None) -> None:
+    """Write a table, CSV, or a JSON array of objects."""
+    import json
+
+    from svmdist.report.table import csv_lines, rich_table
+
+    match form:
+        case TableFormat.TABLE:
+            write_table(rich_table(summary.title, summary.columns, summary.rows), summary.notes, output)
+        case TableFormat.CSV:
+            write_lines(csv_lines(summary.keys, summary.rows), output)
+        case TableFormat.JSON:
+            write_lines([json.dumps(list(summary.rows), indent=1, ensure_ascii=False) + "\n"], output)
 
 
 def terminal_width(output: Path | None) -> int | None:
