@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from svmdist.cli.console import (
+from svmdist.cli.console import Summary, files_or_golden, report_health, require_output_folder, write_summary
     files_or_golden,
     report_health,
     require_output_folder,
