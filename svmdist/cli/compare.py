@@ -7,10 +7,6 @@ from typing import Annotated
 import typer
 
 from svmdist.cli.console import Summary, files_or_golden, report_health, require_output_folder, write_summary
-    files_or_golden,
-    report_health,
-    require_output_folder,
-)
 from svmdist.cli.options import (
     CalibrationOption,
     Method,
