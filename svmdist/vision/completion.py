@@ -95,8 +95,10 @@ def _is_outline(
 ) -> NDArray[np.bool_]:
     height, width = mask.shape
     column, row = np.round(points_px).astype(np.intp).T
-    distance_px = cv2.distanceTransform(cv2.bitwise_not(mask), cv2.DIST_L2, 5)
-    real = np.asarray(distance_px[row, column] <= GAP_REACH_PX)
+    left, top = column.min(), row.min()  # all that matters lies inside the hull's bounding box
+    window = mask[top : row.max() + 1, left : column.max() + 1]
+    distance_px = cv2.distanceTransform(cv2.bitwise_not(window), cv2.DIST_L2, 5)
+    real = np.asarray(distance_px[row - top, column - left] <= GAP_REACH_PX)
     real &= edge_length_px <= STRAIGHT_FRACTION * np.sqrt(hull_area_px2)
     hidden = ~real
     for shift in range(1, SHOULDER_SAMPLES + 1):
