@@ -76,16 +76,16 @@ class _Statistics:
     def add(self, stamp_ns: int) -> None:
         self.count += 1
         previous_ns, self._previous_ns = self._previous_ns, stamp_ns
+        newest_ns = stamp_ns if self.end_ns is None else self.end_ns
         self.start_ns = stamp_ns if self.start_ns is None else min(self.start_ns, stamp_ns)
-        self.end_ns = stamp_ns if self.end_ns is None else max(self.end_ns, stamp_ns)
+        self.end_ns = max(newest_ns, stamp_ns)
         if previous_ns is None:
             return
         if stamp_ns < previous_ns:
             self.out_of_order_count += 1
-            return
-        gap_ns = stamp_ns - previous_ns
+        gap_ns = stamp_ns - newest_ns  # to the newest: a stamp out of order makes no gap behind it
         # The mean period so far stands for the true one; the first few messages say nothing yet.
-        if self.count > 5 and gap_ns * (self.count - 2) > GAP_FACTOR * (previous_ns - self.start_ns):
+        if self.count > 5 and gap_ns * (self.count - 2) > GAP_FACTOR * (newest_ns - self.start_ns):
             self.gap_count += 1
         self.largest_gap_ns = max(self.largest_gap_ns, gap_ns)
 
