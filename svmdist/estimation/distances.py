@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from svmdist.camera import Camera
 from svmdist.estimation.instrument_model import InstrumentModel
 from svmdist.estimation.pose import ToolPose
 from svmdist.estimation.tissue import TissueFix
@@ -24,10 +25,12 @@ def measure(
     tissue: TissueFix,
     model: InstrumentModel | None = None,
     joints: JointSample | None = None,
+    camera: Camera | None = None,
 ) -> Estimate:
     """Fill the row with what the pose and the tissue tell; without a model there is no clearance.
 
-    `joints` bend the model's wrist; without them it is straight along the shaft.
+    `joints` bend the model's wrist; without them it is straight along the shaft. With a `camera` the row tells
+    where the tool is in the image.
     """
     offset_m = pose.position_m - tissue.position_m
     covariance = pose.position_covariance + tissue.covariance
@@ -45,6 +48,9 @@ def measure(
         tool_position_m=as_vector(pose.position_m),
         tool_axis=as_vector(pose.axis),
     )
+    if camera is not None and pose.position_m[2] > 0.0:
+        x_px, y_px = (float(value) for value in camera.project(pose.position_m)[0])
+        row = replace(row, tool_x_px=x_px, tool_y_px=y_px)
     if model is None:
         return row
     gap = separation(model.posed(pose, joints), tissue.surface)

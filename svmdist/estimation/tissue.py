@@ -16,7 +16,7 @@ from svmdist.estimation.locate import locate_tissue
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Mesh, Plane, Surface
 from svmdist.profile import Dome, Profile, Tissue
-from svmdist.samples import Image
+from svmdist.samples import Estimate, Image, Status
 from svmdist.transforms import Array
 from svmdist.vision.completion import CompletedOutline, complete_outline
 from svmdist.vision.regions import Region
@@ -64,6 +64,21 @@ def see_tissue(image_bgr: Image, profile: Profile, camera: Camera) -> TissueSigh
         return None
     outline = complete_outline(colour_mask(image_hsv, profile.segmentation.tissue), region.hull)
     return TissueSight(region, outline, fix_tissue(outline, camera, tissue))
+
+
+def tissue_row(stamp_ns: int, sight: TissueSight | None) -> Estimate:
+    """The row of a 3D method after its first step: what is known of the tissue, or no_tissue."""
+    if sight is None:
+        return Estimate(stamp_ns, Status.NO_TISSUE)
+    x_px, y_px = (float(value) for value in sight.outline.centroid_px)
+    return Estimate(
+        stamp_ns,
+        Status.OK if sight.fix is not None else Status.NO_TISSUE,
+        tissue_x_px=x_px,
+        tissue_y_px=y_px,
+        tissue_area_px=sight.region.area_px,
+        detail="" if sight.fix is not None else "the tissue's ray does not meet the profile's plane",
+    )
 
 
 def require_tissue(profile: Profile) -> Tissue:

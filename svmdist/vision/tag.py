@@ -1,0 +1,261 @@
+"""AprilTags in an image: their corners, and their pose refined on every pixel of the tag.
+
+Four corners give a first pose; on a tag of 40 pixels they leave half a degree of tilt and a third of a
+millimetre of depth. The printed cells have twenty times as much edge: the known pattern, blurred as the image
+is, is laid over the pixels by Gauss–Newton over pose, brightness, contrast and blur (Baker and Matthews 2004).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.samples import Image
+from svmdist.transforms import Array, make_transform
+
+DICTIONARIES = {
+    "16h5": cv2.aruco.DICT_APRILTAG_16h5,
+    "25h9": cv2.aruco.DICT_APRILTAG_25h9,
+    "36h10": cv2.aruco.DICT_APRILTAG_36h10,
+    "36h11": cv2.aruco.DICT_APRILTAG_36h11,
+}
+CELL_SAMPLES = 16
+"""Texture samples to a cell: three for each pixel of a tag that is seen 40 px wide."""
+MARGIN_CELLS = 0.6
+"""How much of the white margin is compared; what lies behind the plate shines into the rest of it."""
+ITERATIONS = 12
+SETTLED = 1e-7
+"""A step below this, in tag sides and rad, ends the iteration."""
+BLUR_START_PX = 0.8
+BLUR_RANGE_PX = (0.3, 6.0)
+BLUR_STEP_PX = 0.05
+MIN_PIXELS = 50
+SHEET_COLUMNS = 64
+MIN_CONTRAST = 4.0
+"""Grey levels between black and white below which there is no pattern to lay."""
+CLUSTER_INFLATION = 6.0
+"""Pixels that sample a point, as a renderer without antialiasing or a sensor without a low-pass does, shift an edge
+that is nearly parallel to the rows by up to half a pixel over its whole length, across many cells. Measured
+on such images; where pixels integrate over their area, the factor would be 1.0 to 1.4.
+"""
+ROBUST = 3.0
+"""Huber's threshold in standard deviations: glare and blood are outliers."""
+
+
+@dataclass(frozen=True, slots=True)
+class TagPose:
+    """A tag's pose `T_camera_tag`, shape (4, 4), and the covariance of (δp, δθ), shape (6, 6).
+
+    The error is as in `ToolPose`: p_true = p + δp in m, R_true = exp([δθ]) R, both in the camera frame.
+    `residual` is the root mean square of image less pattern, over the contrast; `blur_px` the image's blur.
+    """
+
+    T_camera_tag: Array
+    covariance: Array
+    residual: float
+    blur_px: float
+
+
+class TagFinder:
+    """Finds the one tag of a family and number."""
+
+    def __init__(self, family: str, tag_id: int) -> None:
+        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        parameters.relativeCornerRefinmentWinSize = 0.3  # of a cell: a window that sees no other corner
+        self._detector = cv2.aruco.ArucoDetector(dictionary, parameters)
+        self._id = tag_id
+
+    def corners_px(self, image_grey: Image) -> Array | None:
+        """Corners, shape (4, 2) in px: upper left, upper right, lower right, lower left as one reads the tag."""
+        corners, ids, _ = self._detector.detectMarkers(image_grey)
+        if ids is None:
+            return None
+        found = [
+            np.asarray(c, np.float64).reshape(4, 2)
+            for c, i in zip(corners, ids.ravel(), strict=True)
+            if i == self._id
+        ]
+        if not found:
+            return None
+        return max(found, key=lambda c: float(cv2.contourArea(c.astype(np.float32))))
+
+
+def square_corners_m(size_m: float) -> Array:
+    """The tag's corners in its frame, shape (4, 3), in the order of `TagFinder.corners_px`."""
+    h = size_m / 2.0
+    return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
+
+
+def pose_candidates(corners_px: Array, size_m: float, K: Array, D: Array) -> list[Array]:
+    """Both poses that four corners allow, shape (4, 4) each, the better one first (Collins and Bartoli 2014)."""
+    _, rotations, translations, _ = cv2.solvePnPGeneric(
+        square_corners_m(size_m), corners_px, K, D if len(D) else None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+    )
+    poses = []
+    for rotation, translation in zip(rotations, translations, strict=True):
+        T = make_transform(cv2.Rodrigues(rotation)[0], np.asarray(translation).ravel())
+        if np.all(np.isfinite(T)) and T[2, 3] > 0.0:
+            poses.append(T)
+    return poses
+
+
+class TagPattern:
+    """The tag as it is printed, to be laid over an image."""
+
+    def __init__(self, family: str, tag_id: int, size_m: float) -> None:
+        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
+        self.size_m = size_m
+        self.cell_count = dictionary.markerSize + 2
+        cells = cv2.aruco.generateImageMarker(dictionary, tag_id, self.cell_count).astype(np.float32) / 255.0
+        self.scale = np.array([size_m, size_m, size_m, 1.0, 1.0, 1.0])
+        self._pad = 4
+        padded = np.pad(cells, self._pad, constant_values=1.0)
+        self._texture: NDArray[np.float32] = np.kron(
+            padded, np.ones((CELL_SAMPLES, CELL_SAMPLES), np.float32)
+        ).astype(np.float32)
+
+    def blurred(self, blur_cells: float) -> NDArray[np.float32]:
+        """The pattern under a Gaussian blur in cells."""
+        sigma = max(blur_cells * CELL_SAMPLES, 0.3)
+        return np.asarray(cv2.GaussianBlur(self._texture, (0, 0), sigma), np.float32)
+
+    def sample(self, texture: NDArray[np.float32], xy_m: Array) -> Array:
+        """Brightness between 0 and 1 at points of the tag's plane, shape (n, 2) in m: shape (n,)."""
+        cell_m = self.size_m / self.cell_count
+        middle = self._pad + self.cell_count / 2.0
+        column = (middle + xy_m[:, 0] / cell_m) * CELL_SAMPLES - 0.5
+        row = (middle - xy_m[:, 1] / cell_m) * CELL_SAMPLES - 0.5
+        places = np.stack([column, row]).astype(np.float32)
+        # OpenCV remaps images of at most 32767 columns: the points go in as rows of a sheet.
+        sheet = np.pad(places, ((0, 0), (0, -len(xy_m) % SHEET_COLUMNS))).reshape(2, -1, SHEET_COLUMNS)
+        values = cv2.remap(texture, sheet[0], sheet[1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+        return np.asarray(values, np.float64).ravel()[: len(xy_m)]
+
+
+def refine_pose(
+    brightness: Array,
+    rays: Array,
+    T_camera_tag: Array,
+    pattern: TagPattern,
+    focal_px: float,
+    iterations: int = ITERATIONS,
+) -> TagPose | None:
+    """Lay the pattern over pixels, from a first pose; None where it does not hold.
+
+    `brightness`, shape (n,), is that of n pixels, and `rays`, shape (n, 3) with z = 1, their directions in the
+    camera frame.
+    """
+    T, blur_px = T_camera_tag, BLUR_START_PX
+    laid: _Laid | None = None
+    for _ in range(iterations):
+        laid = _lay(brightness, rays, T, blur_px, pattern, focal_px)
+        if laid is None or laid.contrast < MIN_CONTRAST:
+            return None
+        step = laid.step()
+        T = nudged(T, pattern.scale * np.clip(step[:6], -0.2, 0.2))
+        blur_px = float(np.clip(blur_px + np.clip(step[6], -0.5, 0.5), *BLUR_RANGE_PX))
+        if T[2, 3] <= 0.0 or not np.all(np.isfinite(T)):
+            return None
+        if np.max(np.abs(step[:6])) < SETTLED:
+            break
+    if laid is None:
+        return None
+    covariance = laid.covariance()[:6, :6] * np.outer(pattern.scale, pattern.scale)
+    return TagPose(T, covariance, laid.rms() / laid.contrast, blur_px)
+
+
+@dataclass(frozen=True, slots=True)
+class _Laid:
+    """The pattern laid over n pixels: residual (n,), its derivatives (n, 9), weights (n,), the pixels' cells (n,)."""
+
+    residual: Array
+    J: Array
+    weight: Array
+    cell: NDArray[np.int64]
+    contrast: float
+
+    def step(self) -> Array:
+        """The Gauss–Newton step over pose, blur, offset and contrast, shape (9,)."""
+        N = self.J.T @ (self.weight[:, None] * self.J)
+        N += 1e-9 * np.diag(np.diag(N)) + 1e-12 * np.eye(len(N))
+        return np.asarray(np.linalg.solve(N, self.J.T @ (self.weight * self.residual)), np.float64)
+
+    def rms(self) -> float:
+        return float(np.sqrt((self.weight * self.residual**2).sum() / max(len(self.residual) - 9, 1)))
+
+    def covariance(self) -> Array:
+        """Covariance of the step, by clusters (White 1980; Liang and Zeger 1986).
+
+        What is left over lies along the edges and is alike along each of them, for sampling and printing err
+        together there: pixels of one cell count as one observation, and what they say is taken as it is.
+        """
+        N_inverse = np.linalg.inv(self.J.T @ (self.weight[:, None] * self.J) + 1e-9 * np.eye(9))
+        scores = np.zeros((int(self.cell.max()) + 1, 9))
+        np.add.at(scores, self.cell, self.J * (self.weight * self.residual)[:, None])
+        count = len(np.unique(self.cell))
+        spread = scores.T @ scores * count / max(count - 9, 1)
+        plain = self.rms() ** 2 * N_inverse
+        return np.asarray(CLUSTER_INFLATION * (N_inverse @ spread @ N_inverse) + plain)
+
+
+def _lay(
+    brightness: Array, rays: Array, T: Array, blur_px: float, pattern: TagPattern, focal_px: float
+) -> _Laid | None:
+    cell_m = pattern.size_m / pattern.cell_count
+    xy_m = on_tag(rays, T)
+    half_m = pattern.size_m / 2.0 + MARGIN_CELLS * cell_m
+    inside = np.all(np.abs(xy_m) < half_m, axis=1)
+    if np.count_nonzero(inside) < MIN_PIXELS:
+        return None
+    brightness, rays, xy_m = brightness[inside], rays[inside], xy_m[inside]
+    px_per_cell = cell_m * focal_px / float(T[2, 3])
+    texture = pattern.blurred(blur_px / px_per_cell)
+    model = pattern.sample(texture, xy_m)
+    wider = pattern.sample(pattern.blurred((blur_px + BLUR_STEP_PX) / px_per_cell), xy_m)
+    offset, contrast = _line(model, brightness)
+    residual = brightness - offset - contrast * model
+    step_m = 0.02 * cell_m
+    slope = [
+        (pattern.sample(texture, xy_m + d) - pattern.sample(texture, xy_m - d)) / (2.0 * step_m)
+        for d in step_m * np.eye(2)
+    ]
+    motion = [_motion(rays, T, k, pattern.scale[k]) for k in range(6)]
+    columns = [contrast * (slope[0] * m[:, 0] + slope[1] * m[:, 1]) for m in motion]
+    columns += [contrast * (wider - model) / BLUR_STEP_PX, np.ones_like(model), model]
+    std = 1.4826 * float(np.median(np.abs(residual))) + 1e-6
+    weight = np.minimum(1.0, ROBUST * std / np.maximum(np.abs(residual), 1e-12))
+    column, row = np.floor((xy_m + half_m) / cell_m).astype(np.int64).T
+    cell = row * (pattern.cell_count + 3) + column
+    return _Laid(residual, np.stack(columns, -1), weight, cell, contrast)
+
+
+def on_tag(rays: Array, T_camera_tag: Array) -> Array:
+    """Where rays, shape (n, 3), meet the tag's plane, in its frame, shape (n, 2)."""
+    R, t = T_camera_tag[:3, :3], T_camera_tag[:3, 3]
+    depth = (R[:, 2] @ t) / (rays @ R[:, 2])
+    return np.asarray((depth[:, None] * rays - t) @ R[:, :2])
+
+
+def nudged(T: Array, error: Array) -> Array:
+    """A pose moved by (δp, δθ), shape (6,), both in the camera frame."""
+    return make_transform(cv2.Rodrigues(error[3:])[0] @ T[:3, :3], T[:3, 3] + error[:3])
+
+
+def _motion(rays: Array, T: Array, parameter: int, scale: float) -> Array:
+    """How the rays' feet on the tag move with one parameter of the pose, shape (n, 2)."""
+    step = np.zeros(6)
+    step[parameter] = 1e-5 * scale
+    return np.asarray((on_tag(rays, nudged(T, step)) - on_tag(rays, nudged(T, -step))) / 2e-5)
+
+
+def _line(model: Array, brightness: Array) -> tuple[float, float]:
+    """Offset and contrast that fit the brightness best, by least squares."""
+    centred = model - model.mean()
+    spread = float(centred @ centred)
+    contrast = float(centred @ brightness) / spread if spread > 0.0 else 0.0
+    return float(brightness.mean() - contrast * model.mean()), contrast
