@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from svmdist.transforms import Array
+from svmdist.transforms import Array, make_transform
 
 R_OPENGL_OPENCV: Array = np.diag([1.0, -1.0, -1.0])
 """OpenCV axes (x right, y down, z forward) in OpenGL's (x right, y up, z backward); its own inverse."""
@@ -74,3 +74,19 @@ class Camera:
             and bool(np.allclose(self.K, other.K, rtol=0.0, atol=tolerance_px))
             and bool(np.allclose(distortion, other_distortion, rtol=0.0, atol=1e-9))
         )
+
+
+def stereo_transform(left: Camera, right: Camera) -> Array | None:
+    """Where the right camera of a calibrated pair stands for the left one: `T_left_right`, shape (4, 4).
+
+    As ROS has it: `P[:, 3]` is K' times the right camera's place, in the rectified frame that both share, and
+    `R_rectified_camera` turns each camera into that frame. None where the right camera's P has no baseline.
+    """
+    if right.P is None or not right.P[:2, 3].any():
+        return None
+    place_m = -right.P[:2, 3] / np.diag(right.P[:2, :2])
+    R_left, R_right = (
+        np.eye(3) if camera.R_rectified_camera is None else camera.R_rectified_camera
+        for camera in (left, right)
+    )
+    return make_transform(R_left.T @ R_right, R_left.T @ [*place_m, 0.0])

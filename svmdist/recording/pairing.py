@@ -1,4 +1,7 @@
-"""Images and the joints at their stamps, in one streaming pass with a bounded look-ahead."""
+"""Images and what belongs to them, in one streaming pass with a bounded look-ahead.
+
+That is the joints and the believed camera pose at the image's stamp, and the other image of a stereo pair.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,17 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from svmdist.recording.messages.checks import EncodedImage
-from svmdist.samples import JointSample
+from svmdist.recording.transform_buffer import TransformBuffer
+from svmdist.samples import JointSample, TransformsSample
 from svmdist.tracks import MAX_GAP_NS
+from svmdist.transforms import Array
 
 LOOK_AHEAD_NS = 3_000_000_000
 """How long, in log time, an image waits for the joints behind its stamp: clocks may differ by seconds."""
 MAX_WAITING_BYTES = 64 << 20
 MAX_JOINT_SAMPLES = 20_000
+PAIR_TOLERANCE_NS = 500_000
+"""Cameras of a pair are triggered together: half a millisecond is less than any exposure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +32,34 @@ class LoggedImage:
     size_bytes: int
     offset: int | None
     image: EncodedImage
+
+
+@dataclass(frozen=True, slots=True)
+class RightImage:
+    """An image message of the right camera."""
+
+    logged: LoggedImage
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedTransforms:
+    """A message of transforms, and whether they hold for the whole log."""
+
+    sample: TransformsSample
+    is_static: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Matched:
+    """An image with what was found at its stamp."""
+
+    logged: LoggedImage
+    joints: JointSample | None
+    right: LoggedImage | None
+    T_camera_base: Array | None
+
+
+Item = LoggedImage | RightImage | JointSample | LoggedTransforms
 
 
 class JointBuffer:
@@ -70,30 +105,83 @@ class JointBuffer:
         return JointSample(stamp_ns, after.names, positions)
 
 
-def pair_with_joints(
-    messages: Iterable[LoggedImage | JointSample],
-) -> Iterator[tuple[LoggedImage, JointSample | None]]:
-    """Yield every image in order with the joints at its stamp; messages come in file order."""
-    joints = JointBuffer()
-    waiting: deque[LoggedImage] = deque()
-    waiting_bytes = 0
-    for message in messages:
-        if isinstance(message, JointSample):
-            joints.add(message)
-        else:
-            waiting.append(message)
-            waiting_bytes += message.size_bytes
-        while waiting and (waiting_bytes > MAX_WAITING_BYTES or _is_ready(waiting, joints)):
-            ready = waiting.popleft()
-            waiting_bytes -= ready.size_bytes
-            yield ready, joints.at(ready.image.stamp_ns)
-    for left in waiting:
-        yield left, joints.at(left.image.stamp_ns)
+class RightBuffer:
+    """Right images that wait for their left ones, still encoded; beyond 64 MiB the oldest are forgotten."""
+
+    def __init__(self) -> None:
+        self._images: deque[LoggedImage] = deque()
+        self._size_bytes = 0
+        self.newest_ns = -1
+
+    def add(self, logged: LoggedImage) -> None:
+        """Take up an image."""
+        self._images.append(logged)
+        self._size_bytes += logged.size_bytes
+        self.newest_ns = max(self.newest_ns, logged.image.stamp_ns)
+        while len(self._images) > 1 and self._size_bytes > MAX_WAITING_BYTES:
+            self._size_bytes -= self._images.popleft().size_bytes
+
+    def take(self, stamp_ns: int) -> LoggedImage | None:
+        """Hand out the image nearest to a stamp, once; None where none is within half a millisecond."""
+        near = [
+            logged for logged in self._images if abs(logged.image.stamp_ns - stamp_ns) <= PAIR_TOLERANCE_NS
+        ]
+        if not near:
+            return None
+        nearest = min(near, key=lambda logged: abs(logged.image.stamp_ns - stamp_ns))
+        self._images.remove(nearest)
+        self._size_bytes -= nearest.size_bytes
+        return nearest
 
 
-def _is_ready(waiting: deque[LoggedImage], joints: JointBuffer) -> bool:
-    first = waiting[0]
-    return (
-        first.image.stamp_ns <= joints.newest_ns
-        or waiting[-1].log_time_ns - first.log_time_ns > LOOK_AHEAD_NS
-    )
+class Matcher:
+    """Finds what belongs to an image; `wants` names what to wait for: joints, right images, transforms."""
+
+    def __init__(self, transforms: TransformBuffer, wants: frozenset[type]) -> None:
+        self._joints = JointBuffer()
+        self._right = RightBuffer()
+        self._transforms = transforms
+        self._wants = wants
+        self._waiting: deque[LoggedImage] = deque()
+        self._waiting_bytes = 0
+
+    def match(self, items: Iterable[Item]) -> Iterator[Matched]:
+        """Yield every image in order with what is known at its stamp; items come in file order."""
+        for item in items:
+            self._take_up(item)
+            while self._waiting and (self._waiting_bytes > MAX_WAITING_BYTES or self._is_ready()):
+                ready = self._waiting.popleft()
+                self._waiting_bytes -= ready.size_bytes
+                yield self._matched(ready)
+        for left in self._waiting:
+            yield self._matched(left)
+
+    def _take_up(self, item: Item) -> None:
+        match item:
+            case LoggedImage():
+                self._waiting.append(item)
+                self._waiting_bytes += item.size_bytes
+            case RightImage(logged=logged):
+                self._right.add(logged)
+            case JointSample():
+                self._joints.add(item)
+            case LoggedTransforms(sample=sample, is_static=is_static):
+                for transform in sample.transforms:
+                    self._transforms.add(transform, is_static=is_static)
+
+    def _is_ready(self) -> bool:
+        first = self._waiting[0]
+        if self._waiting[-1].log_time_ns - first.log_time_ns > LOOK_AHEAD_NS:
+            return True
+        newest = {
+            JointSample: self._joints.newest_ns,
+            RightImage: self._right.newest_ns,
+            LoggedTransforms: self._transforms.newest_ns,
+        }
+        return all(first.image.stamp_ns <= newest[kind] for kind in self._wants)
+
+    def _matched(self, logged: LoggedImage) -> Matched:
+        stamp_ns = logged.image.stamp_ns
+        return Matched(
+            logged, self._joints.at(stamp_ns), self._right.take(stamp_ns), self._transforms.at(stamp_ns)
+        )

@@ -9,18 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
-from svmdist.camera import Camera
+from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError
-from svmdist.profile import Limits, Profile
+from svmdist.profile import Frames, Limits, Profile
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.messages.checks import DecodeError, EncodedImage, broken_image
 from svmdist.recording.messages.decoding import Decoder
 from svmdist.recording.messages.images import ImageError
 from svmdist.recording.names import plain, plain_list
 from svmdist.recording.opening import open_source
-from svmdist.recording.pairing import LoggedImage, pair_with_joints
+from svmdist.recording.pairing import Item, LoggedImage, LoggedTransforms, Matcher, RightImage
 from svmdist.recording.sources import RawMessage, Source, TopicInfo
 from svmdist.recording.topics import Role, TopicChoice
+from svmdist.recording.transform_buffer import TransformBuffer
 from svmdist.recording.transform_tree import TransformTree
 from svmdist.samples import (
     CameraSample,
@@ -30,11 +31,13 @@ from svmdist.samples import (
     Observation,
     PoseSample,
     Rejection,
+    RightView,
     Sample,
     Status,
     TransformsSample,
 )
 from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack, sort_stamps
+from svmdist.transforms import Array
 
 OTHER_JOINTS = "its joints are others than those of the first message"
 
@@ -55,16 +58,17 @@ def open_recording(
     limits = limits or profile.limits
     source = open_source(Path(path), limits)
     choice = TopicChoice(source.topics(), profile.topics, topics or {}, source.path.name)
-    return Recording(source, choice, limits)
+    return Recording(source, choice, limits, profile.frames)
 
 
 class Recording:
     """A log that can be read, over and over; every call streams the file anew and keeps nothing of it."""
 
-    def __init__(self, source: Source, choice: TopicChoice, limits: Limits) -> None:
+    def __init__(self, source: Source, choice: TopicChoice, limits: Limits, frames: Frames) -> None:
         self._source = source
         self._choice = choice
         self._limits = limits
+        self._frames = frames
 
     @property
     def path(self) -> Path:
@@ -98,27 +102,34 @@ class Recording:
     def camera(self) -> Camera:
         """The first camera calibration; RecordingError where there is none."""
         topic = self._choice.require(Role.CAMERA_INFO)
-        for _, sample in self._samples(topic):
-            if isinstance(sample, CameraSample):
-                return sample.camera
-        raise RecordingError(f"{self.path.name}: no usable camera calibration on {plain(topic)}")
+        camera = self._first_camera(topic)
+        if camera is None:
+            raise RecordingError(f"{self.path.name}: no usable camera calibration on {plain(topic)}")
+        return camera
+
+    @cached_property
+    def right_camera(self) -> Camera | None:
+        """The right camera's first calibration; None where the log has none of its own."""
+        topic = self._choice.find(Role.RIGHT_CAMERA_INFO)
+        if topic is None or topic == self._choice.find(Role.CAMERA_INFO):
+            return None
+        return self._first_camera(topic)
 
     def images(self) -> Iterator[ImageSample | Rejection]:
         """Yield every image in file order, decoded; a Rejection stands for one that cannot be."""
         topic = self._choice.require(Role.IMAGE)
-        logged_images = self._images_and_joints(topic)
-        return (self._pixels(logged, topic) for logged in logged_images if isinstance(logged, LoggedImage))
+        items = self._items(topic)
+        return (self._pixels(logged, topic) for logged in items if isinstance(logged, LoggedImage))
 
     def observations(self) -> Iterator[Observation | Rejection]:
         """Yield what an estimator may see of every image, in file order; memory does not grow with the log.
 
-        Joints are interpolated to the image's stamp between samples at most 0.1 s apart, None where the
-        log has none. Raises RecordingError at once where the log has no images or no camera.
+        Joints and the believed camera-to-base transform are interpolated to the image's stamp between samples
+        at most 0.1 s apart. The right image is the one within half a millisecond, where the cameras form a
+        stereo pair. Each is None where the log has none. Raises RecordingError at once where the log has no
+        images or no camera.
         """
-        image_topic = self._choice.require(Role.IMAGE)
-        camera = self.camera
-        joint_topic = self._choice.find(Role.JOINTS)
-        return self._observations(image_topic, joint_topic, camera)
+        return self._observations(self._choice.require(Role.IMAGE), self.camera)
 
     def joint_track(self) -> JointTrack:
         """Read all joint states."""
@@ -223,31 +234,56 @@ class Recording:
             self._lose(LossKind.MESSAGE, str(problem), raw)
             return None
 
-    def _observations(
-        self, image_topic: str, joint_topic: str | None, camera: Camera
-    ) -> Iterator[Observation | Rejection]:
-        topics = [image_topic] if joint_topic is None else [image_topic, joint_topic]
-        for logged, joints in pair_with_joints(self._images_and_joints(*topics)):
-            image = self._pixels(logged, image_topic)
+    def _observations(self, image_topic: str, camera: Camera) -> Iterator[Observation | Rejection]:
+        joint_topic = self._choice.find(Role.JOINTS)
+        right = self._right_eye(image_topic, camera)
+        right_topic = None if right is None else right[0]
+        wants = {JointSample: joint_topic, RightImage: right_topic, LoggedTransforms: self._moving_tf()}
+        matcher = Matcher(
+            TransformBuffer(self._frames.camera, self._frames.base),
+            frozenset(kind for kind, topic in wants.items() if topic is not None),
+        )
+        for matched in matcher.match(self._items(image_topic, joint_topic, right_topic, with_tf=True)):
+            image = self._pixels(matched.logged, image_topic)
             if isinstance(image, ImageSample):
                 height_px, width_px = image.image_bgr.shape[:2]
                 if (width_px, height_px) != (camera.width_px, camera.height_px):
                     detail = f"{width_px}x{height_px} px; the camera has {camera.width_px}x{camera.height_px}"
                     yield Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, detail)
                     continue
-                yield Observation(image.stamp_ns, image.image_bgr, camera, joints)
+                yield Observation(
+                    image.stamp_ns,
+                    image.image_bgr,
+                    camera,
+                    matched.joints,
+                    None if right is None else self._right_view(matched.right, *right),
+                    matched.T_camera_base,
+                )
             else:
                 yield image
 
-    def _images_and_joints(self, image_topic: str, *joint_topics: str) -> Iterator[LoggedImage | JointSample]:
+    def _items(
+        self,
+        image_topic: str,
+        joint_topic: str | None = None,
+        right_topic: str | None = None,
+        *,
+        with_tf: bool = False,
+    ) -> Iterator[Item]:
+        """Yield images of both cameras, joints and believed transforms, in file order."""
+        static = self._choice.static_transforms() if with_tf else ()
+        topics = {image_topic, joint_topic, right_topic, self._moving_tf() if with_tf else None, *static}
         names: tuple[str, ...] | None = None
         decoder = Decoder(self._limits)
-        for raw in self._source.messages(frozenset({image_topic, *joint_topics})):
-            if raw.topic == image_topic:
+        for raw in self._source.messages(frozenset(topic for topic in topics if topic is not None)):
+            if raw.topic in (image_topic, right_topic):
                 image = _encoded_image(decoder, raw)
-                yield LoggedImage(raw.log_time_ns, len(raw.data), raw.offset, image)
+                logged = LoggedImage(raw.log_time_ns, len(raw.data), raw.offset, image)
+                yield logged if raw.topic == image_topic else RightImage(logged)
                 continue
             sample = self._decode(decoder, raw)
+            if isinstance(sample, TransformsSample):
+                yield LoggedTransforms(sample, raw.topic in static)
             if not isinstance(sample, JointSample):
                 continue
             names = names or sample.names
@@ -255,6 +291,34 @@ class Recording:
                 yield sample
             else:
                 self._lose(LossKind.MESSAGE, OTHER_JOINTS, raw)
+
+    def _first_camera(self, topic: str) -> Camera | None:
+        return next(
+            (sample.camera for _, sample in self._samples(topic) if isinstance(sample, CameraSample)), None
+        )
+
+    def _moving_tf(self) -> str | None:
+        """The topic of believed transforms that are no static ones."""
+        topic = self._choice.find(Role.TF)
+        return None if topic in self._choice.static_transforms() else topic
+
+    def _right_eye(self, image_topic: str, camera: Camera) -> tuple[str, Camera, Array] | None:
+        """The topic of right images, their camera, and `T_left_right`; None where the log has no pair."""
+        topic = self._choice.find(Role.RIGHT_IMAGE)
+        if topic is None or topic == image_topic or self.right_camera is None:
+            return None
+        T_left_right = stereo_transform(camera, self.right_camera)
+        return None if T_left_right is None else (topic, self.right_camera, T_left_right)
+
+    def _right_view(
+        self, logged: LoggedImage | None, topic: str, camera: Camera, T_left_right: Array
+    ) -> RightView | None:
+        image = None if logged is None else self._pixels(logged, topic)
+        if not isinstance(image, ImageSample):
+            return None
+        if image.image_bgr.shape[:2] != (camera.height_px, camera.width_px):
+            return None
+        return RightView(image.image_bgr, camera, T_left_right)
 
     def _pixels(self, logged: LoggedImage, topic: str) -> ImageSample | Rejection:
         image = logged.image

@@ -17,6 +17,8 @@ class Role(StrEnum):
 
     IMAGE = "image"
     CAMERA_INFO = "camera_info"
+    RIGHT_IMAGE = "right_image"
+    RIGHT_CAMERA_INFO = "right_camera_info"
     JOINTS = "joints"
     POSE = "pose"
     TF = "tf"
@@ -27,12 +29,18 @@ class Role(StrEnum):
 KINDS = {
     Role.IMAGE: Kind.IMAGE,
     Role.CAMERA_INFO: Kind.CAMERA,
+    Role.RIGHT_IMAGE: Kind.IMAGE,
+    Role.RIGHT_CAMERA_INFO: Kind.CAMERA,
     Role.JOINTS: Kind.JOINTS,
     Role.POSE: Kind.POSE,
     Role.TF: Kind.TRANSFORMS,
     Role.GROUND_TRUTH_TF: Kind.TRANSFORMS,
     Role.GROUND_TRUTH_DISTANCE: Kind.DISTANCE,
 }
+
+RIGHT = (Role.RIGHT_IMAGE, Role.RIGHT_CAMERA_INFO)
+NAMED = frozenset({Role.GROUND_TRUTH_TF, *RIGHT})
+"""Roles whose topics must be named: any transforms could pass for truth, any image for the right one."""
 
 
 class TopicChoice:
@@ -63,8 +71,7 @@ class TopicChoice:
         candidates = self._candidates(kind)
         if wanted in candidates:
             return str(wanted)
-        # Truth must be named: any transforms could pass for it.
-        fitting = [] if role is Role.GROUND_TRUTH_TF else self._unclaimed(role, candidates)
+        fitting = [] if role in NAMED else self._unclaimed(role, candidates)
         if len(fitting) == 1:
             return fitting[0]
         expected = f" (the profile expects {wanted})" if wanted else ""
@@ -94,9 +101,16 @@ class TopicChoice:
         )
 
     def _unclaimed(self, role: Role, candidates: Sequence[str]) -> list[str]:
-        """Leave out topics that are known to play another role, and static transforms."""
-        others = {getattr(self._wanted, other) for other in Role if other is not role}
-        return [topic for topic in candidates if topic not in others and not topic.endswith("tf_static")]
+        """Leave out topics that are known to play another role, and static transforms.
+
+        A right image is one of a pair: where a log has no other, it is the image.
+        """
+        others = {
+            self._overrides.get(other) or getattr(self._wanted, other) for other in Role if other is not role
+        }
+        fitting = [topic for topic in candidates if topic not in others and not topic.endswith("tf_static")]
+        right = {getattr(self._wanted, other) for other in RIGHT}
+        return fitting or [topic for topic in candidates if topic in right and len(candidates) == 1]
 
     def _there_are(self) -> str:
         listed = plain_list(f"{info.topic} ({info.schema or 'no schema'})" for info in self._infos)

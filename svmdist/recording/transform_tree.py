@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,11 +37,7 @@ class TransformTree:
 
     def add(self, sample: TransformSample, *, is_static: bool) -> None:
         """Take up a transform; RecordingError when there are more pairs of frames than a robot can have."""
-        parent, child = (
-            sample.parent.removeprefix("/"),
-            sample.child.removeprefix("/"),
-        )  # tf of old wrote /base
-        edge = self._edges.setdefault((parent, child), _Edge())
+        edge = self._edges.setdefault((frame_name(sample.parent), frame_name(sample.child)), _Edge())
         if len(self._edges) > MAX_EDGES:
             raise RecordingError(f"more than {MAX_EDGES} pairs of frames in the transforms")
         edge.is_static = is_static
@@ -86,7 +83,7 @@ class TransformTree:
         )
 
     def _path(self, parent: str, child: str) -> list[tuple[str, str]]:
-        """Find the shortest chain of edges, in either direction, by breadth-first search."""
+        """Find the shortest chain of edges; RecordingError tells what is missing."""
         for frame in (parent, child):
             if frame not in self.frames:
                 raise RecordingError(
@@ -96,31 +93,45 @@ class TransformTree:
             raise RecordingError(
                 f"a transform from {parent} to itself was asked for; two frames are expected"
             )
-        reached = self._reach(parent)
-        if child not in reached:
-            here, there = plain_list(sorted(reached)), plain_list(sorted(self._reach(child)))
+        path = find_path(self._edges, parent, child)
+        if path is None:
+            here, there = (plain_list(sorted(_reach(self._edges, frame))) for frame in (parent, child))
             raise RecordingError(
                 f"no transform links {parent} and {child}: on one side are {here}; on the other {there}"
             )
-        path = []
-        frame = child
-        while frame != parent:
-            path.append((reached[frame], frame))
-            frame = reached[frame]
-        return path[::-1]
+        return path
 
-    def _reach(self, start: str) -> dict[str, str]:
-        """Find every frame that edges link to `start`, each with the frame it is reached from."""
-        neighbours: dict[str, list[str]] = {}
-        for parent, child in self._edges:
-            neighbours.setdefault(parent, []).append(child)
-            neighbours.setdefault(child, []).append(parent)
-        reached = {start: start}
-        queue = deque([start])
-        while queue:
-            frame = queue.popleft()
-            for neighbour in neighbours.get(frame, []):
-                if neighbour not in reached:
-                    reached[neighbour] = frame
-                    queue.append(neighbour)
-        return reached
+
+def frame_name(name: str) -> str:
+    """A frame's name as tf2 has it: tf of old wrote /base."""
+    return name.removeprefix("/")
+
+
+def find_path(edges: Iterable[tuple[str, str]], parent: str, child: str) -> list[tuple[str, str]] | None:
+    """Find the shortest chain of edges, in either direction, by breadth-first search; None without one."""
+    reached = _reach(edges, parent)
+    if child not in reached:
+        return None
+    path = []
+    frame = child
+    while frame != parent:
+        path.append((reached[frame], frame))
+        frame = reached[frame]
+    return path[::-1]
+
+
+def _reach(edges: Iterable[tuple[str, str]], start: str) -> dict[str, str]:
+    """Find every frame that edges link to `start`, each with the frame it is reached from."""
+    neighbours: dict[str, list[str]] = {}
+    for parent, child in edges:
+        neighbours.setdefault(parent, []).append(child)
+        neighbours.setdefault(child, []).append(parent)
+    reached = {start: start}
+    queue = deque([start])
+    while queue:
+        frame = queue.popleft()
+        for neighbour in neighbours.get(frame, []):
+            if neighbour not in reached:
+                reached[neighbour] = frame
+                queue.append(neighbour)
+    return reached

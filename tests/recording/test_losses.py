@@ -11,7 +11,7 @@ import pytest
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits, Profile
-from svmdist.recording import pairing
+from svmdist.recording import pairing, transform_buffer
 from svmdist.recording.health import MAX_LISTED_LOSSES, Health, Loss, LossKind
 from svmdist.recording.reader import open_recording
 from svmdist.samples import CameraSample, DistanceSample, ImageSample, JointSample
@@ -167,6 +167,7 @@ def test_memory_does_not_grow_with_the_length_of_the_log(
     tmp_path: Path, profile: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pairing, "MAX_JOINT_SAMPLES", 200)  # 20,000 of them would hide what else grows
+    monkeypatch.setattr(transform_buffer, "MAX_TRANSFORMS", 50)
     peaks = []
     for frame_count in (60, 600):
         path = write_scene(tmp_path / f"{frame_count}.mcap", scene(frame_count))
