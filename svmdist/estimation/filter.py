@@ -117,6 +117,7 @@ class KinematicErrorFilter:
             ]
         )
         self._size = 6 + len(moving)
+        self._P: Array = np.zeros((self._size, self._size))
         self._stamp_ns: int | None = None
         self._rejections = 0
 
@@ -185,7 +186,9 @@ class KinematicErrorFilter:
         self._P[:3, :3] = self._error.camera_base_std_m**2 * np.eye(3) + turn_var * arm @ arm.T
         self._P[3:6, 3:6] = turn_var * np.eye(3)
         self._P[6:, 6:] = np.diag(self._joint_std[self._still_count :] ** 2)
-        self._prior_information = np.linalg.inv(self._P + 1e-14 * np.eye(self._size))
+        self._prior_information: Array = np.asarray(
+            np.linalg.inv(self._P + 1e-14 * np.eye(self._size)), np.float64
+        )
         self._window: list[tuple[_Moment, tuple[LinkObservation, ...]]] = []
         self._rejections = 0
 
@@ -273,7 +276,7 @@ class KinematicErrorFilter:
         best = min(solutions, key=lambda solution: solution.cost)
         self._correction = best.correction if np.isfinite(best.cost) else start
         if np.isfinite(best.cost):
-            self._P = np.linalg.inv(best.information)
+            self._P = np.asarray(np.linalg.inv(best.information), np.float64)
 
     def _descend(self) -> _Solution:
         """Minimise from the present correction; leaves it changed."""
@@ -283,7 +286,7 @@ class KinematicErrorFilter:
             if not np.isfinite(solution.cost):
                 break
             damped = solution.information + damping * np.diag(np.diag(solution.information))
-            step = np.linalg.solve(damped, solution.gradient)
+            step = np.asarray(np.linalg.solve(damped, solution.gradient), np.float64)
             before = self._correction
             self._correction = before.moved(step)
             trial = self._window_normal()

@@ -89,6 +89,27 @@ class ContourObservation:
         return np.nan_to_num(distances / np.hypot(line[:, 0], line[:, 1])[:, None], nan=np.inf)
 
 
+@dataclass(frozen=True, slots=True)
+class PoseObservation:
+    """A pose that was measured as a whole: `T_camera_seen` of a frame fixed on a link by `T_link_seen`, (4, 4).
+
+    The covariance, shape (6, 6), is that of (δp, δθ) in the camera frame, as in `ToolPose`.
+    """
+
+    name: str
+    link: str | None
+    T_link_seen: Array
+    T_camera_seen: Array
+    covariance: Array
+
+    def residual(self, T_camera_link: Array) -> Array:
+        """(δp, δθ) from predicted to measured, shape (k, 6) in m and rad, for poses of shape (k, 4, 4)."""
+        predicted = T_camera_link @ self.T_link_seen
+        turns = self.T_camera_seen[:3, :3] @ np.swapaxes(predicted[:, :3, :3], 1, 2)
+        turns_rad = np.array([cv2.Rodrigues(turn)[0].ravel() for turn in turns])
+        return np.hstack([self.T_camera_seen[:3, 3] - predicted[:, :3, 3], turns_rad])
+
+
 def contour_lines(p_axis_m: Array, axis: Array, radius_m: float, side: int) -> Array:
     """The planes through the camera's centre that touch cylinders on one side: unit normals, shape (k, 3).
 

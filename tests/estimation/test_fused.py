@@ -1,0 +1,136 @@
+"""`kinematic` and `fused`: the robot's word, and the robot's word corrected by the image."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from svmdist.errors import ProfileError
+from svmdist.estimation.equations import PRINTED_MAPPING
+from svmdist.estimation.fused import FusedEstimator
+from svmdist.estimation.kinematic import KinematicEstimator
+from svmdist.estimation.tissue import TissueFix
+from svmdist.estimation.tissue_memory import MOVED_COUNT, TissueMemory
+from svmdist.geometry.surfaces import Plane
+from svmdist.profile import Profile
+from svmdist.samples import JointSample, Observation, Status
+from svmdist.transforms import Array
+from tests.synthetic import START_NS, SyntheticScene, make_scene
+
+
+@pytest.fixture(scope="module")
+def scene() -> SyntheticScene:
+    return make_scene()
+
+
+@pytest.fixture(scope="module")
+def profile(scene: SyntheticScene) -> Profile:
+    """The shipped profile with the plane that the synthetic disc lies on, and no wrist to bend."""
+    tissue = scene.profile.tissue
+    assert tissue is not None
+    plane = tissue.model_copy(update={"plane_distance_m": 0.09, "dome": None})
+    return scene.profile.model_copy(update={"tissue": plane})
+
+
+def observe(
+    scene: SyntheticScene, seconds: float, shift_m: Array | None = None, dark: bool = False
+) -> Observation:
+    """One frame of the synthetic scene; the believed camera-to-base transform may be off by a shift."""
+    T_camera_base = scene.T_camera_base.copy()
+    if shift_m is not None:
+        T_camera_base[:3, 3] += shift_m
+    image = scene.frame_at(seconds)
+    joints = JointSample(START_NS, scene.chain.joint_names, scene.joints_at(seconds))
+    return Observation(
+        START_NS + round(seconds * 1e9),
+        np.full_like(image, 120) if dark else image,
+        scene.camera,
+        joints,
+        None,
+        T_camera_base,
+    )
+
+
+def test_kinematic_is_as_wrong_as_the_belief(scene: SyntheticScene, profile: Profile) -> None:
+    """Right kinematics give the tool exactly; a shifted base shifts it, and the interval knows that."""
+    estimator = KinematicEstimator(profile, PRINTED_MAPPING)
+    truth_m = scene.T_camera_tool_at(0.5)[:3, 3]
+    row = estimator.estimate(observe(scene, 0.5))
+    np.testing.assert_allclose(row.tool_position_m, truth_m, atol=1e-12)
+    shift_m = np.array([0.003, -0.002, 0.004])
+    off = estimator.estimate(observe(scene, 0.5, shift_m))
+    np.testing.assert_allclose(off.tool_position_m, truth_m + shift_m, atol=1e-12)
+    assert off.status is Status.OK
+    assert off.spatial_m is not None
+    assert row.spatial_m is not None
+    assert off.spatial_std_m is not None
+    assert abs(off.spatial_m - row.spatial_m) < 1.96 * off.spatial_std_m
+
+
+def test_fused_corrects_the_belief_and_carries_on_in_the_dark(
+    scene: SyntheticScene, profile: Profile
+) -> None:
+    """Across the line of sight the shift is found to 0.3 mm; in the dark a row still comes, less sure."""
+    estimator = FusedEstimator(profile, PRINTED_MAPPING)
+    shift_m = np.array([0.004, -0.003, 0.0])
+    for step in range(20):
+        row = estimator.estimate(observe(scene, 0.1 * step, shift_m))
+        assert row.status is Status.OK
+    assert row.tool_position_m is not None
+    error_m = np.array(row.tool_position_m) - scene.T_camera_tool_at(1.9)[:3, 3]
+    assert np.hypot(*error_m[:2]) < 0.3e-3
+    dark = estimator.estimate(observe(scene, 2.0, shift_m, dark=True))
+    assert dark.status is Status.OK
+    assert dark.match_count == 0
+    assert dark.spatial_std_m is not None
+    assert row.spatial_std_m is not None
+    error_m = np.array(dark.tool_position_m) - scene.T_camera_tool_at(2.0)[:3, 3]
+    assert np.hypot(*error_m[:2]) < 1e-3
+
+
+@pytest.mark.parametrize("method", [KinematicEstimator, FusedEstimator])
+def test_without_joints_or_transform_there_is_a_reason(
+    scene: SyntheticScene, profile: Profile, method: type[KinematicEstimator] | type[FusedEstimator]
+) -> None:
+    """A frame without joints or camera-to-base transform says which is missing, and is no exception."""
+    estimator = method(profile, PRINTED_MAPPING)
+    whole = observe(scene, 0.0)
+    for lacking in (replace(whole, joints=None), replace(whole, T_camera_base=None)):
+        row = estimator.estimate(lacking)
+        assert row.status is Status.NO_JOINTS
+        assert row.detail
+
+
+@pytest.mark.parametrize("method", [KinematicEstimator, FusedEstimator])
+def test_a_profile_must_have_chain_and_tissue(
+    profile: Profile, method: type[KinematicEstimator] | type[FusedEstimator]
+) -> None:
+    """Without [robot] or [tissue] the method says so at once."""
+    for key in ("robot", "tissue"):
+        with pytest.raises(ProfileError, match=key):
+            method(profile.model_copy(update={key: None}), PRINTED_MAPPING)
+
+
+def fix_at(x_m: float) -> TissueFix:
+    plane = Plane(np.array([0.0, 0.0, -1.0]), -0.1)
+    return TissueFix(np.array([x_m, 0.0, 0.1]), 1e-8 * np.eye(3), plane)
+
+
+def test_tissue_is_remembered_and_wild_fixes_are_not() -> None:
+    """The mean of like fixes keeps their covariance; one far fix changes nothing, a row of them is a move."""
+    memory = TissueMemory()
+    for x_m in (0.0, 1e-4, 0.0, 1e-4):
+        known = memory.add(fix_at(x_m))
+    assert known is not None
+    assert known.position_m[0] == pytest.approx(0.5e-4, abs=3e-6)
+    assert known.covariance[0, 0] == pytest.approx(1e-8, rel=1e-3)
+    assert memory.add(None) is not None
+    for _ in range(MOVED_COUNT - 1):
+        known = memory.add(fix_at(0.01))
+    assert known is not None
+    assert known.position_m[0] < 1e-4
+    known = memory.add(fix_at(0.01))
+    assert known is not None
+    assert known.position_m[0] == pytest.approx(0.01)
