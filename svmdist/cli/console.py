@@ -49,9 +49,14 @@ def error_console() -> Console:
 def write_lines(lines: Iterable[str], output: Path | None) -> None:
     """Write lines to a file or to stdout as they come; raises OutputError where that fails."""
     if output is None:
-        for line in lines:
-            sys.stdout.write(line)
-        sys.stdout.flush()
+        try:
+            for line in lines:
+                sys.stdout.write(line)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            # The reader of the pipe has enough, as `head` does. Python would complain again when it flushes.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise SystemExit(ExitCode.CLEAN) from None
         return
     try:
         with output.open("w", encoding="utf-8", newline="") as file:

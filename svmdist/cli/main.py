@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from typing import Annotated
 
@@ -63,10 +62,6 @@ def run() -> None:
     except SvmdistError as problem:
         say(f"svmdist: {problem}")
         sys.exit(ExitCode.UNUSABLE)
-    except BrokenPipeError:
-        # The reader of a pipe has gone, as `head` does. Python would complain again when it flushes.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(ExitCode.CLEAN)
     except KeyboardInterrupt:
         say("svmdist: interrupted")
         sys.exit(130)

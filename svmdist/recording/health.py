@@ -38,7 +38,8 @@ class Loss:
     def __str__(self) -> str:
         place = "" if self.byte_offset is None else f" at byte {self.byte_offset}"
         topic = "" if self.topic is None else f" on {plain(self.topic)}"
-        return f"{self.kind}{place}{topic}: {plain(self.detail)}"
+        separator = ", " if self.kind is LossKind.TRUNCATED and place else ": "
+        return f"{self.kind}{place}{topic}{separator}{plain(self.detail)}"
 
 
 @dataclass

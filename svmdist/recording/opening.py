@@ -75,4 +75,4 @@ def _open_file(path: Path, start: bytes, limits: Limits) -> Source:
             f"{path}: truncated at byte {len(start)}, inside the first bytes of an MCAP file"
         )
     found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), None)
-    raise RecordingError(f"{path}: not an MCAP file" + (f"; it is {found}" if found else ""))
+    raise RecordingError(f"{path}: is {found or 'no recording'}; expected {WHAT_IS_EXPECTED}")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from svmdist.report.estimates import ESTIMATE_KEYS
 from svmdist.samples import CameraSample, Sample
 from tests.cli.conftest import Cli
 from tests.synthetic import make_scene, write_log
@@ -180,10 +181,10 @@ def test_names_from_a_file_cannot_drive_a_terminal(cli: Cli, tmp_path: Path) -> 
 def test_closed_pipe_is_quiet(synthetic_log: Path, synthetic_calibration: Path) -> None:
     """`svmdist estimate … | head -1` ends without a complaint."""
     estimate = f"{sys.executable} -m svmdist estimate {synthetic_log} --calibration {synthetic_calibration}"
-    command = f"{estimate} -f csv | head -1"
-    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
-    assert "Traceback" not in done.stderr
-    assert "BrokenPipe" not in done.stderr
+    command = f"{estimate} -f csv | head -1; echo ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines() == [",".join(ESTIMATE_KEYS), "0"]
+    assert done.stderr == ""
 
 
 def test_record_without_pybullet_says_why(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

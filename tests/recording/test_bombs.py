@@ -25,7 +25,7 @@ from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
 from svmdist.recording.reader import open_recording
 from svmdist.samples import Rejection
-started = time.perf_counter()
+started = time.process_time()
 try:
     recording = open_recording(sys.argv[1], load_profile(), topics={"image": "/image"})
     found = list(recording.images())
@@ -34,7 +34,7 @@ try:
     reasons = recording.health.describe()
 except RecordingError as problem:
     reasons = [str(problem)]
-seconds = time.perf_counter() - started
+seconds = time.process_time() - started
 assert seconds < 2.0, f"took {seconds} s"
 # Not ru_maxrss: a process inherits that of the one which started it.
 peak_kib = next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM:"))
@@ -165,6 +165,7 @@ def many_joints(path: Path) -> None:
 def test_bombs_are_refused(tmp_path: Path, bomb: Callable[[Path], None]) -> None:
     path = tmp_path / "bomb.mcap"
     bomb(path)
-    done = subprocess.run([sys.executable, "-c", READ, path], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", READ, path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip()

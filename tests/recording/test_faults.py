@@ -155,15 +155,18 @@ def test_flipped_bits_without_a_crc_of_the_data_section(tmp_path: Path, count: i
 def test_structural_mutants_end_in_a_result_or_a_clear_error(
     small: Intact, tmp_path: Path, profile: Profile, count: int
 ) -> None:
-    """Three compressions make 21,000 mutants in the long form, each read through the whole facade."""
+    """Three compressions make 21,000 mutants in the long form, each read through the whole facade.
+
+    The time is the processor's, here and for bombs, so that a busy machine changes no verdict.
+    """
     rng = random.Random(4)
     path = tmp_path / "mutant.mcap"
     peak_before_kib = peak_kib()
     for number in range(count):
         path.write_bytes(mutate(small.data, rng))
-        started_s = time.perf_counter()
+        started_s = time.process_time()
         read_everything(path, profile)
-        assert time.perf_counter() - started_s < 5.0, number
+        assert time.process_time() - started_s < 5.0, number
     assert peak_kib() - peak_before_kib < 1 << 20  # 1 GiB
 
 

@@ -58,9 +58,9 @@ def test_mutants_of_foreign_logs(tmp_path: Path, profile: Profile, kind: str, co
             end = min(len(mutant), start + rng.choice((8, 64, 512)))
             mutant = mutant[:start] + mutate_body(mutant[start:end], rng) + mutant[end:]
         path.write_bytes(mutant if rng.random() < 0.8 else mutant[: rng.randrange(1, len(mutant))])
-        started_s = time.perf_counter()
+        started_s = time.process_time()
         read_everything(path, profile)
-        assert time.perf_counter() - started_s < 5.0, number
+        assert time.process_time() - started_s < 5.0, number
 
 
 def test_a_database_that_is_a_program_is_refused(tmp_path: Path, profile: Profile) -> None:

@@ -86,7 +86,7 @@ class Container:
             else:
                 yield from self._outside_chunks(frame, size_bytes)
         self.content.report_lost_messages()
-        detail = f"truncated at byte {size_bytes}, {self.content.tally.message_count} messages recovered"
+        detail = f"{self.content.tally.message_count} messages recovered"
         self.content.lose(LossKind.TRUNCATED, detail, size_bytes)
 
     # What the records mean

@@ -132,7 +132,7 @@ class _Pass:
             raise BrokenRecordError(f"more than {MAX_CONNECTIONS} connections")
 
     def _truncated(self, size_bytes: int) -> None:
-        detail = f"truncated at byte {size_bytes}, {self._message_count} messages recovered"
+        detail = f"{self._message_count} messages recovered"
         self._lose(LossKind.TRUNCATED, detail, size_bytes)
 
     def _lose(self, kind: LossKind, detail: str, offset: int | None) -> None:
