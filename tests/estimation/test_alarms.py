@@ -1,0 +1,57 @@
+"""Alarms by probability, closing speed by a robust slope."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch, probability_below
+from svmdist.samples import Estimate, Status
+
+
+def row(seconds: float, clearance_m: float | None, std_m: float | None = 0.5e-3) -> Estimate:
+    return Estimate(
+        round(seconds * 1e9), Status.OK, clearance_m=clearance_m, clearance_std_m=std_m, distance_m=0.01
+    )
+
+
+def test_probability() -> None:
+    """Half at the threshold, 97.7 % two deviations below, a step without a deviation."""
+    assert probability_below(0.005, 0.005, 1e-3) == pytest.approx(0.5)
+    assert probability_below(0.005, 0.003, 1e-3) == pytest.approx(0.97725, abs=1e-5)
+    assert probability_below(0.005, 0.004, 0.0) == 1.0
+    assert probability_below(0.005, 0.006, 0.0) == 0.0
+
+
+def test_confidence_decides() -> None:
+    """Half a deviation below the threshold is an alarm at even odds, not at 90 %."""
+    near = row(0.0, 0.00475)
+    assert AlarmWatch(AlarmRules(0.005, 0.5)).watch(near).alarm is True
+    assert AlarmWatch(AlarmRules(0.005, 0.9)).watch(near).alarm is False
+
+
+def test_closing_speed_and_contact() -> None:
+    """A gap of 10 mm that closes by 10 mm/s is gone in 0.5 s after 0.5 s, one wild row notwithstanding."""
+    watch = AlarmWatch(AlarmRules(0.005))
+    for seconds in np.arange(0.0, 0.55, 0.1):
+        wild = 0.02 if seconds == pytest.approx(0.3) else 0.0
+        state = watch.watch(row(seconds, 0.010 - 0.010 * seconds + wild))
+    assert state.closing_speed_m_s == pytest.approx(0.010, rel=1e-6)
+    assert state.time_to_contact_s == pytest.approx(0.5, rel=1e-6)
+
+
+def test_an_opening_gap_has_no_contact() -> None:
+    """Speed is negative and there is no time to contact; in contact it is zero."""
+    watch = AlarmWatch(AlarmRules(0.005))
+    for seconds in (0.0, 0.1, 0.2):
+        state = watch.watch(row(seconds, 0.004 + 0.01 * seconds))
+    assert state.closing_speed_m_s == pytest.approx(-0.01)
+    assert state.time_to_contact_s is None
+    assert AlarmWatch(AlarmRules(0.005)).watch(row(0.0, -1e-4)).time_to_contact_s == 0.0
+
+
+def test_rows_that_cannot_tell() -> None:
+    """Without a clearance there is neither alarm nor safety."""
+    watch = AlarmWatch(AlarmRules(0.005))
+    assert watch.watch(row(0.0, None)) == AlarmState()
+    assert watch.watch(Estimate(1, Status.NO_TISSUE)) == AlarmState()
