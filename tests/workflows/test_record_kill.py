@@ -1,0 +1,145 @@
+"""A recorder that is killed leaves a `.part` file that holds all but the last moment of what it had produced.
+
+What had been produced is known from the recorder itself: before each sample is handed to the writer, its number
+and stamp are written straight to a second file, with no buffer in between. Nothing that the recorder had in its
+hands when it was killed can be missing from that list, so that the loss is measured, not estimated.
+"""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from svmdist.profile import load_profile
+from svmdist.recording.health import LossKind
+from svmdist.recording.reader import open_recording
+from tests.conftest import REPOSITORY
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+
+MAX_LOSS_NS = 1_000_000_000
+"""What is promised."""
+CHUNK_LOSS_NS = 520_000_000
+"""What it should come to: the open chunk, and one that was on its way to the file; 260 ms each."""
+SYNTHETIC = """
+import os, sys, time
+from pathlib import Path
+from svmdist.recording.writer import RecordingWriter
+from tests.synthetic import make_scene, samples
+target, pause_s = Path(sys.argv[1]), float(sys.argv[2])
+progress = os.open(target.with_suffix(".progress"), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+with RecordingWriter(target, {"scenario": "killed"}) as writer:
+    for number, (topic, sample) in enumerate(samples(make_scene(160, 120), 100_000)):
+        os.write(progress, f"{number} {sample.stamp_ns}\\n".encode())
+        writer.write(topic, sample)
+        time.sleep(pause_s)
+"""
+SIMULATED = """
+import os, sys
+from pathlib import Path
+from svmdist.profile import load_profile
+from svmdist.recording import writer as writer_module
+from svmdist.simulation.scenarios import Scenario
+target = Path(sys.argv[1])
+progress = os.open(target.with_suffix(".progress"), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+write, count = writer_module.RecordingWriter.write, 0
+def noted(self, topic, sample):
+    global count
+    os.write(progress, f"{count} {sample.stamp_ns}\\n".encode())
+    count += 1
+    write(self, topic, sample)
+writer_module.RecordingWriter.write = noted
+from svmdist.workflows.record import record
+profile = load_profile()
+small = profile.simulation.model_copy(update={"width_px": 64, "height_px": 48})
+record(Scenario("sweep", 3, 30.0, 20.0), profile.model_copy(update={"simulation": small}), target)
+"""
+
+
+@dataclass(frozen=True)
+class Produced:
+    """Samples that a recorder had made when it was killed: how many, the first and the newest stamp."""
+
+    count: int
+    first_ns: int
+    newest_ns: int
+
+
+def kill_recorder(script: str, target: Path, after_s: float, *arguments: object) -> Produced:
+    """Start a recorder, kill it after a while of recording, and tell what it had produced."""
+    command = [sys.executable, "-c", script, str(target), *map(str, arguments)]
+    process = subprocess.Popen(
+        command, cwd=REPOSITORY, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    progress = target.with_suffix(".progress")
+    try:
+        deadline = time.monotonic() + 60.0
+        while not progress.exists() or not progress.stat().st_size:
+            assert process.poll() is None, process.stderr.read() if process.stderr else ""
+            assert time.monotonic() < deadline, "the recorder does not start"
+            time.sleep(0.002)
+        time.sleep(after_s)
+        assert process.poll() is None, "the recorder came to its end before it was killed"
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    stamps_ns = [int(line.split()[1]) for line in progress.read_text().splitlines()]
+    return Produced(len(stamps_ns), stamps_ns[0], max(stamps_ns))
+
+
+def check_what_is_left(target: Path, produced: Produced) -> int:
+    """The `.part` is a readable prefix; gives the log time that is missing, in ns."""
+    assert not target.exists()
+    part = open_recording(target.with_name(target.name + ".part"), load_profile())
+    stamps_ns = [raw.log_time_ns for raw in part.raw_messages()]
+    assert len(stamps_ns) <= produced.count
+    if len(stamps_ns) < produced.count:
+        assert {loss.kind for loss in part.health.losses} == {LossKind.TRUNCATED}
+        assert len(part.health.describe()) == 1
+    newest_ns = max(stamps_ns, default=produced.first_ns)
+    assert newest_ns <= produced.newest_ns
+    return produced.newest_ns - newest_ns
+
+
+def kill_many(
+    script: str, folder: Path, count: int, max_s: float, seed: int, *arguments: object
+) -> list[int]:
+    """Kill recorders at random times and give the losses in ns."""
+    rng = random.Random(seed)
+    losses_ns = []
+    for number in range(count):
+        target = folder / f"{number}.mcap"
+        produced = kill_recorder(script, target, rng.uniform(0.0, max_s), *arguments)
+        losses_ns.append(check_what_is_left(target, produced))
+        assert losses_ns[-1] <= MAX_LOSS_NS
+    return losses_ns
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 0.0005], ids=["as fast as it can", "slowly"])
+def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path, pause_s: float) -> None:
+    assert max(kill_many(SYNTHETIC, tmp_path, 2, 0.6, 1, pause_s)) <= CHUNK_LOSS_NS
+
+
+def test_a_killed_record_loses_less_than_a_second(tmp_path: Path) -> None:
+    pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+    assert max(kill_many(SIMULATED, tmp_path, 2, 1.0, 2)) <= CHUNK_LOSS_NS
+
+
+@pytest.mark.fault
+def test_fifty_kills_of_the_writer(tmp_path: Path) -> None:
+    assert max(kill_many(SYNTHETIC, tmp_path, 50, 2.0, 3, 0.0)) <= CHUNK_LOSS_NS
+
+
+@pytest.mark.fault
+def test_a_hundred_kills_of_record(tmp_path: Path) -> None:
+    pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+    losses_ns = kill_many(SIMULATED, tmp_path, 100, 2.0, 4)
+    assert max(losses_ns) <= CHUNK_LOSS_NS
+    print(f"log time missing: at most {max(losses_ns) / 1e6:.0f} ms")
