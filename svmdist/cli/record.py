@@ -12,6 +12,7 @@ import typer
 
 from svmdist.cli.console import error_console, require_output_folder, say
 from svmdist.cli.options import ProfileOption
+from svmdist.errors import UsageError
 
 
 class ScenarioName(StrEnum):
@@ -60,6 +61,16 @@ def record_command(
             "2° and 5 mm from camera to base.",
         ),
     ] = 0.0,
+    degrade: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--degrade",
+            metavar="NAME=SEVERITY",
+            help="Spoil the images, severity 1 to 5: defocus, motion_blur, noise, low_light, specular, smoke, "
+            "jpeg; may be repeated.",
+            show_default=False,
+        ),
+    ] = None,
     renderer: Annotated[Renderer, typer.Option("--renderer", help="Software or OpenGL.")] = Renderer.TINY,
     output: Annotated[
         Path | None,
@@ -89,12 +100,23 @@ def record_command(
             path,
             renderer=renderer.value,
             noise=noise,
-            extras=Extras(stereo, tag, kinematic_error),
+            extras=Extras(stereo, tag, kinematic_error, _degradations(degrade)),
             force=force,
             on_progress=advance,
         )
     size_mb = result.size_bytes / 1e6
     say(f"svmdist: {path}: {result.frame_count} frames, {result.message_count} messages, {size_mb:.2f} MB")
+
+
+def _degradations(options: list[str] | None) -> tuple[tuple[str, int], ...]:
+    """Parse NAME=SEVERITY options; raises UsageError. Whether the name exists is checked with the others."""
+    parsed = []
+    for option in options or []:
+        name, _, severity = option.partition("=")
+        if not (name and severity.isdecimal()):
+            raise UsageError(f"--degrade {option}: expected NAME=SEVERITY, as in smoke=3")
+        parsed.append((name, int(severity)))
+    return tuple(parsed)
 
 
 @contextmanager

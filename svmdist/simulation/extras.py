@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from svmdist.errors import UsageError
+from svmdist.errors import UsageError, did_you_mean
+from svmdist.vision.degradations import SEVERITIES, Degradation
 
 
 @dataclass(frozen=True)
@@ -13,12 +14,13 @@ class Extras:
 
     `stereo` adds the right camera, `tag` mounts the profile's fiducial plate, `kinematic_error` scales what
     the robot believes wrongly about its joints and about where the camera stands (0 none, 1 as the profile
-    says).
+    says). `degradations` spoil the images, one after the other, behind the sensor's noise: (name, severity).
     """
 
     stereo: bool = False
     tag: bool = False
     kinematic_error: float = 0.0
+    degradations: tuple[tuple[str, int], ...] = ()
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.kinematic_error <= 20.0:
@@ -26,11 +28,18 @@ class Extras:
                 f"the scale of the kinematic error is from 0 to 20, found {self.kinematic_error:g}"
             )
 
+        for name, severity in self.degradations:
+            if name not in list(Degradation):
+                raise UsageError(f"no degradation named {name}: {did_you_mean(name, list(Degradation))}")
+            if severity not in SEVERITIES:
+                raise UsageError(f"the severity of {name} is a whole number from 1 to 5, found {severity}")
+
     def metadata(self) -> dict[str, str]:
         """Name what is set, for a recording's metadata; a plain recording names nothing."""
         named = {
             "stereo": "yes" if self.stereo else "",
             "tag": "yes" if self.tag else "",
             "kinematic_error": f"{self.kinematic_error:g}" if self.kinematic_error else "",
+            "degrade": ",".join(f"{name}={severity}" for name, severity in self.degradations),
         }
         return {name: value for name, value in named.items() if value}

@@ -14,7 +14,6 @@ from svmdist.profile import Profile, Simulation
 from svmdist.samples import (
     CameraSample,
     DistanceSample,
-    Image,
     ImageSample,
     JointSample,
     PoseSample,
@@ -28,14 +27,13 @@ from svmdist.simulation.extras import Extras
 from svmdist.simulation.renderer import Renderer
 from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Scene, make_scene
+from svmdist.simulation.sensor import Sensor
 from svmdist.simulation.trajectory import make_trajectory
 from svmdist.transforms import Array
 
 START_NS = 1_700_000_000_000_000_000
 """The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
 CAMERA_INFO_PERIOD_NS = 1_000_000_000
-
-_NOISE_STREAM, _RIGHT_NOISE_STREAM = 11, 14
 
 
 @dataclass(frozen=True)
@@ -92,9 +90,7 @@ def simulate(
     stamps = np.union1d(images, joints)
     progress = (stamps - START_NS) / (scenario.duration_s * 1e9)
     topics = topic_names(profile)
-    noise_rng, right_noise_rng = (
-        np.random.default_rng([scenario.seed, stream]) for stream in (_NOISE_STREAM, _RIGHT_NOISE_STREAM)
-    )
+    left, right = (Sensor(eye, scenario.seed, noise, extras) for eye in (0, 1))
     belief = draw_belief(scene.chain, scene.T_camera_base, profile, scenario.seed, extras.kinematic_error)
     with ClearanceMeter(scene) as meter, Renderer(scene, renderer) as view:
         trajectory = make_trajectory(
@@ -123,10 +119,10 @@ def simulate(
                 image = view.frame_of(q, None if T_retractor is None else T_retractor[index])
                 yield (
                     topics.image,
-                    ImageSample(stamp, scene.camera.frame_id, _with_noise(image, noise, noise_rng)),
+                    ImageSample(stamp, scene.camera.frame_id, left.expose(image)),
                 )
                 if extras.stereo:
-                    image = _with_noise(view.right_frame(), noise, right_noise_rng)
+                    image = right.expose(view.right_frame())
                     yield topics.right_image, ImageSample(stamp, scene.right_camera.frame_id, image)
 
 
@@ -181,10 +177,3 @@ def _believed_transforms(
         right = scene.right_camera.frame_id
         chain.append(TransformSample(stamp_ns, frames.camera, right, scene.T_camera_right))
     return TransformsSample(stamp_ns, (camera_base, *chain))
-
-
-def _with_noise(image: Image, noise: float, rng: np.random.Generator) -> Image:
-    if noise == 0.0:
-        return image
-    noisy = image + rng.normal(0.0, noise, image.shape)
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)

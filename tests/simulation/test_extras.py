@@ -23,6 +23,7 @@ from svmdist.transforms import Array, inverse, rotation_angle, transform_points
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.clearance import ClearanceMeter
 from svmdist.simulation.renderer import Renderer
+from svmdist.simulation.sensor import Sensor
 from svmdist.simulation.simulate import simulate
 
 SHORT = Scenario("sweep", 1, 0.2, 10.0)
@@ -224,14 +225,37 @@ def test_the_log_carries_the_error(full: Stream, profile: Profile, scene: Scene)
     )
 
 
+def test_degradations_come_behind_the_noise_and_by_frame(profile: Profile) -> None:
+    """Both cameras look through the same smoke, other smoke in the next frame; noise is each camera's own."""
+    grey = np.full((120, 640, 3), 128, np.uint8)
+
+    def frames(eye: int, *degradations: tuple[str, int], noise: float = 0.0) -> list[np.ndarray]:
+        sensor = Sensor(eye, 1, noise, Extras(degradations=degradations))
+        return [sensor.expose(grey) for _ in range(2)]
+
+    left, right = (frames(eye, ("smoke", 3)) for eye in (0, 1))
+    np.testing.assert_array_equal(left[0], right[0])
+    assert (left[0] != left[1]).any()
+    left, right = (frames(eye, ("noise", 3)) for eye in (0, 1))
+    assert (left[0] != right[0]).any()
+    # A blur behind the noise takes most of it away.
+    assert frames(0, ("defocus", 4), noise=10.0)[0].std() < 3.0
+
+
 def test_metadata_names_what_is_set() -> None:
     assert Extras().metadata() == {}
+    spoilt = Extras(degradations=(("smoke", 3), ("jpeg", 1)))
+    assert spoilt.metadata() == {"degrade": "smoke=3,jpeg=1"}
     assert EVERYTHING.metadata() == {"stereo": "yes", "tag": "yes", "kinematic_error": "1"}
 
 
 def test_what_cannot_be_is_told(profile: Profile) -> None:
     with pytest.raises(UsageError, match="from 0 to 20"):
         Extras(kinematic_error=-1.0)
+    with pytest.raises(UsageError, match="did you mean smoke"):
+        Extras(degradations=(("smok", 3),))
+    with pytest.raises(UsageError, match="1 to 5"):
+        Extras(degradations=(("smoke", 6),))
     with pytest.raises(SimulationError, match=r"\[fiducial\]"):
         make_scene(profile.model_copy(update={"fiducial": None}), 1, Extras(tag=True))
     assert profile.fiducial is not None

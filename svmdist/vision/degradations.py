@@ -1,0 +1,148 @@
+"""What spoils endoscope images, by name and severity 1 to 5: pure functions, settled by a seed.
+
+The kinds and the idea of five severities follow Hendrycks & Dietterich 2019 ("Benchmarking neural network
+robustness to common corruptions"); the figures are for endoscopes. Lengths are for an image of 640 columns
+and grow with the image. Severity 1 is seen only when looked for, 3 is what surgery shows in bad moments,
+5 is what makes a surgeon stop and clean the lens.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import cv2
+import numpy as np
+
+from svmdist.samples import Image
+from svmdist.transforms import Array
+
+REFERENCE_WIDTH_PX = 640
+SEVERITIES = (1, 2, 3, 4, 5)
+
+
+class Degradation(StrEnum):
+    """What is wrong with the image."""
+
+    DEFOCUS = "defocus"
+    MOTION_BLUR = "motion_blur"
+    NOISE = "noise"
+    LOW_LIGHT = "low_light"
+    SPECULAR = "specular"
+    SMOKE = "smoke"
+    JPEG = "jpeg"
+
+
+PER_SENSOR = frozenset({Degradation.NOISE, Degradation.LOW_LIGHT})
+"""These differ between the two cameras of a pair; the others come from the scene and its motion."""
+
+DEFOCUS_RADIUS_PX = (1.0, 1.7, 2.7, 4.0, 6.0)
+"""Radius of the disc a point becomes. A fixed-focus endoscope is sharp from some 3 to 15 cm; closer than
+that, the disc grows to several pixels."""
+
+MOTION_LENGTH_PX = (3.0, 6.0, 10.0, 15.0, 22.0)
+"""Way across the image during an exposure of 1/60 s: a tool at 90 mm moves 1 px for every 10 mm/s, so
+that these are speeds of 30 to 220 mm/s, or a camera that turns by 20 to 140 degrees a second."""
+
+NOISE_LEVELS = (4.0, 8.0, 14.0, 22.0, 32.0)
+"""Standard deviation in 8-bit levels, in each channel and pixel: 2 is a good sensor, 14 one at high gain."""
+
+LOW_LIGHT = ((0.7, 3000.0), (0.5, 1500.0), (0.35, 800.0), (0.22, 400.0), (0.13, 200.0))
+"""What is left of the light, and the photons a white pixel then had at full light: shot noise grows as
+light falls (Poisson), since the camera's gain is at its limit."""
+
+SPECULAR_COUNT = (4, 8, 14, 22, 34)
+"""Glints of 3 to 12 px on wet surfaces; those of a severity are among those of the next."""
+
+SMOKE_DENSITY = (0.15, 0.3, 0.45, 0.6, 0.75)
+"""The share of the light that the plume's densest part scatters; cautery smoke is white and has structure
+of a fifth of the image and finer (image formation of haze, Koschmieder 1924)."""
+SMOKE_BGR = (208.0, 204.0, 200.0)
+
+JPEG_QUALITY = (60, 40, 25, 14, 7)
+"""OpenCV's scale to 100: recorders use 80 and more, streams fall to 25 and below."""
+
+
+def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int) -> Image:
+    """Degrade an image, shape (h, w, 3); the same seed gives the same image.
+
+    Raises ValueError for an unknown name, or a severity that is none of 1 to 5.
+    """
+    kind = Degradation(name)
+    if severity not in SEVERITIES:
+        raise ValueError(f"a severity is a whole number from 1 to 5, found {severity}")
+    rng = np.random.default_rng(seed)
+    level = severity - 1
+    scale = image_bgr.shape[1] / REFERENCE_WIDTH_PX
+    degraded: Array
+    match kind:
+        case Degradation.DEFOCUS:
+            degraded = _filtered(image_bgr, _disc(DEFOCUS_RADIUS_PX[level] * scale))
+        case Degradation.MOTION_BLUR:
+            angle_rad = rng.uniform(0.0, np.pi)
+            degraded = _filtered(image_bgr, _line(MOTION_LENGTH_PX[level] * scale, angle_rad))
+        case Degradation.NOISE:
+            degraded = np.asarray(image_bgr, np.float64)
+            degraded += rng.normal(0.0, NOISE_LEVELS[level], image_bgr.shape)
+        case Degradation.LOW_LIGHT:
+            light, photon_count = LOW_LIGHT[level]
+            photons = rng.poisson(image_bgr * (light * photon_count / 255.0))
+            degraded = np.asarray(photons * (255.0 / photon_count), np.float64)
+        case Degradation.SPECULAR:
+            glare = _glints(rng, image_bgr.shape[:2], SPECULAR_COUNT[level], scale)[..., None]
+            degraded = np.asarray(image_bgr + glare * (255.0 - image_bgr), np.float64)
+        case Degradation.SMOKE:
+            scattered = SMOKE_DENSITY[level] * _plume(rng, image_bgr.shape[:2])[..., None]
+            clear = np.asarray(image_bgr * (1.0 - scattered), np.float64)
+            degraded = clear + scattered * np.array(SMOKE_BGR)
+        case Degradation.JPEG:
+            _, data = cv2.imencode(".jpg", image_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY[level]])
+            degraded = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.float64)
+    return np.clip(np.rint(degraded), 0, 255).astype(np.uint8)
+
+
+def _filtered(image_bgr: Image, kernel: Array) -> Array:
+    return np.asarray(cv2.filter2D(image_bgr, -1, kernel, borderType=cv2.BORDER_REFLECT_101), np.float64)
+
+
+def _disc(radius_px: float) -> Array:
+    """A disc with an even edge of one pixel, normalised to a sum of 1."""
+    half = int(np.ceil(radius_px + 0.5))
+    y, x = np.mgrid[-half : half + 1, -half : half + 1]
+    weight = np.clip(radius_px + 0.5 - np.hypot(x, y), 0.0, 1.0)
+    return np.asarray(weight / weight.sum())
+
+
+def _line(length_px: float, angle_rad: float) -> Array:
+    """A line about the middle, spread over its neighbours bilinearly, normalised to a sum of 1."""
+    half = int(np.ceil(length_px / 2.0)) + 1
+    kernel = np.zeros((2 * half + 1, 2 * half + 1))
+    for along_px in np.linspace(-length_px / 2.0, length_px / 2.0, 16 * half):
+        x, y = half + along_px * np.cos(angle_rad), half + along_px * np.sin(angle_rad)
+        column, row = int(x), int(y)
+        right, down = x - column, y - row
+        kernel[row : row + 2, column : column + 2] += np.outer([1.0 - down, down], [1.0 - right, right])
+    return np.asarray(kernel / kernel.sum())
+
+
+def _glints(rng: np.random.Generator, shape: tuple[int, int], count: int, scale: float) -> Array:
+    """Soft-edged ellipses, 0 to 1, shape (height, width); a larger count adds to the same ones."""
+    canvas = np.zeros(shape, np.uint8)
+    for _ in range(count):
+        centre_px = rng.uniform(0.0, 1.0, 2) * (shape[1], shape[0])
+        radius_px, slimness, turn_deg = rng.uniform(3.0, 12.0), rng.uniform(0.3, 1.0), rng.uniform(0.0, 180.0)
+        axes_px = (radius_px * scale, radius_px * slimness * scale)
+        box = ((float(centre_px[0]), float(centre_px[1])), (2.0 * axes_px[0], 2.0 * axes_px[1]), turn_deg)
+        cv2.ellipse(canvas, box, 255, -1, cv2.LINE_AA)
+    return np.asarray(cv2.GaussianBlur(canvas, (0, 0), max(0.5, 1.2 * scale)) / 255.0, np.float64)
+
+
+def _plume(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
+    """Smooth noise of three octaves over a haze, 0 to 1 with a maximum of 1, shape (height, width)."""
+    plume = np.zeros(shape)
+    for octave in range(3):
+        count = 4 * 2**octave
+        cells = rng.uniform(0.0, 1.0, (count, count))
+        noise = cv2.resize(cells, shape[::-1], interpolation=cv2.INTER_CUBIC)
+        plume += np.asarray(noise, np.float64) / 2.0**octave
+    plume = np.clip(plume, 0.0, None)
+    return np.asarray(0.35 + 0.65 * plume / plume.max())
