@@ -121,11 +121,15 @@ class Status(StrEnum):
     CORRUPT_IMAGE = "corrupt_image"
     NO_TISSUE = "no_tissue"
     NO_INSTRUMENT = "no_instrument"
+    NO_JOINTS = "no_joints"
     NO_FEATURES = "no_features"
     TOO_FEW_MATCHES = "too_few_matches"
     NO_HOMOGRAPHY = "no_homography"
     NO_OUTLINE = "no_outline"
     NOT_FINITE = "not_finite"
+    NO_FIDUCIAL = "no_fiducial"
+    NO_STEREO = "no_stereo"
+    AMBIGUOUS_POSE = "ambiguous_pose"
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,8 @@ def measure(
     `joints` bend the model's wrist; without them it is straight along the shaft. With a `camera` the row tells
     where the tool is in the image.
     """
+    if not (np.all(np.isfinite(pose.T_camera_tool)) and np.all(np.isfinite(pose.covariance))):
+        return replace(row, status=Status.NOT_FINITE)
     offset_m = pose.position_m - tissue.position_m
     covariance = pose.position_covariance + tissue.covariance
     planar_m, planar_std_m = _length(offset_m[:2], covariance[:2, :2])

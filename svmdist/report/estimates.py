@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from svmdist.estimation.alarms import AlarmState
 from svmdist.report.table import Cell, Column, Row, number
 from svmdist.samples import Estimate
 
@@ -21,14 +22,41 @@ ESTIMATE_KEYS = (
     "inlier_count",
     "method",
     "equations",
+    "spatial_m",
+    "clearance_m",
+    "distance_std_m",
+    "spatial_std_m",
+    "clearance_std_m",
+    "tool_x_m",
+    "tool_y_m",
+    "tool_z_m",
+    "axis_x",
+    "axis_y",
+    "axis_z",
+    "direction_x",
+    "direction_y",
+    "direction_z",
+    "alarm",
+    "closing_speed_m_s",
+    "time_to_contact_s",
 )
 """The contract: columns may be added at the end, none is renamed or removed."""
+
+ALARM_COLUMNS = (
+    Column("alarm", "alarm", number(0)),
+    Column("closing_speed_m_s", "closing [mm/s]", number(1, 1e3)),
+    Column("time_to_contact_s", "contact in [s]", number(2)),
+)
+"""Shown to a person who asked for alarms."""
 
 ESTIMATE_COLUMNS = (
     Column("recording", "recording", is_text=True),
     Column("time_s", "t [s]", number(3)),
     Column("status", "status", is_text=True),
     Column("distance_m", "distance [mm]", number(2, 1e3)),
+    Column("spatial_m", "spatial [mm]", number(2, 1e3)),
+    Column("clearance_m", "clearance [mm]", number(2, 1e3)),
+    Column("clearance_std_m", "± [mm]", number(2, 1e3)),
     Column("tool_x_px", "tool x [px]", number(1)),
     Column("tool_y_px", "tool y [px]", number(1)),
     Column("tissue_x_px", "tissue x [px]", number(1)),
@@ -41,16 +69,35 @@ ESTIMATE_COLUMNS = (
 )
 
 
-def estimate_row(recording: str, estimate: Estimate, method: str, equations: str, start_ns: int) -> Row:
+def estimate_row(
+    recording: str,
+    estimate: Estimate,
+    method: str,
+    equations: str,
+    start_ns: int,
+    alarm: AlarmState | None = None,
+) -> Row:
     """One row; `time_s` counts from the recording's first image and is for a person only."""
     row: dict[str, Cell] = {
         key: getattr(estimate, key) for key in ESTIMATE_KEYS if hasattr(estimate, key) and key != "status"
     }
+    for names, vector in (
+        (("tool_x_m", "tool_y_m", "tool_z_m"), estimate.tool_position_m),
+        (("axis_x", "axis_y", "axis_z"), estimate.tool_axis),
+        (("direction_x", "direction_y", "direction_z"), estimate.clearance_direction),
+    ):
+        row |= dict(zip(names, vector or (None, None, None), strict=True))
     row |= {
         "recording": recording,
         "status": str(estimate.status),
         "method": method,
         "equations": equations,
         "time_s": (estimate.stamp_ns - start_ns) / 1e9,
+    }
+    alarm = alarm or AlarmState()
+    row |= {
+        "alarm": None if alarm.alarm is None else int(alarm.alarm),
+        "closing_speed_m_s": alarm.closing_speed_m_s,
+        "time_to_contact_s": alarm.time_to_contact_s,
     }
     return row

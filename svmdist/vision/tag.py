@@ -2,7 +2,7 @@
 
 Four corners give a first pose; on a tag of 40 pixels they leave half a degree of tilt and a third of a
 millimetre of depth. The printed cells have twenty times as much edge: the known pattern, blurred as the image
-is, is laid over the pixels by Gauss–Newton over pose, brightness, contrast and blur (Baker and Matthews 2004).
+is, is laid over the pixels by damped least squares over pose, brightness, contrast and blur (Baker and Matthews 2004).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CELL_SAMPLES = 16
 """Texture samples to a cell: three for each pixel of a tag that is seen 40 px wide."""
 MARGIN_CELLS = 0.6
 """How much of the white margin is compared; what lies behind the plate shines into the rest of it."""
-ITERATIONS = 12
+ITERATIONS = 16
 SETTLED = 1e-7
 """A step below this, in tag sides and rad, ends the iteration."""
 BLUR_START_PX = 0.8
@@ -94,7 +94,11 @@ def square_corners_m(size_m: float) -> Array:
 def pose_candidates(corners_px: Array, size_m: float, K: Array, D: Array) -> list[Array]:
     """Both poses that four corners allow, shape (4, 4) each, the better one first (Collins and Bartoli 2014)."""
     _, rotations, translations, _ = cv2.solvePnPGeneric(
-        square_corners_m(size_m), corners_px, K, D if len(D) else None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        square_corners_m(size_m),
+        np.ascontiguousarray(corners_px),
+        K,
+        D if len(D) else None,
+        flags=cv2.SOLVEPNP_IPPE_SQUARE,
     )
     poses = []
     for rotation, translation in zip(rotations, translations, strict=True):
@@ -150,23 +154,27 @@ def refine_pose(
     `brightness`, shape (n,), is that of n pixels, and `rays`, shape (n, 3) with z = 1, their directions in the
     camera frame.
     """
-    T, blur_px = T_camera_tag, BLUR_START_PX
-    laid: _Laid | None = None
+    T, blur_px, damping = T_camera_tag, BLUR_START_PX, 1e-6
+    best: tuple[_Laid, Array, float] | None = None
     for _ in range(iterations):
         laid = _lay(brightness, rays, T, blur_px, pattern, focal_px)
-        if laid is None or laid.contrast < MIN_CONTRAST:
+        fits = laid is not None and laid.contrast >= MIN_CONTRAST
+        if laid is not None and fits and (best is None or laid.misfit() <= best[0].misfit()):
+            best, damping = (laid, T, blur_px), max(0.1 * damping, 1e-9)
+        else:
+            damping = max(30.0 * damping, 1e-2)
+        if best is None:
             return None
-        step = laid.step()
-        T = nudged(T, pattern.scale * np.clip(step[:6], -0.2, 0.2))
-        blur_px = float(np.clip(blur_px + np.clip(step[6], -0.5, 0.5), *BLUR_RANGE_PX))
-        if T[2, 3] <= 0.0 or not np.all(np.isfinite(T)):
-            return None
+        step = best[0].step(damping)
         if np.max(np.abs(step[:6])) < SETTLED:
             break
-    if laid is None:
+        T = nudged(best[1], pattern.scale * np.clip(step[:6], -0.2, 0.2))
+        blur_px = float(np.clip(best[2] + np.clip(step[6], -0.5, 0.5), *BLUR_RANGE_PX))
+    if best is None or best[1][2, 3] <= 0.0:
         return None
+    laid, T, blur_px = best
     covariance = laid.covariance()[:6, :6] * np.outer(pattern.scale, pattern.scale)
-    return TagPose(T, covariance, laid.rms() / laid.contrast, blur_px)
+    return TagPose(T, covariance, laid.misfit(), blur_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,10 +187,14 @@ class _Laid:
     cell: NDArray[np.int64]
     contrast: float
 
-    def step(self) -> Array:
-        """The Gauss–Newton step over pose, blur, offset and contrast, shape (9,)."""
+    def misfit(self) -> float:
+        """The residual over the contrast."""
+        return self.rms() / self.contrast
+
+    def step(self, damping: float) -> Array:
+        """The damped step over pose, blur, offset and contrast, shape (9,) (Levenberg and Marquardt)."""
         N = self.J.T @ (self.weight[:, None] * self.J)
-        N += 1e-9 * np.diag(np.diag(N)) + 1e-12 * np.eye(len(N))
+        N += damping * np.diag(np.diag(N)) + 1e-12 * np.eye(len(N))
         return np.asarray(np.linalg.solve(N, self.J.T @ (self.weight * self.residual)), np.float64)
 
     def rms(self) -> float:

@@ -1,0 +1,147 @@
+"""Distances, their standard deviations, and what the tissue's fix and the instrument's model are made of."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from svmdist.camera import Camera
+from svmdist.estimation.distances import measure
+from svmdist.estimation.instrument_model import InstrumentModel
+from svmdist.estimation.pose import ToolPose
+from svmdist.estimation.tissue import TissueFix, dome_mesh, see_tissue
+from svmdist.geometry.closest import winding_number
+from svmdist.geometry.surfaces import Plane
+from svmdist.kinematics.chain import chain_of
+from svmdist.kinematics.dh import forward_kinematics
+from svmdist.profile import Dome, load_profile
+from svmdist.samples import Estimate, JointSample, Status
+from svmdist.transforms import inverse, make_transform, rotation_x, rotation_z
+from svmdist.vision.tag import nudged
+
+PROFILE = load_profile()
+assert PROFILE.robot is not None
+assert PROFILE.simulation is not None
+CHAIN = chain_of(PROFILE.robot)
+Q = np.array([PROFILE.simulation.posture[name] for name in CHAIN.joint_names])
+JOINTS = JointSample(0, CHAIN.joint_names, Q)
+MODEL = InstrumentModel.of(PROFILE)
+assert MODEL is not None
+ROW = Estimate(0, Status.OK)
+CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
+
+
+def tool_pose(covariance: np.ndarray | None = None) -> ToolPose:
+    bent = MODEL.bent_wrist(JOINTS)
+    assert bent is not None
+    T = make_transform(rotation_x(2.4) @ rotation_z(0.3), [0.012, -0.006, 0.088])
+    return ToolPose(T, np.zeros((6, 6)) if covariance is None else covariance, T[:3, :3] @ bent.shaft)
+
+
+def fix(covariance: np.ndarray | None = None) -> TissueFix:
+    floor = Plane(np.array([0.0, 0.0, -1.0]), -0.112)
+    return TissueFix(
+        np.array([0.0, 0.001, 0.112]), np.zeros((3, 3)) if covariance is None else covariance, floor
+    )
+
+
+def test_stated_deviations_cover_the_truth() -> None:
+    """Of 2000 draws of pose and tissue, the 95 % intervals hold 90 to 99 % of the true distances."""
+    rng = np.random.default_rng(7)
+    A = rng.normal(0.0, 1.0, (6, 6)) * np.array([2e-4] * 3 + [8e-3] * 3)[:, None]
+    B = rng.normal(0.0, 1.5e-4, (3, 3))
+    held = np.zeros(3)
+    exact = measure(ROW, tool_pose(), fix(), MODEL, JOINTS)
+    truth = np.array([exact.distance_m, exact.spatial_m, exact.clearance_m])
+    surface = fix().surface
+    assert isinstance(surface, Plane)
+    for _ in range(2000):
+        true = tool_pose()
+        T = nudged(true.T_camera_tool, A @ rng.normal(size=6))
+        shift = B @ rng.normal(size=3)
+        moved = Plane(surface.normal, surface.offset_m + float(shift @ surface.normal))
+        tissue = TissueFix(fix().position_m + shift, B @ B.T, moved)
+        found = measure(ROW, ToolPose(T, A @ A.T, true.axis), tissue, MODEL, JOINTS)
+        values = np.array([found.distance_m, found.spatial_m, found.clearance_m])
+        stds = np.array([found.distance_std_m, found.spatial_std_m, found.clearance_std_m])
+        held += np.abs(values - truth) < 1.96 * stds
+    assert np.all((held / 2000 > 0.90) & (held / 2000 < 0.99)), held / 2000
+
+
+def test_distances_are_those_of_the_two_points() -> None:
+    found = measure(ROW, tool_pose(), fix(), MODEL, JOINTS, CAMERA)
+    offset = tool_pose().position_m - fix().position_m
+    assert found.distance_m == pytest.approx(np.hypot(*offset[:2]), abs=1e-12)
+    assert found.spatial_m == pytest.approx(np.linalg.norm(offset), abs=1e-12)
+    assert found.clearance_m is not None
+    assert found.clearance_m < found.spatial_m
+    assert found.clearance_direction == pytest.approx((0.0, 0.0, 1.0), abs=1e-12)
+    assert found.tool_x_px == pytest.approx(CAMERA.project(tool_pose().position_m)[0][0])
+
+
+def test_without_a_model_there_is_no_clearance() -> None:
+    found = measure(ROW, tool_pose(), fix())
+    assert found.status is Status.OK
+    assert (found.clearance_m, found.clearance_std_m, found.clearance_direction) == (None, None, None)
+
+
+def test_a_pose_that_is_no_number_rejects_the_frame() -> None:
+    broken = ToolPose(np.full((4, 4), np.nan), np.eye(6), np.array([0.0, 0.0, 1.0]))
+    assert measure(ROW, broken, fix(), MODEL).status is Status.NOT_FINITE
+
+
+def test_the_wrist_follows_the_joints() -> None:
+    """The hinge is 9.1 mm behind the tool, on the shaft's line from the remote centre, however the wrist bends."""
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        q = Q.copy()
+        q[-3:-1] = rng.uniform(-1.2, 1.2, 2)
+        bent = MODEL.bent_wrist(JointSample(0, CHAIN.joint_names, q))
+        assert bent is not None
+        assert np.linalg.norm(bent.hinge_m) == pytest.approx(0.0091, abs=1e-12)
+        # Insertion moves the whole wrist along the shaft.
+        further = q.copy()
+        further[-5] += 0.01
+        step = inverse(forward_kinematics(CHAIN, q)) @ forward_kinematics(CHAIN, further)
+        np.testing.assert_allclose(step[:3, 3], 0.01 * bent.shaft, atol=1e-12)
+
+
+def test_without_joints_the_instrument_is_straight() -> None:
+    pose = tool_pose()
+    capsules = MODEL.posed(pose)
+    along = (capsules.end_m - pose.position_m) @ pose.axis
+    assert along.min() == pytest.approx(-0.28 - 0.0091 + 0.002, abs=1e-9)
+    assert along.max() == pytest.approx(0.008, abs=4e-4)
+
+
+def test_a_dome_is_closed_and_as_high_as_told() -> None:
+    angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+    outline = np.stack([0.028 * np.cos(angle), 0.022 * np.sin(angle), np.full(360, 0.112)], -1)
+    up = np.array([0.0, 0.0, -1.0])
+    for ring in (outline, outline[::-1]):
+        mesh = dome_mesh(np.array([0.0, 0.0, 0.112]), ring, up, Dome(height_m=0.008))
+        points = np.array([[0.0, 0.0, 0.108], [0.0, 0.0, 0.1035], [0.0, 0.0, 0.113], [0.02, 0.0, 0.111]])
+        np.testing.assert_allclose(winding_number(points, mesh.triangles_m), [1, 0, 0, 1], atol=1e-9)
+        assert mesh.vertices_m[:, 2].min() == pytest.approx(0.104, abs=1e-12)
+
+
+def test_the_tissue_is_found_where_it_lies() -> None:
+    """A drawn ellipse of which a bar hides a part is fixed on the plane, within what the fix says of itself."""
+    errors = []
+    rng = np.random.default_rng(9)
+    for _ in range(30):
+        image = np.full((480, 640, 3), 120, np.uint8)
+        centre = np.array([320.0, 240.0]) + rng.uniform(-20, 20, 2)
+        ys, xs = np.mgrid[:480, :640]
+        image[((xs - centre[0]) / 138) ** 2 + ((ys - centre[1]) / 109) ** 2 <= 1] = (70, 60, 200)
+        end = centre + rng.uniform(-60, 60, 2)
+        cv2.line(image, (639, int(rng.uniform(50, 430))), tuple(end.astype(int).tolist()), (40, 40, 40), 40)
+        sight = see_tissue(image, PROFILE, CAMERA)
+        assert sight is not None
+        assert sight.fix is not None
+        truth = np.append((centre - CAMERA.K[:2, 2]) / CAMERA.K[0, 0], 1.0) * 0.112
+        error = (sight.fix.position_m - truth)[:2]
+        errors.append(error / np.sqrt(np.diag(sight.fix.covariance)[:2]))
+    assert np.sqrt(np.mean(np.square(errors))) < 2.0
+    assert np.mean(np.abs(errors) < 1.96) > 0.85
