@@ -16,6 +16,7 @@ class Method(StrEnum):
 
     OVERLAY = "overlay"
     CENTROID = "centroid"
+    FIDUCIAL = "fiducial"
 
 
 class EquationsChoice(StrEnum):

@@ -8,6 +8,7 @@ from typing import Protocol
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.estimation.centroid import CentroidEstimator
 from svmdist.estimation.equations import PlaneMapping
+from svmdist.estimation.fiducial import FiducialEstimator
 from svmdist.estimation.overlay import OverlayEstimator
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
@@ -27,6 +28,7 @@ class Estimator(Protocol):
 METHODS: dict[str, Callable[[Profile, PlaneMapping], Estimator]] = {
     "overlay": OverlayEstimator,
     "centroid": CentroidEstimator,
+    "fiducial": FiducialEstimator,
 }
 
 
