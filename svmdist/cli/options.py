@@ -17,6 +17,9 @@ class Method(StrEnum):
     OVERLAY = "overlay"
     CENTROID = "centroid"
     FIDUCIAL = "fiducial"
+    STEREO = "stereo"
+    KINEMATIC = "kinematic"
+    FUSED = "fused"
 
 
 class EquationsChoice(StrEnum):
@@ -87,6 +90,19 @@ OutputOption = Annotated[
         "--output", "-o", metavar="FILE", help="Write the data here instead of to stdout.", show_default=False
     ),
 ]
+AlarmBelowOption = Annotated[
+    str | None,
+    typer.Option(
+        "--alarm-below",
+        metavar="LENGTH",
+        help="Mark frames whose clearance is below this, as in 5mm; adds closing speed and time to contact.",
+        show_default=False,
+    ),
+]
+AlarmConfidenceOption = Annotated[
+    float,
+    typer.Option("--alarm-confidence", help="Probability from which on it is an alarm.", min=0.0, max=1.0),
+]
 TableFormatOption = Annotated[TableFormat, typer.Option("--format", "-f", help="Form of the data.")]
 RowFormatOption = Annotated[RowFormat, typer.Option("--format", "-f", help="Form of the data.")]
 
@@ -100,3 +116,23 @@ def topics_of(options: list[str] | None) -> dict[str, str]:
             raise UsageError(f"--topic {option}: expected ROLE=TOPIC, as in image=/left/image_raw")
         topics[role] = topic
     return topics
+
+
+LENGTH_UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+
+
+def parse_length_m(option: str, text: str) -> float:
+    """Parse a length with its unit, `5mm`, `0.5 cm`, `0.005m`, to m; raises UsageError."""
+    plain = text.strip()
+    for unit, scale in LENGTH_UNITS_M.items():
+        number = plain.removesuffix(unit)
+        if number == plain:
+            continue
+        try:
+            length_m = float(number) * scale
+        except ValueError:
+            break
+        if 0.0 < length_m < 10.0:
+            return length_m
+        break
+    raise UsageError(f"{option} {text}: expected a length above zero with its unit (mm, cm or m), as in 5mm")

@@ -9,7 +9,10 @@ from svmdist.errors import UsageError, did_you_mean
 from svmdist.estimation.centroid import CentroidEstimator
 from svmdist.estimation.equations import PlaneMapping
 from svmdist.estimation.fiducial import FiducialEstimator
+from svmdist.estimation.fused import FusedEstimator
+from svmdist.estimation.kinematic import KinematicEstimator
 from svmdist.estimation.overlay import OverlayEstimator
+from svmdist.estimation.stereo import StereoEstimator
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
 
@@ -29,6 +32,9 @@ METHODS: dict[str, Callable[[Profile, PlaneMapping], Estimator]] = {
     "overlay": OverlayEstimator,
     "centroid": CentroidEstimator,
     "fiducial": FiducialEstimator,
+    "stereo": StereoEstimator,
+    "kinematic": KinematicEstimator,
+    "fused": FusedEstimator,
 }
 
 
