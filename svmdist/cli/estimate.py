@@ -11,6 +11,8 @@ import typer
 
 from svmdist.cli.console import report_health, require_output_folder, say, write_lines
 from svmdist.cli.options import (
+    AlarmBelowOption,
+    AlarmConfidenceOption,
     CalibrationOption,
     EquationsChoice,
     EquationsOption,
@@ -22,10 +24,12 @@ from svmdist.cli.options import (
     RowFormat,
     RowFormatOption,
     TopicOption,
+    parse_length_m,
     topics_of,
 )
 
 if TYPE_CHECKING:
+    from svmdist.estimation.alarms import AlarmRules
     from svmdist.recording.reader import Recording
     from svmdist.report.table import Row
     from svmdist.workflows.setup import Setup
@@ -40,21 +44,36 @@ def estimate_command(
     topic: TopicOption = None,
     form: RowFormatOption = RowFormat.TABLE,
     output: OutputOption = None,
+    alarm_below: AlarmBelowOption = None,
+    alarm_confidence: AlarmConfidenceOption = 0.05,
 ) -> None:
     """Estimate the distance in every frame."""
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.setup import prepare
 
     require_output_folder(output)
+    rules = alarm_rules(alarm_below, alarm_confidence)
     setup = prepare(profile, method.value, equations.value, calibration)
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in files]
     tally: Counter[str] = Counter()
-    write_lines(_lines(form, _started(_rows(recordings, setup, tally))), output)
+    write_lines(_lines(form, _started(_rows(recordings, setup, tally, rules)), rules is not None), output)
     _summarise(tally)
     raise typer.Exit(report_health(recordings))
 
 
-def _rows(recordings: list[Recording], setup: Setup, tally: Counter[str]) -> Iterator[Row]:
+def alarm_rules(below: str | None, confidence: float) -> AlarmRules | None:
+    """The rules that the options ask for; None without a threshold."""
+    if below is None:
+        return None
+    from svmdist.estimation.alarms import AlarmRules
+
+    return AlarmRules(parse_length_m("--alarm-below", below), confidence)
+
+
+def _rows(
+    recordings: list[Recording], setup: Setup, tally: Counter[str], rules: AlarmRules | None
+) -> Iterator[Row]:
+    from svmdist.estimation.alarms import AlarmWatch
     from svmdist.report.estimates import estimate_row
     from svmdist.workflows.estimate import estimate
 
@@ -62,10 +81,12 @@ def _rows(recordings: list[Recording], setup: Setup, tally: Counter[str]) -> Ite
         for warning in setup.degeneracies(recording.camera):
             say(f"svmdist: warning: {warning}")
         start_ns: int | None = None
+        watch = AlarmWatch(rules) if rules else None
         for row in estimate(recording, setup.estimator_for(recording)):
             start_ns = row.stamp_ns if start_ns is None else start_ns
             tally[str(row.status)] += 1
-            yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns)
+            alarm = watch.watch(row) if watch else None
+            yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns, alarm)
 
 
 def _started(rows: Iterator[Row]) -> Iterator[Row]:
@@ -74,13 +95,13 @@ def _started(rows: Iterator[Row]) -> Iterator[Row]:
     return iter(()) if first is None else chain([first], rows)
 
 
-def _lines(form: RowFormat, rows: Iterator[Row]) -> Iterator[str]:
-    from svmdist.report.estimates import ESTIMATE_COLUMNS, ESTIMATE_KEYS
+def _lines(form: RowFormat, rows: Iterator[Row], with_alarms: bool) -> Iterator[str]:
+    from svmdist.report.estimates import ALARM_COLUMNS, ESTIMATE_COLUMNS, ESTIMATE_KEYS
     from svmdist.report.table import csv_lines, json_array_lines, json_lines, text_lines
 
     match form:
         case RowFormat.TABLE:
-            return text_lines(ESTIMATE_COLUMNS, rows)
+            return text_lines(ESTIMATE_COLUMNS + (ALARM_COLUMNS if with_alarms else ()), rows)
         case RowFormat.CSV:
             return csv_lines(ESTIMATE_KEYS, rows)
         case RowFormat.JSON:

@@ -17,10 +17,13 @@ MIN_CLOSING_M_S = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class AlarmRules:
-    """An alarm is raised where P(clearance < below_m) >= confidence; speed comes from the last `window_s`."""
+    """An alarm is raised where P(clearance < below_m) >= confidence; speed comes from the last `window_s`.
+
+    The default alarms unless 95 % sure that the row is safe: a missed alarm costs more than a false one.
+    """
 
     below_m: float
-    confidence: float = 0.5
+    confidence: float = 0.05
     window_s: float = 0.5
 
 

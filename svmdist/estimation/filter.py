@@ -166,6 +166,12 @@ class KinematicErrorFilter:
         covariance = tool.derivative @ self._P @ tool.derivative.T
         return ToolPose(tool.T_camera_link, covariance, self.shaft_axis())
 
+    def corrected_joints(self) -> Array:
+        """Believed joints with the offsets found, shape (n_joints,)."""
+        q = self._q.copy()
+        q[self._still_count :] += self._correction.q_offset
+        return q
+
     def shaft_axis(self) -> Array:
         """The shaft's direction towards the tip in the camera frame, shape (3,); the tool's x without a shaft."""
         shaft = shaft_of(self._chain)

@@ -23,7 +23,7 @@ from svmdist.estimation.tag_pose import believed_tag_rotation, find_tag_pose
 from svmdist.estimation.tissue import require_tissue, see_tissue
 from svmdist.estimation.tissue_memory import TissueMemory
 from svmdist.profile import Profile
-from svmdist.samples import Estimate, Image, Observation, Status
+from svmdist.samples import Estimate, Image, JointSample, Observation, Status
 from svmdist.vision.regions import Region
 from svmdist.vision.segmentation import to_hsv
 from svmdist.vision.tag import TagFinder, TagPattern
@@ -83,7 +83,11 @@ class FusedEstimator:
             inlier_count=sum(verdict.is_accepted for verdict in verdicts),
             detail="" if verdicts else "nothing of the tool seen: joints alone",
         )
-        return row if tissue is None else measure(row, pose, tissue, self._model, observation.joints)
+        if tissue is None:
+            return row
+        q = self._filter.corrected_joints()
+        joints = JointSample(observation.stamp_ns, self._chain.joint_names, q)
+        return measure(row, pose, tissue, self._model, joints)
 
     def _region_sight(self, observation: Observation, region: Region | None) -> Iterator[LinkObservation]:
         """The coloured region's centroid is a sight of the tool's origin, as sure as the region is whole."""

@@ -56,7 +56,8 @@ class TissueMemory:
         if self.best is None or self._information is None or self._weighted is None:
             return None
         spread = np.linalg.inv(self._information)
-        return replace(self.best, position_m=spread @ self._weighted, covariance=self._count * spread)
+        covariance = np.asarray(self._count * spread, np.float64)
+        return replace(self.best, position_m=spread @ self._weighted, covariance=covariance)
 
     def _agrees(self, fix: TissueFix) -> bool:
         known = self.now()
