@@ -46,7 +46,11 @@ def compare_command(
 
     require_output_folder(output)
     methods = list(dict.fromkeys(method)) if method else list(Method)
-    setups = [prepare(profile, chosen.value, "corrected", calibration) for chosen in methods]
+    planar = (Method.OVERLAY, Method.CENTROID)
+    setups = [
+        prepare(profile, chosen.value, "corrected", calibration if chosen in planar else None)
+        for chosen in methods
+    ]
     recordings = [
         open_recording(path, setups[0].profile, topics=topics_of(topic)) for path in files_or_golden(files)
     ]

@@ -9,7 +9,6 @@ import numpy as np
 
 from svmdist.errors import KinematicsError, ProfileError
 from svmdist.estimation.distances import measure
-from svmdist.estimation.equations import PlaneMapping
 from svmdist.estimation.instrument_model import InstrumentModel
 from svmdist.estimation.tag_pose import believed_tag_rotation, find_tag_pose, tool_behind_tag
 from svmdist.estimation.tissue import require_tissue, see_tissue, tissue_row
@@ -25,8 +24,7 @@ class FiducialEstimator:
 
     name = "fiducial"
 
-    def __init__(self, profile: Profile, mapping: PlaneMapping | None = None) -> None:
-        del mapping  # the paper's plane; a pose needs none
+    def __init__(self, profile: Profile) -> None:
         if profile.fiducial is None or profile.robot is None:
             raise ProfileError(
                 f"profile {profile.name} has no {'[fiducial]' if profile.robot else '[robot]'}: the method"

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 
 from svmdist.estimation.distances import measure
-from svmdist.estimation.equations import PlaneMapping
 from svmdist.estimation.filter import KinematicErrorFilter
 from svmdist.estimation.instrument_model import InstrumentModel
 from svmdist.estimation.kinematic import Belief, belief_of, require_chain, with_tissue, with_tool_pixel
@@ -47,8 +46,7 @@ class FusedEstimator:
 
     name = "fused"
 
-    def __init__(self, profile: Profile, mapping: PlaneMapping | None = None) -> None:
-        del mapping  # the paper's plane; a pose needs none
+    def __init__(self, profile: Profile) -> None:
         require_tissue(profile)
         self._profile = profile
         self._chain = require_chain(profile)

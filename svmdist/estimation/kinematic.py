@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, ProfileError
 from svmdist.estimation.distances import measure
-from svmdist.estimation.equations import PlaneMapping
 from svmdist.estimation.filter import KinematicErrorFilter
 from svmdist.estimation.instrument_model import InstrumentModel
 from svmdist.estimation.tissue import TissueSight, require_tissue, see_tissue
@@ -35,8 +34,7 @@ class KinematicEstimator:
 
     name = "kinematic"
 
-    def __init__(self, profile: Profile, mapping: PlaneMapping | None = None) -> None:
-        del mapping  # the paper's plane; a pose needs none
+    def __init__(self, profile: Profile) -> None:
         require_tissue(profile)
         self._profile = profile
         self._chain = require_chain(profile)

@@ -28,18 +28,32 @@ class Estimator(Protocol):
         """Measure one frame. A frame that cannot be measured is an outcome, not an exception."""
 
 
-METHODS: dict[str, Callable[[Profile, PlaneMapping], Estimator]] = {
+PLANAR_METHODS: dict[str, Callable[[Profile, PlaneMapping], Estimator]] = {
     "overlay": OverlayEstimator,
     "centroid": CentroidEstimator,
+}
+"""Methods of the paper's plane: they need the mapping from pixels to it."""
+
+SPATIAL_METHODS: dict[str, Callable[[Profile], Estimator]] = {
     "fiducial": FiducialEstimator,
     "stereo": StereoEstimator,
     "kinematic": KinematicEstimator,
     "fused": FusedEstimator,
 }
+"""Methods that measure in 3D."""
+
+METHODS = (*PLANAR_METHODS, *SPATIAL_METHODS)
 
 
-def make_estimator(method: str, profile: Profile, mapping: PlaneMapping) -> Estimator:
-    """Make the estimator of that name; raises UsageError that lists the names."""
-    if method not in METHODS:
+def make_estimator(method: str, profile: Profile, mapping: PlaneMapping | None = None) -> Estimator:
+    """Make the estimator of that name; raises UsageError that lists the names.
+
+    A planar method needs a mapping; a 3D one takes none.
+    """
+    if method in SPATIAL_METHODS:
+        return SPATIAL_METHODS[method](profile)
+    if method not in PLANAR_METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
-    return METHODS[method](profile, mapping)
+    if mapping is None:
+        raise UsageError(f"method {method} is planar: it needs a calibration")
+    return PLANAR_METHODS[method](profile, mapping)

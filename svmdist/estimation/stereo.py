@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.estimation.distances import measure
-from svmdist.estimation.equations import PlaneMapping
 from svmdist.estimation.filter import KinematicErrorFilter
 from svmdist.estimation.instrument_model import InstrumentModel
 from svmdist.estimation.kinematic import Belief, belief_of, require_chain
@@ -40,8 +39,7 @@ class StereoEstimator:
 
     name = "stereo"
 
-    def __init__(self, profile: Profile, mapping: PlaneMapping | None = None) -> None:
-        del mapping  # the paper's plane; a pose needs none
+    def __init__(self, profile: Profile) -> None:
         require_tissue(profile)
         self._profile = profile
         self._chain = require_chain(profile)

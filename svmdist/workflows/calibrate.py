@@ -7,10 +7,10 @@ from importlib.metadata import version
 
 import numpy as np
 
-from svmdist.errors import CalibrationError
+from svmdist.errors import CalibrationError, UsageError
 from svmdist.estimation.calibration import Calibration, CalibrationSamples, SourceFile, fit_calibration
 from svmdist.estimation.equations import PlaneMapping, Quadratic
-from svmdist.estimation.methods import make_estimator
+from svmdist.estimation.methods import PLANAR_METHODS, make_estimator
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
 from svmdist.workflows.estimate import estimate
@@ -25,6 +25,9 @@ def calibrate(recordings: Sequence[Recording], profile: Profile, method: str = "
     Raises CalibrationError for recordings of different cameras, too few frames or too little of the image
     covered, and RecordingError where a recording has no true tool pose.
     """
+    if method not in PLANAR_METHODS:
+        planar = " and ".join(PLANAR_METHODS)
+        raise UsageError(f"a calibration is for the planar methods {planar}; {method} measures in 3D")
     if not recordings:
         raise CalibrationError("expected at least one recording to calibrate with, found none")
     camera = recordings[0].camera

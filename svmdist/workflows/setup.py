@@ -9,7 +9,7 @@ from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError, did_you_mean
 from svmdist.estimation.calibration import Calibration, load_calibration
 from svmdist.estimation.equations import PRINTED_MAPPING, Equations, PlaneMapping, degeneracies
-from svmdist.estimation.methods import METHODS, Estimator, make_estimator
+from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.reader import Recording
 
@@ -24,12 +24,11 @@ class Setup:
     calibration: Calibration | None
 
     @property
-    def mapping(self) -> PlaneMapping:
-        """The mapping from pixels to the plane: printed as it stands, or the calibration's."""
+    def mapping(self) -> PlaneMapping | None:
+        """The mapping from pixels to the plane: printed as it stands, or the calibration's; None in 3D."""
         if self.equations == "printed":
             return PRINTED_MAPPING
-        assert self.calibration is not None  # prepare() saw to it
-        return self.calibration.mapping
+        return self.calibration.mapping if self.calibration else None
 
     def estimator_for(self, recording: Recording) -> Estimator:
         """Make the estimator for a recording; raises CalibrationError for another camera."""
@@ -45,7 +44,7 @@ class Setup:
 
     def degeneracies(self, camera: Camera) -> list[str]:
         """Sentences about where the equations cannot be right for this camera's image."""
-        return degeneracies(self.mapping, camera.width_px, camera.height_px)
+        return degeneracies(self.mapping, camera.width_px, camera.height_px) if self.mapping else []
 
 
 def prepare(
@@ -56,14 +55,21 @@ def prepare(
 ) -> Setup:
     """Load what a measurement needs, by names and paths.
 
-    The calibration is the given one, else the one that ships beside the profile. Raises ProfileError,
-    CalibrationError or UsageError.
+    A planar method needs a calibration: the given one, else the one that ships beside the profile. A method
+    that measures in 3D needs none, and knows no other equations. Raises ProfileError, CalibrationError or
+    UsageError.
     """
     if method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
     if equations not in ("corrected", "printed"):
         raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
     loaded = load_profile(profile)
+    if method not in PLANAR_METHODS:
+        if equations == "printed" or calibration is not None:
+            option = "--equations printed" if equations == "printed" else "--calibration"
+            planar = " and ".join(PLANAR_METHODS)
+            raise UsageError(f"{option} is for the planar methods {planar}; {method} measures in 3D")
+        return Setup(loaded, method, equations, None)
     if equations == "printed":
         if calibration is not None:
             raise UsageError(
