@@ -147,6 +147,8 @@ class Segmentation(StrictModel):
 
     tissue: ColourRegion
     instrument: ColourRegion
+    shaft: ColourRegion | None = None
+    """The instrument's dark shaft, which comes in from the border; the method `shaft` looks for it."""
 
 
 class Marker(StrictModel):
@@ -249,6 +251,8 @@ class Instrument(StrictModel):
 
     shaft_radius_m: Length
     shaft_length_m: Length
+    shaft_end_m: Length | None = None
+    """From the wrist's hinge back to where the dark shaft visibly ends; None: 2.2 radii of the wrist."""
     wrist_radius_m: Length
     knuckle_radius_m: Length
     jaw_length_m: Length

@@ -1,0 +1,260 @@
+"""The shaft's pose by weighted least squares over everything that an image and the wrist tell of it.
+
+Unknown are the six of the shaft's frame and two of the wrist's bend. The closed form of `cylinder` starts the
+iteration; Gauss-Newton ends it, and the inverse of its normal matrix is the covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.estimation.cylinder import CylinderAxis, axis_of_cylinder, tangent_normal
+from svmdist.estimation.observations import rotation_of
+from svmdist.estimation.pose import ToolPose
+from svmdist.estimation.shaft_sight import ShaftSight
+from svmdist.transforms import Array, make_transform
+from svmdist.vision.edges import straightened
+
+STEPS = 12
+GATE = 20.0
+"""Chi-square of two degrees of freedom that one in 20,000 true observations exceeds."""
+RIM_MODEL_STD_M = 0.0002
+"""A bevel, and glare on it, hide where exactly the dark ends."""
+FREE_RAD, FREE_M = 3.0, 0.1
+"""Standard deviations of an angle and of a place of which nothing is known: half a turn, a whole scene."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftModel:
+    """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip.
+
+    `T_shaft_tool` is the wrist as the joints bend it, `bend_std_rad` how wrong that may be about each axis
+    across the shaft. `R_camera_shaft` (3, 3) is what the robot believes, None without its base, with
+    `rotation_std_rad`. The dark part ends `neck_m` behind the hinge.
+    """
+
+    T_shaft_tool: Array
+    bend_std_rad: float
+    R_camera_shaft: Array | None
+    rotation_std_rad: float
+    radius_m: float
+    neck_m: float
+    knuckle_radius_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """One observation's residual, divided by its standard deviation."""
+
+    name: str
+    whitened: Array
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftFit:
+    """The tool's pose, the shaft's frame `T_camera_shaft`, and the observations that carried them."""
+
+    pose: ToolPose
+    T_camera_shaft: Array
+    used: tuple[str, ...]
+
+
+def fit_shaft(sight: ShaftSight, model: ShaftModel, camera: Camera) -> ShaftFit | str:
+    """The pose that fits all observations that agree; or why there is none, in words."""
+    start = _start(sight, model, camera)
+    if isinstance(start, str):
+        return start
+    dropped: set[str] = set()
+    while True:
+        T, bend, normal_matrix, blocks = _solve(start, sight, model, camera, dropped)
+        if not np.all(np.isfinite(normal_matrix)):
+            return "the fit does not converge"
+        worst = max(blocks, key=lambda block: float(block.whitened @ block.whitened))
+        if float(worst.whitened @ worst.whitened) <= GATE or worst.name == "belief":
+            break
+        dropped.add(worst.name)
+        if not _determined(sight, model, dropped):
+            return f"{worst.name} does not fit the rest"
+    covariance = np.linalg.inv(normal_matrix)
+    T_tool = _tool(T, bend, model)
+    J = _numeric(lambda x: _difference(_tool(*_moved(T, bend, x), model), T_tool))
+    pose = ToolPose(T_tool, J @ covariance @ J.T, T[:3, 2].copy())
+    return ShaftFit(pose, T, tuple(block.name for block in blocks))
+
+
+def _determined(sight: ShaftSight, model: ShaftModel, dropped: set[str]) -> bool:
+    along = {"knuckle": sight.knuckle, "rim": sight.rim}
+    return any(value is not None and name not in dropped for name, value in along.items())
+
+
+def _start(sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | str:
+    """A first `T_camera_shaft`, from the closed form, or from belief and the knuckle's size."""
+    if len(sight.contours) == 2:
+        axis = axis_of_cylinder(sight.contours[0].plane, sight.contours[1].plane, model.radius_m)
+        if axis is None:
+            return "the shaft's sides are too close together"
+        d = _turned_to_tip(axis, sight, model, camera)
+        if d is None:
+            return "nothing tells the shaft's tip from its base"
+        hinge_m = _along_axis(axis.point_m, d, sight, model, camera)
+        if hinge_m is None:
+            return "the shaft's end is not to be seen"
+        return make_transform(_frame_about(d, model.R_camera_shaft), hinge_m)
+    if model.R_camera_shaft is None:
+        return "a side of the shaft is not to be seen"
+    knuckle = sight.knuckle
+    if knuckle is None or knuckle.radius_px is None:
+        return "neither both sides of the shaft nor a whole knuckle"
+    ray = _ray(knuckle.centre_px, camera)
+    depth_m = apparent_radius_px(ray, model.knuckle_radius_m, camera) / knuckle.radius_px
+    return make_transform(
+        model.R_camera_shaft, depth_m * ray - model.R_camera_shaft @ model.T_shaft_tool[:3, 3]
+    )
+
+
+def _turned_to_tip(axis: CylinderAxis, sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | None:
+    d = axis.direction
+    if sight.towards_tip is not None and sight.middle_px is not None:
+        x, y, _ = _ray(sight.middle_px, camera)
+        flow = np.array([d[0] - x * d[2], d[1] - y * d[2]])
+        return d if flow @ sight.towards_tip > 0 else -d
+    if model.R_camera_shaft is None:
+        return None
+    return d if d @ model.R_camera_shaft[:, 2] > 0 else -d
+
+
+def _along_axis(p_m: Array, d: Array, sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | None:
+    """The hinge: where the axis passes the landmark's ray, less the landmark's place on the straight tool."""
+    if sight.rim is not None:
+        ray, ahead_m = _ray(sight.rim.pixel, camera), -model.neck_m
+    elif sight.knuckle is not None:
+        ray, ahead_m = _ray(sight.knuckle.centre_px, camera), float(model.T_shaft_tool[2, 3])
+    else:
+        return None
+    ray = ray / np.linalg.norm(ray)
+    cosine = float(ray @ d)
+    if 1.0 - cosine**2 < 1e-4:
+        return None
+    along_m = (cosine * float(ray @ p_m) - float(d @ p_m)) / (1.0 - cosine**2)
+    return np.asarray(p_m + (along_m - ahead_m) * d)
+
+
+def _frame_about(d: Array, R_believed: Array | None) -> Array:
+    """A rotation whose z is `d`, with x as believed, or any."""
+    x = np.eye(3)[int(np.argmin(np.abs(d)))] if R_believed is None else R_believed[:, 0]
+    y = np.cross(d, x)
+    y /= np.linalg.norm(y)
+    return np.stack([np.cross(y, d), y, d], -1)
+
+
+def _solve(
+    T: Array, sight: ShaftSight, model: ShaftModel, camera: Camera, dropped: set[str]
+) -> tuple[Array, Array, Array, list[_Block]]:
+    bend = np.zeros(2)
+    T_start = T
+    for _ in range(STEPS):
+        here = (T, bend)
+
+        def residual(x: Array, here: tuple[Array, Array] = here) -> Array:
+            blocks = _residuals(*_moved(*here, x), sight, model, camera, T_start, dropped)
+            return np.concatenate([block.whitened for block in blocks])
+
+        J, r = _numeric(residual), residual(np.zeros(8))
+        normal_matrix = J.T @ J
+        if not np.all(np.isfinite(normal_matrix)) or not np.all(np.isfinite(r)):
+            return T, bend, np.full((8, 8), np.nan), []
+        step: Array = np.asarray(-np.linalg.solve(normal_matrix, J.T @ r), np.float64)
+        step = np.asarray(step * min(1.0, 0.5 / max(float(np.linalg.norm(step[3:])), 1e-12)), np.float64)
+        T, bend = _moved(T, bend, step)
+        if float(np.abs(step).max()) < 1e-7:
+            break
+    return T, bend, normal_matrix, _residuals(T, bend, sight, model, camera, T_start, dropped)
+
+
+def _residuals(
+    T: Array,
+    bend: Array,
+    sight: ShaftSight,
+    model: ShaftModel,
+    camera: Camera,
+    T_start: Array,
+    dropped: set[str],
+) -> list[_Block]:
+    hinge_m, d = T[:3, 3], T[:3, 2]
+    blocks = []
+    for contour in sight.contours:
+        predicted = tangent_normal(hinge_m, d, model.radius_m, contour.side)
+        off = contour.plane.whitening @ (predicted - contour.plane.normal)
+        blocks.append(_Block(f"side {contour.side:+d}", off))
+    if sight.rim is not None:
+        foot = hinge_m - d * float(d @ hinge_m)
+        point_m = hinge_m - model.neck_m * d - model.radius_m * foot / np.linalg.norm(foot)
+        off_px = float((sight.rim.pixel - camera.project(point_m)[0]) @ sight.rim.towards_tip)
+        std_px = float(np.hypot(sight.rim.std_px, RIM_MODEL_STD_M * camera.K[0, 0] / point_m[2]))
+        blocks.append(_Block("rim", np.array([off_px / std_px])))
+    if sight.knuckle is not None:
+        knuckle = sight.knuckle
+        tool_m = _tool(T, bend, model)[:3, 3]
+        off = (knuckle.centre_px - camera.project(tool_m)[0]) / knuckle.std_px
+        blocks.append(_Block("knuckle", off))
+        if knuckle.radius_px is not None:
+            predicted_px = apparent_radius_px(tool_m, model.knuckle_radius_m, camera)
+            off_size = (knuckle.radius_px - predicted_px) / knuckle.radius_std_px
+            blocks.append(_Block("size", np.array([off_size])))
+    R_prior = model.R_camera_shaft if model.R_camera_shaft is not None else T_start[:3, :3]
+    std_rad = model.rotation_std_rad if model.R_camera_shaft is not None else FREE_RAD
+    turn = rotation_vector(T[:3, :3] @ R_prior.T)
+    away = (hinge_m - T_start[:3, 3]) / FREE_M
+    belief = np.concatenate([turn / std_rad, bend / model.bend_std_rad, away])
+    kept = [block for block in blocks if block.name not in dropped]
+    return [*kept, _Block("belief", belief)]
+
+
+def _tool(T: Array, bend: Array, model: ShaftModel) -> Array:
+    turned = make_transform(rotation_of(np.array([bend[0], bend[1], 0.0])), np.zeros(3))
+    return np.asarray(T @ turned @ model.T_shaft_tool)
+
+
+def _moved(T: Array, bend: Array, x: Array) -> tuple[Array, Array]:
+    """The state after a step (δp, δθ, bend), shape (8,), in the camera frame."""
+    return make_transform(rotation_of(x[3:6]) @ T[:3, :3], T[:3, 3] + x[:3]), bend + x[6:]
+
+
+def _difference(T: Array, T_from: Array) -> Array:
+    turn = rotation_vector(T[:3, :3] @ T_from[:3, :3].T)
+    return np.concatenate([T[:3, 3] - T_from[:3, 3], turn])
+
+
+def _numeric(function: Callable[[Array], Array], step: float = 1e-6) -> Array:
+    columns = []
+    for index in range(8):
+        x = np.zeros(8)
+        x[index] = step
+        columns.append((function(x) - function(-x)) / (2.0 * step))
+    return np.stack(columns, -1)
+
+
+def rotation_vector(R: Array) -> Array:
+    """The vector v, shape (3,) in rad, with exp([v]) = R, for turns below half a turn.
+
+    OpenCV's Rodrigues takes turns below 1e-5 for none, which leaves no derivative.
+    """
+    twice_sine = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = 0.5 * float(np.linalg.norm(twice_sine))
+    angle_rad = float(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0)))
+    return np.asarray(0.5 * twice_sine * (angle_rad / sine if sine > 1e-9 else 1.0))
+
+
+def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> float:
+    """Radius of the disc as large as a small sphere's image: f r / z, and 1 / cos θ longer away from the axis."""
+    stretch = np.sqrt(float(np.linalg.norm(centre_m)) / float(centre_m[2]))
+    return float(camera.K[0, 0] * radius_m / centre_m[2] * stretch)
+
+
+def _ray(pixel: Array, camera: Camera) -> Array:
+    x, y = straightened(camera, pixel[None])[0]
+    return np.array([x, y, 1.0])

@@ -1,0 +1,167 @@
+"""What one image shows of a dark shaft with a coloured knuckle behind its end: planes, rim and knuckle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.estimation.cylinder import TangentPlane, tangent_plane
+from svmdist.profile import ColourRegion
+from svmdist.samples import Image
+from svmdist.transforms import Array
+from svmdist.vision.edges import edge_points, fit_line, straightened
+from svmdist.vision.regions import find_region
+from svmdist.vision.segmentation import colour_mask
+from svmdist.vision.shaft_segmentation import ShaftRegion, Side
+
+REACH_FRACTION = 0.007
+"""How far sub-pixel edges are searched from the mask's contour, over the image's width."""
+MIN_REACH_PX = 4.0
+MIN_CONTRAST = 18.0
+"""Levels of 255 between shaft and background: less is shade."""
+TRIM_FRACTION = 0.06
+"""Of a side at its ends, where the rim's and the border's corners round it."""
+RIM_STRIP = 0.25
+"""The rim is searched in this part of the shaft's half width about the middle, where its arc has its apex."""
+RIM_REACH = 0.9
+"""How far along the shaft, in half widths: an arc's apex lies up to one before the corners."""
+VISIBLE_RADIUS, RADIUS_STD = 0.98, 0.015
+"""Jaws and fork hide some percent of the knuckle: its apparent radius over that of the whole, and how that varies."""
+KNUCKLE_STD = 0.045
+"""By how much that moves its centroid, over the radius."""
+SYSTEMATIC_PX = 0.08
+"""What shading beside an edge shifts it, beside noise: see the error budget."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contour:
+    """One side of the silhouette: the plane that touches the shaft there, and where it is.
+
+    `side` is +1 to the right of the axis as it runs to the tip, y being down, and -1 to the left.
+    """
+
+    plane: TangentPlane
+    side: int
+
+
+@dataclass(frozen=True, slots=True)
+class Rim:
+    """Where the dark shaft ends on its middle line: a pixel (2,), the unit direction to the tip (2,), px."""
+
+    pixel: Array
+    towards_tip: Array
+    std_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class Knuckle:
+    """The coloured sphere about the tool's origin: middle (2,) and radius with standard deviations, in px.
+
+    `radius_px` is None where the border or something else cuts it.
+    """
+
+    centre_px: Array
+    std_px: float
+    radius_px: float | None
+    radius_std_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftSight:
+    """Contours (none, one or two), the rim and the knuckle, each as far as it is to be seen.
+
+    `towards_tip` (2,) is the direction of the shaft's middle line in the image, None where nothing tells.
+    """
+
+    contours: tuple[Contour, ...]
+    rim: Rim | None
+    knuckle: Knuckle | None
+    towards_tip: Array | None
+    middle_px: Array | None
+
+
+def see_shaft(
+    image_bgr: Image, region: ShaftRegion | None, knuckle: Knuckle | None, camera: Camera
+) -> ShaftSight:
+    """Measure contours and rim of a shaft that was found."""
+    if region is None:
+        return ShaftSight((), None, knuckle, None, None)
+    brightness = np.asarray(image_bgr.max(axis=2), np.uint8)
+    towards_tip = region.first.direction + region.second.direction
+    towards_tip /= np.linalg.norm(towards_tip)
+    contours = []
+    for side in (region.first, region.second):
+        contour = _contour(brightness, side, region, towards_tip, camera)
+        if contour is not None and all(contour.side != other.side for other in contours):
+            contours.append(contour)
+    rim = _rim(brightness, region, towards_tip) if region.end_px is not None else None
+    known = towards_tip if region.end_px is not None else None
+    return ShaftSight(tuple(contours), rim, knuckle, known, region.middle_px)
+
+
+def see_knuckle(image_hsv: Image, rule: ColourRegion) -> Knuckle | None:
+    """The coloured region as a disc; what the border cuts is completed by a circle through its contour."""
+    mask = colour_mask(image_hsv, rule)
+    region = find_region(mask, rule)
+    if region is None:
+        return None
+    corners = region.hull.reshape(-1, 2)
+    height, width = mask.shape
+    free = bool(((corners > 1) & (corners < [width - 2, height - 2])).all())
+    radius_px = float(np.sqrt(region.area_px / np.pi))
+    round_enough = region.area_px > 0.75 * np.pi * (np.ptp(corners, axis=0).max() / 2.0) ** 2
+    if free and round_enough:
+        whole_px = radius_px / VISIBLE_RADIUS
+        return Knuckle(region.centroid_px, KNUCKLE_STD * whole_px, whole_px, RADIUS_STD * whole_px)
+    return Knuckle(region.centroid_px, 0.5 * radius_px, None, 0.0)
+
+
+def _contour(
+    brightness: Image, side: Side, region: ShaftRegion, towards_tip: Array, camera: Camera
+) -> Contour | None:
+    along = side.end_px - side.start_px
+    trim = TRIM_FRACTION * along
+    middle_px = 0.5 * (side.start_px + side.end_px)
+    outward = middle_px - region.middle_px
+    reach_px = max(MIN_REACH_PX, REACH_FRACTION * brightness.shape[1])
+    points_px = edge_points(
+        brightness, side.start_px + trim, side.end_px - trim, outward, reach_px, MIN_CONTRAST
+    )
+    points_px = _inside_view(points_px, region.field_of_view)
+    if len(points_px) == 0:
+        return None
+    unit = 1.0 / float(camera.K[0, 0])
+    line = fit_line(straightened(camera, points_px), unit, min_count=5, systematic_px=SYSTEMATIC_PX)
+    if line is None:
+        return None
+    plane = tangent_plane(line, straightened(camera, region.middle_px[None])[0])
+    right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
+    return Contour(plane, 1 if right > 0 else -1)
+
+
+def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array) -> Rim | None:
+    assert region.end_px is not None
+    half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
+    across = np.array([-towards_tip[1], towards_tip[0]]) * RIM_STRIP * half_width_px
+    points_px = edge_points(
+        brightness,
+        region.end_px - across,
+        region.end_px + across,
+        towards_tip,
+        RIM_REACH * half_width_px,
+        MIN_CONTRAST,
+    )
+    if len(points_px) < 4:
+        return None
+    ahead_px = (points_px - region.end_px) @ towards_tip
+    middle_px = float(np.median(ahead_px))
+    spread_px = 1.4826 * float(np.median(np.abs(ahead_px - middle_px)))
+    return Rim(region.end_px + middle_px * towards_tip, towards_tip, max(0.3, spread_px))
+
+
+def _inside_view(points_px: Array, view: Image) -> Array:
+    """The points, shape (n, 2), around which the endoscope shows something."""
+    column, row = np.round(points_px).astype(np.intp).T
+    return np.asarray(points_px[view[row, column] > 0])

@@ -1,0 +1,189 @@
+"""The instrument's shaft in the image: a dark bar that comes in from the border of what the endoscope shows.
+
+Its contour starts at the border, runs along one side, around the distal end and back along the other side.
+Endoscopes frame their picture in black, as dark as a shaft: the field of view is found first, as the convex
+hull of all that is bright, which rectangles and discs are, whatever a shaft cuts out of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.profile import ColourRegion
+from svmdist.samples import Image
+from svmdist.transforms import Array
+from svmdist.vision.segmentation import colour_mask
+
+BRIGHT_PART_FRACTION = 0.005
+"""Bright parts below this fraction of the image are letters on a black border, not scene."""
+RIM_FRACTION = 0.006
+"""The outermost part of the field of view, over the image's width: optics fade there."""
+GAP_FRACTION = 0.03
+"""Bright stripes on the shaft up to this fraction of the image's width are reflections: closed."""
+SPECK_FRACTION = 0.008
+"""Dark lines up to this fraction of the image's width are vessels or gaps: opened."""
+MAX_SAMPLES = 120
+"""Points of a contour among which its two corners are searched."""
+MIN_SIDE_PX = 6.0
+MAX_TAPER_RAD = 0.6
+"""Between the two sides: a cylinder that points at the camera more than this has no contour lines to measure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One rough contour line, from `start_px` at the border to `end_px` at the tip, shape (2,) each."""
+
+    start_px: Array
+    end_px: Array
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector towards the tip, shape (2,)."""
+        along = self.end_px - self.start_px
+        return np.asarray(along / np.linalg.norm(along))
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftRegion:
+    """The dark shaft of an image: its mask, shape (h, w), its sides, and its end.
+
+    `first` and `second` are its contour lines; `end_px` (2,) is the middle of the distal end, None where the shaft
+    runs through the whole picture, when the sides' directions do not tell base from tip. `field_of_view`
+    (h, w) is the mask of what the endoscope shows.
+    """
+
+    mask: Image
+    first: Side
+    second: Side
+    end_px: Array | None
+    field_of_view: Image
+
+    @property
+    def middle_px(self) -> Array:
+        """A point between the contour lines, shape (2,)."""
+        ends = [self.first.start_px, self.first.end_px, self.second.start_px, self.second.end_px]
+        return np.asarray(np.mean(ends, axis=0))
+
+
+def field_of_view(dark: Image) -> Image:
+    """Mask, shape (h, w), of what the endoscope shows: the convex hull of the larger parts that are not dark."""
+    height, width = dark.shape
+    bright = cv2.erode(cv2.bitwise_not(dark), np.ones((3, 3), np.uint8), borderValue=255)
+    contours, _ = cv2.findContours(bright, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    large = [part for part in contours if cv2.contourArea(part) > BRIGHT_PART_FRACTION * height * width]
+    view = np.zeros_like(dark)
+    if large:
+        cv2.fillConvexPoly(view, cv2.convexHull(np.concatenate(large)), 255)
+    return view
+
+
+def find_shaft(image_hsv: Image, rule: ColourRegion) -> ShaftRegion | None:
+    """Find the shaft by its colour in an HSV image, shape (h, w, 3); None where none comes in from the border."""
+    height, width = image_hsv.shape[:2]
+    dark = np.asarray(cv2.medianBlur(colour_mask(image_hsv, rule), 3), np.uint8)
+    view = field_of_view(dark)
+    rim_px = max(2, round(RIM_FRACTION * width))
+    core = cv2.erode(view, _disc(rim_px), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    mask = np.asarray(cv2.bitwise_and(dark, core), np.uint8)
+    mask = np.asarray(
+        cv2.morphologyEx(mask, cv2.MORPH_OPEN, _disc(max(1, round(SPECK_FRACTION * width / 2))))
+    )
+    closing = _disc(round(GAP_FRACTION * width / 2))
+    mask = np.asarray(cv2.bitwise_and(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, closing), core), np.uint8)
+    at_border = cv2.subtract(core, cv2.erode(core, _disc(2), borderType=cv2.BORDER_CONSTANT, borderValue=0))
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    for contour in sorted(contours, key=cv2.contourArea, reverse=True):
+        if cv2.contourArea(contour) < rule.min_area_px:
+            return None
+        shape = np.zeros_like(mask)
+        cv2.drawContours(shape, [contour], -1, 255, cv2.FILLED)
+        sides = _sides_of(np.asarray(contour.reshape(-1, 2), np.int32), np.asarray(at_border, np.uint8))
+        if sides is not None:
+            return ShaftRegion(shape, sides[0], sides[1], sides[2], view)
+    return None
+
+
+def _sides_of(contour: NDArray[np.int32], at_border: Image) -> tuple[Side, Side, Array | None] | None:
+    """The two sides of a closed contour, shape (n, 2), and the middle of its distal end."""
+    arcs = _arcs_inside(contour, at_border)
+    if not arcs:
+        return None
+    arcs.sort(key=len, reverse=True)
+    if len(arcs) > 1 and len(arcs[1]) > 0.4 * len(arcs[0]):
+        # Through the whole picture: one arc along each side, run in opposite directions.
+        first, second = _fitted_side(arcs[0]), _fitted_side(arcs[1][::-1])
+        return (first, second, None) if _are_sides(first, second) else None
+    split = _split(arcs[0])
+    if split is None:
+        return None
+    first, second = split
+    if not _are_sides(first, second):
+        return None
+    return first, second, 0.5 * (first.end_px + second.end_px)
+
+
+def _arcs_inside(contour: NDArray[np.int32], at_border: Image) -> list[Array]:
+    """The stretches of a closed contour away from the border, each an array of shape (n, 2)."""
+    inside = at_border[contour[:, 1], contour[:, 0]] == 0
+    if inside.all() or not inside.any():
+        return []
+    turn = int(np.argmin(inside))  # start on the border, so that no stretch is cut in two
+    contour, inside = np.roll(contour, -turn, axis=0), np.roll(inside, -turn)
+    edges = np.flatnonzero(np.diff(inside.astype(np.int8)))
+    starts, ends = edges[0::2] + 1, [*(edges[1::2] + 1), len(contour)]
+    arcs = [contour[start:end].astype(np.float64) for start, end in zip(starts, ends, strict=False)]
+    return [arc for arc in arcs if len(arc) >= 2 * MIN_SIDE_PX]
+
+
+def _split(arc: Array) -> tuple[Side, Side] | None:
+    """Cut an arc, shape (n, 2), at the two corners that leave three pieces closest to straight lines."""
+    points = arc[np.round(np.linspace(0, len(arc) - 1, min(len(arc), MAX_SAMPLES))).astype(int)]
+    count = len(points)
+    step_px = len(arc) / count
+    shortest = max(3, int(np.ceil(MIN_SIDE_PX / step_px)))
+    if count < 3 * shortest:
+        return None
+    cost = _line_costs(points)
+    first = np.arange(shortest, count - 2 * shortest + 1)
+    second = np.arange(2 * shortest, count - shortest + 1)
+    total = cost[0, first][:, None] + cost[first][:, second] + cost[second, count][None, :]
+    total = np.where(second[None, :] - first[:, None] >= shortest, total, np.inf)
+    a, b = np.unravel_index(int(np.argmin(total)), total.shape)
+    return _fitted_side(points[: first[a]]), _fitted_side(points[second[b] :][::-1])
+
+
+def _line_costs(points: Array) -> Array:
+    """Sum of squared distances of points i … j-1 from their best line, shape (n + 1, n + 1) in px²."""
+    moments = np.column_stack([np.ones(len(points)), points, points**2, points[:, 0] * points[:, 1]])
+    total = np.vstack([np.zeros(6), np.cumsum(moments, axis=0)])
+    n, x, y, xx, yy, xy = np.moveaxis(total[None, :, :] - total[:, None, :], -1, 0)
+    n = np.maximum(n, 1.0)
+    cxx, cyy, cxy = xx - x * x / n, yy - y * y / n, xy - x * y / n
+    smallest = 0.5 * (cxx + cyy - np.hypot(cxx - cyy, 2.0 * cxy))
+    return np.asarray(np.maximum(smallest, 0.0))
+
+
+def _fitted_side(points: Array) -> Side:
+    """The line through points in their order, shape (n, 2), robust to bumps, as long as they are."""
+    fitted = cv2.fitLine(points.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01)
+    vx, vy, x, y = (float(value) for value in np.ravel(fitted))
+    along, at = np.array([vx, vy]), np.array([x, y])
+    start, end = (at + along * float((points[index] - at) @ along) for index in (0, -1))
+    return Side(start, end)
+
+
+def _are_sides(first: Side, second: Side) -> bool:
+    """Whether two lines run alike and side by side."""
+    lengths = [float(np.linalg.norm(side.end_px - side.start_px)) for side in (first, second)]
+    if min(lengths) < MIN_SIDE_PX:
+        return False
+    return bool(first.direction @ second.direction > np.cos(MAX_TAPER_RAD))
+
+
+def _disc(radius_px: int) -> NDArray[np.uint8]:
+    size = 2 * max(radius_px, 1) + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
