@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.equations import PRINTED_MAPPING
 from svmdist.estimation.fused import FusedEstimator
 from svmdist.estimation.kinematic import KinematicEstimator
 from svmdist.estimation.tissue import TissueFix
@@ -55,7 +54,7 @@ def observe(
 
 def test_kinematic_is_as_wrong_as_the_belief(scene: SyntheticScene, profile: Profile) -> None:
     """Right kinematics give the tool exactly; a shifted base shifts it, and the interval knows that."""
-    estimator = KinematicEstimator(profile, PRINTED_MAPPING)
+    estimator = KinematicEstimator(profile)
     truth_m = scene.T_camera_tool_at(0.5)[:3, 3]
     row = estimator.estimate(observe(scene, 0.5))
     np.testing.assert_allclose(row.tool_position_m, truth_m, atol=1e-12)
@@ -73,7 +72,7 @@ def test_fused_corrects_the_belief_and_carries_on_in_the_dark(
     scene: SyntheticScene, profile: Profile
 ) -> None:
     """Across the line of sight the shift is found to 0.3 mm; in the dark a row still comes, less sure."""
-    estimator = FusedEstimator(profile, PRINTED_MAPPING)
+    estimator = FusedEstimator(profile)
     shift_m = np.array([0.004, -0.003, 0.0])
     for step in range(20):
         row = estimator.estimate(observe(scene, 0.1 * step, shift_m))
@@ -95,7 +94,7 @@ def test_without_joints_or_transform_there_is_a_reason(
     scene: SyntheticScene, profile: Profile, method: type[KinematicEstimator] | type[FusedEstimator]
 ) -> None:
     """A frame without joints or camera-to-base transform says which is missing, and is no exception."""
-    estimator = method(profile, PRINTED_MAPPING)
+    estimator = method(profile)
     whole = observe(scene, 0.0)
     for lacking in (replace(whole, joints=None), replace(whole, T_camera_base=None)):
         row = estimator.estimate(lacking)
@@ -110,7 +109,7 @@ def test_a_profile_must_have_chain_and_tissue(
     """Without [robot] or [tissue] the method says so at once."""
     for key in ("robot", "tissue"):
         with pytest.raises(ProfileError, match=key):
-            method(profile.model_copy(update={key: None}), PRINTED_MAPPING)
+            method(profile.model_copy(update={key: None}))
 
 
 def fix_at(x_m: float) -> TissueFix:
