@@ -1,0 +1,183 @@
+"""The part of a profile about the robot: its chain and errors, the instrument, what it works on, the simulation."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from svmdist.toml_model import Angle, Length, StrictModel
+from svmdist.transforms import Array, make_transform
+
+
+class Joint(StrictModel):
+    """One DH row; see `svmdist.kinematics.dh.DHRow`."""
+
+    name: str
+    type: Literal["revolute", "prismatic", "fixed"]
+    a_m: float = 0.0
+    alpha_rad: Angle = 0.0
+    d_m: float = 0.0
+    theta_rad: Angle = 0.0
+    lower: Angle = -np.pi
+    upper: Angle = np.pi
+    aliases: tuple[str, ...] = ()
+    """Other names under which logs carry this joint."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Joint:
+        if self.type != "fixed" and self.lower >= self.upper:
+            raise ValueError(
+                f"joint {self.name}: lower limit {self.lower} is not below upper limit {self.upper}"
+            )
+        return self
+
+
+Rotation = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+
+def _require_rotation(name: str, rotation: Rotation) -> None:
+    R = np.array(rotation)
+    if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+        raise ValueError(f"{name} is not a rotation: R R^T = I and det R = 1 are expected")
+
+
+class Robot(StrictModel):
+    """The kinematic chain from base to tool."""
+
+    convention: Literal["standard", "modified"] = "standard"
+    joints: tuple[Joint, ...] = Field(min_length=1)
+    tool_rotation: Rotation | None = None
+
+    @model_validator(mode="after")
+    def _sound(self) -> Robot:
+        names = [name for joint in self.joints for name in (joint.name, *joint.aliases)]
+        doubles = sorted({name for name in names if names.count(name) > 1})
+        if doubles:
+            raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")
+        if self.tool_rotation is not None:
+            _require_rotation("tool_rotation", self.tool_rotation)
+        return self
+
+    @property
+    def T_last_tool(self) -> Array:
+        """The constant transform behind the last row, shape (4, 4)."""
+        T = np.eye(4)
+        if self.tool_rotation is not None:
+            T[:3, :3] = self.tool_rotation
+        return T
+
+
+class KinematicError(StrictModel):
+    """How wrong the robot's kinematics may be: standard deviations of constant errors, and how they drift.
+
+    The defaults are what cable-driven arms show: a degree and a millimetre at each joint, and a
+    camera-to-base transform whose rotation is off by two degrees about each axis and whose translation by
+    five millimetres along each.
+    """
+
+    joint_std_rad: Angle = float(np.deg2rad(1.0))
+    joint_std_m: float = Field(default=1e-3, ge=0.0)
+    camera_base_std_rad: Angle = float(np.deg2rad(2.0))
+    camera_base_std_m: float = Field(default=5e-3, ge=0.0)
+    first_moving_joint: str | None = None
+    """The joints before this one hold still while the instrument works: their errors are one with the
+    camera-to-base transform's. None: every joint moves."""
+    drift_rad_per_sqrt_s: float = Field(default=1e-4, ge=0.0)
+    drift_m_per_sqrt_s: float = Field(default=1e-5, ge=0.0)
+
+
+class Instrument(StrictModel):
+    """The instrument's shape, in m, about the tool frame: what the simulation builds and clearance needs."""
+
+    shaft_radius_m: Length
+    shaft_length_m: Length
+    shaft_end_m: Length | None = None
+    """From the wrist's hinge back to where the dark shaft visibly ends; None: 2.2 radii of the wrist."""
+    wrist_radius_m: Length
+    knuckle_radius_m: Length
+    jaw_length_m: Length
+    jaw_radius_m: Length
+
+
+class Fiducial(StrictModel):
+    """A tag on a plate that a link of the instrument carries.
+
+    The tag's frame is OpenCV's: origin in the middle of the black square, x to the right and y up as one
+    reads the tag, z out of the plate towards who reads it.
+    """
+
+    family: Literal["16h5", "25h9", "36h10", "36h11"] = "36h11"
+    """The AprilTag family."""
+    id: int = Field(default=0, ge=0)
+    size_m: Length
+    """Side of the black square; the white margin around it is not in it."""
+    link: str
+    """The joint whose DH frame carries the plate."""
+    position_m: tuple[float, float, float]
+    rotation: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+    @model_validator(mode="after")
+    def _sound(self) -> Fiducial:
+        _require_rotation("rotation", self.rotation)
+        return self
+
+    @property
+    def T_link_tag(self) -> Array:
+        """Where the tag is on its link, shape (4, 4)."""
+        return make_transform(self.rotation, self.position_m)
+
+
+class Dome(StrictModel):
+    """A dome over the tissue's outline: height h (1 - g^a)^b at gauge g, 0 in the middle and 1 on the outline.
+
+    The defaults make half an ellipsoid. The outline itself comes from the image.
+    """
+
+    height_m: Length
+    gauge_exponent: float = Field(default=2.0, ge=1.0, le=20.0)
+    height_exponent: float = Field(default=0.5, gt=0.0, le=2.0)
+
+
+class Tissue(StrictModel):
+    """The plane that the tissue lies on, measured in the camera frame, and its shape above that plane.
+
+    The plane holds the points with `plane_normal` · p = -`plane_distance_m`: its normal points to the camera's
+    side. Without a dome the plane itself is the surface.
+    """
+
+    plane_normal: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    plane_distance_m: Length
+    plane_distance_std_m: float = Field(default=0.0, ge=0.0)
+    plane_tilt_std_rad: float = Field(default=0.0, ge=0.0)
+    """Standard deviation of the normal's direction about each of two axes."""
+    dome: Dome | None = None
+    surface_std_m: float = Field(default=0.0, ge=0.0)
+    """How far the shape stands off the real surface, as a standard deviation."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> Tissue:
+        if abs(float(np.linalg.norm(self.plane_normal)) - 1.0) > 1e-6:
+            raise ValueError("plane_normal must have length 1")
+        return self
+
+
+class Simulation(StrictModel):
+    """What `svmdist record` needs beside the chain: where things stand, and what the encoders get wrong."""
+
+    camera_height_m: Length
+    horizontal_fov_rad: Angle
+    width_px: int = Field(default=640, ge=16, le=4096)
+    height_px: int = Field(default=480, ge=16, le=4096)
+    working_height_m: Length
+    """Height of the tool origin above the floor in the plane in which distances are measured."""
+    base_position_m: tuple[float, float, float]
+    base_yaw_rad: Angle = 0.0
+    posture: dict[str, Angle]
+    """Value of every joint in the middle of the work space; the scenarios start their search here."""
+    joint_rate_hz: float = Field(default=100.0, ge=1.0)
+    encoder_std_rad: float = Field(default=0.0, ge=0.0)
+    encoder_std_m: float = Field(default=0.0, ge=0.0)
+    stereo_baseline_m: Length = 0.005
+    """How far the right camera stands from the left one, along its x axis: that of a da Vinci's endoscope."""

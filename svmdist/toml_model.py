@@ -1,0 +1,115 @@
+"""Files in TOML as frozen models: what is wrong with one becomes a line that names the file and the key."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from svmdist.errors import SvmdistError, did_you_mean
+
+Model = TypeVar("Model", bound="StrictModel")
+
+
+class StrictModel(BaseModel):
+    """Base of everything read from TOML: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def _parse_angle(value: Any) -> Any:
+    """Accept a number in rad, or a multiple of pi such as `pi`, `-pi/2`, `2*pi/3`, which has no last digit."""
+    if not isinstance(value, str):
+        return value
+    text = value.replace(" ", "")
+    sign, text = (-1.0, text[1:]) if text.startswith("-") else (1.0, text)
+    factor, times, rest = text.rpartition("*")
+    symbol, over, divisor = rest.partition("/")
+    try:
+        if symbol != "pi":
+            raise ValueError
+        return sign * (float(factor) if times else 1.0) * np.pi / (float(divisor) if over else 1.0)
+    except (ValueError, ZeroDivisionError):
+        raise ValueError(
+            f"expected rad as a number or a multiple of pi such as 'pi/2', found {value!r}"
+        ) from None
+
+
+def _parse_size(value: Any) -> Any:
+    """Accept a number of bytes, or text such as `512 MiB`."""
+    if not isinstance(value, str):
+        return value
+    number, _, unit = value.partition(" ")
+    if not number.isdecimal() or unit not in SIZE_UNITS:
+        raise ValueError(f"expected bytes as a number, or as '512 MiB', found {value!r}")
+    return int(number) * SIZE_UNITS[unit]
+
+
+SIZE_UNITS = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
+MIB = SIZE_UNITS["MiB"]
+Angle = Annotated[float, BeforeValidator(_parse_angle)]
+Size = Annotated[int, BeforeValidator(_parse_size), Field(ge=1 << 10, le=1 << 40)]
+Length = Annotated[float, Field(gt=0.0)]
+Byte = Annotated[int, Field(ge=0, le=255)]
+Hue = Annotated[int, Field(ge=0, le=179)]
+
+
+def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Model:
+    """Read a TOML file into a model; every problem becomes one line that names the file and the key."""
+    try:
+        data = tomllib.loads(path.read_text("utf-8"))
+    except OSError as problem:
+        raise error(f"{path}: cannot read: {problem.strerror or problem}") from None
+    except UnicodeDecodeError as problem:
+        raise error(f"{path}: not a TOML file: byte {problem.start} is not UTF-8") from None
+    except tomllib.TOMLDecodeError as problem:
+        raise error(f"{path}: not a TOML file: {problem}") from None
+    try:
+        return model.model_validate(data)
+    except ValidationError as problem:
+        raise error(f"{path}: {'; '.join(_describe(problem, model))}") from None
+
+
+def _describe(problem: ValidationError, model: type[BaseModel]) -> Iterator[str]:
+    for item in problem.errors(include_url=False):
+        location = item["loc"]
+        key = ".".join(str(part) for part in location)
+        if item["type"] == "extra_forbidden":
+            siblings = _model_at(model, location[:-1])
+            fields = siblings.model_fields if siblings else {}
+            choices = [field.alias or name for name, field in fields.items()]
+            yield f"unknown key {key}: {did_you_mean(str(location[-1]), choices)}"
+        elif item["type"] == "missing":
+            yield f"missing key {key}"
+        else:
+            message = item["msg"].removeprefix("Value error, ")
+            yield f"{key or 'file'}: {message} (found {_short(item['input'])})" if key else message
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel] | None:
+    """Find the model class that a location inside a document is checked by."""
+    current: Any = model
+    for part in location:
+        if isinstance(part, int):
+            continue
+        if not (isinstance(current, type) and issubclass(current, BaseModel)):
+            return None
+        annotation = current.model_fields[part].annotation if part in current.model_fields else None
+        current = next(_models_in(annotation), None)
+    return current if isinstance(current, type) else None
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in getattr(annotation, "__args__", ()):
+        yield from _models_in(argument)
