@@ -17,6 +17,7 @@ class Method(StrEnum):
     OVERLAY = "overlay"
     CENTROID = "centroid"
     FIDUCIAL = "fiducial"
+    SHAFT = "shaft"
     STEREO = "stereo"
     KINEMATIC = "kinematic"
     FUSED = "fused"

@@ -12,6 +12,7 @@ from svmdist.estimation.fiducial import FiducialEstimator
 from svmdist.estimation.fused import FusedEstimator
 from svmdist.estimation.kinematic import KinematicEstimator
 from svmdist.estimation.overlay import OverlayEstimator
+from svmdist.estimation.shaft import ShaftEstimator
 from svmdist.estimation.stereo import StereoEstimator
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
@@ -36,6 +37,7 @@ PLANAR_METHODS: dict[str, Callable[[Profile, PlaneMapping], Estimator]] = {
 
 SPATIAL_METHODS: dict[str, Callable[[Profile], Estimator]] = {
     "fiducial": FiducialEstimator,
+    "shaft": ShaftEstimator,
     "stereo": StereoEstimator,
     "kinematic": KinematicEstimator,
     "fused": FusedEstimator,

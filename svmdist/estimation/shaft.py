@@ -4,26 +4,30 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from svmdist.errors import KinematicsError, ProfileError
 from svmdist.estimation.distances import measure
 from svmdist.estimation.equations import PlaneMapping
 from svmdist.estimation.instrument_model import NECK_PER_RADIUS, InstrumentModel
-from svmdist.estimation.shaft_fit import ShaftModel, fit_shaft
+from svmdist.estimation.shaft_fit import ShaftFit, ShaftModel, fit_shaft
 from svmdist.estimation.shaft_sight import see_knuckle, see_shaft
 from svmdist.estimation.tissue import require_tissue, see_tissue, tissue_row
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, frame_transforms, select_joints
 from svmdist.kinematics.jacobian import joint_axis
 from svmdist.profile import Instrument, KinematicError, Profile
-from svmdist.samples import Estimate, Observation, Status
+from svmdist.samples import Estimate, Image, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform
 from svmdist.vision.segmentation import to_hsv
 from svmdist.vision.shaft_segmentation import find_shaft
+from svmdist.vision.tag import TagFinder
 
 MAX_STD_M = 0.004
 """A position less certain than this along any direction is no measurement."""
+PLATE = 1.45
+"""A tag's plate over its black square: the white margin of a cell or more, and the blur around it."""
 UNKNOWN_BEND_RAD = 0.4
 """Of the wrist about each axis, where no joints tell."""
 
@@ -47,6 +51,8 @@ class ShaftEstimator:
         self._instrument = profile.instrument
         self._chain = chain_of(profile.robot)
         self._model = InstrumentModel.of(profile)
+        tag = profile.fiducial
+        self._finder = TagFinder(tag.family, tag.id) if tag is not None else None
 
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame; a frame that cannot be measured says why."""
@@ -57,15 +63,8 @@ class ShaftEstimator:
         if sight is None or sight.fix is None:
             return row
 
-        # The shaft's contour lines and end, and the coloured knuckle, in the image.
-        image_hsv = to_hsv(observation.image_bgr)
-        region = find_shaft(image_hsv, self._rule)
-        knuckle = see_knuckle(image_hsv, self._profile.segmentation.instrument)
-        seen = see_shaft(observation.image_bgr, region, knuckle, camera)
-
-        # The pose that fits them, through the wrist, and the distances from there.
-        model = shaft_model(observation, self._chain, self._instrument, self._profile.kinematic_error)
-        fit = fit_shaft(seen, model, camera)
+        # The tool's pose, and the distances from there.
+        fit = self.find_tool(observation)
         if isinstance(fit, str):
             return replace(row, status=Status.NO_INSTRUMENT, detail=fit)
         std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
@@ -73,6 +72,33 @@ class ShaftEstimator:
             detail = f"the position is uncertain by {std_m * 1e3:.1f} mm"
             return replace(row, status=Status.NO_INSTRUMENT, detail=detail)
         return measure(row, fit.pose, sight.fix, self._model, observation.joints, camera)
+
+    def find_tool(self, observation: Observation) -> ShaftFit | str:
+        """The tool's pose in one frame, or why there is none, in words."""
+        # The shaft's contour lines and end, and the coloured knuckle, in the image.
+        image_hsv = to_hsv(observation.image_bgr)
+        region = find_shaft(image_hsv, self._rule, self._covered(observation.image_bgr))
+        knuckle = see_knuckle(image_hsv, self._profile.segmentation.instrument)
+        seen = see_shaft(observation.image_bgr, region, knuckle, observation.camera)
+
+        # The pose that fits them, through the wrist.
+        model = shaft_model(observation, self._chain, self._instrument, self._profile.kinematic_error)
+        return fit_shaft(seen, model, observation.camera)
+
+    def _covered(self, image_bgr: Image) -> Image | None:
+        """Mask of the plate that the profile mounts on the shaft, where the tag on it is found."""
+        if self._finder is None:
+            return None
+        corners_px = self._finder.corners_px(
+            np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
+        )
+        if corners_px is None:
+            return None
+        middle_px = corners_px.mean(0)
+        plate_px = middle_px + PLATE * (corners_px - middle_px)
+        mask = np.zeros(image_bgr.shape[:2], np.uint8)
+        cv2.fillConvexPoly(mask, np.round(plate_px).astype(np.int32), 255)
+        return mask
 
 
 def shaft_model(

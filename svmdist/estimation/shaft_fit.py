@@ -6,8 +6,8 @@ iteration; Gauss-Newton ends it, and the inverse of its normal matrix is the cov
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from svmdist.transforms import Array, make_transform
 from svmdist.vision.edges import straightened
 
 STEPS = 12
-GATE = 20.0
-"""Chi-square of two degrees of freedom that one in 20,000 true observations exceeds."""
+GATE = 12.0
+"""Squared deviation, in units of the variance, that one in 400 true observations of two numbers exceeds."""
 RIM_MODEL_STD_M = 0.0002
 """A bevel, and glare on it, hide where exactly the dark ends."""
 FREE_RAD, FREE_M = 3.0, 0.1
@@ -64,21 +64,42 @@ class ShaftFit:
 
 
 def fit_shaft(sight: ShaftSight, model: ShaftModel, camera: Camera) -> ShaftFit | str:
-    """The pose that fits all observations that agree; or why there is none, in words."""
+    """The pose that fits most of what was seen without contradiction; or why there is none, in words."""
+    reason = ""
+    for trusted in _readings(sight):
+        fit = _fit(trusted, model, camera)
+        if isinstance(fit, ShaftFit):
+            return fit
+        reason = reason or fit
+    return reason
+
+
+def _readings(sight: ShaftSight) -> Iterator[ShaftSight]:
+    """What may be taken for true, the whole first: a wrong landmark must not cost the frame."""
+    yield sight
+    if sight.rim is not None:
+        yield replace(sight, rim=None)
+    if sight.contours and sight.knuckle is not None:
+        whole = sight.knuckle.radius_px is not None
+        # The knuckle's size and a long shaft's width tell a mistake of the other; a stub is easily mistaken.
+        if whole and not sight.is_stub:
+            yield replace(sight, rim=None, knuckle=replace(sight.knuckle, radius_px=None))
+        if whole:
+            yield replace(sight, rim=None, contours=())
+        if sight.rim is not None and not sight.is_stub:
+            yield replace(sight, knuckle=None)
+
+
+def _fit(sight: ShaftSight, model: ShaftModel, camera: Camera) -> ShaftFit | str:
     start = _start(sight, model, camera)
     if isinstance(start, str):
         return start
-    dropped: set[str] = set()
-    while True:
-        T, bend, normal_matrix, blocks = _solve(start, sight, model, camera, dropped)
-        if not np.all(np.isfinite(normal_matrix)):
-            return "the fit does not converge"
-        worst = max(blocks, key=lambda block: float(block.whitened @ block.whitened))
-        if float(worst.whitened @ worst.whitened) <= GATE or worst.name == "belief":
-            break
-        dropped.add(worst.name)
-        if not _determined(sight, model, dropped):
-            return f"{worst.name} does not fit the rest"
+    T, bend, normal_matrix, blocks = _solve(start, sight, model, camera)
+    if not np.all(np.isfinite(normal_matrix)):
+        return "the fit does not converge"
+    worst = max(blocks, key=lambda block: float(block.whitened @ block.whitened))
+    if float(worst.whitened @ worst.whitened) > GATE:
+        return f"{worst.name} does not fit the rest"
     covariance = np.linalg.inv(normal_matrix)
     T_tool = _tool(T, bend, model)
     J = _numeric(lambda x: _difference(_tool(*_moved(T, bend, x), model), T_tool))
@@ -86,34 +107,33 @@ def fit_shaft(sight: ShaftSight, model: ShaftModel, camera: Camera) -> ShaftFit 
     return ShaftFit(pose, T, tuple(block.name for block in blocks))
 
 
-def _determined(sight: ShaftSight, model: ShaftModel, dropped: set[str]) -> bool:
-    along = {"knuckle": sight.knuckle, "rim": sight.rim}
-    return any(value is not None and name not in dropped for name, value in along.items())
-
-
 def _start(sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | str:
-    """A first `T_camera_shaft`, from the closed form, or from belief and the knuckle's size."""
-    if len(sight.contours) == 2:
-        axis = axis_of_cylinder(sight.contours[0].plane, sight.contours[1].plane, model.radius_m)
-        if axis is None:
-            return "the shaft's sides are too close together"
-        d = _turned_to_tip(axis, sight, model, camera)
-        if d is None:
-            return "nothing tells the shaft's tip from its base"
-        hinge_m = _along_axis(axis.point_m, d, sight, model, camera)
-        if hinge_m is None:
-            return "the shaft's end is not to be seen"
-        return make_transform(_frame_about(d, model.R_camera_shaft), hinge_m)
+    """A first `T_camera_shaft`: from the closed form, or from belief and the knuckle's size."""
+    return (_start_from_sides if len(sight.contours) == 2 else _start_from_belief)(sight, model, camera)
+
+
+def _start_from_sides(sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | str:
+    axis = axis_of_cylinder(sight.contours[0].plane, sight.contours[1].plane, model.radius_m)
+    if axis is None:
+        return "the shaft's sides are too close together"
+    d = _turned_to_tip(axis, sight, model, camera)
+    if d is None:
+        return "nothing tells the shaft's tip from its base"
+    hinge_m = _along_axis(axis.point_m, d, sight, model, camera)
+    if hinge_m is None:
+        return "the shaft's end is not to be seen"
+    return make_transform(_frame_about(d, model.R_camera_shaft), hinge_m)
+
+
+def _start_from_belief(sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | str:
+    knuckle = sight.knuckle
     if model.R_camera_shaft is None:
         return "a side of the shaft is not to be seen"
-    knuckle = sight.knuckle
     if knuckle is None or knuckle.radius_px is None:
         return "neither both sides of the shaft nor a whole knuckle"
     ray = _ray(knuckle.centre_px, camera)
-    depth_m = apparent_radius_px(ray, model.knuckle_radius_m, camera) / knuckle.radius_px
-    return make_transform(
-        model.R_camera_shaft, depth_m * ray - model.R_camera_shaft @ model.T_shaft_tool[:3, 3]
-    )
+    tool_m = apparent_radius_px(ray, model.knuckle_radius_m, camera) / knuckle.radius_px * ray
+    return make_transform(model.R_camera_shaft, tool_m - model.R_camera_shaft @ model.T_shaft_tool[:3, 3])
 
 
 def _turned_to_tip(axis: CylinderAxis, sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | None:
@@ -152,7 +172,7 @@ def _frame_about(d: Array, R_believed: Array | None) -> Array:
 
 
 def _solve(
-    T: Array, sight: ShaftSight, model: ShaftModel, camera: Camera, dropped: set[str]
+    T: Array, sight: ShaftSight, model: ShaftModel, camera: Camera
 ) -> tuple[Array, Array, Array, list[_Block]]:
     bend = np.zeros(2)
     T_start = T
@@ -160,7 +180,7 @@ def _solve(
         here = (T, bend)
 
         def residual(x: Array, here: tuple[Array, Array] = here) -> Array:
-            blocks = _residuals(*_moved(*here, x), sight, model, camera, T_start, dropped)
+            blocks = _residuals(*_moved(*here, x), sight, model, camera, T_start)
             return np.concatenate([block.whitened for block in blocks])
 
         J, r = _numeric(residual), residual(np.zeros(8))
@@ -172,7 +192,7 @@ def _solve(
         T, bend = _moved(T, bend, step)
         if float(np.abs(step).max()) < 1e-7:
             break
-    return T, bend, normal_matrix, _residuals(T, bend, sight, model, camera, T_start, dropped)
+    return T, bend, normal_matrix, _residuals(T, bend, sight, model, camera, T_start)
 
 
 def _residuals(
@@ -182,7 +202,6 @@ def _residuals(
     model: ShaftModel,
     camera: Camera,
     T_start: Array,
-    dropped: set[str],
 ) -> list[_Block]:
     hinge_m, d = T[:3, 3], T[:3, 2]
     blocks = []
@@ -210,8 +229,7 @@ def _residuals(
     turn = rotation_vector(T[:3, :3] @ R_prior.T)
     away = (hinge_m - T_start[:3, 3]) / FREE_M
     belief = np.concatenate([turn / std_rad, bend / model.bend_std_rad, away])
-    kept = [block for block in blocks if block.name not in dropped]
-    return [*kept, _Block("belief", belief)]
+    return [*blocks, _Block("belief", belief)]
 
 
 def _tool(T: Array, bend: Array, model: ShaftModel) -> Array:
@@ -251,7 +269,7 @@ def rotation_vector(R: Array) -> Array:
 
 def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> float:
     """Radius of the disc as large as a small sphere's image: f r / z, and 1 / cos θ longer away from the axis."""
-    stretch = np.sqrt(float(np.linalg.norm(centre_m)) / float(centre_m[2]))
+    stretch = np.sqrt(float(np.linalg.norm(centre_m)) / abs(float(centre_m[2])))
     return float(camera.K[0, 0] * radius_m / centre_m[2] * stretch)
 
 

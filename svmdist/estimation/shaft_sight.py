@@ -73,6 +73,7 @@ class ShaftSight:
     """Contours (none, one or two), the rim and the knuckle, each as far as it is to be seen.
 
     `towards_tip` (2,) is the direction of the shaft's middle line in the image, None where nothing tells.
+    `is_stub` says that less of the shaft is to be seen than it is wide.
     """
 
     contours: tuple[Contour, ...]
@@ -80,6 +81,7 @@ class ShaftSight:
     knuckle: Knuckle | None
     towards_tip: Array | None
     middle_px: Array | None
+    is_stub: bool
 
 
 def see_shaft(
@@ -87,18 +89,18 @@ def see_shaft(
 ) -> ShaftSight:
     """Measure contours and rim of a shaft that was found."""
     if region is None:
-        return ShaftSight((), None, knuckle, None, None)
+        return ShaftSight((), None, knuckle, None, None, True)
     brightness = np.asarray(image_bgr.max(axis=2), np.uint8)
     towards_tip = region.first.direction + region.second.direction
     towards_tip /= np.linalg.norm(towards_tip)
-    contours = []
+    contours: list[Contour] = []
     for side in (region.first, region.second):
         contour = _contour(brightness, side, region, towards_tip, camera)
         if contour is not None and all(contour.side != other.side for other in contours):
             contours.append(contour)
-    rim = _rim(brightness, region, towards_tip) if region.end_px is not None else None
+    rim = _rim(brightness, region, towards_tip) if region.end_is_free else None
     known = towards_tip if region.end_px is not None else None
-    return ShaftSight(tuple(contours), rim, knuckle, known, region.middle_px)
+    return ShaftSight(tuple(contours), rim, knuckle, known, region.middle_px, region.is_stub)
 
 
 def see_knuckle(image_hsv: Image, rule: ColourRegion) -> Knuckle | None:
@@ -133,7 +135,9 @@ def _contour(
     if len(points_px) == 0:
         return None
     unit = 1.0 / float(camera.K[0, 0])
-    line = fit_line(straightened(camera, points_px), unit, min_count=5, systematic_px=SYSTEMATIC_PX)
+    line = fit_line(
+        straightened(camera, points_px), unit, min_count=5, inlier_px=0.5, systematic_px=SYSTEMATIC_PX
+    )
     if line is None:
         return None
     plane = tangent_plane(line, straightened(camera, region.middle_px[None])[0])
@@ -142,7 +146,8 @@ def _contour(
 
 
 def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array) -> Rim | None:
-    assert region.end_px is not None
+    if region.end_px is None:
+        return None
     half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
     across = np.array([-towards_tip[1], towards_tip[0]]) * RIM_STRIP * half_width_px
     points_px = edge_points(

@@ -52,7 +52,8 @@ class ShaftRegion:
     """The dark shaft of an image: its mask, shape (h, w), its sides, and its end.
 
     `first` and `second` are its contour lines; `end_px` (2,) is the middle of the distal end, None where the shaft
-    runs through the whole picture, when the sides' directions do not tell base from tip. `field_of_view`
+    runs through the whole picture, when the sides' directions do not tell base from tip. `end_is_free` is False
+    where something is mounted there, so that it is not the shaft's rim. `field_of_view`
     (h, w) is the mask of what the endoscope shows.
     """
 
@@ -60,7 +61,17 @@ class ShaftRegion:
     first: Side
     second: Side
     end_px: Array | None
+    end_is_free: bool
     field_of_view: Image
+
+    @property
+    def is_stub(self) -> bool:
+        """Whether less of the shaft's length is to be seen than it is wide, by a quarter more."""
+        lengths_px = [
+            float(np.linalg.norm(side.end_px - side.start_px)) for side in (self.first, self.second)
+        ]
+        width_px = float(np.linalg.norm(self.first.start_px - self.second.start_px))
+        return min(lengths_px) < 2.0 * width_px
 
     @property
     def middle_px(self) -> Array:
@@ -81,11 +92,16 @@ def field_of_view(dark: Image) -> Image:
     return view
 
 
-def find_shaft(image_hsv: Image, rule: ColourRegion) -> ShaftRegion | None:
-    """Find the shaft by its colour in an HSV image, shape (h, w, 3); None where none comes in from the border."""
-    height, width = image_hsv.shape[:2]
+def find_shaft(image_hsv: Image, rule: ColourRegion, covered: Image | None = None) -> ShaftRegion | None:
+    """Find the shaft by its colour in an HSV image, shape (h, w, 3); None where none comes in from the border.
+
+    `covered`, shape (h, w), marks what is mounted on the shaft and must not be taken for it.
+    """
+    width = image_hsv.shape[1]
     dark = np.asarray(cv2.medianBlur(colour_mask(image_hsv, rule), 3), np.uint8)
     view = field_of_view(dark)
+    if covered is not None:
+        dark = np.asarray(cv2.subtract(dark, covered), np.uint8)
     rim_px = max(2, round(RIM_FRACTION * width))
     core = cv2.erode(view, _disc(rim_px), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     mask = np.asarray(cv2.bitwise_and(dark, core), np.uint8)
@@ -94,6 +110,8 @@ def find_shaft(image_hsv: Image, rule: ColourRegion) -> ShaftRegion | None:
     )
     closing = _disc(round(GAP_FRACTION * width / 2))
     mask = np.asarray(cv2.bitwise_and(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, closing), core), np.uint8)
+    if covered is not None:
+        mask = np.asarray(cv2.subtract(mask, covered), np.uint8)
     at_border = cv2.subtract(core, cv2.erode(core, _disc(2), borderType=cv2.BORDER_CONSTANT, borderValue=0))
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     for contour in sorted(contours, key=cv2.contourArea, reverse=True):
@@ -103,7 +121,7 @@ def find_shaft(image_hsv: Image, rule: ColourRegion) -> ShaftRegion | None:
         cv2.drawContours(shape, [contour], -1, 255, cv2.FILLED)
         sides = _sides_of(np.asarray(contour.reshape(-1, 2), np.int32), np.asarray(at_border, np.uint8))
         if sides is not None:
-            return ShaftRegion(shape, sides[0], sides[1], sides[2], view)
+            return ShaftRegion(shape, *sides, _is_free(sides, covered), view)
     return None
 
 
@@ -124,6 +142,16 @@ def _sides_of(contour: NDArray[np.int32], at_border: Image) -> tuple[Side, Side,
     if not _are_sides(first, second):
         return None
     return first, second, 0.5 * (first.end_px + second.end_px)
+
+
+def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> bool:
+    """Whether nothing mounted is within a half width of the distal end."""
+    first, second, end_px = sides
+    if end_px is None or covered is None:
+        return True
+    radius_px = 0.7 * float(np.linalg.norm(first.end_px - second.end_px))
+    y, x = np.nonzero(covered)
+    return bool(np.all(np.hypot(x - end_px[0], y - end_px[1]) > radius_px))
 
 
 def _arcs_inside(contour: NDArray[np.int32], at_border: Image) -> list[Array]:

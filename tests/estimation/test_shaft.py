@@ -1,0 +1,108 @@
+"""The method shaft on pictures that the simulator never drew: any side, size, frame and background."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from svmdist.camera import Camera
+from svmdist.estimation.shaft import ShaftEstimator, shaft_frames
+from svmdist.estimation.shaft_fit import ShaftFit, rotation_vector
+from svmdist.kinematics.chain import chain_of
+from svmdist.kinematics.dh import forward_kinematics
+from svmdist.profile import load_profile
+from svmdist.samples import Observation
+from svmdist.transforms import rotation_x, rotation_z
+from tests.shaft_images import RED_BGR, WRIST_M, ShaftImage, entering_from
+
+PROFILE = load_profile().model_copy(update={"fiducial": None})
+SMALL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
+LARGE = Camera.from_horizontal_fov(1920, 1080, np.pi / 2.6)
+SIDES = {"right": 0.1, "bottom": np.pi / 2 - 0.2, "left": np.pi + 0.15, "top": -np.pi / 2 + 0.1}
+
+
+def picture(camera: Camera, side: str, **kwargs: object) -> ShaftImage:
+    return ShaftImage(camera, *entering_from(SIDES[side], camera), **kwargs)  # type: ignore[arg-type]
+
+
+def measured(drawn: ShaftImage, parts: int = 3) -> ShaftFit:
+    """Without joints and without a camera-to-base transform."""
+    fit = ShaftEstimator(PROFILE).find_tool(Observation(0, drawn.draw(parts), drawn.camera))
+    assert isinstance(fit, ShaftFit), fit
+    return fit
+
+
+def check(drawn: ShaftImage, fit: ShaftFit, axis_rad: float, across_m: float, depth_m: float) -> None:
+    """Direction, the tool across its ray and along it; and that the stated deviations cover the errors."""
+    assert np.arccos(np.clip(fit.T_camera_shaft[:3, 2] @ drawn.direction, -1, 1)) < axis_rad
+    error_m = fit.pose.position_m - drawn.tool_m
+    ray = drawn.tool_m / np.linalg.norm(drawn.tool_m)
+    assert abs(error_m @ ray) < depth_m
+    assert np.linalg.norm(error_m - (error_m @ ray) * ray) < across_m
+    assert error_m @ np.linalg.solve(fit.pose.position_covariance, error_m) < 16.3  # 99.9 % of χ² with 3 dof
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("background", [(170.0, 185.0, 205.0), RED_BGR], ids=["pale", "red"])
+def test_from_any_side_over_pale_and_red(side: str, background: tuple[float, float, float]):
+    drawn = picture(SMALL, side, background_bgr=background)
+    check(drawn, measured(drawn), axis_rad=0.02, across_m=2e-4, depth_m=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("border", "side"),
+    [("none", "left"), *((border, side) for border in ("pillars", "disc") for side in SIDES)],
+)
+def test_full_hd_with_black_borders(side: str, border: str):
+    drawn = picture(LARGE, side, border=border, background_bgr=RED_BGR)
+    check(drawn, measured(drawn, parts=2), axis_rad=0.02, across_m=2e-4, depth_m=1e-3)
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [{"stripe": True}, {"blur_px": 2.5}, {"noise": 10.0}, {"stripe": True, "blur_px": 1.5, "noise": 6.0}],
+    ids=["stripe", "blur", "noise", "all"],
+)
+def test_glare_blur_and_noise(faults: dict[str, float]):
+    drawn = replace(picture(SMALL, "left"), **faults)  # type: ignore[arg-type]
+    check(drawn, measured(drawn), axis_rad=0.03, across_m=3e-4, depth_m=1.5e-3)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_steel_tip_without_a_coloured_part(side: str):
+    """The rim alone gives the place along the shaft; the wrist's bend is then unknown, and the answer says so."""
+    drawn = picture(SMALL, side, knuckle=False)
+    fit = measured(drawn)
+    check(drawn, fit, axis_rad=0.02, across_m=1e-3, depth_m=1.5e-3)
+    assert "rim" in fit.used
+    assert np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]) > 0.3 * WRIST_M
+
+
+def test_an_image_without_an_instrument_says_so():
+    empty = np.full((480, 640, 3), 150, np.uint8)
+    assert isinstance(ShaftEstimator(PROFILE).find_tool(Observation(0, empty, SMALL)), str)
+    black = np.zeros((480, 640, 3), np.uint8)
+    assert isinstance(ShaftEstimator(PROFILE).find_tool(Observation(0, black, SMALL)), str)
+
+
+@pytest.mark.parametrize("name", ["psm13", "dvrk-psm"])
+def test_shaft_frame_closes_the_chain_and_lies_along_the_insertion(name: str):
+    robot = load_profile(name).robot
+    assert robot is not None
+    chain = chain_of(robot)
+    rng = np.random.default_rng(5)
+    q = rng.uniform(0.1, 0.5, len(chain.joint_names))
+    T_base_shaft, T_shaft_tool = shaft_frames(chain, q)
+    np.testing.assert_allclose(T_base_shaft @ T_shaft_tool, forward_kinematics(chain, q), atol=1e-12)
+    deeper = q.copy()
+    deeper[chain.joint_names.index("insertion")] += 0.01
+    moved_m = shaft_frames(chain, deeper)[0][:3, 3] - T_base_shaft[:3, 3]
+    np.testing.assert_allclose(moved_m, 0.01 * T_base_shaft[:3, 2], atol=1e-12)
+
+
+def test_rotation_vector_inverts_small_and_large_turns():
+    for angle in (1e-9, 1e-6, 0.3, 2.0, 3.0):
+        np.testing.assert_allclose(rotation_vector(rotation_z(angle)), [0, 0, angle], atol=1e-12)
+        np.testing.assert_allclose(rotation_vector(rotation_x(-angle)), [-angle, 0, 0], atol=1e-12)

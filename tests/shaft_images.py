@@ -1,0 +1,119 @@
+"""Images of a dark shaft with a steel tip and a coloured knuckle, ray by ray from exact geometry.
+
+Nothing of the simulation is in them: a cylinder, a thinner one and a sphere are intersected with the rays of
+the pixels' parts, over a flat background, in the frame of whatever endoscope.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.samples import Image
+from svmdist.transforms import Array
+
+RADIUS_M, KNUCKLE_RADIUS_M, END_M, WRIST_M = 0.004, 0.00175, 0.00627, 0.0091
+PALE_BGR, RED_BGR = (170.0, 185.0, 205.0), (70.0, 60.0, 190.0)
+KNUCKLE_BGR = (178.0, 158.0, 0.0)
+
+
+@dataclass(frozen=True)
+class ShaftImage:
+    """One picture to draw: the hinge (3,) and the shaft's direction to the tip (3,), the scene and its faults."""
+
+    camera: Camera
+    hinge_m: Array
+    direction: Array
+    background_bgr: tuple[float, float, float] = PALE_BGR
+    stripe: bool = False
+    knuckle: bool = True
+    blur_px: float = 0.8
+    noise: float = 2.0
+    border: str = "none"
+
+    @property
+    def tool_m(self) -> Array:
+        """The tool's origin with a straight wrist, shape (3,)."""
+        return self.hinge_m + WRIST_M * self.direction
+
+    def draw(self, parts: int = 3, seed: int = 0) -> Image:
+        """The picture, BGR, each pixel the mean of `parts` squared rays."""
+        width, height = self.camera.width_px, self.camera.height_px
+        offsets = (np.arange(parts) + 0.5) / parts - 0.5
+        x = (np.arange(width)[:, None] + offsets).ravel()
+        y = (np.arange(height)[:, None] + offsets).ravel()
+        grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+        rays = np.column_stack([grid, np.ones(len(grid))]) @ np.linalg.inv(self.camera.K).T
+        colour = np.tile(np.array(self.background_bgr), (len(rays), 1))
+        depth = np.full(len(rays), np.inf)
+        self._cylinder(rays, colour, depth, RADIUS_M, (-0.3, -END_M), (32.0, 30.0, 30.0), self.stripe)
+        self._cylinder(rays, colour, depth, 0.0027, (-END_M, 0.0), (150.0, 150.0, 148.0), False)
+        if self.knuckle:
+            self._sphere(rays, colour, depth)
+        image = colour.reshape(height, parts, width, parts, 3).mean((1, 3))
+        image = cv2.GaussianBlur(image, (0, 0), self.blur_px)
+        image *= self._border()[..., None]
+        image += np.random.default_rng(seed).normal(0.0, self.noise, image.shape)
+        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+    def _cylinder(
+        self,
+        rays: Array,
+        colour: Array,
+        depth: Array,
+        radius_m: float,
+        span_m: tuple[float, float],
+        bgr: tuple[float, float, float],
+        stripe: bool,
+    ) -> None:
+        d, h = self.direction, self.hinge_m
+        ray, to = rays - (rays @ d)[:, None] * d, h - (h @ d) * d
+        a, b, c = (ray**2).sum(1), ray @ to, to @ to - radius_m**2
+        under = b * b - a * c
+        z = np.where(under > 0, (b - np.sqrt(np.maximum(under, 0))) / a, np.inf)
+        along = np.where(np.isfinite(z), np.where(np.isfinite(z), z, 0) * (rays @ d) - h @ d, np.nan)
+        hit = (under > 0) & (along >= span_m[0]) & (along <= span_m[1]) & (z > 0.005) & (z < depth)
+        normal = (z[hit, None] * ray[hit] - to) / radius_m
+        side = np.cross(d, to / np.linalg.norm(to))
+        light = np.abs(normal @ side - 0.25)
+        shade = np.array(bgr) * (0.75 + 0.35 * np.abs(normal @ (to / np.linalg.norm(to))))[:, None]
+        if stripe:
+            shade = np.where(light[:, None] < 0.06, np.array([225.0, 230.0, 235.0]), shade)
+        colour[hit] = shade
+        depth[hit] = z[hit]
+
+    def _sphere(self, rays: Array, colour: Array, depth: Array) -> None:
+        a, b = (rays**2).sum(1), rays @ self.tool_m
+        under = b * b - a * (self.tool_m @ self.tool_m - KNUCKLE_RADIUS_M**2)
+        z = (b - np.sqrt(np.maximum(under, 0))) / a
+        hit = (under > 0) & (z < depth)
+        colour[hit] = KNUCKLE_BGR
+
+    def _border(self) -> Array:
+        """1 where the endoscope shows something, 0 in its black frame."""
+        width, height = self.camera.width_px, self.camera.height_px
+        mask = np.zeros((height, width), np.uint8)
+        if self.border == "pillars":
+            side = (width - round(1.25 * height)) // 2
+            mask[:, side : width - side] = 255
+        elif self.border == "disc":
+            cv2.circle(mask, (width // 2, height // 2), round(0.52 * height), 255, -1, cv2.LINE_AA)
+        else:
+            mask[:] = 255
+        return np.asarray(cv2.GaussianBlur(mask, (0, 0), 1.5) / 255.0)
+
+
+def entering_from(
+    angle_rad: float, camera: Camera, depth_m: float = 0.09, tilt_rad: float = 0.5
+) -> tuple[Array, Array]:
+    """Hinge and direction of a shaft that comes in from a side of the image, seen from its middle at `angle_rad`.
+
+    Angles run clockwise from the right; the tip points away from the camera by `tilt_rad`.
+    """
+    outward = np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
+    direction = -np.cos(tilt_rad) * outward + np.array([0.0, 0.0, np.sin(tilt_rad)])
+    reach_m = 0.12 * min(camera.width_px, camera.height_px) / camera.K[0, 0] * depth_m
+    return np.array([0.0, 0.0, depth_m]) + reach_m * outward, direction
