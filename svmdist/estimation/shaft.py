@@ -9,7 +9,6 @@ import numpy as np
 
 from svmdist.errors import KinematicsError, ProfileError
 from svmdist.estimation.distances import measure
-from svmdist.estimation.equations import PlaneMapping
 from svmdist.estimation.instrument_model import NECK_PER_RADIUS, InstrumentModel
 from svmdist.estimation.shaft_fit import ShaftFit, ShaftModel, fit_shaft
 from svmdist.estimation.shaft_sight import see_knuckle, see_shaft
@@ -37,8 +36,7 @@ class ShaftEstimator:
 
     name = "shaft"
 
-    def __init__(self, profile: Profile, mapping: PlaneMapping | None = None) -> None:
-        del mapping  # the paper's plane; a pose needs none
+    def __init__(self, profile: Profile) -> None:
         rule = profile.segmentation.shaft
         if rule is None or profile.robot is None or profile.instrument is None:
             raise ProfileError(
