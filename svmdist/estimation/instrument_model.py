@@ -1,7 +1,7 @@
 """The instrument as capsules: shaft, wrist, knuckle and jaws from the profile, posed by the tool and the wrist.
 
-The last four rows of a chain are roll, wrist pitch, wrist yaw and jaw, as in the tools of a da Vinci. The
-parts are placed by the joints' axes, which every DH convention has, and not by its link frames.
+The parts are placed by the joints' axes, which every DH convention has, and not by its link frames. With all
+joints of the wrist at zero the jaws continue the shaft.
 """
 
 from __future__ import annotations
@@ -16,15 +16,34 @@ from svmdist.geometry.surfaces import Capsules
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, frame_transforms, select_joints
 from svmdist.kinematics.jacobian import joint_axis
+from svmdist.kinematics.wrist import WristRows, wrist_rows
 from svmdist.profile import Instrument, Profile
 from svmdist.samples import JointSample
 from svmdist.transforms import Array, inverse, transform_points
 
-WRIST_ROWS = 4
 WRIST_LENGTH_PER_RADIUS = 3.4
 """Distance from the wrist's hinge to the tool over the wrist's radius, where no chain tells: 9.1 / 2.7."""
 NECK_PER_RADIUS = 2.2
 """The shaft begins this many radii of the wrist behind the hinge."""
+BLADE_RODS = (
+    (0.0, 0.62, 0.43, 0.50),
+    (0.0, 0.62, -0.43, 0.50),
+    (0.62, 0.85, 0.30, 0.38),
+    (0.62, 0.85, -0.30, 0.38),
+    (0.0, 1.0, 0.0, 0.25),
+)
+"""A tapering blade, wider than thick: where a rod begins and ends over the jaw's length, how far beside the middle
+it lies and how thick it is, both over the jaw's radius. The last one ends with its cap."""
+BLADE_OFFSET = 0.55
+"""A blade's middle plane stands this many radii of the jaw outside the plane where the jaws meet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Jaw:
+    """A jaw's unit vectors, shape (3,) each: along it to its tip, and away from the other jaw."""
+
+    along: Array
+    outward: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +57,7 @@ class Wrist:
     tool_m: Array
     shaft: Array
     pivot: Array
-    fixed_jaw: Array
-    moving_jaw: Array
+    jaws: tuple[Jaw, ...]
 
 
 class InstrumentModel:
@@ -47,7 +65,7 @@ class InstrumentModel:
 
     def __init__(self, instrument: Instrument, chain: DHChain | None) -> None:
         self._instrument = instrument
-        self._chain = chain if chain is not None and len(chain.rows) > WRIST_ROWS else None
+        self._chain = chain if chain is not None and wrist_rows(chain) is not None else None
 
     @classmethod
     def of(cls, profile: Profile) -> InstrumentModel | None:
@@ -76,7 +94,7 @@ class InstrumentModel:
         tool_m, axis, length_m = pose.position_m, pose.axis, self._wrist_length_m()
         side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         pivot = side / np.linalg.norm(side)
-        return Wrist(tool_m - length_m * axis, tool_m, axis, pivot, axis, axis)
+        return Wrist(tool_m - length_m * axis, tool_m, axis, pivot, _jaws(axis, pivot, 0.0))
 
     def _wrist_length_m(self) -> float:
         if self._chain is None:
@@ -86,33 +104,59 @@ class InstrumentModel:
 
 
 def wrist_in_tool(chain: DHChain, q: Array) -> Wrist:
-    """The wrist in the tool frame at joints `q`, shape (n_joints,)."""
+    """The wrist in the tool frame at joints `q`, shape (n_joints,); raises KinematicsError for a chain without one.
+
+    The tool turns with the moving jaw. A chain without a jaw's joint has its jaws closed.
+    """
+    rows = wrist_rows(chain)
+    if rows is None:
+        raise KinematicsError(
+            "the chain has no wrist: nothing slides, or less than three joints turn behind it"
+        )
     frames = frame_transforms(chain, q)
     T_base_tool = frames[-1] @ chain.T_last_tool
-    roll, pitch, yaw, jaw = range(len(chain.rows) - WRIST_ROWS, len(chain.rows))
-    shaft, _ = joint_axis(chain, frames, roll)
-    _, hinge_m = joint_axis(chain, frames, pitch)
-    pivot, _ = joint_axis(chain, frames, yaw)
-    jaw_axis, _ = joint_axis(chain, frames, jaw)
-    tool_m = T_base_tool[:3, 3]
-    moving = T_base_tool[:3, 0]
-    opening = q[-1] if chain.rows[jaw].joint == "revolute" else 0.0
-    fixed = _turned(moving, jaw_axis, -float(opening))
-    return moved(Wrist(hinge_m, tool_m, shaft, pivot, fixed, moving), inverse(T_base_tool))
+    shaft, _ = joint_axis(chain, frames, rows.roll)
+    _, hinge_m = joint_axis(chain, frames, rows.pitch)
+    pivot, _ = joint_axis(chain, frames, rows.yaw)
+    jaw_axis, opening_rad = pivot, 0.0
+    if rows.jaw is not None:
+        jaw_axis, _ = joint_axis(chain, frames, rows.jaw)
+        opening_rad = float(q[_joint_index(chain, rows.jaw)])
+    along = T_base_tool[:3, :3] @ _straight_in_tool(chain, rows)
+    wrist = Wrist(hinge_m, T_base_tool[:3, 3], shaft, pivot, _jaws(along, jaw_axis, opening_rad))
+    return moved(wrist, inverse(T_base_tool))
+
+
+def _straight_in_tool(chain: DHChain, rows: WristRows) -> Array:
+    """The jaws' direction in the tool frame, shape (3,): the shaft's, with the wrist's joints at zero."""
+    frames = frame_transforms(chain, np.zeros(len(chain.joint_names)))
+    shaft, _ = joint_axis(chain, frames, rows.roll)
+    return np.asarray((frames[-1] @ chain.T_last_tool)[:3, :3].T @ shaft)
+
+
+def _joint_index(chain: DHChain, row: int) -> int:
+    return sum(other.joint != "fixed" for other in chain.rows[:row])
+
+
+def _jaws(along: Array, axis: Array, opening_rad: float) -> tuple[Jaw, ...]:
+    """Moving and fixed jaw: turning by the opening about the unit `axis` takes the fixed one to the moving one."""
+    fixed = _turned(along, axis, -opening_rad)
+    return Jaw(along, np.cross(axis, along)), Jaw(fixed, -np.cross(axis, fixed))
 
 
 def moved(wrist: Wrist, T_other_this: Array) -> Wrist:
     """The same wrist in another frame, by a transform of shape (4, 4)."""
     hinge_m, tool_m = transform_points(T_other_this, [wrist.hinge_m, wrist.tool_m])
     R = T_other_this[:3, :3]
-    return Wrist(hinge_m, tool_m, R @ wrist.shaft, R @ wrist.pivot, R @ wrist.fixed_jaw, R @ wrist.moving_jaw)
+    jaws = tuple(Jaw(R @ jaw.along, R @ jaw.outward) for jaw in wrist.jaws)
+    return Wrist(hinge_m, tool_m, R @ wrist.shaft, R @ wrist.pivot, jaws)
 
 
 def build_capsules(instrument: Instrument, wrist: Wrist) -> Capsules:
     """Shaft, collar, fork, knuckle and both jaws about a wrist, in its frame.
 
-    A blade wider than thick is three rods side by side; the shaft's flat end is a cap that stands half a
-    radius before it, which is right within 0.06 radii at the rim.
+    Parts wider than thick are rods side by side; the shaft's flat end is a cap that stands half a radius before
+    it, which is right within 0.06 radii at the rim.
     """
     shaft_m, wrist_m, knuckle_m = (
         instrument.shaft_radius_m,
@@ -125,32 +169,30 @@ def build_capsules(instrument: Instrument, wrist: Wrist) -> Capsules:
     rods: list[tuple[Array, Array, float]] = [
         (hinge + (neck_m + 0.5 * shaft_m) * back, hinge + far_m * back, shaft_m),
         (hinge, hinge + neck_m * back, wrist_m),
-        (hinge, hinge + 0.35 * (tool - hinge), 0.5 * wrist_m),
         (tool, tool, knuckle_m),
     ]
     tine_m = knuckle_m + 0.0005
     for side in (-1.0, 1.0):
         offset = side * tine_m * wrist.pivot
         rods.append((hinge + 0.3 * (tool - hinge) + offset, tool + offset, 0.0005))
-    for jaw, other in ((wrist.fixed_jaw, wrist.moving_jaw), (wrist.moving_jaw, wrist.fixed_jaw)):
-        rods += _blade(instrument, tool, jaw, other, wrist.pivot)
+        bridge = side * max(tine_m - 0.42 * wrist_m, 0.0) * wrist.pivot
+        rods.append((hinge + bridge, hinge + 0.3 * (tool - hinge) + bridge, 0.5 * wrist_m))
+    for jaw in wrist.jaws:
+        rods += _blade(instrument, tool, jaw)
     starts, ends, radii = zip(*rods, strict=True)
     return Capsules(np.array(starts), np.array(ends), np.array(radii))
 
 
-def _blade(
-    instrument: Instrument, tool: Array, jaw: Array, other: Array, pivot: Array
-) -> list[tuple[Array, Array, float]]:
-    """A jaw as three rods: a long one in the middle, two shorter ones that give it its width."""
-    length_m, radius_m = instrument.jaw_length_m, 0.5 * instrument.jaw_radius_m
-    width = np.cross(other, jaw)
-    width = pivot if np.linalg.norm(width) < 1e-6 else width / np.linalg.norm(width)
-    outward = np.cross(jaw, width)  # away from the other jaw: closed blades lie side by side
-    base = tool + 1.1 * radius_m * outward
-    rods = [(base, base + (length_m - 0.6 * radius_m) * jaw, 0.6 * radius_m)]
-    for side in (-1.0, 1.0):
-        offset = side * 0.9 * radius_m * width
-        rods.append((base + offset, base + offset + 0.72 * length_m * jaw, radius_m))
+def _blade(instrument: Instrument, tool: Array, jaw: Jaw) -> list[tuple[Array, Array, float]]:
+    length_m, half_width_m = instrument.jaw_length_m, instrument.jaw_radius_m
+    base = tool + BLADE_OFFSET * half_width_m * jaw.outward
+    beside = np.cross(jaw.along, jaw.outward)
+    rods = []
+    for start, end, offset, radius in BLADE_RODS:
+        radius_m = radius * half_width_m
+        end_m = end * length_m - (radius_m if end == 1.0 else 0.0)
+        axis = base + offset * half_width_m * beside
+        rods.append((axis + start * length_m * jaw.along, axis + max(end_m, 0.0) * jaw.along, radius_m))
     return rods
 
 
