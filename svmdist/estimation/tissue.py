@@ -12,14 +12,13 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
-from svmdist.estimation.locate import locate_tissue
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Mesh, Plane, Surface
 from svmdist.profile import Dome, Profile, Tissue
 from svmdist.samples import Estimate, Image, Status
 from svmdist.transforms import Array
 from svmdist.vision.completion import CompletedOutline, complete_outline
-from svmdist.vision.regions import Region
+from svmdist.vision.regions import Region, find_region
 from svmdist.vision.segmentation import colour_mask, to_hsv
 
 RINGS = 14
@@ -58,11 +57,12 @@ def see_tissue(image_bgr: Image, profile: Profile, camera: Camera) -> TissueSigh
     Raises ProfileError where the profile knows no plane.
     """
     tissue = require_tissue(profile)
-    image_hsv = to_hsv(image_bgr)
-    region = locate_tissue(image_hsv, profile.segmentation)
+    mask = colour_mask(to_hsv(image_bgr), profile.segmentation.tissue)
+    # The region's own centroid would complete the outline a first time.
+    region = find_region(mask, profile.segmentation.tissue.model_copy(update={"occlusion": "hull"}))
     if region is None:
         return None
-    outline = complete_outline(colour_mask(image_hsv, profile.segmentation.tissue), region.hull)
+    outline = complete_outline(mask, region.hull)
     return TissueSight(region, outline, fix_tissue(outline, camera, tissue))
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.vision.completion import completed_centroid, polygon_centroid
+from svmdist.vision.completion import complete_outline, completed_centroid, polygon_centroid
 
 CENTRE = np.array([310.0, 236.0])
 
@@ -90,3 +90,40 @@ def test_too_little_outline_falls_back_to_the_hull() -> None:
     cv2.fillPoly(mask, [triangle], 255)
     hull = _hull(mask)
     np.testing.assert_array_equal(completed_centroid(mask, hull), polygon_centroid(hull))
+
+
+def _covered_egg(rng: np.random.Generator, depth: float) -> tuple[np.ndarray, np.ndarray]:
+    """The mask of an irregular egg of which a straight edge covers `depth` of its radius, and its true centroid."""
+    theta = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
+    size_px = rng.uniform(60, 130)
+    radius = size_px * np.ones_like(theta)
+    for order, amplitude in ((2, 0.12), (3, 0.03), (4, 0.01)):
+        radius += size_px * amplitude * np.cos(order * theta + rng.uniform(0, 2 * np.pi))
+    points = CENTRE + rng.uniform(-2, 2, 2) + radius[:, None] * np.stack([np.cos(theta), np.sin(theta)], -1)
+    mask = np.zeros((480, 640), np.uint8)
+    cv2.fillPoly(mask, [np.round(points * 16).astype(np.int32)], 255, shift=4)
+    angle = rng.uniform(0, 2 * np.pi)
+    out = np.array([np.cos(angle), np.sin(angle)])
+    y, x = np.mgrid[:480, :640]
+    edge = (points @ out).max() - depth * size_px
+    mask[x * out[0] + y * out[1] > edge] = 0
+    return mask, polygon_centroid(points.astype(np.float32))
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.15, 0.35, 0.6])
+def test_the_covariance_holds_the_centroid(depth: float) -> None:
+    """Over eggs of any size, cut anywhere, the error is as large as stated: no larger, and no third of it."""
+    rng = np.random.default_rng(11)
+    nees, spread_px = [], []
+    for _ in range(24):
+        mask, truth_px = _covered_egg(rng, depth)
+        found = complete_outline(mask, _hull(mask))
+        error_px = found.centroid_px - truth_px
+        nees.append(error_px @ np.linalg.solve(found.covariance_px2, error_px) / 2.0)
+        spread_px.append(np.sqrt(np.linalg.eigvalsh(found.covariance_px2)[-1]))
+        assert found.fitted
+    # A border cut exactly has no share of the deviation that a threshold leaves: the mean may be well below one.
+    assert 0.05 < np.mean(nees) < 1.5
+    assert np.mean(np.array(nees) < 3.0) >= 0.9  # 95 % of chi-squared with two degrees of freedom
+    if depth >= 0.35:
+        assert np.median(spread_px) > 0.5
