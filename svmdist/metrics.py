@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from svmdist.transforms import Array
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,74 +147,3 @@ def _interval(values: Array, level: float) -> Interval:
 def _varies(values: Array) -> bool:
     """Whether values differ by more than rounding."""
     return bool(np.ptp(values) > 1e-12 * max(1.0, float(np.abs(values).max())))
-
-
-@dataclass(frozen=True, slots=True)
-class AlarmStatistics:
-    """How alarms fare against truth; a figure is None where nothing could show it.
-
-    `lead_times_s` holds, for each time the truth falls below the threshold, how long before it the alarm was
-    raised without a break; negative where it came late, and nothing for one that was missed.
-    """
-
-    frame_count: int
-    unsafe_count: int
-    precision: float | None
-    recall: float | None
-    false_alarm_fraction: float | None
-    false_alarms_per_minute: float | None
-    event_count: int
-    lead_times_s: tuple[float, ...]
-
-
-def alarm_statistics(
-    stamps_s: ArrayLike, alarms: ArrayLike, clearance_m: ArrayLike, below_m: float
-) -> AlarmStatistics:
-    """Score alarms, bool of shape (n,) at sorted stamps in s, against the true clearance in m, shape (n,).
-
-    A false alarm that lasts is one: it is counted where it begins. An event is an unbroken stretch of
-    unsafe frames that begins inside the recording.
-    """
-    t, a, c = (
-        np.asarray(stamps_s, np.float64),
-        np.asarray(alarms, np.bool_),
-        np.asarray(clearance_m, np.float64),
-    )
-    if not t.shape == a.shape == c.shape or t.ndim != 1:
-        raise ValueError(
-            f"expected three arrays of the same shape (n,), found {t.shape}, {a.shape}, {c.shape}"
-        )
-    unsafe = c < below_m
-    false = a & ~unsafe
-    true_count, unsafe_count = int(np.count_nonzero(a & unsafe)), int(np.count_nonzero(unsafe))
-    safe_count = len(a) - unsafe_count
-    alarm_count = int(np.count_nonzero(a))
-    minutes = (t[-1] - t[0]) / 60.0 if len(t) > 1 else 0.0
-    began = false & ~np.concatenate([[False], a[:-1]]) if len(a) else false
-    events = [index for index in range(1, len(t)) if unsafe[index] and not unsafe[index - 1]]
-    leads = [_lead_time_s(t, a, unsafe, event) for event in events]
-    return AlarmStatistics(
-        frame_count=len(t),
-        unsafe_count=unsafe_count,
-        precision=true_count / alarm_count if alarm_count else None,
-        recall=true_count / unsafe_count if unsafe_count else None,
-        false_alarm_fraction=int(np.count_nonzero(false)) / safe_count if safe_count else None,
-        false_alarms_per_minute=int(np.count_nonzero(began)) / minutes if minutes > 0 else None,
-        event_count=len(events),
-        lead_times_s=tuple(lead for lead in leads if lead is not None),
-    )
-
-
-def _lead_time_s(t: Array, alarms: Mask, unsafe: Mask, event: int) -> float | None:
-    """How long before an event its alarm began; None where none came while it lasted."""
-    if alarms[event]:
-        first = event
-        while first > 0 and alarms[first - 1]:
-            first -= 1
-        return float(t[event] - t[first])
-    for index in range(event, len(t)):
-        if not unsafe[index]:
-            return None
-        if alarms[index]:
-            return float(t[event] - t[index])
-    return None

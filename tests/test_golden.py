@@ -13,9 +13,10 @@ from svmdist.profile import load_profile, profile_path
 from svmdist.recording.reader import open_recording
 from svmdist.workflows.baseline import find_regressions, load_baseline
 from svmdist.workflows.calibrate import calibrate
+from svmdist.workflows.score import Score
 from svmdist.workflows.setup import Setup, prepare
 from svmdist.workflows.truth import Reference
-from svmdist.workflows.validate import Score, Validation, validate
+from svmdist.workflows.validate import Validation, validate
 
 NAMES = ("approach", "calibration", "contact", "occlusion", "random", "sweep")
 

@@ -23,9 +23,10 @@ from svmdist.transforms import Array
 from svmdist.vision.homography import square_corners
 from svmdist.vision.marker import marker_pattern
 from svmdist.workflows.blur_bench import blur_bench
+from svmdist.workflows.score import Score
 from svmdist.workflows.setup import Setup, prepare
 from svmdist.workflows.truth import Reference
-from svmdist.workflows.validate import Score, Validation, validate
+from svmdist.workflows.validate import Validation, validate
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "images"

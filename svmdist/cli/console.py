@@ -65,14 +65,15 @@ def write_lines(lines: Iterable[str], output: Path | None) -> None:
         raise OutputError(f"{output}: cannot write: {problem.strerror or problem}") from None
 
 
-def write_table(table: Table, notes: Sequence[str], output: Path | None) -> None:
-    """Write a table for a person: as wide as the terminal, or as it needs in a pipe or a file."""
+def write_tables(tables: Sequence[Table], notes: Sequence[str], output: Path | None) -> None:
+    """Write tables for a person: as wide as the terminal, or as they need in a pipe or a file."""
     from svmdist.report.table import render
 
     width = terminal_width(output)
-    text = render(table, width=width, colour=width is not None and "NO_COLOR" not in os.environ)
+    colour = width is not None and "NO_COLOR" not in os.environ
+    texts = [render(table, width=width, colour=colour) for table in tables]
     lines = [line for note in notes for line in (wrap(note, width) if width else [note])]
-    write_lines([text, *(f"{line}\n" for line in lines)], output)
+    write_lines([*texts, *(f"{line}\n" for line in lines)], output)
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ def write_summary(summary: Summary, form: TableFormat, output: Path | None) -> N
 
     match form:
         case TableFormat.TABLE:
-            write_table(rich_table(summary.title, summary.columns, summary.rows), summary.notes, output)
+            write_tables([rich_table(summary.title, summary.columns, summary.rows)], summary.notes, output)
         case TableFormat.CSV:
             write_lines(csv_lines(summary.keys, summary.rows), output)
         case TableFormat.JSON:

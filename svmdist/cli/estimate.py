@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
 from svmdist.cli.console import report_health, require_output_folder, say, write_lines
 from svmdist.cli.options import (
-    AlarmBelowOption,
-    AlarmConfidenceOption,
     CalibrationOption,
     EquationsChoice,
     EquationsOption,
@@ -24,7 +23,6 @@ from svmdist.cli.options import (
     RowFormat,
     RowFormatOption,
     TopicOption,
-    parse_length_m,
     topics_of,
 )
 
@@ -45,29 +43,20 @@ def estimate_command(
     form: RowFormatOption = RowFormat.TABLE,
     output: OutputOption = None,
     alarm_below: AlarmBelowOption = None,
-    alarm_confidence: AlarmConfidenceOption = 0.05,
+    alarm_confidence: AlarmConfidenceOption = None,
 ) -> None:
     """Estimate the distance in every frame."""
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.setup import prepare
 
     require_output_folder(output)
-    rules = alarm_rules(alarm_below, alarm_confidence)
+    rules = alarm_rules(alarm_below, alarm_confidence, method.value)
     setup = prepare(profile, method.value, equations.value, calibration)
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in files]
     tally: Counter[str] = Counter()
     write_lines(_lines(form, _started(_rows(recordings, setup, tally, rules)), rules is not None), output)
     _summarise(tally)
     raise typer.Exit(report_health(recordings))
-
-
-def alarm_rules(below: str | None, confidence: float) -> AlarmRules | None:
-    """The rules that the options ask for; None without a threshold."""
-    if below is None:
-        return None
-    from svmdist.estimation.alarms import AlarmRules
-
-    return AlarmRules(parse_length_m("--alarm-below", below), confidence)
 
 
 def _rows(

@@ -91,19 +91,6 @@ OutputOption = Annotated[
         "--output", "-o", metavar="FILE", help="Write the data here instead of to stdout.", show_default=False
     ),
 ]
-AlarmBelowOption = Annotated[
-    str | None,
-    typer.Option(
-        "--alarm-below",
-        metavar="LENGTH",
-        help="Mark frames whose clearance is below this, as in 5mm; adds closing speed and time to contact.",
-        show_default=False,
-    ),
-]
-AlarmConfidenceOption = Annotated[
-    float,
-    typer.Option("--alarm-confidence", help="Probability from which on it is an alarm.", min=0.0, max=1.0),
-]
 TableFormatOption = Annotated[TableFormat, typer.Option("--format", "-f", help="Form of the data.")]
 RowFormatOption = Annotated[RowFormat, typer.Option("--format", "-f", help="Form of the data.")]
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
 from svmdist.cli.console import (
     ExitCode,
     files_or_golden,
@@ -17,7 +18,7 @@ from svmdist.cli.console import (
     say,
     terminal_width,
     write_lines,
-    write_table,
+    write_tables,
 )
 from svmdist.cli.options import (
     CalibrationOption,
@@ -120,27 +121,39 @@ def validate_command(
     save_plot: PlotOption = None,
     baseline: BaselineOption = None,
     write_baseline: WriteBaselineOption = None,
+    alarm_below: AlarmBelowOption = None,
+    alarm_confidence: AlarmConfidenceOption = None,
 ) -> None:
     """Score estimates against the truth.
 
     Without FILE, on every log in recordings/. Each recording is compared with DH kinematics of its joint
-    states, as in the paper, and with the simulator's ground truth.
+    states, as in the paper, and with the simulator's ground truth. With --alarm-below, alarms are scored against
+    the true clearance: recall, precision, share of safe frames alarmed, false alarms per minute, lead time.
     """
     from svmdist.recording.reader import open_recording
-    from svmdist.workflows.baseline import find_regressions, load_baseline, make_baseline, save_baseline
+    from svmdist.workflows.baseline import (
+        find_regressions,
+        load_baseline,
+        make_baseline,
+        require_same_alarms,
+        save_baseline,
+    )
     from svmdist.workflows.setup import prepare
     from svmdist.workflows.truth import Reference, truth_rules
     from svmdist.workflows.validate import validate
 
     for target in (output, save_plot, write_baseline):
         require_output_folder(target)
+    alarms = alarm_rules(alarm_below, alarm_confidence, method.value)
     paths = files_or_golden(files)
     stored = load_baseline(baseline) if baseline else None
+    if stored:
+        require_same_alarms(stored, alarms)
     setup = prepare(profile, method.value, equations.value, calibration)
     references = tuple(Reference(choice.value) for choice in dict.fromkeys(truth)) if truth else None
     rules = truth_rules(tuple(truth_tf or ()), setup.profile, references, round(max_gap * 1e9))
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in paths]
-    result = validate(recordings, setup, rules, _parse_lag(lag))
+    result = validate(recordings, setup, rules, _parse_lag(lag), alarms)
     _write(result, form, output)
     if save_plot:
         from svmdist.report.plot import save_plot as draw_to
@@ -180,19 +193,17 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
     from svmdist.report.validation import (
         PAPER_NOTE,
         VALIDATION_KEYS,
-        remarks,
         score_row,
         validation_document,
-        validation_table,
     )
+    from svmdist.report.validation_tables import remarks, validation_tables
 
     for note in result.notes:
         say(f"svmdist: note: {note}")
     match form:
         case TableFormat.TABLE:
-            write_table(
-                validation_table(result, terminal_width(output)), [*remarks(result), PAPER_NOTE], output
-            )
+            tables = validation_tables(result, terminal_width(output))
+            write_tables(tables, [*remarks(result), PAPER_NOTE], output)
         case TableFormat.CSV:
             scores = (*result.scores, *result.overall)
             write_lines(csv_lines(VALIDATION_KEYS, (score_row(score) for score in scores)), output)

@@ -1,16 +1,14 @@
-"""Validation results as tables and as the JSON document `svmdist.validation/1`."""
+"""Validation results for machines: flat rows, and the JSON document `svmdist.validation/1`."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from rich.table import Table as RichTable
-from rich.text import Text
-
-from svmdist.metrics import ErrorStatistics
-from svmdist.report.table import Cell, Column, json_value, number, percent, rich_table
-from svmdist.report.text import printable
-from svmdist.workflows.validate import PAPER_R_SQUARED, Score, Validation
+from svmdist.alarm_metrics import AlarmStatistics
+from svmdist.report.table import Cell, json_value
+from svmdist.workflows.distance_scores import DistanceScore
+from svmdist.workflows.score import Score
+from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 
 SCHEMA = "svmdist.validation/1"
 
@@ -43,32 +41,29 @@ VALIDATION_KEYS = (
     "lag_confidence",
     "r_squared_uncorrected",
     "rmse_uncorrected_m",
+    "interval_coverage",
+    "spatial_rmse_m",
+    "spatial_p95_abs_error_m",
+    "spatial_bias_m",
+    "spatial_interval_coverage",
+    "clearance_rmse_m",
+    "clearance_p95_abs_error_m",
+    "clearance_bias_m",
+    "clearance_interval_coverage",
+    "alarm_frame_count",
+    "alarm_unsafe_count",
+    "alarm_unjudged_count",
+    "alarm_precision",
+    "alarm_recall",
+    "false_alarm_fraction",
+    "false_alarms_per_minute",
+    "alarm_event_count",
+    "alarm_missed_event_count",
+    "alarm_lead_median_s",
+    "alarm_lead_min_s",
 )
-"""Columns of the CSV. In JSON `rejected` is an object of counts by reason."""
-
-COLUMNS = (
-    Column("recording", "recording", is_text=True),
-    Column(
-        "reference", "against", lambda name: "truth" if name == "ground_truth" else str(name), is_text=True
-    ),
-    Column("sample_count", "n"),
-    Column("coverage", "cov. %", percent(1)),
-    Column("r_squared", "R²", number(4)),
-    Column("r_squared_interval", "95 %", is_text=True),
-    Column("rmse_m", "RMSE", number(2, 1e3)),
-    Column("rmse_interval", "95 %", is_text=True),
-    Column("mae_m", "MAE", number(2, 1e3)),
-    Column("median_abs_error_m", "med.", number(2, 1e3)),
-    Column("p95_abs_error_m", "p95", number(2, 1e3)),
-    Column("max_abs_error_m", "max", number(2, 1e3)),
-    Column("bias_m", "bias", number(2, 1e3)),
-    Column("truth_std_m", "σ", number(2, 1e3)),
-    Column("pearson_r", "r", number(4)),
-)
-"""Lengths in mm, as the title says: a unit in every heading would not fit a terminal."""
-
-FULL_WIDTH = 124
-"""Columns of a terminal that the whole table needs."""
+"""Columns of the CSV: some may be added at the end, none is renamed or removed. In JSON `rejected` is an object of
+counts by reason."""
 
 PAPER_NOTE = (
     f"The paper reports R² = {PAPER_R_SQUARED:.0%} for its own scene and trajectory, without RMSE or n; the scenes"
@@ -109,6 +104,36 @@ def score_row(score: Score) -> dict[str, Cell]:
         "lag_confidence": lag.confidence if lag else None,
         "r_squared_uncorrected": uncorrected.r_squared if uncorrected else None,
         "rmse_uncorrected_m": uncorrected.rmse if uncorrected else None,
+        "interval_coverage": score.pairs.interval_coverage,
+        **_distance_figures("spatial", score.spatial),
+        **_distance_figures("clearance", score.clearance),
+        **_alarm_figures(score.alarms),
+    }
+
+
+def _distance_figures(name: str, score: DistanceScore | None) -> dict[str, Cell]:
+    statistics = score.statistics if score else None
+    return {
+        f"{name}_rmse_m": statistics.rmse if statistics else None,
+        f"{name}_p95_abs_error_m": statistics.p95_abs_error if statistics else None,
+        f"{name}_bias_m": statistics.bias if statistics else None,
+        f"{name}_interval_coverage": score.interval_coverage if score else None,
+    }
+
+
+def _alarm_figures(alarms: AlarmStatistics | None) -> dict[str, Cell]:
+    return {
+        "alarm_frame_count": alarms.frame_count if alarms else None,
+        "alarm_unsafe_count": alarms.unsafe_count if alarms else None,
+        "alarm_unjudged_count": alarms.unjudged_count if alarms else None,
+        "alarm_precision": alarms.precision if alarms else None,
+        "alarm_recall": alarms.recall if alarms else None,
+        "false_alarm_fraction": alarms.false_alarm_fraction if alarms else None,
+        "false_alarms_per_minute": alarms.false_alarms_per_minute if alarms else None,
+        "alarm_event_count": alarms.event_count if alarms else None,
+        "alarm_missed_event_count": alarms.missed_event_count if alarms else None,
+        "alarm_lead_median_s": alarms.median_lead_s if alarms else None,
+        "alarm_lead_min_s": alarms.min_lead_s if alarms else None,
     }
 
 
@@ -123,59 +148,6 @@ def validation_document(validation: Validation) -> dict[str, Any]:
         "paper": {"r_squared": PAPER_R_SQUARED, "note": PAPER_NOTE},
         "notes": list(validation.notes),
     }
-
-
-def validation_table(validation: Validation, width: int | None = None) -> RichTable:
-    """The table for a person: a row a recording and reference, then the overall rows.
-
-    In a terminal narrower than `FULL_WIDTH` the intervals are left out, rather than every cell broken.
-    """
-    first = next(iter(validation.scores))
-    narrow = width is not None and width < FULL_WIDTH
-    columns = [column for column in COLUMNS if not (narrow and column.key.endswith("_interval"))]
-    table = rich_table(
-        f"{first.method}, {first.equations} equations; errors and σ (of the truth) in mm; 95 %: bootstrap interval",
-        columns,
-        [_shown(score) for score in validation.scores],
-    )
-    table.add_section()
-    for row in [_shown(score) for score in validation.overall]:
-        table.add_row(
-            *(Text(printable(column.show(row.get(column.key)))) for column in columns), style="bold"
-        )
-    return table
-
-
-def remarks(validation: Validation) -> list[str]:
-    """What the table has no room for, a line a recording: frames that were lost, lag, and what was fitted on."""
-    lines: dict[str, list[str]] = {}
-    for score in validation.scores:
-        found = ["fitted on this log: left out of the overall row"] if score.fitted_on else []
-        if score.rejected:
-            reasons = ", ".join(f"{count} {reason}" for reason, count in score.rejected.items())
-            found.append(f"not measured: {reasons} of {score.frame_count} frames")
-        if score.unpaired_count:
-            found.append(f"measured where there is no {score.reference}: {score.unpaired_count}")
-        if score.lag and score.lag.lag_s != 0.0 and score.uncorrected:
-            found.append(f"lag {score.lag.lag_s * 1e3:+.1f} ms (confidence {score.lag.confidence:.2f})")
-            found.append(f"without it against {score.reference}: {_figures(score.uncorrected)}")
-        known = lines.setdefault(score.recording, [])
-        known += [remark for remark in found if remark not in known]
-    return [printable(f"{name}: {'; '.join(found)}") for name, found in lines.items() if found]
-
-
-def _shown(score: Score) -> dict[str, Cell]:
-    row = score_row(score)
-    rmse, r2 = score.rmse_interval_m, score.r_squared_interval
-    return row | {
-        "rmse_interval": f"{rmse.low * 1e3:.2f}–{rmse.high * 1e3:.2f}" if rmse else "–",
-        "r_squared_interval": f"{r2.low:.3f}–{r2.high:.3f}" if r2 else "–",
-    }
-
-
-def _figures(statistics: ErrorStatistics) -> str:
-    r2 = "–" if statistics.r_squared is None else f"{statistics.r_squared:.4f}"
-    return f"R² {r2}, RMSE {statistics.rmse * 1e3:.2f} mm"
 
 
 def _json_score(score: Score) -> dict[str, Any]:

@@ -10,8 +10,10 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from svmdist.errors import OutputError, RecordingError
-from svmdist.workflows.validate import Score, Validation
+from svmdist.errors import OutputError, RecordingError, UsageError
+from svmdist.estimation.alarms import AlarmRules
+from svmdist.workflows.score import Score
+from svmdist.workflows.validate import Validation
 
 SCHEMA: Literal["svmdist.baseline/1"] = "svmdist.baseline/1"
 
@@ -33,15 +35,32 @@ DEFAULT_TOLERANCES = {
     "rmse_m": Tolerance(absolute=2e-5, relative=0.02),
     "p95_abs_error_m": Tolerance(absolute=5e-5, relative=0.05),
     "coverage": Tolerance(absolute=0.0),
+    "spatial_rmse_m": Tolerance(absolute=2e-5, relative=0.02),
+    "clearance_rmse_m": Tolerance(absolute=2e-5, relative=0.02),
+    "alarm_recall": Tolerance(absolute=0.005),
+    "false_alarm_fraction": Tolerance(absolute=0.005),
 }
 """Room for another build of OpenCV, which moves a homography's corners by up to 1e-3 px and may flip a
 match; not for another result. A frame that is no longer measured has no such excuse."""
 
-HIGHER_IS_BETTER = {"r_squared": True, "coverage": True, "rmse_m": False, "p95_abs_error_m": False}
+HIGHER_IS_BETTER = {
+    "r_squared": True,
+    "coverage": True,
+    "rmse_m": False,
+    "p95_abs_error_m": False,
+    "spatial_rmse_m": False,
+    "clearance_rmse_m": False,
+    "alarm_recall": True,
+    "false_alarm_fraction": False,
+}
+"""Of alarms both stand here: alarming always has a recall of 1."""
 
 
 class StoredScore(BaseModel):
-    """The figures of one recording, method and reference; None where a figure was undefined."""
+    """The figures of one recording, method and reference; None where a figure was undefined.
+
+    Those with a default are in no baseline that was written before there were such figures.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     recording: str
@@ -52,6 +71,10 @@ class StoredScore(BaseModel):
     rmse_m: float | None
     p95_abs_error_m: float | None
     coverage: float
+    spatial_rmse_m: float | None = None
+    clearance_rmse_m: float | None = None
+    alarm_recall: float | None = None
+    false_alarm_fraction: float | None = None
 
     @property
     def key(self) -> tuple[str, str, str, str]:
@@ -59,13 +82,22 @@ class StoredScore(BaseModel):
         return self.recording, self.method, self.equations, self.reference
 
 
+class StoredAlarmRules(BaseModel):
+    """What the stored alarms were raised by."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    below_m: float
+    confidence: float
+
+
 class Baseline(BaseModel):
-    """A whole baseline file."""
+    """A whole baseline file; `alarms` is None where none were asked for."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     schema_: Literal["svmdist.baseline/1"] = Field(alias="schema")
     tolerances: dict[str, Tolerance]
     scores: tuple[StoredScore, ...]
+    alarms: StoredAlarmRules | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +118,25 @@ class Regression:
 def make_baseline(validation: Validation) -> Baseline:
     """Take the figures of a validation, per recording and overall."""
     scores = tuple(_stored(score) for score in (*validation.scores, *validation.overall))
-    return Baseline(schema=SCHEMA, tolerances=DEFAULT_TOLERANCES, scores=scores)
+    return Baseline(
+        schema=SCHEMA,
+        tolerances=DEFAULT_TOLERANCES,
+        scores=scores,
+        alarms=_stored_rules(validation.alarm_rules),
+    )
+
+
+def require_same_alarms(baseline: Baseline, asked: AlarmRules | None) -> None:
+    """Refuse to compare alarms that were raised by other rules; raises UsageError that names the stored ones.
+
+    Alarms that are asked for and not stored are scored and compared with nothing.
+    """
+    stored = baseline.alarms
+    if stored is not None and stored != _stored_rules(asked):
+        raise UsageError(
+            f"the baseline's alarms are those of --alarm-below {stored.below_m * 1e3:g}mm --alarm-confidence"
+            f" {stored.confidence:g}: ask for the same"
+        )
 
 
 def find_regressions(validation: Validation, baseline: Baseline, *, complete: bool) -> list[Regression]:
@@ -132,8 +182,12 @@ def save_baseline(baseline: Baseline, path: Path) -> None:
         raise OutputError(f"{path}: cannot write: {problem.strerror or problem}") from None
 
 
+def _stored_rules(rules: AlarmRules | None) -> StoredAlarmRules | None:
+    return StoredAlarmRules(below_m=rules.below_m, confidence=rules.confidence) if rules else None
+
+
 def _stored(score: Score) -> StoredScore:
-    statistics = score.statistics
+    statistics, alarms = score.statistics, score.alarms
     return StoredScore(
         recording=score.recording,
         method=score.method,
@@ -143,6 +197,10 @@ def _stored(score: Score) -> StoredScore:
         rmse_m=statistics.rmse if statistics else None,
         p95_abs_error_m=statistics.p95_abs_error if statistics else None,
         coverage=score.coverage,
+        spatial_rmse_m=score.spatial.statistics.rmse if score.spatial else None,
+        clearance_rmse_m=score.clearance.statistics.rmse if score.clearance else None,
+        alarm_recall=alarms.recall if alarms else None,
+        false_alarm_fraction=alarms.false_alarm_fraction if alarms else None,
     )
 
 

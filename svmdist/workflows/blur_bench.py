@@ -19,7 +19,7 @@ from svmdist.vision.features import EDGE_MARGIN_PX, detect_orb
 from svmdist.vision.marker import paste_marker
 from svmdist.vision.segmentation import colour_mask, to_hsv
 from svmdist.workflows.setup import Setup
-from svmdist.workflows.truth import Reference, planar_truth
+from svmdist.workflows.truth import Reference, distance_truth
 
 DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
     Blur.NONE: 1,
@@ -141,7 +141,7 @@ def _marker_keypoint_count(image_bgr: Image, centre_px: Array, profile: Profile)
 def _squared_errors_m2(recording: Recording, setup: Setup, rows: Sequence[Estimate]) -> list[float]:
     stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
     distance_m = np.array([row.distance_m for row in rows], np.float64)
-    truth = planar_truth(recording, setup.profile, Reference.GROUND_TRUTH, stamps_ns)
+    truth = distance_truth(recording, setup.profile, Reference.GROUND_TRUTH, stamps_ns)
     return [float(value) for value in (distance_m - truth.planar_m)[truth.valid] ** 2]
 
 

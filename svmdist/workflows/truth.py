@@ -16,8 +16,7 @@ from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
-from svmdist.tracks import MAX_GAP_NS, PoseTrack, Sampled, TransformTrack
-from svmdist.transforms import Array
+from svmdist.tracks import MAX_GAP_NS, PoseTrack, Sampled, SampledDistances, TransformTrack
 
 KINEMATICS_PRINTED_NOTE = (
     "eq. (28) as printed is the zero matrix, which makes (31) zero everywhere: the identity stands in for it;"
@@ -90,36 +89,30 @@ def truth_rules(
     return TruthRules(references, tool, tissue, max_gap_ns)
 
 
-@dataclass(frozen=True, slots=True)
-class PlanarTruth:
-    """True planar distances at asked stamps, shape (n,) in m, and which of them the log can tell."""
-
-    planar_m: Array
-    valid: NDArray[np.bool_]
-
-
-def planar_truth(
+def distance_truth(
     recording: Recording,
     profile: Profile,
     reference: Reference,
     stamps_ns: NDArray[np.int64],
     equations: Equations = "corrected",
     rules: TruthRules | None = None,
-) -> PlanarTruth:
-    """Planar distances between tool and tissue by a reference, interpolated to stamps, never extrapolated.
+) -> SampledDistances:
+    """Distances between tool and tissue by a reference, interpolated to stamps, never extrapolated.
 
-    Raises RecordingError or KinematicsError where the log has no such reference.
+    Only the simulator's truth knows a clearance, and the printed equations know no third dimension: what a
+    reference cannot tell is NaN. Raises RecordingError or KinematicsError where the log has no such reference.
     """
     rules = rules or TruthRules()
     if reference is Reference.GROUND_TRUTH:
-        truth = recording.distance_track().at(stamps_ns, rules.max_gap_ns)
-        return PlanarTruth(truth.planar_m, truth.valid)
+        return recording.distance_track().at(stamps_ns, rules.max_gap_ns)
     if reference is Reference.KINEMATICS and equations == "printed":
         return _from_printed_kinematics(recording, profile, stamps_ns, rules)
     tool = tool_track(recording, profile, reference, rules)(stamps_ns)
     tissue = _tissue_track(recording, profile, rules).at(stamps_ns, rules.max_gap_ns)
-    displacement_cm = paper.displacement_cm_corrected(tool.values[:, :3, 3], tissue.values[:, :3, 3])
-    return PlanarTruth(paper.planar_distance_cm(displacement_cm) / 100.0, tool.valid & tissue.valid)
+    tool_m, tissue_m = tool.values[:, :3, 3], tissue.values[:, :3, 3]
+    planar_m = paper.planar_distance_cm(paper.displacement_cm_corrected(tool_m, tissue_m)) / 100.0
+    spatial_m = np.linalg.norm(tissue_m - tool_m, axis=-1)
+    return SampledDistances(planar_m, spatial_m, np.full(len(stamps_ns), np.nan), tool.valid & tissue.valid)
 
 
 def tool_track(
@@ -182,14 +175,16 @@ def _tissue_track(recording: Recording, profile: Profile, rules: TruthRules) -> 
 
 def _from_printed_kinematics(
     recording: Recording, profile: Profile, stamps_ns: NDArray[np.int64], rules: TruthRules
-) -> PlanarTruth:
+) -> SampledDistances:
     """eqs. (33)–(35) to the letter, on the tool in the base frame, which the identity for (28) leaves.
 
     The translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
     """
     T_base_tool = kinematic_track(recording, profile, rules.max_gap_ns)(stamps_ns)
     displacement_cm = paper.displacement_cm_printed(T_base_tool.values[:, :3, 3])
-    return PlanarTruth(paper.planar_distance_cm(displacement_cm) / 100.0, T_base_tool.valid)
+    planar_m = paper.planar_distance_cm(displacement_cm) / 100.0
+    unknown_m = np.full(len(stamps_ns), np.nan)
+    return SampledDistances(planar_m, unknown_m, unknown_m, T_base_tool.valid)
 
 
 def _parse_pair(text: str) -> FramePair:

@@ -1,18 +1,13 @@
-"""`svmdist estimate --alarm-below`: lengths with units, and the columns at the end."""
+"""`--alarm-below`: lengths with units, columns at the end, and what is refused."""
 
 from __future__ import annotations
 
-import csv
-import io
-from pathlib import Path
-
 import pytest
-from typer.testing import CliRunner
 
-from svmdist.cli.main import app
 from svmdist.cli.options import parse_length_m
 from svmdist.errors import UsageError
 from svmdist.report.estimates import ESTIMATE_KEYS
+from tests.cli.conftest import Cli
 
 
 @pytest.mark.parametrize("text", ["5mm", "5 mm", "0.5cm", "0.005m"])
@@ -28,12 +23,33 @@ def test_bad_lengths(text: str) -> None:
         parse_length_m("--alarm-below", text)
 
 
-def test_alarm_columns_stand_at_the_end(synthetic_log: Path) -> None:
-    """Rows of a method without clearance have empty alarm fields, not false ones."""
-    assert ESTIMATE_KEYS[-3:] == ("alarm", "closing_speed_m_s", "time_to_contact_s")
-    result = CliRunner().invoke(
-        app, ["estimate", str(synthetic_log), "--method", "centroid", "-f", "csv", "--alarm-below", "5mm"]
-    )
-    rows = list(csv.DictReader(io.StringIO(result.stdout)))
-    assert rows
-    assert all(row["alarm"] == "" for row in rows)
+def test_alarm_columns_stand_at_the_end() -> None:
+    """Columns are added at the end, so that what reads rows by place goes on reading them."""
+    assert ESTIMATE_KEYS[29:32] == ("alarm", "closing_speed_m_s", "time_to_contact_s")
+
+
+@pytest.mark.parametrize("command", ["estimate", "validate"])
+@pytest.mark.parametrize("method", ["overlay", "centroid"])
+def test_a_planar_method_cannot_alarm(cli: Cli, command: str, method: str) -> None:
+    """A method without clearance is refused in one line that names those with one: silence would look safe."""
+    outcome = cli(command, "x.mcap", "--method", method, "--alarm-below", "5mm")
+    assert outcome.code == 2
+    (line,) = outcome.err.splitlines()
+    assert method in line
+    assert "fused" in line
+
+
+def test_confidence_without_a_threshold_is_refused(cli: Cli) -> None:
+    """An option that would do nothing is an error."""
+    outcome = cli("validate", "x.mcap", "--alarm-confidence", "0.5")
+    assert outcome.code == 2
+    assert "--alarm-below" in outcome.err
+
+
+@pytest.mark.parametrize("confidence", ["1.5", "-0.1", "often"])
+def test_a_confidence_is_a_probability(cli: Cli, confidence: str) -> None:
+    """Beyond 0 to 1 it is refused."""
+    arguments = ("--method", "fused", "--alarm-below", "5mm", "--alarm-confidence", confidence)
+    outcome = cli("validate", "x.mcap", *arguments)
+    assert outcome.code == 2
+    assert "Traceback" not in outcome.err

@@ -16,17 +16,14 @@ from svmdist.metrics import bootstrap_intervals, error_statistics
 from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, blur_row
 from svmdist.report.plot import draw, save_plot
 from svmdist.report.table import csv_lines, json_array_lines, render, rich_table
-from svmdist.report.validation import (
-    VALIDATION_KEYS,
-    remarks,
-    score_row,
-    validation_document,
-    validation_table,
-)
+from svmdist.report.validation import VALIDATION_KEYS, score_row, validation_document
+from svmdist.report.validation_tables import remarks, validation_table
 from svmdist.vision.blur import Blur
 from svmdist.workflows.blur_bench import BlurRow, PrintedRow
+from svmdist.workflows.distance_scores import Pairs
+from svmdist.workflows.score import Score
 from svmdist.workflows.truth import Reference
-from svmdist.workflows.validate import Pairs, Score, Validation
+from svmdist.workflows.validate import Validation
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -43,7 +40,9 @@ def score(
     truth_m = 0.03 + (0.0 if constant else 0.01) * np.sin(np.arange(count) / 9)
     estimate_m = truth_m + rng.normal(scale=5e-4, size=count)
     frames = np.arange(count) + 10 * (np.arange(count) >= count // 2)
-    pairs = Pairs(START_NS + frames.astype(np.int64) * 100_000_000, estimate_m, truth_m)
+    pairs = Pairs(
+        START_NS + frames.astype(np.int64) * 100_000_000, estimate_m, truth_m, np.full(count, np.nan)
+    )
     rmse, r2 = bootstrap_intervals(estimate_m, truth_m, seed=36, resamples=50)
     rejected = {"no_instrument": 9, "no_tissue": 1}
     statistics = error_statistics(estimate_m, truth_m)

@@ -1,0 +1,51 @@
+"""The options about alarms, and the rules they ask for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from svmdist.cli.options import parse_length_m
+from svmdist.errors import UsageError
+
+if TYPE_CHECKING:
+    from svmdist.estimation.alarms import AlarmRules
+
+AlarmBelowOption = Annotated[
+    str | None,
+    typer.Option(
+        "--alarm-below",
+        metavar="LENGTH",
+        help="Alarm frames whose clearance is below this, as in 5mm; for methods that tell a clearance.",
+        show_default=False,
+    ),
+]
+AlarmConfidenceOption = Annotated[
+    float | None,
+    typer.Option(
+        "--alarm-confidence",
+        metavar="P",
+        help="Probability of being below from which on it is an alarm. Default: 0.05, unless 95 % sure.",
+        min=0.0,
+        max=1.0,
+        show_default=False,
+    ),
+]
+
+
+def alarm_rules(below: str | None, confidence: float | None, method: str) -> AlarmRules | None:
+    """The rules that the options ask for, None without a threshold; raises UsageError.
+
+    Refused are a confidence without a threshold, and a method that tells no clearance.
+    """
+    if below is None:
+        if confidence is not None:
+            raise UsageError("--alarm-confidence is for --alarm-below LENGTH, as in --alarm-below 5mm")
+        return None
+    from svmdist.estimation.alarms import AlarmRules
+    from svmdist.workflows.alarms import require_clearance
+
+    below_m = parse_length_m("--alarm-below", below)
+    require_clearance(method)
+    return AlarmRules(below_m) if confidence is None else AlarmRules(below_m, confidence)

@@ -1,0 +1,153 @@
+"""Scoring in 3D and of alarms: rows made from a log's own truth with known errors give the known figures."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.errors import RecordingError, UsageError
+from svmdist.estimation.alarms import AlarmRules
+from svmdist.recording.reader import Recording, open_recording
+from svmdist.report.table import render
+from svmdist.report.validation import VALIDATION_KEYS, score_row, validation_document
+from svmdist.report.validation_tables import validation_tables
+from svmdist.samples import DistanceSample, Estimate, Sample, Status
+from svmdist.workflows.baseline import find_regressions, make_baseline, require_same_alarms
+from svmdist.workflows.score import Score, pool_scores, score_rows
+from svmdist.workflows.setup import prepare
+from svmdist.workflows.truth import Reference, TruthRules
+from svmdist.workflows.validate import Validation, validate
+from tests.synthetic import write_log
+
+SETUP = prepare(method="kinematic")
+ERROR_M = 2e-3
+BELOW_M = 0.012
+
+
+@pytest.fixture(scope="module")
+def recording(synthetic_log: Path) -> Recording:
+    """The synthetic log, whose clearance is its spatial distance less 10 mm."""
+    return open_recording(synthetic_log, SETUP.profile)
+
+
+def rows_of(recording: Recording, error_m: float = ERROR_M) -> list[Estimate]:
+    """Rows that are `error_m` too long in 3D and exact in the plane, at the stamps of the images."""
+    stamps_ns = np.array([image.stamp_ns for image in recording.images()], np.int64)
+    truth = recording.distance_track().at(stamps_ns)
+    return [
+        Estimate(
+            int(stamp_ns),
+            Status.OK,
+            distance_m=float(planar_m),
+            spatial_m=float(spatial_m) + error_m,
+            clearance_m=float(clearance_m) + error_m,
+            spatial_std_m=ERROR_M,
+            clearance_std_m=ERROR_M / 4,
+        )
+        for stamp_ns, planar_m, spatial_m, clearance_m in zip(
+            stamps_ns, truth.planar_m, truth.spatial_m, truth.clearance_m, strict=True
+        )
+    ]
+
+
+def scored(recording: Recording, rows: list[Estimate], alarms: AlarmRules | None = None) -> Score:
+    """The score of rows against the simulator's truth."""
+    return score_rows(rows, recording, SETUP, Reference.GROUND_TRUTH, alarms=alarms)
+
+
+def test_spatial_and_clearance_figures_are_the_injected_errors(recording: Recording) -> None:
+    """RMSE, p95 and bias are the shift; an interval of 2 std holds all truths, one of half a shift none."""
+    score = scored(recording, rows_of(recording))
+    for part in (score.spatial, score.clearance):
+        assert part is not None
+        assert part.statistics.rmse == pytest.approx(ERROR_M)
+        assert part.statistics.p95_abs_error == pytest.approx(ERROR_M)
+        assert part.statistics.bias == pytest.approx(ERROR_M)
+    assert score.spatial is not None
+    assert score.clearance is not None
+    assert (score.spatial.interval_coverage, score.clearance.interval_coverage) == (1.0, 0.0)
+    assert score.statistics is not None
+    assert score.statistics.rmse == pytest.approx(0.0, abs=1e-12)
+    row = score_row(score)
+    assert tuple(row) == VALIDATION_KEYS
+    assert row["interval_coverage"] is None
+    assert row["spatial_rmse_m"] == pytest.approx(ERROR_M)
+
+
+def test_other_references_tell_spatial_but_no_clearance(recording: Recording) -> None:
+    """DH kinematics give the tool in 3D, to the accuracy of this log's truth, and no surface."""
+    score = score_rows(rows_of(recording), recording, SETUP, Reference.KINEMATICS)
+    assert score.spatial is not None
+    assert score.spatial.statistics.rmse == pytest.approx(ERROR_M, rel=1e-3)
+    assert score.clearance is None
+
+
+def test_alarms_count_every_frame_with_a_truth(recording: Recording) -> None:
+    """Exact clearances alarm exactly below the threshold; a frame that is not measured is a missed alarm."""
+    rules = AlarmRules(BELOW_M)
+    rows = [replace(row, clearance_std_m=None) for row in rows_of(recording, 0.0)]
+    truth_m = np.array([row.clearance_m for row in rows])
+    unsafe = np.flatnonzero(truth_m < BELOW_M)
+    assert 3 < len(unsafe) < len(rows) - 3
+    exact = scored(recording, rows, rules).alarms
+    assert exact is not None
+    assert (exact.recall, exact.precision, exact.false_alarm_fraction) == (1.0, 1.0, 0.0)
+    rows[unsafe[0]] = Estimate(rows[unsafe[0]].stamp_ns, Status.NO_TISSUE)
+    lost = scored(recording, rows, rules).alarms
+    assert lost is not None
+    assert lost.frame_count == len(rows)
+    assert lost.unjudged_count == 1
+    assert lost.recall == pytest.approx(1.0 - 1.0 / len(unsafe))
+
+
+def test_tables_and_document_show_them(recording: Recording) -> None:
+    """Three tables of at most 100 columns each, and the same figures in JSON."""
+    score = scored(recording, rows_of(recording, 0.0), AlarmRules(BELOW_M))
+    made = Validation((score,), (pool_scores([score]),), (), AlarmRules(BELOW_M))
+    planar, spatial, alarms = (render(table) for table in validation_tables(made))
+    assert "clearance" not in planar
+    assert max(map(len, (spatial + alarms).splitlines())) <= 100
+    assert "in 95 %" in spatial
+    assert "below 12 mm" in alarms
+    row = json.loads(json.dumps(validation_document(made)))["overall"]
+    assert row["alarm_recall"] == 1.0
+    assert row["clearance_rmse_m"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_baseline_catches_worse_alarms_and_worse_clearance(recording: Recording) -> None:
+    """Fewer alarms and longer clearances than stored are regressions; other rules are not compared at all."""
+    rules = AlarmRules(BELOW_M)
+
+    def validation(error_m: float) -> Validation:
+        return Validation((scored(recording, rows_of(recording, error_m), rules),), (), (), rules)
+
+    baseline = make_baseline(validation(0.0))
+    assert find_regressions(validation(0.0), baseline, complete=True) == []
+    worse = {r.metric for r in find_regressions(validation(8e-3), baseline, complete=True)}
+    assert worse == {"spatial_rmse_m", "clearance_rmse_m", "alarm_recall"}
+    nervous = {r.metric for r in find_regressions(validation(-8e-3), baseline, complete=True)}
+    assert "false_alarm_fraction" in nervous
+    require_same_alarms(baseline, rules)
+    for other in (None, AlarmRules(0.005), AlarmRules(BELOW_M, 0.5)):
+        with pytest.raises(UsageError, match=r"--alarm-below 12mm --alarm-confidence 0\.05"):
+            require_same_alarms(baseline, other)
+
+
+def test_alarms_need_a_true_clearance(recording: Recording, tmp_path: Path) -> None:
+    """Without ground truth among the references, or in the log, alarms cannot be scored."""
+    rules = AlarmRules(BELOW_M)
+    with pytest.raises(UsageError, match="ground_truth"):
+        validate([recording], SETUP, TruthRules((Reference.KINEMATICS,)), alarms=rules)
+    with pytest.raises(UsageError, match="overlay measures in the plane"):
+        validate([recording], prepare(method="overlay"), alarms=rules)
+
+    def without_distance(topic: str, sample: Sample) -> Sample | None:
+        return None if isinstance(sample, DistanceSample) else sample
+
+    blind = write_log(tmp_path / "blind.mcap", frame_count=3, change=without_distance)
+    with pytest.raises(RecordingError, match="no ground_truth to compare with"):
+        validate([open_recording(blind, SETUP.profile)], SETUP, alarms=rules)
