@@ -52,6 +52,40 @@ def rotation_z(angle_rad: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
+def rotation_of(vector_rad: ArrayLike) -> Array:
+    """exp([v]): rotations, shape (..., 3, 3), by rotation vectors in rad, shape (..., 3) (Rodrigues 1840)."""
+    v = np.asarray(vector_rad, np.float64)
+    angle_rad = np.linalg.norm(v, axis=-1)[..., None, None]
+    K = skew(v)
+    # sin θ / θ and (1 - cos θ) / θ² by sinc: no digit is lost and nothing divided by zero at small angles.
+    first, second = np.sinc(angle_rad / np.pi), 0.5 * np.sinc(angle_rad / (2.0 * np.pi)) ** 2
+    return np.asarray(np.eye(3) + first * K + second * (K @ K))
+
+
+def rotation_vector(R: Array) -> Array:
+    """The vectors v in rad, shape (..., 3), with exp([v]) = R, shape (..., 3, 3), for less than half a turn.
+
+    OpenCV's Rodrigues takes turns below 1e-5 for none, which leaves no derivative.
+    """
+    twice_sine = np.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1
+    )
+    sine = 0.5 * np.linalg.norm(twice_sine, axis=-1)
+    angle_rad = np.arctan2(sine, 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0))
+    small = sine < 1e-9
+    scale = np.where(small, 1.0, angle_rad / np.where(small, 1.0, sine))
+    return np.asarray(0.5 * twice_sine * scale[..., None])
+
+
+def skew(v: ArrayLike) -> Array:
+    """[v], shape (..., 3, 3), with [v] u = v x u, of vectors (..., 3)."""
+    v = np.asarray(v, np.float64)
+    K = np.zeros((*v.shape, 3))
+    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    K[..., 1, 0], K[..., 2, 0], K[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return K
+
+
 def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Array:
     """Rotations, shape (..., 3, 3), from quaternions in the order x, y, z, w, shape (..., 4).
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.transforms import Array
+from svmdist.transforms import Array, skew
 from svmdist.vision.edges import Line
 
 MIN_SINE = 5e-3
@@ -82,30 +82,26 @@ def axis_of_cylinder(first: TangentPlane, second: TangentPlane, radius_m: float)
     d = across / sine
     p = radius_m * (n1 + n2) / (1.0 + cosine)
     into_d = (np.eye(3) - np.outer(d, d)) / sine
-    J1 = np.vstack([(radius_m * np.eye(3) - np.outer(p, n2)) / (1.0 + cosine), into_d @ -_skew(n2)])
-    J2 = np.vstack([(radius_m * np.eye(3) - np.outer(p, n1)) / (1.0 + cosine), into_d @ _skew(n1)])
+    J1 = np.vstack([(radius_m * np.eye(3) - np.outer(p, n2)) / (1.0 + cosine), into_d @ -skew(n2)])
+    J2 = np.vstack([(radius_m * np.eye(3) - np.outer(p, n1)) / (1.0 + cosine), into_d @ skew(n1)])
     covariance = J1 @ first.covariance @ J1.T + J2 @ second.covariance @ J2.T
     return CylinderAxis(p, d, covariance)
 
 
 def tangent_normal(point_m: Array, direction: Array, radius_m: float, side: int) -> Array:
-    """Unit normal, shape (3,), of one of the planes that touch a cylinder: the inverse of `axis_of_cylinder`.
+    """Unit normals, shape (..., 3), of the planes that touch cylinders: the inverse of `axis_of_cylinder`.
 
-    `point_m` is any point of the axis. `side` is +1 for the plane to the right of the axis as it runs through the
-    image, y being down, and -1 for the left. Where the camera is inside the cylinder there is none: NaN.
+    `point_m` (..., 3) is any point of the axis. `side` is +1 for the plane to the right of the axis as it runs
+    through the image, y being down, and -1 for the left. Where the camera is inside the cylinder there is none: NaN.
     """
-    foot = point_m - direction * float(direction @ point_m)
-    distance_m = float(np.linalg.norm(foot))
-    sine = radius_m / distance_m if distance_m > radius_m else np.nan
+    foot = point_m - direction * np.sum(point_m * direction, -1, keepdims=True)
+    distance_m = np.sqrt(np.sum(foot * foot, -1, keepdims=True))
+    sine = radius_m / np.where(distance_m > radius_m, distance_m, np.nan)
     towards, left = foot / distance_m, _cross(direction, foot) / distance_m
     return np.asarray(sine * towards + side * np.sqrt(1.0 - sine**2) * left)
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """a x b of two vectors, shape (3,): NumPy's own takes fifty times as long for one pair."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def _skew(v: Array) -> Array:
-    """[v]ₓ, so that [v]ₓ w = v x w."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    """a x b of vectors, shape (..., 3): NumPy's own takes many times as long for one pair."""
+    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)

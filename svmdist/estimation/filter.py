@@ -11,16 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from svmdist.errors import KinematicsError, did_you_mean
-from svmdist.estimation.observations import LinkObservation, pose_derivative, rotation_of, skew
+from svmdist.estimation.observations import LinkObservation, pose_derivative
 from svmdist.estimation.pose import ToolPose
 from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.kinematics.jacobian import pose_jacobian, row_index
 from svmdist.profile import KinematicError
-from svmdist.transforms import Array
+from svmdist.transforms import Array, rotation_of, rotation_vector, skew
 
 GATE_Z = 3.09
 """Normal quantile of the gate: an observation less likely than 1 in 1,000 is rejected."""
@@ -75,8 +74,7 @@ class Correction:
 
     def vector(self) -> Array:
         """Shift, rotation vector and offsets, shape (n,)."""
-        turn_rad = cv2.Rodrigues(self.turn)[0].ravel()
-        return np.concatenate([self.shift_m, turn_rad, self.q_offset])
+        return np.concatenate([self.shift_m, rotation_vector(self.turn), self.q_offset])
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.transforms import Array
+from svmdist.estimation.cylinder import tangent_normal
+from svmdist.transforms import Array, rotation_of, rotation_vector
 
 MIN_DEPTH_M = 1e-3
 STEP = 1e-6
@@ -84,7 +84,7 @@ class ContourObservation:
         """Distances of the two pixels from the predicted edge, shape (k, 2), for poses of shape (k, 4, 4)."""
         axis = T_camera_link[:, :3, :3] @ self.axis
         p_axis_m = T_camera_link[:, :3, :3] @ self.p_axis_m + T_camera_link[:, :3, 3]
-        line = contour_lines(p_axis_m, axis, self.radius_m, self.side) @ np.linalg.inv(self.camera.K)
+        line = tangent_normal(p_axis_m, axis, self.radius_m, self.side) @ np.linalg.inv(self.camera.K)
         distances = line[:, :2] @ self.pixels.T + line[:, 2:]
         return np.nan_to_num(distances / np.hypot(line[:, 0], line[:, 1])[:, None], nan=np.inf)
 
@@ -106,23 +106,7 @@ class PoseObservation:
         """(δp, δθ) from predicted to measured, shape (k, 6) in m and rad, for poses of shape (k, 4, 4)."""
         predicted = T_camera_link @ self.T_link_seen
         turns = self.T_camera_seen[:3, :3] @ np.swapaxes(predicted[:, :3, :3], 1, 2)
-        turns_rad = np.array([cv2.Rodrigues(turn)[0].ravel() for turn in turns])
-        return np.hstack([self.T_camera_seen[:3, 3] - predicted[:, :3, 3], turns_rad])
-
-
-def contour_lines(p_axis_m: Array, axis: Array, radius_m: float, side: int) -> Array:
-    """The planes through the camera's centre that touch cylinders on one side: unit normals, shape (k, 3).
-
-    A cylinder is a point on its axis and the axis' direction, shape (k, 3) each. The image line is
-    n · (x, y, 1) = 0 in normalised coordinates. With v the foot of the perpendicular from the centre on the
-    axis and w = axis x v / |v|, the touching planes hold the axis' direction and keep the distance radius
-    from it: n = (r / |v|) v̂ ± sqrt(1 - r² / |v|²) w (Chaumette 1990). NaN where the centre is inside.
-    """
-    foot = p_axis_m - np.sum(p_axis_m * axis, -1, keepdims=True) * axis
-    distance_m = np.linalg.norm(foot, axis=-1, keepdims=True)
-    s = radius_m / np.where(distance_m > radius_m, distance_m, np.nan)
-    towards = foot * s / radius_m
-    return np.asarray(s * towards - side * np.sqrt(1.0 - s * s) * np.cross(axis, towards))
+        return np.hstack([self.T_camera_seen[:3, 3] - predicted[:, :3, 3], rotation_vector(turns)])
 
 
 def pose_derivative(observation: LinkObservation, T_camera_link: Array) -> Array:
@@ -140,13 +124,3 @@ def pose_derivative(observation: LinkObservation, T_camera_link: Array) -> Array
     if not np.all(np.isfinite(residuals)):
         return np.full((residuals.shape[1], 6), np.nan)
     return np.asarray((residuals[0::2] - residuals[1::2]).T / (2.0 * STEP))
-
-
-def rotation_of(vector_rad: Array) -> Array:
-    """exp([v]): the rotation by a rotation vector, shape (3,) in rad (Rodrigues)."""
-    return np.asarray(cv2.Rodrigues(np.asarray(vector_rad, np.float64))[0], np.float64)
-
-
-def skew(v: Array) -> Array:
-    """[v] with [v] u = v x u, shape (3, 3)."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -13,10 +13,9 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation.cylinder import CylinderAxis, axis_of_cylinder, tangent_normal
-from svmdist.estimation.observations import rotation_of
 from svmdist.estimation.pose import ToolPose
 from svmdist.estimation.shaft_sight import ShaftSight
-from svmdist.transforms import Array, make_transform
+from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector
 from svmdist.vision.edges import straightened
 
 STEPS = 12
@@ -254,17 +253,6 @@ def _numeric(function: Callable[[Array], Array], step: float = 1e-6) -> Array:
         x[index] = step
         columns.append((function(x) - function(-x)) / (2.0 * step))
     return np.stack(columns, -1)
-
-
-def rotation_vector(R: Array) -> Array:
-    """The vector v, shape (3,) in rad, with exp([v]) = R, for turns below half a turn.
-
-    OpenCV's Rodrigues takes turns below 1e-5 for none, which leaves no derivative.
-    """
-    twice_sine = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine = 0.5 * float(np.linalg.norm(twice_sine))
-    angle_rad = float(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0)))
-    return np.asarray(0.5 * twice_sine * (angle_rad / sine if sine > 1e-9 else 1.0))
 
 
 def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> float:

@@ -13,7 +13,7 @@ from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.kinematics.jacobian import joint_axis, row_index
 from svmdist.profile import Fiducial, KinematicError
 from svmdist.samples import Image
-from svmdist.transforms import Array, inverse, rotation_angle
+from svmdist.transforms import Array, inverse, rotation_angle, skew
 from svmdist.vision.tag import TagPattern, TagPose, pose_candidates, refine_pose
 
 WINDOW_MARGIN = 0.2
@@ -79,12 +79,6 @@ def believed_tag_rotation(
         return None
     T_base_link = frame_transforms(chain, q)[row_index(chain, fiducial.link)]
     return np.asarray((T_camera_base @ T_base_link @ fiducial.T_link_tag)[:3, :3])
-
-
-def skew(vector: Array) -> Array:
-    """The matrix, shape (3, 3), that multiplies as the cross product with a vector does."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _decide(poses: list[TagPose], R_believed: Array | None) -> TagPose | None:

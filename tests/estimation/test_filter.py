@@ -9,21 +9,28 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.estimation.cylinder import tangent_normal
 from svmdist.estimation.filter import KinematicErrorFilter, chi_square_bound, linearise, shaft_of
 from svmdist.estimation.observations import (
     ContourObservation,
     LinkObservation,
     PointsObservation,
-    contour_lines,
+    PoseObservation,
     pose_derivative,
-    rotation_of,
 )
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.inverse import solve_position
 from svmdist.kinematics.jacobian import row_index
 from svmdist.profile import load_profile
-from svmdist.transforms import Array, inverse, make_transform, rotation_z, transform_points
+from svmdist.transforms import (
+    Array,
+    inverse,
+    make_transform,
+    rotation_of,
+    rotation_z,
+    transform_points,
+)
 
 PROFILE = load_profile()
 assert PROFILE.robot is not None
@@ -84,7 +91,7 @@ def sights(q: Array, rng: np.random.Generator, shift_px: float = 0.0) -> list[Li
     T_camera_shaft = T_CAMERA_BASE @ frame_transforms(CHAIN, q)[row_index(CHAIN, SHAFT.link)]
     axis, tip_m = T_camera_shaft[:3, :3] @ SHAFT.axis, T_camera_shaft[:3, 3]
     for side in (1, -1):
-        line = contour_lines(tip_m[None], axis[None], RADIUS_M, side)[0] @ np.linalg.inv(CAMERA.K)
+        line = tangent_normal(tip_m, axis, RADIUS_M, side) @ np.linalg.inv(CAMERA.K)
         line = line / np.hypot(*line[:2])
         pixels = CAMERA.project(np.stack([tip_m - 0.005 * axis, tip_m - 0.025 * axis]))
         offsets = LINE_STD_PX * rng.normal(size=2) - pixels @ line[:2] - line[2]
@@ -153,16 +160,54 @@ def test_derivatives_of_observations() -> None:
         assert pose_derivative(observation, link.T_camera_link).shape == (len(residual), 6)
 
 
-def test_contours_of_a_cylinder_touch_it() -> None:
-    """The planes of both edges hold the axis' direction and keep the radius from the axis, on either side."""
-    axis = np.array([0.6, 0.0, 0.8])
-    p_m = np.array([0.01, 0.02, 0.1])
-    for side in (1, -1):
-        n = contour_lines(p_m[None], axis[None], 0.004, side)[0]
-        assert np.linalg.norm(n) == pytest.approx(1.0)
-        assert n @ axis == pytest.approx(0.0, abs=1e-15)
-        assert n @ p_m == pytest.approx(0.004)
-    assert np.all(np.isnan(contour_lines(0.5 * axis[None], axis[None], 0.004, 1)))
+def test_a_measured_pose_has_derivatives_by_its_rotation() -> None:
+    """By (δp, δθ) of a link, -I and [arm] at a residual near zero, also for a frame that is off the link's origin.
+
+    With T_seen = T_link T_link_seen, a turn δθ of the link moves the predicted frame by δθ x arm and turns it.
+    """
+    rng = np.random.default_rng(5)
+    T_camera_link = make_transform(rotation_of([0.4, -0.7, 0.2]), [0.01, -0.02, 0.09])
+    T_link_seen = make_transform(rotation_of([0.1, 0.3, -0.2]), [0.002, 0.004, -0.003])
+    T_seen = T_camera_link @ T_link_seen
+    for turn_rad in (0.0, 1e-7, 2e-3):
+        seen = make_transform(rotation_of([turn_rad, 0.0, 0.0]) @ T_seen[:3, :3], T_seen[:3, 3])
+        D = pose_derivative(PoseObservation("tag", None, T_link_seen, seen, np.eye(6)), T_camera_link)
+        step = 1e-4 * rng.normal(size=6)
+        expected = np.concatenate(
+            [-step[:3] - np.cross(step[3:], T_seen[:3, 3] - T_camera_link[:3, 3]), -step[3:]]
+        )
+        np.testing.assert_allclose(D @ step, expected, atol=2e-3 * np.abs(step).max())
+
+
+@pytest.mark.parametrize(
+    ("axis", "side", "edge_px"), [((1, 0, 0), 1, (0, 1)), ((1, 0, 0), -1, (0, -1)), ((0, 1, 0), 1, (-1, 0))]
+)
+def test_sides_of_a_drawn_shaft(axis: tuple[int, int, int], side: int, edge_px: tuple[int, int]) -> None:
+    """Right of a shaft that runs to the image's right is below it (y is down), of one that runs down is its left.
+
+    The silhouette is drawn from points of the cylinder's surface: the edge on that side passes the observation.
+    """
+    angle = np.linspace(0.0, 2.0 * np.pi, 4000)
+    across = np.cross(axis, [0.0, 0.0, 1.0])
+    ring = RADIUS_M * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.array([0.0, 0.0, 1.0]))
+    ends = []
+    for along_m in (-0.01, 0.01):
+        p_m = ring + along_m * np.array(axis, np.float64) + [0.0, 0.0, 0.1]
+        pixels = CAMERA.project(p_m)
+        ends.append(pixels[np.argmax(pixels @ edge_px)])
+    seen = ContourObservation(
+        "edge",
+        None,
+        CAMERA,
+        np.array(ends),
+        np.eye(2),
+        np.zeros(3),
+        np.array(axis, np.float64),
+        RADIUS_M,
+        side,
+    )
+    T = make_transform(np.eye(3), [0.0, 0.0, 0.1])
+    np.testing.assert_allclose(seen.residual(T[None]), 0.0, atol=1e-3)
 
 
 def test_chi_square_bound() -> None:

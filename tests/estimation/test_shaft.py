@@ -9,12 +9,11 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.shaft import ShaftEstimator, shaft_frames
-from svmdist.estimation.shaft_fit import ShaftFit, rotation_vector
+from svmdist.estimation.shaft_fit import ShaftFit
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import load_profile
 from svmdist.samples import Observation
-from svmdist.transforms import rotation_x, rotation_z
 from tests.shaft_images import RED_BGR, WRIST_M, ShaftImage, entering_from
 
 PROFILE = load_profile().model_copy(update={"fiducial": None})
@@ -100,9 +99,3 @@ def test_shaft_frame_closes_the_chain_and_lies_along_the_insertion(name: str):
     deeper[chain.joint_names.index("insertion")] += 0.01
     moved_m = shaft_frames(chain, deeper)[0][:3, 3] - T_base_shaft[:3, 3]
     np.testing.assert_allclose(moved_m, 0.01 * T_base_shaft[:3, 2], atol=1e-12)
-
-
-def test_rotation_vector_inverts_small_and_large_turns():
-    for angle in (1e-9, 1e-6, 0.3, 2.0, 3.0):
-        np.testing.assert_allclose(rotation_vector(rotation_z(angle)), [0, 0, angle], atol=1e-12)
-        np.testing.assert_allclose(rotation_vector(rotation_x(-angle)), [-angle, 0, 0], atol=1e-12)
