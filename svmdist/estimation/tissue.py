@@ -112,7 +112,7 @@ def dome_mesh(origin_m: Array, outline_m: Array, normal: Array, dome: Dome) -> M
 
     The gauge runs from 0 at the origin to 1 on the outline; rings crowd at the rim, where the dome is steep.
     """
-    outline_m = outline_m[np.round(np.linspace(0, len(outline_m), SIDES, endpoint=False)).astype(int)]
+    outline_m = outline_m[np.linspace(0, len(outline_m), SIDES, endpoint=False).astype(int)]
     if _turns_clockwise(outline_m - origin_m, normal):
         outline_m = outline_m[::-1]
     gauge = np.sin(np.linspace(0.0, np.pi / 2.0, RINGS + 1)[1:])

@@ -145,3 +145,11 @@ def test_the_tissue_is_found_where_it_lies() -> None:
         errors.append(error / np.sqrt(np.diag(sight.fix.covariance)[:2]))
     assert np.sqrt(np.mean(np.square(errors))) < 2.0
     assert np.mean(np.abs(errors) < 1.96) > 0.85
+
+
+@pytest.mark.parametrize("count", [5, 34, 71, 360])
+def test_a_dome_stands_on_an_outline_of_any_number_of_corners(count: int) -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    ring = np.stack([0.02 * np.cos(angles), 0.02 * np.sin(angles), np.full(count, 0.112)], -1)
+    mesh = dome_mesh(np.array([0.0, 0.0, 0.112]), ring, np.array([0.0, 0.0, -1.0]), Dome(height_m=0.008))
+    assert mesh.vertices_m[:, 2].min() == pytest.approx(0.104)
