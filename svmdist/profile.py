@@ -13,7 +13,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from svmdist.errors import ProfileError, did_you_mean
+from svmdist.errors import ProfileError, UsageError, did_you_mean
+from svmdist.profile_instruments import ARM_TOPICS, ArmFrames, ArmTopics, OtherInstrument, Placement
 from svmdist.profile_robot import (
     Dome,
     Fiducial,
@@ -29,6 +30,8 @@ from svmdist.toml_model import MIB, Byte, Hue, Size, StrictModel, parse_toml
 
 __all__ = [
     "DEFAULT_PROFILE",
+    "ArmFrames",
+    "ArmTopics",
     "ColourRegion",
     "Dome",
     "Features",
@@ -39,6 +42,8 @@ __all__ = [
     "KinematicError",
     "Limits",
     "Marker",
+    "OtherInstrument",
+    "Placement",
     "Profile",
     "Robot",
     "Rotation",
@@ -176,11 +181,71 @@ class Profile(StrictModel):
     fiducial: Fiducial | None = None
     tissue: Tissue | None = None
     simulation: Simulation | None = None
+    instrument_name: str = Field(default="PSM1", min_length=1)
+    """What the instrument is called that everything above is about."""
+    other_instruments: tuple[OtherInstrument, ...] = ()
+
+    @property
+    def instrument_names(self) -> tuple[str, ...]:
+        """The instrument and the others, in the order of the profile."""
+        return self.instrument_name, *(other.name for other in self.other_instruments)
+
+    def for_instrument(self, name: str) -> Profile:
+        """The profile as one of its instruments sees it: its topics, frames and fiducial, and no other instrument.
+
+        Raises UsageError that lists the names.
+        """
+        if name == self.instrument_name:
+            return self.model_copy(update={"other_instruments": ()})
+        other = next((other for other in self.other_instruments if other.name == name), None)
+        if other is None:
+            raise UsageError(
+                f"profile {self.name} has no instrument {name}: {did_you_mean(name, self.instrument_names)}"
+            )
+        topics = {role: getattr(other.topics, role) for role in ARM_TOPICS}
+        update: dict[str, object] = {
+            "topics": self.topics.model_copy(update=topics),
+            "frames": self.frames.model_copy(update={"base": other.frames.base, "tool": other.frames.tool}),
+            "instrument_name": name,
+            "other_instruments": (),
+        }
+        if self.fiducial is not None:
+            tag_id = other.fiducial_id
+            update["fiducial"] = None if tag_id is None else self.fiducial.model_copy(update={"id": tag_id})
+        if other.robot is not None:
+            update["robot"] = other.robot
+        if other.instrument is not None:
+            update["instrument"] = other.instrument
+        if other.simulation is not None and self.simulation is not None:
+            update["simulation"] = self.simulation.model_copy(update=other.simulation.model_dump())
+        return self.model_copy(update=update)
+
+    @model_validator(mode="after")
+    def _instruments_differ(self) -> Profile:
+        """What tells instruments apart must not be the same for two of them."""
+        views = [self.for_instrument(name) for name in dict.fromkeys(self.instrument_names)]
+        told = {
+            "name": list(self.instrument_names),
+            "topic": [getattr(view.topics, role) for view in views for role in ARM_TOPICS],
+            "frame": [frame for view in views for frame in (view.frames.base, view.frames.tool)],
+            "fiducial_id": [str(view.fiducial.id) for view in views if view.fiducial is not None],
+        }
+        if not self.other_instruments:
+            return self
+        for what, values in told.items():
+            doubles = sorted({value for value in values if value is not None and values.count(value) > 1})
+            if doubles:
+                raise ValueError(
+                    f"other_instruments: every instrument needs a {what} of its own; given twice: {', '.join(doubles)}"
+                )
+        return self
 
     @model_validator(mode="after")
     def _fiducial_has_a_link(self) -> Profile:
-        if self.fiducial is not None and self.robot is not None:
-            links = [joint.name for joint in self.robot.joints]
+        for robot in (self.robot, *(other.robot for other in self.other_instruments)):
+            if self.fiducial is None or robot is None:
+                continue
+            links = [joint.name for joint in robot.joints]
             if self.fiducial.link not in links:
                 choices = did_you_mean(self.fiducial.link, links)
                 raise ValueError(f"fiducial.link: no joint named {self.fiducial.link}: {choices}")

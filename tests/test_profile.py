@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.errors import ProfileError, did_you_mean
+from svmdist.errors import ProfileError, UsageError, did_you_mean
 from svmdist.profile import (
     DEFAULT_PROFILE,
     ColourRegion,
@@ -287,3 +287,39 @@ def test_limits_are_numbers_of_bytes_or_text_with_a_unit(tmp_path):
     ):
         with pytest.raises(ProfileError, match=expected):
             load_text(tmp_path, MINIMAL + f"[limits]\n{line}\n")
+
+
+def test_each_instrument_sees_the_profile_its_own_way():
+    """Topics, frames, tag and place are the other instrument's; all else is shared, and the first view is itself."""
+    profile = load_profile()
+    first, second = (profile.for_instrument(name) for name in profile.instrument_names)
+    assert profile.instrument_names == ("PSM1", "PSM2")
+    assert first == profile.model_copy(update={"other_instruments": ()})
+    assert (second.topics.joints, second.topics.image) == ("/PSM2/measured_js", profile.topics.image)
+    assert (second.frames.base, second.frames.tissue) == ("PSM2_base", profile.frames.tissue)
+    assert first.fiducial is not None
+    assert second.fiducial == first.fiducial.model_copy(update={"id": 1})
+    assert second.robot == first.robot
+    with pytest.raises(UsageError, match=r"has no instrument PSM3: did you mean PSM[12]\?.*PSM1, PSM2"):
+        profile.for_instrument("PSM3")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name = "PSM2"', 'name = "PSM1"', "needs a name of its own; given twice: PSM1"),
+        (
+            "/PSM2/measured_js",
+            "/PSM1/measured_js",
+            "needs a topic of its own; given twice: /PSM1/measured_js",
+        ),
+        ('tool = "PSM2_tool"', 'tool = "tool"', "needs a frame of its own; given twice: tool"),
+        ("fiducial_id = 1", "fiducial_id = 0", "needs a fiducial_id of its own; given twice: 0"),
+        ("fiducial_id = 1", "fiducal_id = 1", r"fiducal_id: did you mean fiducial_id\?"),
+        ('joints = "/PSM2/measured_js"\npose = "/PSM2/measured_cp"', "", "name joints or pose"),
+    ],
+)
+def test_instruments_that_cannot_be_told_apart_are_refused(tmp_path, old, new, message):
+    assert old in TEXT
+    with pytest.raises(ProfileError, match=message):
+        load_text(tmp_path, TEXT.replace(old, new, 1))

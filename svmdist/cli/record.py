@@ -50,6 +50,15 @@ def record_command(
     tag: Annotated[
         bool, typer.Option("--tag", help="Mount the profile's AprilTag plate on the instrument.")
     ] = False,
+    arms: Annotated[
+        int,
+        typer.Option(
+            "--arms",
+            min=1,
+            max=2,
+            help="2 adds the profile's second instrument, whose picture crosses the first one's at times.",
+        ),
+    ] = 1,
     kinematic_error: Annotated[
         float,
         typer.Option(
@@ -100,7 +109,7 @@ def record_command(
             path,
             renderer=renderer.value,
             noise=noise,
-            extras=Extras(stereo, tag, kinematic_error, _degradations(degrade)),
+            extras=Extras(stereo, tag, kinematic_error, _degradations(degrade), arms),
             force=force,
             on_progress=advance,
         )

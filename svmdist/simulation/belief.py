@@ -28,39 +28,45 @@ class Belief:
 
 
 def draw_belief(
-    chain: DHChain, T_camera_base: Array, profile: Profile, seed: int, scale: float = 0.0
+    chain: DHChain,
+    T_camera_base: Array,
+    profile: Profile,
+    seed: int,
+    scale: float = 0.0,
+    arm: tuple[int, ...] = (),
 ) -> Belief:
     """Draw what the robot of a seed believes; `scale` multiplies the profile's kinematic error.
 
-    The same seed draws the same directions at every scale. The rotation of `T_camera_base` is off by
+    The same seed draws the same directions at every scale; `arm` is empty for the first arm, and numbers any
+    further one, which errs on its own. The rotation of `T_camera_base` is off by
     a turn about the base's origin, its translation by a shift, both in the camera's axes. Joints that hold
     still while the robot works are not off: what is wrong about them is a part of `T_camera_base`.
     """
-    offsets = _encoder_offsets(chain, profile.simulation, seed)
+    offsets = _encoder_offsets(chain, profile.simulation, [seed, _ENCODER_STREAM, *arm])
     if scale == 0.0:
         return Belief(offsets, T_camera_base)
     error = profile.kinematic_error
-    rng = np.random.default_rng([seed, _CAMERA_BASE_STREAM])
+    rng = np.random.default_rng([seed, _CAMERA_BASE_STREAM, *arm])
     turn_rad = scale * rng.normal(0.0, error.camera_base_std_rad, 3)
     shift_m = scale * rng.normal(0.0, error.camera_base_std_m, 3)
     T_believed = make_transform(
         cv2.Rodrigues(turn_rad)[0] @ T_camera_base[:3, :3], T_camera_base[:3, 3] + shift_m
     )
-    return Belief(offsets + scale * _joint_offsets(chain, error, seed), T_believed)
+    return Belief(offsets + scale * _joint_offsets(chain, error, [seed, _JOINT_STREAM, *arm]), T_believed)
 
 
-def _encoder_offsets(chain: DHChain, settings: Simulation | None, seed: int) -> Array:
+def _encoder_offsets(chain: DHChain, settings: Simulation | None, seeds: list[int]) -> Array:
     if settings is None:
         return np.zeros(len(chain.joint_names))
     std = _by_joint(chain, settings.encoder_std_rad, settings.encoder_std_m)
-    return np.asarray(np.random.default_rng([seed, _ENCODER_STREAM]).normal(0.0, 1.0, len(std)) * std)
+    return np.asarray(np.random.default_rng(seeds).normal(0.0, 1.0, len(std)) * std)
 
 
-def _joint_offsets(chain: DHChain, error: KinematicError, seed: int) -> Array:
+def _joint_offsets(chain: DHChain, error: KinematicError, seeds: list[int]) -> Array:
     std = _by_joint(chain, error.joint_std_rad, error.joint_std_m)
     if error.first_moving_joint is not None:
         std[: chain.joint_names.index(error.first_moving_joint)] = 0.0
-    return np.asarray(np.random.default_rng([seed, _JOINT_STREAM]).normal(0.0, 1.0, len(std)) * std)
+    return np.asarray(np.random.default_rng(seeds).normal(0.0, 1.0, len(std)) * std)
 
 
 def _by_joint(chain: DHChain, revolute: float, prismatic: float) -> Array:

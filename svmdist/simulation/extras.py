@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.vision.degradations import SEVERITIES, Degradation
 
+MAX_ARMS = 2
+
 
 @dataclass(frozen=True)
 class Extras:
@@ -15,19 +17,22 @@ class Extras:
     `stereo` adds the right camera, `tag` mounts the profile's fiducial plate, `kinematic_error` scales what
     the robot believes wrongly about its joints and about where the camera stands (0 none, 1 as the profile
     says). `degradations` spoil the images, one after the other, behind the sensor's noise: (name, severity).
+    `arms` is the number of instruments.
     """
 
     stereo: bool = False
     tag: bool = False
     kinematic_error: float = 0.0
     degradations: tuple[tuple[str, int], ...] = ()
+    arms: int = 1
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.kinematic_error <= 20.0:
             raise UsageError(
                 f"the scale of the kinematic error is from 0 to 20, found {self.kinematic_error:g}"
             )
-
+        if not 1 <= self.arms <= MAX_ARMS:
+            raise UsageError(f"a recording has 1 to {MAX_ARMS} arms, found {self.arms}")
         for name, severity in self.degradations:
             if name not in list(Degradation):
                 raise UsageError(f"no degradation named {name}: {did_you_mean(name, list(Degradation))}")
@@ -40,6 +45,7 @@ class Extras:
             "stereo": "yes" if self.stereo else "",
             "tag": "yes" if self.tag else "",
             "kinematic_error": f"{self.kinematic_error:g}" if self.kinematic_error else "",
+            "arms": str(self.arms) if self.arms > 1 else "",
             "degrade": ",".join(f"{name}={severity}" for name, severity in self.degradations),
         }
         return {name: value for name, value in named.items() if value}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
@@ -30,17 +32,28 @@ OPTICS_SIGMA_PX = 0.8
 """Blur of the optics: no lens draws edges of one pixel, and it hides the renderer's stairs."""
 
 
+@dataclass(frozen=True)
+class _Arm:
+    """A robot in the physics world, the indices of its joints there, and its plate's body."""
+
+    scene: Scene
+    robot: int
+    joint_indices: tuple[int, ...]
+    plate: int | None
+
+
 class Renderer:
-    """A physics world with robot, tissue and floor in it; a context manager.
+    """A physics world with robot, further robots, tissue and floor in it; a context manager.
 
     `frame_of` poses the robot and returns a BGR image, shape (height, width, 3); `right_frame` then draws the
     same instant for the right camera.
     """
 
-    def __init__(self, scene: Scene, name: str = "tiny") -> None:
+    def __init__(self, scene: Scene, name: str = "tiny", others: Sequence[Scene] = ()) -> None:
         if name not in RENDERERS:
             raise SimulationError(f"no renderer named {name}: {did_you_mean(name, RENDERERS)}")
         self._scene = scene
+        self._arms: list[_Arm] = []
         self._client = BulletClient()
         self._folder = tempfile.TemporaryDirectory(prefix="svmdist-")
         self._plugin = -1
@@ -52,7 +65,7 @@ class Renderer:
                 if name == "tiny"
                 else self._client.pb.ER_BULLET_HARDWARE_OPENGL
             )
-            self._build(Path(self._folder.name))
+            self._build(Path(self._folder.name), others)
         except BaseException:
             self.close()
             raise
@@ -60,15 +73,21 @@ class Renderer:
         self._right_view = _view(scene.T_world_camera @ scene.T_camera_right)
         self._projection = _projection(scene.camera, _PIXEL_SHIFT[name])
 
-    def frame_of(self, q: Array, T_world_retractor: Array | None = None) -> Image:
-        """Draw the robot at joints `q`, shape (n_joints,), and the retractor where it is in the scene."""
-        for joint, value in zip(self._joint_indices, q, strict=True):
-            self._client.call("resetJointState", self._robot, joint, float(value))
+    def frame_of(
+        self, q: Array, T_world_retractor: Array | None = None, others: Sequence[Array] = ()
+    ) -> Image:
+        """Draw the robot at joints `q`, shape (n_joints,), and the retractor where it is in the scene.
+
+        `others` are the joints of the further arms.
+        """
+        for arm, at in zip(self._arms, (q, *others), strict=True):
+            for joint, value in zip(arm.joint_indices, at, strict=True):
+                self._client.call("resetJointState", arm.robot, joint, float(value))
+            plate = arm.scene.plate
+            if plate is not None and arm.plate is not None:
+                self._place(arm.plate, arm.scene.link_poses(at)[plate.link] @ plate.T_link_tag)
         if T_world_retractor is not None:
             self._place(self._retractor, T_world_retractor)
-        plate = self._scene.plate
-        if plate is not None:
-            self._place(self._plate, self._scene.link_poses(q)[plate.link] @ plate.T_link_tag)
         return self._draw(self._view)
 
     def right_frame(self) -> Image:
@@ -99,37 +118,52 @@ class Renderer:
         blurred = cv2.GaussianBlur(np.ascontiguousarray(image_bgr), (0, 0), OPTICS_SIGMA_PX)
         return np.asarray(blurred, np.uint8)
 
-    def _build(self, folder: Path) -> None:
+    def _build(self, folder: Path, others: Sequence[Scene]) -> None:
         scene = self._scene
-        visuals = tuple(
-            LinkVisual(part.link, str(part.mesh.write_obj(folder / f"{part.name}.obj")), part.colour_rgba)
-            for part in scene.parts
-        )
-        urdf = folder / "robot.urdf"
-        urdf.write_text(urdf_of(scene.chain, "robot", visuals), "utf-8")
-        position, quaternion = _pose(scene.T_world_base)
-        with quiet_stdout():
-            self._robot = self._client.call("loadURDF", str(urdf), position, quaternion, useFixedBase=True)
-        joints = {
-            info[1].decode(): info[0]
-            for info in (
-                self._client.call("getJointInfo", self._robot, index)
-                for index in range(self._client.call("getNumJoints", self._robot))
-            )
-        }
-        self._joint_indices = [joints[name] for name in scene.chain.joint_names]
+        robot = self._load_robot(scene, folder, "robot")
         tissue = self._body(scene.organ.mesh, folder / "organ.obj", (1.0, 1.0, 1.0, 1.0))
         self._place(tissue, scene.T_world_tissue)
         self._paint(tissue, scene.tissue_texture, folder / "tissue.png")
         floor = self._body(make_floor(), folder / "floor.obj", (1.0, 1.0, 1.0, 1.0))
         self._paint(floor, scene.floor_texture, folder / "floor.png")
         self._retractor = self._body(scene.retractor, folder / "retractor.obj", (0.66, 0.67, 0.68, 1.0))
-        if scene.plate is not None:
-            self._plate = self._body(scene.plate.mesh, folder / "plate.obj", (1.0, 1.0, 1.0, 1.0))
-            self._paint(self._plate, scene.plate.texture, folder / "plate.png")
+        self._arms.append(self._with_plate(scene, robot, folder, "plate"))
         away = np.eye(4)
         away[2, 3] = 1.0  # behind the camera
         self._place(self._retractor, away)
+        for index, other in enumerate(others, start=1):
+            robot = self._load_robot(other, folder, f"robot_{index}")
+            self._arms.append(self._with_plate(other, robot, folder, f"plate_{index}"))
+
+    def _load_robot(self, scene: Scene, folder: Path, name: str) -> int:
+        # Every arm has files of its own: PyBullet may keep a mesh by its name.
+        visuals = tuple(
+            LinkVisual(
+                part.link,
+                str(part.mesh.write_obj(folder / f"{name}_{part.name}.obj")),
+                part.colour_rgba,
+            )
+            for part in scene.parts
+        )
+        urdf = folder / f"{name}.urdf"
+        urdf.write_text(urdf_of(scene.chain, "robot", visuals), "utf-8")
+        position, quaternion = _pose(scene.T_world_base)
+        with quiet_stdout():
+            return int(self._client.call("loadURDF", str(urdf), position, quaternion, useFixedBase=True))
+
+    def _with_plate(self, scene: Scene, robot: int, folder: Path, name: str) -> _Arm:
+        joints = {
+            info[1].decode(): info[0]
+            for info in (
+                self._client.call("getJointInfo", robot, index)
+                for index in range(self._client.call("getNumJoints", robot))
+            )
+        }
+        plate = None
+        if scene.plate is not None:
+            plate = self._body(scene.plate.mesh, folder / f"{name}.obj", (1.0, 1.0, 1.0, 1.0))
+            self._paint(plate, scene.plate.texture, folder / f"{name}.png")
+        return _Arm(scene, robot, tuple(joints[joint] for joint in scene.chain.joint_names), plate)
 
     def _body(self, mesh: Mesh, path: Path, colour_rgba: tuple[float, float, float, float]) -> int:
         pb = self._client.pb

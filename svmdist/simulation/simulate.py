@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import UsageError
-from svmdist.kinematics.dh import forward_kinematics, link_transforms
 from svmdist.profile import Profile, Simulation
 from svmdist.samples import (
     CameraSample,
-    DistanceSample,
     ImageSample,
-    JointSample,
-    PoseSample,
     Sample,
     TransformSample,
     TransformsSample,
 )
-from svmdist.simulation.belief import Belief, draw_belief
-from svmdist.simulation.clearance import ClearanceMeter
+from svmdist.simulation.arm import Arm, ArmTopicNames, distances
+from svmdist.simulation.belief import draw_belief
+from svmdist.simulation.clearance import BetweenMeter, ClearanceMeter
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.renderer import Renderer
 from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Scene, make_scene
+from svmdist.simulation.second_arm import OtherArm, make_other_arms
 from svmdist.simulation.sensor import Sensor
 from svmdist.simulation.trajectory import make_trajectory
-from svmdist.transforms import Array
 
 START_NS = 1_700_000_000_000_000_000
 """The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
@@ -44,11 +42,9 @@ class TopicNames:
     camera_info: str
     right_image: str
     right_camera_info: str
-    joints: str
-    pose: str
+    arm: ArmTopicNames
     tf: str
     ground_truth_tf: str
-    ground_truth_distance: str
 
 
 def topic_names(profile: Profile) -> TopicNames:
@@ -59,11 +55,23 @@ def topic_names(profile: Profile) -> TopicNames:
         topics.camera_info or "/ECM/left/camera_info",
         topics.right_image or "/ECM/right/image",
         topics.right_camera_info or "/ECM/right/camera_info",
-        topics.joints or "/PSM1/measured_js",
-        topics.pose or "/PSM1/measured_cp",
+        _arm_topic_names(profile, "/ground_truth/distance"),
         topics.tf or "/tf",
         topics.ground_truth_tf or "/ground_truth/tf",
-        topics.ground_truth_distance or "/ground_truth/distance",
+    )
+
+
+def between_topic(first: str, second: str) -> str:
+    """The topic of the true distances between two instruments."""
+    return f"/ground_truth/{first}/{second}/distance"
+
+
+def _arm_topic_names(profile: Profile, distance: str) -> ArmTopicNames:
+    topics, name = profile.topics, profile.instrument_name
+    return ArmTopicNames(
+        topics.joints or f"/{name}/measured_js",
+        topics.pose or f"/{name}/measured_cp",
+        topics.ground_truth_distance or distance,
     )
 
 
@@ -91,32 +99,48 @@ def simulate(
     progress = (stamps - START_NS) / (scenario.duration_s * 1e9)
     topics = topic_names(profile)
     left, right = (Sensor(eye, scenario.seed, noise, extras) for eye in (0, 1))
-    belief = draw_belief(scene.chain, scene.T_camera_base, profile, scenario.seed, extras.kinematic_error)
-    with ClearanceMeter(scene) as meter, Renderer(scene, renderer) as view:
+    with ExitStack() as stack:
+        meter = stack.enter_context(ClearanceMeter(scene))
         trajectory = make_trajectory(
             scene, scenario, settings.working_height_m, np.clip(progress, 0.0, 1.0), meter
         )
-        reported = trajectory.q + belief.joint_offsets
+        belief = draw_belief(scene.chain, scene.T_camera_base, profile, scenario.seed, extras.kinematic_error)
+        first = Arm(profile, scene, topics.arm, trajectory.q, belief, meter)
+        others = [
+            _further_arm(other, index, scenario.seed, extras, stack)
+            for index, other in enumerate(_plan_others(first, scenario, extras, progress), start=1)
+        ]
+        arms = (first, *others)
+        between = [stack.enter_context(BetweenMeter(scene, other.scene)) for other in others]
+        view = stack.enter_context(Renderer(scene, renderer, [other.scene for other in others]))
         with_image, with_joints = np.isin(stamps, images), np.isin(stamps, joints)
         next_camera_info_ns = START_NS
         for index, stamp in enumerate(stamps.tolist()):
-            q = trajectory.q[index]
             if stamp >= next_camera_info_ns:
                 yield topics.camera_info, CameraSample(stamp, scene.camera)
                 if extras.stereo:
                     yield topics.right_camera_info, CameraSample(stamp, scene.right_camera)
                 next_camera_info_ns += CAMERA_INFO_PERIOD_NS
             if with_joints[index]:
-                yield topics.joints, JointSample(stamp, scene.chain.joint_names, reported[index])
-                T_base_tool = forward_kinematics(scene.chain, reported[index])
-                yield topics.pose, PoseSample(stamp, profile.frames.base, T_base_tool)
-            truth = _true_transforms(scene, profile, stamp, q)
-            yield topics.ground_truth_tf, truth
-            yield topics.ground_truth_distance, _true_distances(truth, meter.clearance_m(q))
+                for arm in arms:
+                    yield from arm.reports(stamp, index)
+            tools = [arm.true_transform(stamp, index) for arm in arms]
+            yield topics.ground_truth_tf, _true_transforms(scene, profile, tools)
+            for arm, tool in zip(arms, tools, strict=True):
+                yield arm.true_distances(tool, index)
+            for other, tool, gauge in zip(others, tools[1:], between, strict=True):
+                offset_m = tools[0].T_parent_child[:3, 3] - tool.T_parent_child[:3, 3]
+                clearance_m = gauge.clearance_m(first.q[index], other.q[index])
+                topic = between_topic(profile.instrument_name, other.profile.instrument_name)
+                yield topic, distances(stamp, offset_m, clearance_m)
             if with_image[index]:
-                yield topics.tf, _believed_transforms(scene, profile, belief, extras, stamp, reported[index])
+                yield topics.tf, _believed_transforms(arms, extras, stamp, index)
                 T_retractor = trajectory.T_world_retractor
-                image = view.frame_of(q, None if T_retractor is None else T_retractor[index])
+                image = view.frame_of(
+                    first.q[index],
+                    None if T_retractor is None else T_retractor[index],
+                    [other.q[index] for other in others],
+                )
                 yield (
                     topics.image,
                     ImageSample(stamp, scene.camera.frame_id, left.expose(image)),
@@ -124,6 +148,27 @@ def simulate(
                 if extras.stereo:
                     image = right.expose(view.right_frame())
                     yield topics.right_image, ImageSample(stamp, scene.right_camera.frame_id, image)
+
+
+def _plan_others(
+    first: Arm, scenario: Scenario, extras: Extras, progress: NDArray[np.float64]
+) -> tuple[OtherArm, ...]:
+    if extras.arms == 1:
+        return ()
+    moments = np.clip(progress, 0.0, 1.0)
+    return make_other_arms(
+        first.profile, first.scene, scenario.seed, extras, first.q, moments, scenario.duration_s
+    )
+
+
+def _further_arm(other: OtherArm, index: int, seed: int, extras: Extras, stack: ExitStack) -> Arm:
+    scene, profile = other.scene, other.profile
+    belief = draw_belief(
+        scene.chain, scene.T_camera_base, profile, seed, extras.kinematic_error, arm=(index,)
+    )
+    topics = _arm_topic_names(profile, f"/ground_truth/{other.name}/distance")
+    meter = stack.enter_context(ClearanceMeter(scene))
+    return Arm(profile, scene, topics, other.q, belief, meter, prefix=f"{other.name}_")
 
 
 def _stamps(count: int, rate_hz: float) -> NDArray[np.int64]:
@@ -136,44 +181,22 @@ def _joint_stamps(scenario: Scenario, settings: Simulation) -> NDArray[np.int64]
     return _stamps(count, settings.joint_rate_hz)
 
 
-def _true_transforms(scene: Scene, profile: Profile, stamp_ns: int, q: Array) -> TransformsSample:
-    frames = profile.frames
-    T_camera_tool = scene.T_camera_base @ forward_kinematics(scene.chain, q)
-    return TransformsSample(
-        stamp_ns,
-        (
-            TransformSample(stamp_ns, frames.camera, frames.tool, T_camera_tool),
-            TransformSample(stamp_ns, frames.camera, frames.tissue, scene.T_camera_tissue),
-        ),
-    )
-
-
-def _true_distances(truth: TransformsSample, clearance_m: float) -> DistanceSample:
-    tool, tissue = (item.T_parent_child[:3, 3] for item in truth.transforms)
-    between = tool - tissue
-    return DistanceSample(
-        truth.stamp_ns,
-        planar_m=float(np.linalg.norm(between[:2])),  # eq. (35): in the camera's xy plane
-        spatial_m=float(np.linalg.norm(between)),
-        clearance_m=clearance_m,
-    )
+def _true_transforms(scene: Scene, profile: Profile, tools: list[TransformSample]) -> TransformsSample:
+    frames, stamp_ns = profile.frames, tools[0].stamp_ns
+    tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, scene.T_camera_tissue)
+    return TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
 
 
 def _believed_transforms(
-    scene: Scene, profile: Profile, belief: Belief, extras: Extras, stamp_ns: int, reported: Array
+    arms: tuple[Arm, ...], extras: Extras, stamp_ns: int, index: int
 ) -> TransformsSample:
-    """The camera-to-base transform and the whole chain as the reported joints place it; the right camera."""
-    frames, names = profile.frames, [row.name for row in scene.chain.rows]
-    links = link_transforms(scene.chain, reported)
-    children = [*names[:-1], frames.tool]
-    parents = [frames.base, *names[:-1]]
-    links[-1] = links[-1] @ scene.chain.T_last_tool
-    chain = [
-        TransformSample(stamp_ns, parent, child, T)
-        for parent, child, T in zip(parents, children, links, strict=True)
-    ]
-    camera_base = TransformSample(stamp_ns, frames.camera, frames.base, belief.T_camera_base)
+    """The transforms of the first arm, the right camera, and those of the other arms."""
+    transforms = [arm.believed_transforms(stamp_ns, index) for arm in arms]
+    right = []
     if extras.stereo:
-        right = scene.right_camera.frame_id
-        chain.append(TransformSample(stamp_ns, frames.camera, right, scene.T_camera_right))
-    return TransformsSample(stamp_ns, (camera_base, *chain))
+        scene = arms[0].scene
+        camera, right_frame = scene.camera.frame_id, scene.right_camera.frame_id
+        right = [TransformSample(stamp_ns, camera, right_frame, scene.T_camera_right)]
+    return TransformsSample(
+        stamp_ns, (*transforms[0], *right, *(sample for other in transforms[1:] for sample in other))
+    )
