@@ -19,6 +19,7 @@ from svmdist.kinematics.jacobian import joint_axis
 from svmdist.profile import Instrument, KinematicError, Profile
 from svmdist.samples import Estimate, Image, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform
+from svmdist.vision.exposure import levelled
 from svmdist.vision.segmentation import to_hsv
 from svmdist.vision.shaft_segmentation import find_shaft
 from svmdist.vision.tag import TagFinder
@@ -74,10 +75,11 @@ class ShaftEstimator:
     def find_tool(self, observation: Observation) -> ShaftFit | str:
         """The tool's pose in one frame, or why there is none, in words."""
         # The shaft's contour lines and end, and the coloured knuckle, in the image.
-        image_hsv = to_hsv(observation.image_bgr)
-        region = find_shaft(image_hsv, self._rule, self._covered(observation.image_bgr))
+        image_bgr = levelled(observation.image_bgr)
+        image_hsv = to_hsv(image_bgr)
+        region = find_shaft(image_hsv, self._rule, self._covered(image_bgr))
         knuckle = see_knuckle(image_hsv, self._profile.segmentation.instrument)
-        seen = see_shaft(observation.image_bgr, region, knuckle, observation.camera)
+        seen = see_shaft(image_bgr, region, knuckle, observation.camera)
 
         # The pose that fits them, through the wrist.
         model = shaft_model(observation, self._chain, self._instrument, self._profile.kinematic_error)

@@ -18,6 +18,7 @@ from svmdist.profile import Dome, Profile, Tissue
 from svmdist.samples import Estimate, Image, Status
 from svmdist.transforms import Array
 from svmdist.vision.completion import CompletedOutline, complete_outline
+from svmdist.vision.exposure import levelled
 from svmdist.vision.regions import Region, find_region
 from svmdist.vision.segmentation import colour_mask, to_hsv
 
@@ -57,7 +58,7 @@ def see_tissue(image_bgr: Image, profile: Profile, camera: Camera) -> TissueSigh
     Raises ProfileError where the profile knows no plane.
     """
     tissue = require_tissue(profile)
-    mask = colour_mask(to_hsv(image_bgr), profile.segmentation.tissue)
+    mask = colour_mask(to_hsv(levelled(image_bgr)), profile.segmentation.tissue)
     # The region's own centroid would complete the outline a first time.
     region = find_region(mask, profile.segmentation.tissue.model_copy(update={"occlusion": "hull"}))
     if region is None:
