@@ -80,6 +80,17 @@ def record_command(
             show_default=False,
         ),
     ] = None,
+    jpeg: Annotated[
+        int | None,
+        typer.Option(
+            "--jpeg",
+            metavar="QUALITY",
+            min=1,
+            max=100,
+            help="Store images as JPEG, as endoscopes' recorders do; without it as PNG, which loses nothing.",
+            show_default=False,
+        ),
+    ] = None,
     renderer: Annotated[Renderer, typer.Option("--renderer", help="Software or OpenGL.")] = Renderer.TINY,
     output: Annotated[
         Path | None,
@@ -111,6 +122,7 @@ def record_command(
             noise=noise,
             extras=Extras(stereo, tag, kinematic_error, _degradations(degrade), arms),
             force=force,
+            jpeg_quality=jpeg,
             on_progress=advance,
         )
     size_mb = result.size_bytes / 1e6

@@ -34,16 +34,20 @@ class RecordingWriter:
 
     An exception inside the block keeps the `.part` file, which holds everything written so far, and renames
     nothing; a `.part` without any message is removed. Chunks hold at most 256 KiB, or one message that is
-    larger. `metadata` becomes the record `svmdist`.
+    larger. `metadata` becomes the record `svmdist`. Images are written as PNG, or as
+    JPEG of a quality from 1 to 100.
 
     Raises UsageError when the file exists and `force` is not set, OutputError when it cannot be written.
     """
 
-    def __init__(self, path: Path, metadata: Mapping[str, str], *, force: bool = False) -> None:
+    def __init__(
+        self, path: Path, metadata: Mapping[str, str], *, force: bool = False, jpeg_quality: int | None = None
+    ) -> None:
         self.path = Path(path)
         self.part_path = self.path.with_name(self.path.name + ".part")
         self._metadata = dict(metadata)
         self._force = force
+        self._jpeg_quality = jpeg_quality
         self._file: IO[bytes] | None = None
         self._channels: dict[str, tuple[int, type]] = {}
         self._schemas: dict[type, int] = {}
@@ -77,7 +81,7 @@ class RecordingWriter:
         Raises OutputError when the file cannot be written, ValueError when the topic already carries
         another type of sample.
         """
-        data = encode(sample)
+        data = encode(sample, self._jpeg_quality)
         needed_bytes = RECORD_HEAD_BYTES + MESSAGE_HEAD_BYTES + len(data)
         try:
             self._end_chunk_before(sample.stamp_ns, needed_bytes)

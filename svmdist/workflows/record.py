@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from svmdist.errors import UsageError
 from svmdist.profile import Profile
 from svmdist.recording.writer import RecordingWriter
 from svmdist.simulation.extras import Extras
@@ -35,18 +36,25 @@ def record(
     noise: float = 0.0,
     extras: Extras | None = None,
     force: bool = False,
+    jpeg_quality: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> RecordResult:
     """Simulate a scenario and write it to `output`; `on_progress` hears of (images done, images in all).
+
+    Images are PNG, which keeps them to the last bit, or JPEG of a quality from 1 to 100.
 
     Raises UsageError where the file exists and `force` is not set, OutputError where it cannot be written,
     SimulationError where PyBullet is missing or the profile cannot be simulated.
     """
     extras = extras or Extras()
+    if jpeg_quality is not None and not 1 <= jpeg_quality <= 100:
+        raise UsageError(f"the quality of JPEG is from 1 to 100, found {jpeg_quality}")
     metadata = _metadata(scenario, profile, renderer, noise) | extras.metadata()
+    if jpeg_quality is not None:
+        metadata["jpeg_quality"] = str(jpeg_quality)
     topics = topic_names(profile)
     frame_count = message_count = 0
-    with RecordingWriter(output, metadata, force=force) as writer:
+    with RecordingWriter(output, metadata, force=force, jpeg_quality=jpeg_quality) as writer:
         for topic, sample in simulate(scenario, profile, renderer=renderer, noise=noise, extras=extras):
             writer.write(topic, sample)
             message_count += 1

@@ -90,6 +90,16 @@ def test_images_survive_exactly(stamp_ns: int, image: np.ndarray) -> None:
     np.testing.assert_array_equal(back.decode(), image)
 
 
+def test_a_jpeg_image_survives_nearly() -> None:
+    """Colour at full resolution: at the edge of a saturated red nothing bleeds by more than a few levels."""
+    image = np.full((48, 64, 3), (60, 160, 60), np.uint8)
+    image[:, 33:] = (40, 40, 220)
+    data = encode(ImageSample(5, "camera", image), jpeg_quality=95)
+    sample = Decoder(Limits()).decode(RawMessage("/t", message_type(ImageSample).name, "protobuf", 5, data))
+    assert isinstance(sample, EncodedImage)
+    assert np.abs(sample.decode().astype(int) - image).max() <= 12
+
+
 def test_camera_survives_exactly() -> None:
     back = there_and_back(CameraSample(5, CAMERA)).camera
     assert (back.width_px, back.height_px, back.frame_id) == (CAMERA.width_px, CAMERA.height_px, "camera")
