@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Literal
 
 from pydantic import Field, model_validator
 
@@ -26,22 +25,35 @@ from svmdist.profile_robot import (
     Simulation,
     Tissue,
 )
-from svmdist.toml_model import MIB, Byte, Hue, Size, StrictModel, parse_toml
+from svmdist.profile_segmentation import (
+    AnySegmentation,
+    AreaGate,
+    ClassRegion,
+    ColourRegion,
+    HsvSegmentation,
+    OnnxSegmentation,
+    Segmentation,
+)
+from svmdist.toml_model import MIB, Byte, Size, StrictModel, parse_toml
 
 __all__ = [
     "DEFAULT_PROFILE",
+    "AreaGate",
     "ArmFrames",
     "ArmTopics",
+    "ClassRegion",
     "ColourRegion",
     "Dome",
     "Features",
     "Fiducial",
     "Frames",
+    "HsvSegmentation",
     "Instrument",
     "Joint",
     "KinematicError",
     "Limits",
     "Marker",
+    "OnnxSegmentation",
     "OtherInstrument",
     "Placement",
     "Profile",
@@ -110,40 +122,6 @@ class Limits(StrictModel):
     """One JSON message; parsing can take thirty times its size in memory."""
 
 
-class ColourRegion(StrictModel):
-    """An HSV box in OpenCV's 8-bit units (H 0–179, S and V 0–255), bounds included, and its area gate.
-
-    A hue range with first > last wraps around 0, as red does.
-    """
-
-    hue: tuple[Hue, Hue]
-    saturation: tuple[Byte, Byte] = (0, 255)
-    value: tuple[Byte, Byte] = (0, 255)
-    min_area_px: int = Field(ge=1)
-    components: Literal["all", "largest"] = "all"
-    """`all`: every connected part above the gate belongs to the region, since an instrument that crosses
-    an organ cuts its region in two. `largest`: one part only."""
-    occlusion: Literal["none", "hull", "outline"] = "none"
-    """Where the centroid is taken when an instrument hides a part: of the visible pixels (`none`), of their
-    convex hull (`hull`), or of a smooth outline fitted to what of it is visible (`outline`)."""
-
-    @model_validator(mode="after")
-    def _ordered(self) -> ColourRegion:
-        for name, (first, last) in (("saturation", self.saturation), ("value", self.value)):
-            if first > last:
-                raise ValueError(f"{name} = [{first}, {last}] is empty: the first bound is above the last")
-        return self
-
-
-class Segmentation(StrictModel):
-    """How tissue and instrument are told apart from the rest of the image."""
-
-    tissue: ColourRegion
-    instrument: ColourRegion
-    shaft: ColourRegion | None = None
-    """The instrument's dark shaft, which comes in from the border; the method `shaft` looks for it."""
-
-
 class Marker(StrictModel):
     """The static virtual marker (SVM): its size and the colour of the outline drawn around it."""
 
@@ -172,7 +150,7 @@ class Profile(StrictModel):
     topics: Topics = Topics()
     frames: Frames = Frames()
     limits: Limits = Limits()
-    segmentation: Segmentation
+    segmentation: AnySegmentation
     marker: Marker
     features: Features = Features()
     robot: Robot | None = None

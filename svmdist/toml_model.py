@@ -8,7 +8,16 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    Tag,
+    ValidationError,
+    ValidationInfo,
+)
 
 from svmdist.errors import SvmdistError, did_you_mean
 
@@ -49,11 +58,17 @@ def _parse_size(value: Any) -> Any:
     return int(number) * SIZE_UNITS[unit]
 
 
+def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
+    """A relative path starts from the folder of the file that names it, wherever the program was started."""
+    return Path(info.context["folder"]) / path if info.context else path
+
+
 SIZE_UNITS = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 MIB = SIZE_UNITS["MiB"]
 Angle = Annotated[float, BeforeValidator(_parse_angle)]
 Size = Annotated[int, BeforeValidator(_parse_size), Field(ge=1 << 10, le=1 << 40)]
 Length = Annotated[float, Field(gt=0.0)]
+NeighbourFile = Annotated[Path, AfterValidator(_beside_the_file)]
 Byte = Annotated[int, Field(ge=0, le=255)]
 Hue = Annotated[int, Field(ge=0, le=179)]
 
@@ -69,7 +84,7 @@ def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Mod
     except tomllib.TOMLDecodeError as problem:
         raise error(f"{path}: not a TOML file: {problem}") from None
     try:
-        return model.model_validate(data)
+        return model.model_validate(data, context={"folder": path.parent})
     except ValidationError as problem:
         raise error(f"{path}: {'; '.join(_describe(problem, model))}") from None
 
@@ -77,9 +92,9 @@ def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Mod
 def _describe(problem: ValidationError, model: type[BaseModel]) -> Iterator[str]:
     for item in problem.errors(include_url=False):
         location = item["loc"]
-        key = ".".join(str(part) for part in location)
+        key, _ = _resolve(model, location)
         if item["type"] == "extra_forbidden":
-            siblings = _model_at(model, location[:-1])
+            _, siblings = _resolve(model, location[:-1])
             fields = siblings.model_fields if siblings else {}
             choices = [field.alias or name for name, field in fields.items()]
             yield f"unknown key {key}: {did_you_mean(str(location[-1]), choices)}"
@@ -95,17 +110,34 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel] | None:
-    """Find the model class that a location inside a document is checked by."""
-    current: Any = model
+def _resolve(model: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str, type[BaseModel] | None]:
+    """The key that a location inside a document is written as, and the model class that it is checked by.
+
+    Pydantic puts the tag of the union's member that it tried into a location; no such key stands in the file.
+    """
+    annotation: Any = model
+    key: list[str] = []
     for part in location:
+        tagged = _tagged(annotation)
+        if part in tagged:
+            annotation = tagged[part]
+            continue
+        key.append(str(part))
         if isinstance(part, int):
             continue
-        if not (isinstance(current, type) and issubclass(current, BaseModel)):
-            return None
-        annotation = current.model_fields[part].annotation if part in current.model_fields else None
-        current = next(_models_in(annotation), None)
-    return current if isinstance(current, type) else None
+        found = next(_models_in(annotation), None)
+        annotation = found.model_fields[part].annotation if found and part in found.model_fields else None
+    return ".".join(key), next(_models_in(annotation), None)
+
+
+def _tagged(annotation: Any) -> dict[int | str, Any]:
+    """The members of a union by their tags."""
+    return {
+        mark.tag: member
+        for member in getattr(annotation, "__args__", ())
+        for mark in getattr(member, "__metadata__", ())
+        if isinstance(mark, Tag)
+    }
 
 
 def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:

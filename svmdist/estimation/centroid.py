@@ -7,6 +7,7 @@ from svmdist.estimation.locate import locate_both
 from svmdist.estimation.rows import finish, first_rows
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
+from svmdist.vision.segmenter import Segmenter, make_segmenter
 
 
 class CentroidEstimator:
@@ -14,13 +15,14 @@ class CentroidEstimator:
 
     name = "centroid"
 
-    def __init__(self, profile: Profile, mapping: PlaneMapping) -> None:
+    def __init__(self, profile: Profile, mapping: PlaneMapping, segmenter: Segmenter | None = None) -> None:
         self._segmentation = profile.segmentation
+        self._segmenter = segmenter or make_segmenter(profile.segmentation, level=False)
         self._mapping = mapping
 
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame; a frame that cannot be measured says why."""
-        tissue, instrument = locate_both(observation.image_bgr, self._segmentation)
+        tissue, instrument = locate_both(self._segmenter.masks(observation.image_bgr), self._segmentation)
         row = first_rows(observation.stamp_ns, tissue, instrument)
         if tissue is None or instrument is None:
             return row

@@ -16,6 +16,7 @@ from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import select_joints
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Image, Observation, Status
+from svmdist.vision.segmenter import Segmenter, make_segmenter
 from svmdist.vision.tag import TagFinder, TagPattern
 
 
@@ -24,7 +25,7 @@ class FiducialEstimator:
 
     name = "fiducial"
 
-    def __init__(self, profile: Profile) -> None:
+    def __init__(self, profile: Profile, segmenter: Segmenter | None = None) -> None:
         if profile.fiducial is None or profile.robot is None:
             raise ProfileError(
                 f"profile {profile.name} has no {'[fiducial]' if profile.robot else '[robot]'}: the method"
@@ -32,6 +33,7 @@ class FiducialEstimator:
             )
         require_tissue(profile)
         self._profile = profile
+        self._segmenter = segmenter or make_segmenter(profile.segmentation)
         self._fiducial = profile.fiducial
         self._chain = chain_of(profile.robot)
         self._model = InstrumentModel.of(profile)
@@ -41,7 +43,7 @@ class FiducialEstimator:
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame; a frame that cannot be measured says why."""
         # The tissue, on the plane that it lies on.
-        sight = see_tissue(observation.image_bgr, self._profile, observation.camera)
+        sight = see_tissue(self._segmenter.masks(observation.image_bgr), self._profile, observation.camera)
         row = tissue_row(observation.stamp_ns, sight)
         if sight is None or sight.fix is None:
             return row

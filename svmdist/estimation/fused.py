@@ -24,7 +24,7 @@ from svmdist.estimation.tissue_memory import TissueMemory
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Image, JointSample, Observation, Status
 from svmdist.vision.regions import Region
-from svmdist.vision.segmentation import to_hsv
+from svmdist.vision.segmenter import Segmenter, make_segmenter
 from svmdist.vision.tag import TagFinder, TagPattern
 
 REGION_STD_PX = 2.0
@@ -46,9 +46,10 @@ class FusedEstimator:
 
     name = "fused"
 
-    def __init__(self, profile: Profile) -> None:
+    def __init__(self, profile: Profile, segmenter: Segmenter | None = None) -> None:
         require_tissue(profile)
         self._profile = profile
+        self._segmenter = segmenter or make_segmenter(profile.segmentation)
         self._chain = require_chain(profile)
         self._model = InstrumentModel.of(profile)
         self._tissue = TissueMemory()
@@ -60,7 +61,8 @@ class FusedEstimator:
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame; a row needs joints and a tissue seen before, and nothing of this image."""
         belief = belief_of(observation, self._chain)
-        sight = see_tissue(observation.image_bgr, self._profile, observation.camera)
+        masks = self._segmenter.masks(observation.image_bgr)
+        sight = see_tissue(masks, self._profile, observation.camera)
         tissue = self._tissue.add(sight.fix if sight else None)
         row = with_tissue(Estimate(observation.stamp_ns, Status.NO_TISSUE), sight)
         if isinstance(belief, str):
@@ -68,7 +70,7 @@ class FusedEstimator:
 
         # Predict by the joints, correct by what the image gives.
         self._filter.predict(observation.stamp_ns, belief.q, belief.T_camera_base)
-        region = locate_instrument(to_hsv(observation.image_bgr), self._profile.segmentation)
+        region = locate_instrument(masks, self._profile.segmentation)
         verdicts = self._filter.update(
             [*self._region_sight(observation, region), *self._tag_sight(observation, belief)]
         )

@@ -19,6 +19,7 @@ from svmdist.kinematics.dh import DHChain, select_joints
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation, Status
 from svmdist.transforms import Array
+from svmdist.vision.segmenter import Segmenter, make_segmenter
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +35,10 @@ class KinematicEstimator:
 
     name = "kinematic"
 
-    def __init__(self, profile: Profile) -> None:
+    def __init__(self, profile: Profile, segmenter: Segmenter | None = None) -> None:
         require_tissue(profile)
         self._profile = profile
+        self._segmenter = segmenter or make_segmenter(profile.segmentation)
         self._chain = require_chain(profile)
         self._model = InstrumentModel.of(profile)
         self._tissue = TissueMemory()
@@ -44,7 +46,7 @@ class KinematicEstimator:
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame; without joints or a camera-to-base transform there is nothing to say."""
         belief = belief_of(observation, self._chain)
-        sight = see_tissue(observation.image_bgr, self._profile, observation.camera)
+        sight = see_tissue(self._segmenter.masks(observation.image_bgr), self._profile, observation.camera)
         tissue = self._tissue.add(sight.fix if sight else None)
         row = with_tissue(Estimate(observation.stamp_ns, Status.NO_TISSUE), sight)
         if isinstance(belief, str):

@@ -16,6 +16,7 @@ from svmdist.estimation.shaft import ShaftEstimator
 from svmdist.estimation.stereo import StereoEstimator
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
+from svmdist.vision.segmenter import Segmenter
 
 
 class Estimator(Protocol):
@@ -29,13 +30,13 @@ class Estimator(Protocol):
         """Measure one frame. A frame that cannot be measured is an outcome, not an exception."""
 
 
-PLANAR_METHODS: dict[str, Callable[[Profile, PlaneMapping], Estimator]] = {
+PLANAR_METHODS: dict[str, Callable[[Profile, PlaneMapping, Segmenter | None], Estimator]] = {
     "overlay": OverlayEstimator,
     "centroid": CentroidEstimator,
 }
 """Methods of the paper's plane: they need the mapping from pixels to it."""
 
-SPATIAL_METHODS: dict[str, Callable[[Profile], Estimator]] = {
+SPATIAL_METHODS: dict[str, Callable[[Profile, Segmenter | None], Estimator]] = {
     "fiducial": FiducialEstimator,
     "shaft": ShaftEstimator,
     "stereo": StereoEstimator,
@@ -47,15 +48,17 @@ SPATIAL_METHODS: dict[str, Callable[[Profile], Estimator]] = {
 METHODS = (*PLANAR_METHODS, *SPATIAL_METHODS)
 
 
-def make_estimator(method: str, profile: Profile, mapping: PlaneMapping | None = None) -> Estimator:
+def make_estimator(
+    method: str, profile: Profile, mapping: PlaneMapping | None = None, segmenter: Segmenter | None = None
+) -> Estimator:
     """Make the estimator of that name; raises UsageError that lists the names.
 
-    A planar method needs a mapping; a 3D one takes none.
+    A planar method needs a mapping; a 3D one takes none. Estimators that share a segmenter share its work on an image.
     """
     if method in SPATIAL_METHODS:
-        return SPATIAL_METHODS[method](profile)
+        return SPATIAL_METHODS[method](profile, segmenter)
     if method not in PLANAR_METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
     if mapping is None:
         raise UsageError(f"method {method} is planar: it needs a calibration")
-    return PLANAR_METHODS[method](profile, mapping)
+    return PLANAR_METHODS[method](profile, mapping, segmenter)

@@ -16,6 +16,7 @@ from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation, Status
 from svmdist.vision.features import EDGE_MARGIN_PX
 from svmdist.vision.marker import paste_marker
+from svmdist.vision.segmenter import Segmenter, make_segmenter
 
 
 class OverlayEstimator:
@@ -23,8 +24,9 @@ class OverlayEstimator:
 
     name = "overlay"
 
-    def __init__(self, profile: Profile, mapping: PlaneMapping) -> None:
+    def __init__(self, profile: Profile, mapping: PlaneMapping, segmenter: Segmenter | None = None) -> None:
         self._segmentation = profile.segmentation
+        self._segmenter = segmenter or make_segmenter(profile.segmentation, level=False)
         self._marker = profile.marker
         self._rules = profile.features
         self._mapping = mapping
@@ -33,7 +35,7 @@ class OverlayEstimator:
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame by the paper's three phases; a frame that cannot be measured says why."""
         # First phase: tissue, instrument, marker on the instrument.
-        tissue, instrument = locate_both(observation.image_bgr, self._segmentation)
+        tissue, instrument = locate_both(self._segmenter.masks(observation.image_bgr), self._segmentation)
         row = first_rows(observation.stamp_ns, tissue, instrument)
         if tissue is None or instrument is None:
             return row

@@ -20,7 +20,7 @@ from svmdist.profile import Instrument, KinematicError, Profile
 from svmdist.samples import Estimate, Image, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform
 from svmdist.vision.exposure import levelled
-from svmdist.vision.segmentation import to_hsv
+from svmdist.vision.segmenter import Segmenter, make_segmenter
 from svmdist.vision.shaft_segmentation import find_shaft
 from svmdist.vision.tag import TagFinder
 
@@ -37,7 +37,7 @@ class ShaftEstimator:
 
     name = "shaft"
 
-    def __init__(self, profile: Profile) -> None:
+    def __init__(self, profile: Profile, segmenter: Segmenter | None = None) -> None:
         rule = profile.segmentation.shaft
         if rule is None or profile.robot is None or profile.instrument is None:
             raise ProfileError(
@@ -46,6 +46,7 @@ class ShaftEstimator:
             )
         require_tissue(profile)
         self._profile = profile
+        self._segmenter = segmenter or make_segmenter(profile.segmentation)
         self._rule = rule
         self._instrument = profile.instrument
         self._chain = chain_of(profile.robot)
@@ -57,7 +58,7 @@ class ShaftEstimator:
         """Measure one frame; a frame that cannot be measured says why."""
         camera = observation.camera
         # The tissue, on the plane that it lies on.
-        sight = see_tissue(observation.image_bgr, self._profile, camera)
+        sight = see_tissue(self._segmenter.masks(observation.image_bgr), self._profile, camera)
         row = tissue_row(observation.stamp_ns, sight)
         if sight is None or sight.fix is None:
             return row
@@ -76,9 +77,11 @@ class ShaftEstimator:
         """The tool's pose in one frame, or why there is none, in words."""
         # The shaft's contour lines and end, and the coloured knuckle, in the image.
         image_bgr = levelled(observation.image_bgr)
-        image_hsv = to_hsv(image_bgr)
-        region = find_shaft(image_hsv, self._rule, self._covered(image_bgr))
-        knuckle = see_knuckle(image_hsv, self._profile.segmentation.instrument)
+        masks = self._segmenter.masks(observation.image_bgr)
+        region = None
+        if masks.shaft is not None:
+            region = find_shaft(masks.shaft, self._rule, self._covered(image_bgr), masks.black)
+        knuckle = see_knuckle(masks.instrument, self._profile.segmentation.instrument)
         seen = see_shaft(image_bgr, region, knuckle, observation.camera)
 
         # The pose that fits them, through the wrist.

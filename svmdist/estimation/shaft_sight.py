@@ -8,12 +8,11 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation.cylinder import TangentPlane, tangent_plane
-from svmdist.profile import ColourRegion
+from svmdist.profile import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edges import edge_points, fit_line, straightened
 from svmdist.vision.regions import find_region
-from svmdist.vision.segmentation import colour_mask
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
 
 REACH_FRACTION = 0.007
@@ -103,9 +102,8 @@ def see_shaft(
     return ShaftSight(tuple(contours), rim, knuckle, known, region.middle_px, region.is_stub)
 
 
-def see_knuckle(image_hsv: Image, rule: ColourRegion) -> Knuckle | None:
-    """The coloured region as a disc; what the border cuts is completed by a circle through its contour."""
-    mask = colour_mask(image_hsv, rule)
+def see_knuckle(mask: Image, rule: AreaGate) -> Knuckle | None:
+    """The region of a mask, shape (h, w), as a disc; a circle through its contour completes what the border cuts."""
     region = find_region(mask, rule)
     if region is None:
         return None

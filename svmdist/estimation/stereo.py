@@ -20,7 +20,7 @@ from svmdist.geometry.surfaces import Cloud
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Image, Observation, RightView, Status
 from svmdist.transforms import Array
-from svmdist.vision.segmentation import colour_mask, to_hsv
+from svmdist.vision.segmenter import Segmenter, make_segmenter
 from svmdist.vision.stereo import DisparitySurface, fit_surface
 
 NEAR_M, FAR_M = 0.04, 0.25
@@ -39,16 +39,19 @@ class StereoEstimator:
 
     name = "stereo"
 
-    def __init__(self, profile: Profile) -> None:
+    def __init__(self, profile: Profile, segmenter: Segmenter | None = None) -> None:
         require_tissue(profile)
         self._profile = profile
+        self._segmenter = segmenter or make_segmenter(profile.segmentation)
         self._chain = require_chain(profile)
         self._model = InstrumentModel.of(profile)
 
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame; a frame that cannot be measured says why."""
         # Left view: tissue and instrument, as in every method.
-        tissue, instrument = locate_both(observation.image_bgr, self._profile.segmentation)
+        tissue, instrument = locate_both(
+            self._segmenter.masks(observation.image_bgr), self._profile.segmentation
+        )
         row = first_rows(observation.stamp_ns, tissue, instrument)
         if instrument is None or row.status is not Status.OK:
             return row
@@ -72,7 +75,7 @@ class StereoEstimator:
     def _triangulate(
         self, observation: Observation, right: RightView, left_px: Array, belief: Belief
     ) -> ToolPose | None:
-        _, instrument = locate_both(right.image_bgr, self._profile.segmentation)
+        _, instrument = locate_both(self._segmenter.masks(right.image_bgr), self._profile.segmentation)
         if instrument is None or abs(left_px[1] - instrument.centroid_px[1]) > ROW_TOLERANCE_PX:
             return None
         K, baseline_m = observation.camera.K, float(right.T_left_right[0, 3])
@@ -94,13 +97,12 @@ class StereoEstimator:
 
     def _tissue(self, observation: Observation, right: RightView) -> TissueFix | None:
         """The origin by the outline on the profile's plane, as elsewhere; the surface by stereo."""
-        sight = see_tissue(observation.image_bgr, self._profile, observation.camera)
+        sight = see_tissue(self._segmenter.masks(observation.image_bgr), self._profile, observation.camera)
         if sight is None or sight.fix is None:
             return None
         K, baseline_m = observation.camera.K, float(right.T_left_right[0, 3])
-        rule = self._profile.segmentation.tissue
         mask, right_mask = (
-            colour_mask(to_hsv(image), rule) for image in (observation.image_bgr, right.image_bgr)
+            self._segmenter.masks(image).tissue for image in (observation.image_bgr, right.image_bgr)
         )
         bounds = (int(K[0, 0] * baseline_m / FAR_M), int(np.ceil(K[0, 0] * baseline_m / NEAR_M)))
         surface = fit_surface(_grey(observation.image_bgr), _grey(right.image_bgr), mask, right_mask, *bounds)

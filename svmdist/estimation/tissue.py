@@ -15,12 +15,11 @@ from svmdist.errors import ProfileError
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Mesh, Plane, Surface
 from svmdist.profile import Dome, Profile, Tissue
-from svmdist.samples import Estimate, Image, Status
+from svmdist.samples import Estimate, Status
 from svmdist.transforms import Array
 from svmdist.vision.completion import CompletedOutline, complete_outline
-from svmdist.vision.exposure import levelled
 from svmdist.vision.regions import Region, find_region
-from svmdist.vision.segmentation import colour_mask, to_hsv
+from svmdist.vision.segmenter import Masks
 
 RINGS = 14
 SIDES = 72
@@ -52,18 +51,17 @@ class TissueSight:
     fix: TissueFix | None
 
 
-def see_tissue(image_bgr: Image, profile: Profile, camera: Camera) -> TissueSight | None:
-    """Find the tissue in an image and fix it in 3D; None where no region passes the gate.
+def see_tissue(masks: Masks, profile: Profile, camera: Camera) -> TissueSight | None:
+    """Find the tissue in an image's masks and fix it in 3D; None where no region passes the gate.
 
     Raises ProfileError where the profile knows no plane.
     """
     tissue = require_tissue(profile)
-    mask = colour_mask(to_hsv(levelled(image_bgr)), profile.segmentation.tissue)
     # The region's own centroid would complete the outline a first time.
-    region = find_region(mask, profile.segmentation.tissue.model_copy(update={"occlusion": "hull"}))
+    region = find_region(masks.tissue, profile.segmentation.tissue.model_copy(update={"occlusion": "hull"}))
     if region is None:
         return None
-    outline = complete_outline(mask, region.hull)
+    outline = complete_outline(masks.tissue, region.hull)
     return TissueSight(region, outline, fix_tissue(outline, camera, tissue))
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.profile import ColourRegion
+from svmdist.profile import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.completion import completed_centroid, polygon_centroid
@@ -33,7 +33,7 @@ class Region:
     hull_area_px2: float
 
 
-def find_region(mask: Image, rule: ColourRegion) -> Region | None:
+def find_region(mask: Image, rule: AreaGate) -> Region | None:
     """Find the region of a mask, shape (h, w), that passes the rule's area gate; None where there is none."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     parts = [(_pixel_count(mask, contour), contour) for contour in _worth_counting(contours, rule)]
@@ -73,7 +73,7 @@ def pixel_centroid(mask: Image) -> Array:
     return np.array([moments["m10"], moments["m01"]]) / moments["m00"]
 
 
-def _worth_counting(contours: object, rule: ColourRegion) -> list[NDArray[np.int32]]:
+def _worth_counting(contours: object, rule: AreaGate) -> list[NDArray[np.int32]]:
     """Drop contours whose bounding box already holds too few pixels: speckled masks have thousands."""
     kept = []
     for contour in contours:  # type: ignore[attr-defined]

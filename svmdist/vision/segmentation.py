@@ -2,11 +2,54 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import cv2
 import numpy as np
 
-from svmdist.profile import ColourRegion
+from svmdist.profile import ColourRegion, HsvSegmentation
 from svmdist.samples import Image
+from svmdist.vision.exposure import levelled
+
+
+class HsvMasks:
+    """The masks of one image, shape (h, w) with 0 or 255, each made when it is first asked for."""
+
+    def __init__(self, image_bgr: Image, rules: HsvSegmentation) -> None:
+        self._image_hsv = to_hsv(image_bgr)
+        self._rules = rules
+
+    @cached_property
+    def tissue(self) -> Image:
+        """Pixels of the tissue's colour."""
+        return colour_mask(self._image_hsv, self._rules.tissue)
+
+    @cached_property
+    def instrument(self) -> Image:
+        """Pixels of the colour of the instrument's distal part."""
+        return colour_mask(self._image_hsv, self._rules.instrument)
+
+    @cached_property
+    def shaft(self) -> Image | None:
+        """Pixels as dark as the shaft; None where the profile knows no shaft."""
+        return None if self._rules.shaft is None else colour_mask(self._image_hsv, self._rules.shaft)
+
+    @property
+    def black(self) -> Image | None:
+        """None: what is as black as the border of the picture is dark enough for the shaft."""
+        return None
+
+
+class HsvSegmenter:
+    """`method = "hsv"`: a box of colours for each part; with `level`, at the exposure that they were chosen at."""
+
+    def __init__(self, rules: HsvSegmentation, level: bool = True) -> None:
+        self._rules = rules
+        self._level = level
+
+    def masks(self, image_bgr: Image) -> HsvMasks:
+        """The masks of an image, shape (h, w, 3) in BGR."""
+        return HsvMasks(levelled(image_bgr) if self._level else image_bgr, self._rules)
 
 
 def to_hsv(image_bgr: Image) -> Image:

@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.profile import ColourRegion
+from svmdist.profile import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.segmentation import colour_mask
 
 BRIGHT_PART_FRACTION = 0.005
 """Bright parts below this fraction of the image are letters on a black border, not scene."""
@@ -92,14 +91,17 @@ def field_of_view(dark: Image) -> Image:
     return view
 
 
-def find_shaft(image_hsv: Image, rule: ColourRegion, covered: Image | None = None) -> ShaftRegion | None:
-    """Find the shaft by its colour in an HSV image, shape (h, w, 3); None where none comes in from the border.
+def find_shaft(
+    shaft: Image, rule: AreaGate, covered: Image | None = None, black: Image | None = None
+) -> ShaftRegion | None:
+    """Find the shaft in its mask, shape (h, w); None where none comes in from the border.
 
-    `covered`, shape (h, w), marks what is mounted on the shaft and must not be taken for it.
+    `covered`, shape (h, w), marks what is mounted on the shaft and must not be taken for it; `black` what may be the
+    picture's border, where the shaft's mask does not hold that too.
     """
-    width = image_hsv.shape[1]
-    dark = np.asarray(cv2.medianBlur(colour_mask(image_hsv, rule), 3), np.uint8)
-    view = field_of_view(dark)
+    width = shaft.shape[1]
+    dark = np.asarray(cv2.medianBlur(shaft, 3), np.uint8)
+    view = field_of_view(dark if black is None else np.asarray(dark | black))
     if covered is not None:
         dark = np.asarray(cv2.subtract(dark, covered), np.uint8)
     rim_px = max(2, round(RIM_FRACTION * width))

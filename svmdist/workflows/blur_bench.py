@@ -17,7 +17,6 @@ from svmdist.transforms import Array
 from svmdist.vision.blur import Blur, apply_blur
 from svmdist.vision.features import EDGE_MARGIN_PX, detect_orb
 from svmdist.vision.marker import paste_marker
-from svmdist.vision.segmentation import colour_mask, to_hsv
 from svmdist.workflows.setup import Setup
 from svmdist.workflows.truth import Reference, distance_truth
 
@@ -101,7 +100,7 @@ def blur_bench(
                 if isinstance(observation, Rejection):
                     continue
                 degraded = replace(observation, image_bgr=apply_blur(observation.image_bgr, blur, kernel_px))
-                row = _measure(degraded, estimator, setup.profile, tallies[blur])
+                row = _measure(degraded, estimator, setup, tallies[blur])
                 if row.measured:
                     rows[blur].append(row)
         for blur, measured in rows.items():
@@ -110,15 +109,14 @@ def blur_bench(
     return [_row(blur, kernels_px[blur], tally) for blur, tally in tallies.items()]
 
 
-def _measure(observation: Observation, estimator: Estimator, profile: Profile, tally: _Tally) -> Estimate:
-    row = estimator.estimate(observation)
-    image_hsv = to_hsv(observation.image_bgr)
-    instrument = locate_instrument(image_hsv, profile.segmentation)
+def _measure(observation: Observation, estimator: Estimator, setup: Setup, tally: _Tally) -> Estimate:
+    row, profile = estimator.estimate(observation), setup.profile
+    masks = setup.segmenter.masks(observation.image_bgr)
+    instrument = locate_instrument(masks, profile.segmentation)
     if instrument is None:
         return row
-    mask = colour_mask(image_hsv, profile.segmentation.instrument)
     grey = np.asarray(cv2.cvtColor(observation.image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-    tally.keypoints.append(len(detect_orb(grey, profile.features.feature_count, mask)))
+    tally.keypoints.append(len(detect_orb(grey, profile.features.feature_count, masks.instrument)))
     tally.areas.append(instrument.area_px)
     tally.marker_keypoints.append(
         _marker_keypoint_count(observation.image_bgr, instrument.centroid_px, profile)

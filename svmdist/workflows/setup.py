@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from svmdist.camera import Camera
@@ -12,6 +13,7 @@ from svmdist.estimation.equations import PRINTED_MAPPING, Equations, PlaneMappin
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.reader import Recording
+from svmdist.vision.segmenter import Segmenter, make_segmenter
 
 
 @dataclass(frozen=True)
@@ -30,11 +32,16 @@ class Setup:
             return PRINTED_MAPPING
         return self.calibration.mapping if self.calibration else None
 
+    @cached_property
+    def segmenter(self) -> Segmenter:
+        """What tells tissue and instrument apart; raises ProfileError where its network cannot be used."""
+        return make_segmenter(self.profile.segmentation, level=self.method not in PLANAR_METHODS)
+
     def estimator_for(self, recording: Recording) -> Estimator:
         """Make the estimator for a recording; raises CalibrationError for another camera."""
         if self.equations == "corrected" and self.calibration is not None:
             self.calibration.require_camera(recording.camera, recording.name)
-        return make_estimator(self.method, self.profile, self.mapping)
+        return make_estimator(self.method, self.profile, self.mapping, self.segmenter)
 
     def was_fitted_on(self, recording: Recording) -> bool:
         """Whether the calibration was fitted on this very recording: then its figures prove nothing."""
@@ -64,6 +71,14 @@ def prepare(
     if equations not in ("corrected", "printed"):
         raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
     loaded = load_profile(profile)
+    setup = _resolve(profile, loaded, method, equations, calibration)
+    _ = setup.segmenter  # a network that cannot be used is told before a recording is opened
+    return setup
+
+
+def _resolve(
+    profile: str | Path, loaded: Profile, method: str, equations: Equations, calibration: Path | None
+) -> Setup:
     if method not in PLANAR_METHODS:
         if equations == "printed" or calibration is not None:
             option = "--equations printed" if equations == "printed" else "--calibration"

@@ -18,6 +18,7 @@ from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import Dome, load_profile
 from svmdist.samples import Estimate, JointSample, Status
 from svmdist.transforms import inverse, make_transform, rotation_x, rotation_z
+from svmdist.vision.segmenter import make_segmenter
 from svmdist.vision.tag import nudged
 
 PROFILE = load_profile()
@@ -137,7 +138,7 @@ def test_the_tissue_is_found_where_it_lies() -> None:
         image[((xs - centre[0]) / 138) ** 2 + ((ys - centre[1]) / 109) ** 2 <= 1] = (70, 60, 200)
         end = centre + rng.uniform(-60, 60, 2)
         cv2.line(image, (639, int(rng.uniform(50, 430))), tuple(end.astype(int).tolist()), (40, 40, 40), 40)
-        sight = see_tissue(image, PROFILE, CAMERA)
+        sight = see_tissue(make_segmenter(PROFILE.segmentation).masks(image), PROFILE, CAMERA)
         assert sight is not None
         assert sight.fix is not None
         truth = np.append((centre - CAMERA.K[:2, 2]) / CAMERA.K[0, 0], 1.0) * 0.112

@@ -1,0 +1,46 @@
+"""One interface to segmentation, however it is done: an image in, a mask for each part out."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from svmdist.profile import HsvSegmentation, Segmentation
+from svmdist.samples import Image
+from svmdist.vision.network import OnnxSegmenter
+from svmdist.vision.segmentation import HsvSegmenter
+
+
+class Masks(Protocol):
+    """What is what in one image: masks of shape (h, w), uint8, 0 or 255; they may be combined by `&`."""
+
+    @property
+    def tissue(self) -> Image:
+        """The tissue."""
+
+    @property
+    def instrument(self) -> Image:
+        """The instrument's distal part, about the tool's origin."""
+
+    @property
+    def shaft(self) -> Image | None:
+        """The instrument's shaft; None where the profile knows none."""
+
+    @property
+    def black(self) -> Image | None:
+        """What may be border around the endoscope's picture; None where the shaft's mask holds it already."""
+
+
+class Segmenter(Protocol):
+    """What every method of segmentation is: one image to its masks, at the image's own resolution."""
+
+    def masks(self, image_bgr: Image) -> Masks:
+        """The masks of an image, shape (h, w, 3) in BGR; the work is done once an image."""
+
+
+def make_segmenter(rules: Segmentation, level: bool = True) -> Segmenter:
+    """Make the segmenter that a profile asks for; raises ProfileError where its network cannot be used.
+
+    `level` brings dim and hazy images to a fair exposure before colours are told, which the paper does not. A network
+    sees the image as it is, as it did in its training.
+    """
+    return HsvSegmenter(rules, level) if isinstance(rules, HsvSegmentation) else OnnxSegmenter(rules)

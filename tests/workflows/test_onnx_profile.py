@@ -1,0 +1,97 @@
+"""A profile that segments by a network, from the command line to the distances."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.cli.main import run
+from svmdist.profile import DEFAULT_PROFILE, profile_path
+from svmdist.recording.reader import open_recording
+from svmdist.samples import Observation
+from svmdist.workflows.setup import prepare
+from tests.onnx_file import write_classifier
+
+# Scores of background, tissue (red), instrument (cyan) and shaft (dark), linear in RGB from 0 to 1.
+WEIGHTS = np.array([[0.0, 0.0, 0.0], [0.69, -0.5, -0.5], [-1.0, 0.36, 0.36], [-1.0, -1.0, -1.0]])
+BIAS = np.array([0.0, 0.0, -0.02, 0.5])
+
+
+@pytest.fixture(scope="module")
+def onnx_profile(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The shipped profile with classes in place of colours, its model in a folder beside it."""
+    folder = tmp_path_factory.mktemp("onnx")
+    (folder / "models").mkdir()
+    write_classifier(folder / "models" / "colours.onnx", WEIGHTS, BIAS, (640, 480))
+    text = profile_path(DEFAULT_PROFILE).read_text("utf-8")
+    for number, part in enumerate(("tissue", "instrument", "shaft"), 1):
+        pattern = rf"(\[segmentation\.{part}\]\n)hue = .*\nsaturation = .*\nvalue = .*\n"
+        text, count = re.subn(pattern, rf"\1class_ids = [{number}]\n", text)
+        assert count == 1
+    head = (
+        '[segmentation]\nmethod = "onnx"\nmodel = "models/colours.onnx"\nwidth_px = 640\nheight_px = 480\n\n'
+    )
+    path = folder / "mine.toml"
+    path.write_text(text.replace("[segmentation.tissue]", head + "[segmentation.tissue]", 1), "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("method", ["shaft", "fused"])
+def test_distances_are_those_of_the_colours(golden: Path, onnx_profile: Path, method: str) -> None:
+    """Where a network tells the same parts apart, every frame is measured, within 0.3 mm of the colours' distance."""
+    colours, network = (prepare(profile, method) for profile in (DEFAULT_PROFILE, onnx_profile))
+    recording = open_recording(golden / "contact.mcap", colours.profile)
+    seen = [each for each in recording.observations() if isinstance(each, Observation)][::8]
+    first, second = (setup.estimator_for(recording) for setup in (colours, network))
+    rows = [(first.estimate(observation), second.estimate(observation)) for observation in seen]
+    assert all(a.status is b.status for a, b in rows)
+    pairs = [
+        (a.spatial_m, b.spatial_m) for a, b in rows if a.spatial_m is not None and b.spatial_m is not None
+    ]
+    assert len(pairs) >= 9
+    np.testing.assert_allclose(*np.array(pairs).T, atol=3e-4)
+
+
+def estimate(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
+) -> tuple[int, str, str]:
+    """Run `svmdist estimate` from another folder than the profile's."""
+    monkeypatch.setattr("sys.argv", ["svmdist", "estimate", *map(str, arguments)])
+    with pytest.raises(SystemExit) as caught:
+        run()
+    captured = capsys.readouterr()
+    return int(caught.value.code or 0), captured.out, captured.err
+
+
+def test_estimate_takes_the_profile(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], golden: Path, onnx_profile: Path
+) -> None:
+    """`estimate --profile` finds the model beside the profile and measures the golden log as the colours do."""
+    calibration = profile_path(DEFAULT_PROFILE).with_name("psm13.calibration.toml")
+    common = (golden / "contact.mcap", "--method", "centroid", "--calibration", calibration, "-f", "jsonl")
+    rows = []
+    for profile in (DEFAULT_PROFILE, onnx_profile):
+        code, out, err = estimate(monkeypatch, capsys, *common, "--profile", profile)
+        assert code == 0, err
+        rows.append([json.loads(line) for line in out.splitlines()])
+    assert [row["status"] for row in rows[0]] == [row["status"] for row in rows[1]]
+    pairs = [(a["distance_m"], b["distance_m"]) for a, b in zip(*rows, strict=True) if a["status"] == "ok"]
+    assert len(pairs) > 60
+    np.testing.assert_allclose(*np.array(pairs).T, atol=3e-4)
+
+
+def test_a_missing_model_is_one_line_before_the_log_is_opened(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, onnx_profile: Path
+) -> None:
+    path = tmp_path / "moved.toml"
+    path.write_text(onnx_profile.read_text("utf-8"), "utf-8")
+    code, out, err = estimate(monkeypatch, capsys, "nothing.mcap", "--method", "shaft", "--profile", path)
+    assert (code, out) == (1, "")
+    assert (
+        err
+        == f"svmdist: {tmp_path / 'models' / 'colours.onnx'}: cannot read the network: No such file or directory\n"
+    )
