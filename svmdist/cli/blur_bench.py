@@ -1,14 +1,23 @@
-"""`svmdist blur-bench`: Table I, measured."""
+"""`svmdist blur-bench`: Table I, measured; or the grid of degradations and severities."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from svmdist.cli.console import Summary, files_or_golden, report_health, require_output_folder, write_summary
+from svmdist.cli.degradation_grid import (
+    DegradationsOption,
+    GridMethodOption,
+    SeveritiesOption,
+    grid_conditions_of,
+    grid_summary,
+)
 from svmdist.cli.options import (
     CalibrationOption,
+    Method,
     OptionalFiles,
     OutputOption,
     ProfileOption,
@@ -19,18 +28,30 @@ from svmdist.cli.options import (
 )
 from svmdist.errors import UsageError, did_you_mean
 
+if TYPE_CHECKING:
+    from svmdist.recording.reader import Recording
+    from svmdist.vision.blur import Blur
+    from svmdist.workflows.setup import Setup
+
+KernelOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--kernel", metavar="BLUR=PX", help="Kernel of one blur, odd; may be repeated.", show_default=False
+    ),
+]
+GridOption = Annotated[
+    bool,
+    typer.Option("--grid", help="Instead of Table I: error and coverage by degradation and severity 1 to 5."),
+]
+
 
 def blur_bench_command(
     files: OptionalFiles = None,
-    kernel: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--kernel",
-            metavar="BLUR=PX",
-            help="Kernel of one blur, odd; may be repeated.",
-            show_default=False,
-        ),
-    ] = None,
+    kernel: KernelOption = None,
+    grid: GridOption = False,
+    method: GridMethodOption = None,
+    degradations: DegradationsOption = None,
+    severities: SeveritiesOption = None,
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
@@ -39,38 +60,64 @@ def blur_bench_command(
 ) -> None:
     """Measure features and error under blur.
 
-    Table I of the paper, reproducible. Without FILE, on every log in recordings/.
+    Table I of the paper, reproducible; with --grid, error and coverage of a method under every degradation and
+    severity. Without FILE, on every log in recordings/.
     """
     from svmdist.recording.reader import open_recording
-    from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, BLUR_NOTE, blur_row
-    from svmdist.workflows.blur_bench import DEFAULT_KERNELS_PX, blur_bench
     from svmdist.workflows.setup import prepare
 
     require_output_folder(output)
-    kernels_px = {str(blur): size for blur, size in DEFAULT_KERNELS_PX.items()} | _kernels(
-        kernel or [], [str(blur) for blur in DEFAULT_KERNELS_PX]
-    )
-    setup = prepare(profile, "overlay", "corrected", calibration)
+    if grid:
+        _refuse("--kernel is for Table I: it has no place beside --grid", kernel)
+        conditions = grid_conditions_of(degradations, severities)
+    else:
+        for option, value in (
+            ("--method", method),
+            ("--degradations", degradations),
+            ("--severities", severities),
+        ):
+            _refuse(f"{option} is for --grid: Table I is the paper's, of its own method", value)
+        kernels_px = _kernels(kernel or [])
+    setup = prepare(profile, (method or Method.OVERLAY).value, "corrected", calibration)
     recordings = [
         open_recording(path, setup.profile, topics=topics_of(topic)) for path in files_or_golden(files)
     ]
-    measured = blur_bench(recordings, setup, {blur: kernels_px[str(blur)] for blur in DEFAULT_KERNELS_PX})
-    rows = [blur_row(row) for row in measured]
-    title = f"{measured[0].frame_count} frames of {len(recordings)} recordings"
-    write_summary(Summary(title, BLUR_COLUMNS, BLUR_KEYS, rows, [BLUR_NOTE]), form, output)
+    summary = (
+        grid_summary(recordings, setup, conditions) if grid else _table_one(recordings, setup, kernels_px)
+    )
+    write_summary(summary, form, output)
     raise typer.Exit(report_health(recordings))
 
 
-def _kernels(options: list[str], blurs: list[str]) -> dict[str, int]:
-    """Parse BLUR=PX; raises UsageError that says what was expected."""
-    kernels = {}
+def _refuse(message: str, value: object) -> None:
+    """Refuse an option that would be ignored; raises UsageError where it was given."""
+    if value is not None:
+        raise UsageError(message)
+
+
+def _table_one(recordings: list[Recording], setup: Setup, kernels_px: Mapping[Blur, int]) -> Summary:
+    from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, BLUR_NOTE, blur_row
+    from svmdist.report.table import rich_table
+    from svmdist.workflows.blur_bench import blur_bench
+
+    measured = blur_bench(recordings, setup, kernels_px)
+    title = f"{measured[0].frame_count} frames of {len(recordings)} recordings"
+    rows = [blur_row(row) for row in measured]
+    return Summary([rich_table(title, BLUR_COLUMNS, rows)], BLUR_KEYS, rows, [BLUR_NOTE])
+
+
+def _kernels(options: list[str]) -> dict[Blur, int]:
+    """Parse BLUR=PX over the default kernels; raises UsageError that says what was expected."""
+    from svmdist.vision.blur import Blur
+    from svmdist.workflows.blur_bench import DEFAULT_KERNELS_PX
+
+    kernels_px = dict(DEFAULT_KERNELS_PX)
+    blurs = [str(blur) for blur in Blur if blur is not Blur.NONE]
     for option in options:
         name, _, size = option.partition("=")
-        if name not in blurs or name == "none":
-            raise UsageError(
-                f"--kernel {option}: {did_you_mean(name, [blur for blur in blurs if blur != 'none'])}"
-            )
+        if name not in blurs:
+            raise UsageError(f"--kernel {option}: {did_you_mean(name, blurs)}")
         if not size.isdecimal() or int(size) % 2 == 0 or not 1 <= int(size) <= 101:
             raise UsageError(f"--kernel {option}: expected an odd size from 1 to 101 px, as in {name}=5")
-        kernels[name] = int(size)
-    return kernels
+        kernels_px[Blur(name)] = int(size)
+    return kernels_px

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from svmdist.cli.console import Summary, files_or_golden, report_health, require_output_folder, write_summary
+from svmdist.cli.degradations import parse_degradations
 from svmdist.cli.options import (
     CalibrationOption,
     Method,
@@ -18,6 +19,7 @@ from svmdist.cli.options import (
     TopicOption,
     topics_of,
 )
+from svmdist.cli.progress import progress_bar
 
 
 def compare_command(
@@ -28,6 +30,15 @@ def compare_command(
             "--method", help="A method to compare; may be repeated. Default: all.", show_default=False
         ),
     ] = None,
+    degrade: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--degrade",
+            metavar="NAME=SEVERITY",
+            help="Also on the images degraded like this, as in smoke=3; may be repeated, each for itself.",
+            show_default=False,
+        ),
+    ] = None,
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
@@ -36,15 +47,22 @@ def compare_command(
 ) -> None:
     """Measure with all methods side by side.
 
-    One pass over the images of each recording; per scenario and over all. Without FILE, on every log in
-    recordings/.
+    One pass over the images of each recording; per scenario and degradation, and over all. Without FILE, on every
+    log in recordings/.
     """
     from svmdist.recording.reader import open_recording
-    from svmdist.report.comparison import COMPARE_COLUMNS, COMPARE_KEYS, COMPARE_NOTE, compare_row
+    from svmdist.report.comparison import COMPARE_KEYS, compare_row, compare_tables
+    from svmdist.report.figures import FIGURE_NOTE
+    from svmdist.vision.degradations import require_degradation
     from svmdist.workflows.compare import compare
+    from svmdist.workflows.replay import CLEAN, Condition
     from svmdist.workflows.setup import prepare
 
     require_output_folder(output)
+    conditions = [CLEAN] + [
+        Condition(require_degradation(name, severity), severity)
+        for name, severity in dict.fromkeys(parse_degradations("--degrade", degrade))
+    ]
     methods = list(dict.fromkeys(method)) if method else list(Method)
     planar = (Method.OVERLAY, Method.CENTROID)
     setups = [
@@ -54,7 +72,8 @@ def compare_command(
     recordings = [
         open_recording(path, setups[0].profile, topics=topics_of(topic)) for path in files_or_golden(files)
     ]
-    rows = [compare_row(score) for score in compare(recordings, setups)]
-    title = f"{len(methods)} methods on {len(recordings)} recordings"
-    write_summary(Summary(title, COMPARE_COLUMNS, COMPARE_KEYS, rows, [COMPARE_NOTE]), form, output)
+    with progress_bar(f"{len(setups)} methods", "measurements") as advance:
+        scores = compare(recordings, setups, conditions, on_progress=advance)
+    rows = [compare_row(score) for score in scores]
+    write_summary(Summary(compare_tables(scores), COMPARE_KEYS, rows, [FIGURE_NOTE]), form, output)
     raise typer.Exit(report_health(recordings))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from svmdist.recording.health import Health
-    from svmdist.report.table import Column, Row
+    from svmdist.report.table import Row
 
 
 class ExitCode(IntEnum):
@@ -78,24 +78,23 @@ def write_tables(tables: Sequence[Table], notes: Sequence[str], output: Path | N
 
 @dataclass(frozen=True)
 class Summary:
-    """Rows to be written in any form: title, columns and notes for a person, keys for machines."""
+    """Results to be written in any form: tables and notes for a person, rows and their keys for machines."""
 
-    title: str
-    columns: Sequence[Column]
+    tables: Sequence[Table]
     keys: Sequence[str]
     rows: Sequence[Row]
     notes: Sequence[str] = ()
 
 
 def write_summary(summary: Summary, form: TableFormat, output: Path | None) -> None:
-    """Write a table, CSV, or a JSON array of objects."""
+    """Write tables, CSV, or a JSON array of objects."""
     import json
 
-    from svmdist.report.table import csv_lines, rich_table
+    from svmdist.report.table import csv_lines
 
     match form:
         case TableFormat.TABLE:
-            write_tables([rich_table(summary.title, summary.columns, summary.rows)], summary.notes, output)
+            write_tables(summary.tables, summary.notes, output)
         case TableFormat.CSV:
             write_lines(csv_lines(summary.keys, summary.rows), output)
         case TableFormat.JSON:

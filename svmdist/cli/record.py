@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from svmdist.cli.console import error_console, require_output_folder, say
+from svmdist.cli.console import require_output_folder, say
+from svmdist.cli.degradations import parse_degradations
 from svmdist.cli.options import ProfileOption
-from svmdist.errors import UsageError
+from svmdist.cli.progress import progress_bar
 
 
 class ScenarioName(StrEnum):
@@ -113,52 +112,17 @@ def record_command(
     path = output or Path(f"{scenario.value}-{seed}.mcap")
     require_output_folder(path)
     plan = Scenario(scenario.value, seed, duration, rate)
-    with _progress(f"{scenario.value}, seed {seed}") as advance:
+    with progress_bar(f"{scenario.value}, seed {seed}", "frames") as advance:
         result = record(
             plan,
             load_profile(profile),
             path,
             renderer=renderer.value,
             noise=noise,
-            extras=Extras(stereo, tag, kinematic_error, _degradations(degrade), arms),
+            extras=Extras(stereo, tag, kinematic_error, parse_degradations("--degrade", degrade), arms),
             force=force,
             jpeg_quality=jpeg,
             on_progress=advance,
         )
     size_mb = result.size_bytes / 1e6
     say(f"svmdist: {path}: {result.frame_count} frames, {result.message_count} messages, {size_mb:.2f} MB")
-
-
-def _degradations(options: list[str] | None) -> tuple[tuple[str, int], ...]:
-    """Parse NAME=SEVERITY options; raises UsageError. Whether the name exists is checked with the others."""
-    parsed = []
-    for option in options or []:
-        name, _, severity = option.partition("=")
-        if not (name and severity.isdecimal()):
-            raise UsageError(f"--degrade {option}: expected NAME=SEVERITY, as in smoke=3")
-        parsed.append((name, int(severity)))
-    return tuple(parsed)
-
-
-@contextmanager
-def _progress(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Show frames per second and the time left on a terminal's stderr; stay silent in a pipe."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = error_console()
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(title, total=None, rate="")
-
-        def advance(done: int, total: int) -> None:
-            elapsed_s = progress.tasks[0].elapsed or 0.0
-            rate = f"{done / elapsed_s:.1f} frames/s" if elapsed_s > 0 else ""
-            progress.update(task, completed=done, total=total, rate=rate)
-
-        yield advance

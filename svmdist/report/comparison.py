@@ -1,73 +1,38 @@
-"""The comparison of methods as rows: method by planar, spatial and clearance figures."""
+"""The comparison of methods: rows for machines, and a table a group of frames for a person."""
 
 from __future__ import annotations
 
-from svmdist.report.table import Cell, Column, number, percent
-from svmdist.workflows.compare import DistanceScore, MethodScore
+from collections.abc import Sequence
+from itertools import groupby
 
-COMPARE_KEYS = (
-    "group",
-    "method",
-    "frame_count",
-    "measured_count",
-    "coverage",
-    "ms_per_frame",
-    "r_squared",
-    "rmse_m",
-    "p95_abs_error_m",
-    "interval_coverage",
-    "spatial_r_squared",
-    "spatial_rmse_m",
-    "spatial_p95_abs_error_m",
-    "spatial_interval_coverage",
-    "clearance_r_squared",
-    "clearance_rmse_m",
-    "clearance_p95_abs_error_m",
-    "clearance_interval_coverage",
-)
+from rich.table import Table as RichTable
 
-COMPARE_COLUMNS = (
-    Column("group", "frames of", is_text=True),
-    Column("method", "method", is_text=True),
-    Column("frame_count", "n"),
-    Column("coverage", "cov. %", percent(1)),
-    Column("r_squared", "R²", number(4)),
-    Column("rmse_m", "planar RMSE", number(2, 1e3)),
-    Column("spatial_rmse_m", "spatial RMSE", number(2, 1e3)),
-    Column("spatial_p95_abs_error_m", "p95", number(2, 1e3)),
-    Column("spatial_interval_coverage", "in 95 %", percent(1)),
-    Column("clearance_rmse_m", "clearance RMSE", number(2, 1e3)),
-    Column("clearance_p95_abs_error_m", "p95", number(2, 1e3)),
-    Column("clearance_interval_coverage", "in 95 %", percent(1)),
-    Column("ms_per_frame", "ms/frame", number(1)),
-)
+from svmdist.report.figures import FIGURE_COLUMNS, FIGURE_KEYS, figure_cells
+from svmdist.report.table import Cell, Column, rich_table
+from svmdist.workflows.compare import MethodScore
 
-COMPARE_NOTE = (
-    "Errors in mm against the simulator's truth; `in 95 %`: share of truths inside the stated 95 % interval;"
-    " ms/frame: the method alone, without reading and decoding. –: the method cannot tell."
-)
+COMPARE_KEYS = ("group", "method", *FIGURE_KEYS, "scenario", "degradation")
+
+COMPARE_COLUMNS = (Column("method", "method", is_text=True), *FIGURE_COLUMNS)
 
 
 def compare_row(score: MethodScore) -> dict[str, Cell]:
     """One score in SI, flat, with the keys of `COMPARE_KEYS`."""
-    row: dict[str, Cell] = {
-        "group": score.group,
-        "method": score.method,
-        "frame_count": score.frame_count,
-        "measured_count": score.measured_count,
-        "coverage": score.coverage,
-        "ms_per_frame": score.ms_per_frame,
-    }
-    for prefix, part in (("", score.planar), ("spatial_", score.spatial), ("clearance_", score.clearance)):
-        row |= _figures(prefix, part)
-    return row
-
-
-def _figures(prefix: str, score: DistanceScore | None) -> dict[str, Cell]:
-    statistics = score.statistics if score else None
     return {
-        f"{prefix}r_squared": statistics.r_squared if statistics else None,
-        f"{prefix}rmse_m": statistics.rmse if statistics else None,
-        f"{prefix}p95_abs_error_m": statistics.p95_abs_error if statistics else None,
-        f"{prefix}interval_coverage": score.interval_coverage if score else None,
+        "group": str(score.group),
+        "method": score.method,
+        **figure_cells(score.figures),
+        "scenario": score.group.scenario,
+        "degradation": score.group.degradation,
     }
+
+
+def compare_tables(scores: Sequence[MethodScore]) -> list[RichTable]:
+    """A table a group, in the order of the scores: one table of all would be too wide for a terminal."""
+    tables = []
+    for group, members in groupby(scores, lambda score: score.group):
+        of = list(members)
+        methods = "1 method" if len(of) == 1 else f"{len(of)} methods"
+        title = f"{group}: {methods} on {of[0].figures.frame_count} frames"
+        tables.append(rich_table(title, COMPARE_COLUMNS, [compare_row(score) for score in of]))
+    return tables

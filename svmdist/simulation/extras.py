@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from svmdist.errors import UsageError, did_you_mean
-from svmdist.vision.degradations import SEVERITIES, Degradation
+from svmdist.errors import UsageError
+from svmdist.vision.degradations import require_degradation
 
 MAX_ARMS = 2
 
@@ -34,10 +34,7 @@ class Extras:
         if not 1 <= self.arms <= MAX_ARMS:
             raise UsageError(f"a recording has 1 to {MAX_ARMS} arms, found {self.arms}")
         for name, severity in self.degradations:
-            if name not in list(Degradation):
-                raise UsageError(f"no degradation named {name}: {did_you_mean(name, list(Degradation))}")
-            if severity not in SEVERITIES:
-                raise UsageError(f"the severity of {name} is a whole number from 1 to 5, found {severity}")
+            require_degradation(name, severity)
 
     def metadata(self) -> dict[str, str]:
         """Name what is set, for a recording's metadata; a plain recording names nothing."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from svmdist.samples import Image
 from svmdist.simulation.extras import Extras
-from svmdist.vision.degradations import PER_SENSOR, Degradation, degrade
+from svmdist.vision.degradations import Degradation, degrade, image_seed
 
 _NOISE_STREAMS = (11, 14)
 _DEGRADATION_STREAM = 15
@@ -27,10 +27,8 @@ class Sensor:
         """Return what the camera reports of the image."""
         image = self._with_noise(image_bgr)
         for place, (name, severity) in enumerate(self._degradations):
-            # Both cameras look through the same smoke, and move alike.
-            eye = self._eye if name in PER_SENSOR else 0
-            chance = np.random.SeedSequence([self._seed, _DEGRADATION_STREAM, place, self._frame, eye])
-            image = degrade(image, name, severity, int(chance.generate_state(1)[0]))
+            seed = image_seed(name, self._eye, self._seed, _DEGRADATION_STREAM, place, self._frame)
+            image = degrade(image, name, severity, seed)
         self._frame += 1
         return image
 

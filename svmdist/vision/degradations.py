@@ -13,6 +13,7 @@ from enum import StrEnum
 import cv2
 import numpy as np
 
+from svmdist.errors import UsageError, did_you_mean
 from svmdist.samples import Image
 from svmdist.transforms import Array
 
@@ -60,6 +61,24 @@ SMOKE_BGR = (208.0, 204.0, 200.0)
 
 JPEG_QUALITY = (60, 40, 25, 14, 7)
 """OpenCV's scale to 100: recorders use 80 and more, streams fall to 25 and below."""
+
+
+def require_degradation(name: str, severity: int) -> Degradation:
+    """The degradation of that name; raises UsageError that lists the names, or the severities."""
+    if name not in list(Degradation):
+        raise UsageError(f"no degradation named {name}: {did_you_mean(name, list(Degradation))}")
+    if severity not in SEVERITIES:
+        raise UsageError(f"the severity of {name} is a whole number from 1 to 5, found {severity}")
+    return Degradation(name)
+
+
+def image_seed(kind: Degradation, eye: int, *path: int) -> int:
+    """The seed of one image: `path` settles log and frame, `eye` is 0 for the left camera and 1 for the right.
+
+    Both cameras look through the same smoke and move alike, but each has its own sensor.
+    """
+    chance = np.random.SeedSequence([*path, eye if kind in PER_SENSOR else 0])
+    return int(chance.generate_state(1)[0])
 
 
 def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int) -> Image:

@@ -3,180 +3,91 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-
-import numpy as np
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from svmdist.errors import RecordingError
-from svmdist.estimation.methods import Estimator
-from svmdist.metrics import ErrorStatistics, coverage, error_statistics, interval_coverage
 from svmdist.recording.reader import Recording
-from svmdist.samples import Estimate, Observation, Rejection
-from svmdist.tracks import SampledDistances
-from svmdist.transforms import Array
+from svmdist.workflows.replay import CLEAN, Clock, Condition, Figures, Progress, Run, pooled_figures, replay
 from svmdist.workflows.setup import Setup
 
 ALL = "all"
+UNDEGRADED = "clean"
 
 
 @dataclass(frozen=True, slots=True)
-class DistanceScore:
-    """How one of the three distances did: error figures in m, and the share of truths inside the 95 % interval.
+class Group:
+    """Frames that are compared together: those of a scenario, and how they were degraded (`smoke=3`, or empty).
 
-    `interval_coverage` is None for a method that states no deviation.
+    A scenario of `all` is all of them; so is a degradation of `all`.
     """
 
-    statistics: ErrorStatistics
-    interval_coverage: float | None
+    scenario: str
+    degradation: str = ""
+
+    def __str__(self) -> str:
+        return self.scenario if self.degradation in ("", ALL) else f"{self.scenario} {self.degradation}"
 
 
 @dataclass(frozen=True)
 class MethodScore:
-    """One method on one group of frames: a recording, or all of them.
+    """One method on one group of frames."""
 
-    A distance the method cannot tell is None. `ms_per_frame` is the method alone, without reading and
-    decoding the image.
-    """
-
-    group: str
+    group: Group
     method: str
-    frame_count: int
-    measured_count: int
-    planar: DistanceScore | None
-    spatial: DistanceScore | None
-    clearance: DistanceScore | None
-    ms_per_frame: float
-
-    @property
-    def coverage(self) -> float:
-        """Measured frames per frame."""
-        return coverage(self.measured_count, self.frame_count)
+    figures: Figures
 
 
-@dataclass
-class _Tally:
-    """What one method collects on one group: numbers only."""
+def group_of(recording: Recording, condition: Condition = CLEAN) -> Group:
+    """What a recording is compared as: its scenario, or its name where it names none, and its degradations.
 
-    frame_count: int = 0
-    measured_count: int = 0
-    seconds: float = 0.0
-    errors: dict[str, list[tuple[float, float, float]]] = field(default_factory=lambda: defaultdict(list))
-    """By distance: estimate, truth and standard deviation (NaN where none is stated)."""
-
-
-DISTANCES: dict[str, tuple[Callable[[Estimate], float | None], Callable[[Estimate], float | None], str]] = {
-    "planar": (lambda row: row.distance_m, lambda row: row.distance_std_m, "planar_m"),
-    "spatial": (lambda row: row.spatial_m, lambda row: row.spatial_std_m, "spatial_m"),
-    "clearance": (lambda row: row.clearance_m, lambda row: row.clearance_std_m, "clearance_m"),
-}
-
-
-def group_of(recording: Recording) -> str:
-    """What a recording is compared as: its scenario and degradation where it names them, else its name."""
-    metadata = recording.metadata
-    parts = [metadata.get("scenario", recording.name)]
-    if metadata.get("degradation"):
-        parts.append(metadata["degradation"])
-    return " ".join(parts)
+    Those are what it was recorded with, `degrade` of its metadata, and then what is done to it now.
+    """
+    degradations = (recording.metadata.get("degrade", ""), str(condition))
+    return Group(recording.metadata.get("scenario", recording.name), ",".join(filter(None, degradations)))
 
 
 def compare(
     recordings: Sequence[Recording],
     setups: Sequence[Setup],
-    clock: Callable[[], float] = time.perf_counter,
+    conditions: Sequence[Condition] = (CLEAN,),
+    *,
+    clock: Clock = time.perf_counter,
+    on_progress: Progress | None = None,
 ) -> list[MethodScore]:
-    """Run every setup on every recording; each image is decoded once. Groups first, then all together.
+    """Run every setup on every recording under every condition; each image is decoded once.
 
-    Raises RecordingError where a recording has no ground-truth distances.
+    Scores stand per scenario and degradation; then, where there are several of both, per degradation over all
+    scenarios; then over all. Raises RecordingError where a recording has no ground-truth distances, and
+    where there is no image.
     """
-    tallies: dict[tuple[str, str], _Tally] = defaultdict(_Tally)
-    groups: dict[str, None] = {}
-    for recording in recordings:
-        group = group_of(recording)
-        groups[group] = None
-        rows = _measure(recording, setups, tallies, group, clock)
-        for setup, measured in zip(setups, rows, strict=True):
-            _collect(recording, measured, tallies[group, setup.method])
-    if not any(tally.frame_count for tally in tallies.values()):
+    runs = list(replay(recordings, setups, conditions, clock=clock, on_progress=on_progress))
+    if not any(run.frame_count for run in runs):
         raise RecordingError("there is no image to measure in these recordings")
-    methods = [setup.method for setup in setups]
-    scores = [_score(group, method, [tallies[group, method]]) for group in groups for method in methods]
-    if len(groups) > 1:
-        scores += [_score(ALL, method, [tallies[group, method] for group in groups]) for method in methods]
+    groups = [(group_of(run.recording, run.condition), run) for run in runs]
+    scores = [score for group in _unique(groups) for score in _scores(group, groups, setups)]
+    degradations = list(dict.fromkeys(group.degradation for group, _ in groups))
+    if len(degradations) > 1 and len({group.scenario for group, _ in groups}) > 1:
+        over_scenarios = [(Group(ALL, group.degradation or UNDEGRADED), run) for group, run in groups]
+        scores += [s for group in _unique(over_scenarios) for s in _scores(group, over_scenarios, setups)]
+    if len(_unique(groups)) > 1:
+        together = Group(ALL, ALL)
+        scores += _scores(together, [(together, run) for run in runs], setups)
     return scores
 
 
-def _measure(
-    recording: Recording,
-    setups: Sequence[Setup],
-    tallies: dict[tuple[str, str], _Tally],
-    group: str,
-    clock: Callable[[], float],
-) -> list[list[Estimate]]:
-    """The measured rows of each setup, and the time it took."""
-    estimators: list[Estimator] = [setup.estimator_for(recording) for setup in setups]
-    measured: list[list[Estimate]] = [[] for _ in setups]
-    for observation in recording.observations():
-        for setup, estimator, rows in zip(setups, estimators, measured, strict=True):
-            tally = tallies[group, setup.method]
-            tally.frame_count += 1
-            if isinstance(observation, Rejection):
-                continue
-            row = _timed(estimator, observation, tally, clock)
-            if row.measured:
-                tally.measured_count += 1
-                rows.append(row)
-    return measured
+def _unique(groups: Iterable[tuple[Group, Run]]) -> list[Group]:
+    return list(dict.fromkeys(group for group, _ in groups))
 
 
-def _timed(
-    estimator: Estimator, observation: Observation, tally: _Tally, clock: Callable[[], float]
-) -> Estimate:
-    start_s = clock()
-    row = estimator.estimate(observation)
-    tally.seconds += clock() - start_s
-    return row
-
-
-def _collect(recording: Recording, rows: Sequence[Estimate], tally: _Tally) -> None:
-    truth = recording.distance_track().at(np.array([row.stamp_ns for row in rows], np.int64))
-    for name, (value_of, std_of, attribute) in DISTANCES.items():
-        true_m = _column(truth, attribute)
-        for row, true, valid in zip(rows, true_m, truth.valid, strict=True):
-            value, std = value_of(row), std_of(row)
-            if valid and value is not None:
-                tally.errors[name].append((value, float(true), np.nan if std is None else std))
-
-
-def _column(truth: SampledDistances, attribute: str) -> Array:
-    return np.asarray(getattr(truth, attribute))
-
-
-def _score(group: str, method: str, tallies: Sequence[_Tally]) -> MethodScore:
-    frame_count = sum(tally.frame_count for tally in tallies)
-    planar, spatial, clearance = (
-        _distance_score([pair for tally in tallies for pair in tally.errors[name]]) for name in DISTANCES
-    )
-    return MethodScore(
-        group,
-        method,
-        frame_count,
-        sum(tally.measured_count for tally in tallies),
-        planar,
-        spatial,
-        clearance,
-        ms_per_frame=1e3 * sum(tally.seconds for tally in tallies) / max(frame_count, 1),
-    )
-
-
-def _distance_score(pairs: Sequence[tuple[float, float, float]]) -> DistanceScore | None:
-    if not pairs:
-        return None
-    estimate_m, truth_m, std_m = np.array(pairs).T
-    statistics = error_statistics(estimate_m, truth_m)
-    assert statistics is not None  # there are pairs
-    stated = np.isfinite(std_m)
-    inside = interval_coverage(estimate_m[stated], truth_m[stated], std_m[stated]) if stated.any() else None
-    return DistanceScore(statistics, inside)
+def _scores(group: Group, runs: Sequence[tuple[Group, Run]], setups: Sequence[Setup]) -> list[MethodScore]:
+    """The scores of one group, in the order of the setups."""
+    methods = dict.fromkeys(setup.method for setup in setups)
+    return [
+        MethodScore(
+            group,
+            method,
+            pooled_figures([run for of, run in runs if of == group and run.method == method]),
+        )
+        for method in methods
+    ]

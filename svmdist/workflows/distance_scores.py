@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -72,8 +73,45 @@ def pair(
 ) -> Pairs:
     """Pair measured rows with the truth at their stamps, shape (n,) all; what has no value is left out."""
     estimate_m = _column(distance.value_of(row) if row.measured else None for row in rows)
-    true_m, std_m = distance.truth_of(truth), _column(distance.std_of(row) for row in rows)
-    kept = truth.valid & np.isfinite(true_m) & np.isfinite(estimate_m)
+    std_m = _column(distance.std_of(row) for row in rows)
+    return _paired(stamps_ns, estimate_m, distance.truth_of(truth), std_m, truth.valid)
+
+
+class Readings:
+    """The distances of measured rows while they come: numbers only, 56 bytes a row."""
+
+    def __init__(self) -> None:
+        self._stamps_ns = array("q")
+        self._values_m = array("d")
+
+    def __len__(self) -> int:
+        """Count the rows."""
+        return len(self._stamps_ns)
+
+    def add(self, row: Estimate) -> None:
+        """Take the value and the deviation of each distance out of a row."""
+        self._stamps_ns.append(row.stamp_ns)
+        for distance in DISTANCES:
+            value_m, std_m = distance.value_of(row), distance.std_of(row)
+            self._values_m.append(np.nan if value_m is None else value_m)
+            self._values_m.append(np.nan if std_m is None else std_m)
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """The stamps, shape (n,)."""
+        return np.array(self._stamps_ns, np.int64)
+
+    def pairs(self, distance: Distance, truth: SampledDistances) -> Pairs:
+        """Pair one distance with the truth at the stamps; what has no value is left out."""
+        place = DISTANCES.index(distance)
+        columns = np.array(self._values_m, np.float64).reshape(-1, len(DISTANCES), 2)[:, place]
+        return _paired(self.stamps_ns, columns[:, 0], distance.truth_of(truth), columns[:, 1], truth.valid)
+
+
+def _paired(
+    stamps_ns: NDArray[np.int64], estimate_m: Array, true_m: Array, std_m: Array, valid: NDArray[np.bool_]
+) -> Pairs:
+    kept = valid & np.isfinite(true_m) & np.isfinite(estimate_m)
     return Pairs(stamps_ns[kept], estimate_m[kept], true_m[kept], std_m[kept])
 
 

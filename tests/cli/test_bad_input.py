@@ -150,6 +150,37 @@ def test_usage_errors(cli: Cli, arguments: list[str], said: str) -> None:
     assert "Traceback" not in outcome.err
 
 
+@pytest.mark.parametrize("command", [("record",), ("compare", "x.mcap", "--method", "kinematic")])
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("smok=3", "did you mean smoke? The choices are: defocus, jpeg, low_light"),
+        ("smoke=6", "the severity of smoke is a whole number from 1 to 5, found 6"),
+        ("smoke=0", "found 0"),
+        ("smoke", "expected NAME=SEVERITY, as in smoke=3"),
+        ("smoke=", "expected NAME=SEVERITY"),
+        ("=3", "expected NAME=SEVERITY"),
+        ("smoke=-1", "expected NAME=SEVERITY"),
+        ("smoke=2.5", "expected NAME=SEVERITY"),
+        ("smoke=3=4", "expected NAME=SEVERITY"),
+    ],
+)
+def test_bad_degradations(
+    cli: Cli,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    command: tuple[str, ...],
+    value: str,
+    said: str,
+) -> None:
+    """A wrong name, severity or form is one clear line, exit code 2, and no file."""
+    monkeypatch.chdir(tmp_path)
+    outcome = cli(*command, "--degrade", value)
+    assert outcome.code == 2
+    assert said in _one_line(outcome.err)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_wrong_profile_key(cli: Cli, tmp_path: Path) -> None:
     """An unknown key of a profile is named with the file and the nearest valid key."""
     path = tmp_path / "mine.toml"

@@ -1,4 +1,4 @@
-"""Comparing methods: the same figures as validating each alone, and a clock that is only read."""
+"""Comparing methods: the same figures as validating each alone, a clock that is only read, groups by metadata."""
 
 from __future__ import annotations
 
@@ -9,11 +9,21 @@ import numpy as np
 import pytest
 
 from svmdist.metrics import interval_coverage
+from svmdist.profile import load_profile
 from svmdist.recording.reader import open_recording
-from svmdist.workflows.compare import ALL, compare
+from svmdist.recording.writer import RecordingWriter
+from svmdist.report.comparison import COMPARE_KEYS, compare_row, compare_tables
+from svmdist.report.table import render
+from svmdist.simulation.extras import Extras
+from svmdist.vision.degradations import Degradation
+from svmdist.workflows.compare import Group, compare, group_of
+from svmdist.workflows.replay import CLEAN, Condition
 from svmdist.workflows.setup import prepare
 from svmdist.workflows.truth import Reference, TruthRules
 from svmdist.workflows.validate import validate
+from tests.synthetic import make_scene, samples
+
+SMOKE = Condition(Degradation.SMOKE, 3)
 
 
 def test_figures_are_those_of_validate(golden: Path) -> None:
@@ -23,13 +33,14 @@ def test_figures_are_those_of_validate(golden: Path) -> None:
         open_recording(golden / f"{name}.mcap", setups[0].profile) for name in ("sweep", "occlusion")
     ]
     ticks = count()
-    scores = {(s.group, s.method): s for s in compare(recordings, setups, clock=lambda: float(next(ticks)))}
-    assert set(scores) == {(g, m) for g in ("sweep", "occlusion", ALL) for m in ("overlay", "centroid")}
+    found = compare(recordings, setups, clock=lambda: float(next(ticks)))
+    scores = {(str(s.group), s.method): s.figures for s in found}
+    assert set(scores) == {(g, m) for g in ("sweep", "occlusion", "all") for m in ("overlay", "centroid")}
     rules = TruthRules(references=(Reference.GROUND_TRUTH,))
     for setup in setups:
         validation = validate(recordings, setup, rules)
         for score in (*validation.scores, *validation.overall):
-            group = ALL if score.recording == "overall" else score.recording
+            group = "all" if score.recording == "overall" else score.recording
             compared = scores[group, setup.method]
             assert compared.coverage == score.coverage
             assert compared.planar is not None
@@ -41,6 +52,56 @@ def test_figures_are_those_of_validate(golden: Path) -> None:
             # A planar method tells no clearance, and one tick a frame passes on this clock.
             assert compared.clearance is None
             assert compared.ms_per_frame == pytest.approx(1000.0)
+
+
+def short_log(path: Path, scenario: str, extras: Extras) -> Path:
+    """A drawn log of four frames with the metadata that `record` writes for these extras."""
+    with RecordingWriter(path, {"scenario": scenario} | extras.metadata()) as writer:
+        for topic, sample in samples(make_scene(), 4):
+            writer.write(topic, sample)
+    return path
+
+
+def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
+    """What `record --degrade` wrote into a log is what it is compared as; each degradation also over scenarios."""
+    smoked = Extras(degradations=(("smoke", 3),))
+    setup = prepare(method="kinematic")
+    recordings = [
+        open_recording(short_log(tmp_path / f"{index}.mcap", scenario, extras), setup.profile)
+        for index, (scenario, extras) in enumerate(
+            [("sweep", Extras()), ("sweep", smoked), ("contact", smoked), ("contact", smoked)]
+        )
+    ]
+    assert group_of(recordings[1]) == Group("sweep", "smoke=3")
+    scores = compare(recordings, [setup])
+    counts = {str(score.group): score.figures.frame_count for score in scores}
+    assert counts == {
+        "sweep": 4,
+        "sweep smoke=3": 4,
+        "contact smoke=3": 8,
+        "all clean": 4,
+        "all smoke=3": 12,
+        "all": 16,
+    }
+    rows = [compare_row(score) for score in scores]
+    assert all(set(row) == set(COMPARE_KEYS) for row in rows)
+    assert [(row["scenario"], row["degradation"]) for row in rows][:2] == [
+        ("sweep", ""),
+        ("sweep", "smoke=3"),
+    ]
+    shown = "".join(render(table) for table in compare_tables(scores))
+    assert "contact smoke=3: 1 methods on 8 frames" not in shown
+    assert "contact smoke=3: 1 method on 8 frames" in shown
+    assert max(map(len, shown.splitlines())) <= 100
+
+
+def test_degrading_at_replay_stands_beside_what_was_recorded(tmp_path: Path) -> None:
+    """A condition adds a group; on a log that was recorded degraded its name follows the recorded one."""
+    profile = load_profile()
+    noisy = short_log(tmp_path / "noisy.mcap", "sweep", Extras(degradations=(("noise", 1), ("jpeg", 2))))
+    recording = open_recording(noisy, profile)
+    assert str(group_of(recording, CLEAN)) == "sweep noise=1,jpeg=2"
+    assert str(group_of(recording, SMOKE)) == "sweep noise=1,jpeg=2,smoke=3"
 
 
 def test_interval_coverage_is_honest_for_normal_errors() -> None:

@@ -9,9 +9,12 @@ from mcap.reader import make_reader
 
 from svmdist.errors import UsageError
 from svmdist.profile import load_profile
+from svmdist.recording.reader import open_recording
+from svmdist.simulation.extras import Extras
 from svmdist.simulation.scenarios import Scenario
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+from svmdist.workflows.compare import Group, group_of
 from svmdist.workflows.record import record
 
 SCENARIO = Scenario("approach", 2, 0.4, 5.0)
@@ -35,3 +38,12 @@ def test_recording_is_complete_repeatable_and_never_replaced(tmp_path: Path) -> 
     again = record(SCENARIO, profile, tmp_path / "again.mcap")
     assert again.path.read_bytes() == path.read_bytes()
     record(SCENARIO, profile, path, force=True)
+
+
+def test_a_degraded_recording_is_compared_as_such(tmp_path: Path) -> None:
+    """What `record --degrade` stores in the log's metadata is the group that `compare` puts the log in."""
+    profile = load_profile()
+    one_frame = Scenario("approach", 2, 0.2, 5.0)
+    extras = Extras(degradations=(("smoke", 3), ("jpeg", 1)))
+    result = record(one_frame, profile, tmp_path / "smoky.mcap", extras=extras)
+    assert group_of(open_recording(result.path, profile)) == Group("approach", "smoke=3,jpeg=1")

@@ -1,0 +1,66 @@
+"""`svmdist blur-bench --grid`: a method under every degradation and severity."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from svmdist.cli.console import Summary
+from svmdist.cli.degradations import parse_names, parse_severities
+from svmdist.cli.options import Method
+from svmdist.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from svmdist.recording.reader import Recording
+    from svmdist.workflows.replay import Condition
+    from svmdist.workflows.setup import Setup
+
+GridMethodOption = Annotated[
+    Method | None,
+    typer.Option(
+        "--method", help="With --grid: the method to measure. Default: overlay.", show_default=False
+    ),
+]
+DegradationsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--degradations",
+        metavar="NAME,...",
+        help="With --grid: some of defocus, motion_blur, noise, low_light, specular, smoke, jpeg. Default: all.",
+        show_default=False,
+    ),
+]
+SeveritiesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--severities",
+        metavar="N,...",
+        help="With --grid: some of 1 to 5. Default: all.",
+        show_default=False,
+    ),
+]
+
+
+def grid_conditions_of(degradations: str | None, severities: str | None) -> list[Condition]:
+    """The conditions that the options ask for; raises UsageError."""
+    from svmdist.vision.degradations import SEVERITIES, Degradation
+    from svmdist.workflows.degradation_grid import grid_conditions
+
+    return grid_conditions(
+        list(Degradation) if degradations is None else parse_names("--degradations", degradations),
+        SEVERITIES if severities is None else parse_severities("--severities", severities),
+    )
+
+
+def grid_summary(recordings: list[Recording], setup: Setup, conditions: list[Condition]) -> Summary:
+    """Measure, with a progress bar, and make the rows."""
+    from svmdist.report.degradation_grid import GRID_KEYS, grid_row, grid_table, recorded_notes
+    from svmdist.report.figures import FIGURE_NOTE
+    from svmdist.workflows.degradation_grid import degradation_grid
+
+    with progress_bar(f"{setup.method}, {len(conditions)} conditions", "measurements") as advance:
+        cells = degradation_grid(recordings, setup, conditions, on_progress=advance)
+    title = f"{setup.method} on {cells[0].figures.frame_count} frames of {len(recordings)} recordings"
+    notes = [FIGURE_NOTE, *recorded_notes(recordings)]
+    return Summary([grid_table(title, cells)], GRID_KEYS, [grid_row(cell) for cell in cells], notes)

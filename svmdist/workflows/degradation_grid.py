@@ -1,0 +1,56 @@
+"""Degradation grid: one method on the same frames under every degradation and severity, and as recorded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from svmdist.errors import RecordingError
+from svmdist.recording.reader import Recording
+from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
+from svmdist.workflows.replay import CLEAN, Clock, Condition, Figures, Progress, pooled_figures, replay
+from svmdist.workflows.setup import Setup
+
+
+@dataclass(frozen=True)
+class GridCell:
+    """One method under one condition, over all recordings."""
+
+    method: str
+    condition: Condition
+    figures: Figures
+
+
+def grid_conditions(
+    names: Sequence[Degradation | str] = tuple(Degradation), severities: Sequence[int] = SEVERITIES
+) -> list[Condition]:
+    """The images as recorded, then every degradation at every severity.
+
+    Raises UsageError for a wrong name or severity.
+    """
+    chosen = [
+        Condition(require_degradation(name, severity), severity) for name in names for severity in severities
+    ]
+    return [CLEAN, *dict.fromkeys(chosen)]
+
+
+def degradation_grid(
+    recordings: Sequence[Recording],
+    setup: Setup,
+    conditions: Sequence[Condition],
+    *,
+    clock: Clock = time.perf_counter,
+    on_progress: Progress | None = None,
+) -> list[GridCell]:
+    """Measure every frame of the recordings under every condition; each image is decoded once.
+
+    Raises RecordingError where a recording has no ground-truth distances, and where there is no image.
+    """
+    runs = list(replay(recordings, [setup], conditions, clock=clock, on_progress=on_progress))
+    if not any(run.frame_count for run in runs):
+        raise RecordingError("there is no image to measure in these recordings")
+    return [
+        GridCell(setup.method, condition, pooled_figures([run for run in runs if run.condition == condition]))
+        for condition in conditions
+    ]
