@@ -235,9 +235,9 @@ def _write_with_broken_image(path: Path, frame: int) -> None:
     count = 0
     encode = writer_module.encode
 
-    def encode_broken(sample: Sample) -> bytes:
+    def encode_broken(sample: Sample, jpeg_quality: int | None) -> bytes:
         nonlocal count
-        data = encode(sample)
+        data = encode(sample, jpeg_quality)
         if type(sample).__name__ == "ImageSample":
             count += 1
             if count == frame + 1:
