@@ -10,7 +10,7 @@ import typer
 
 from svmdist.cli.console import require_output_folder, say
 from svmdist.cli.degradations import parse_degradations
-from svmdist.cli.options import ProfileOption
+from svmdist.cli.options import ProfileOption, parse_length_m
 from svmdist.cli.progress import progress_bar
 
 
@@ -69,6 +69,15 @@ def record_command(
             "2° and 5 mm from camera to base.",
         ),
     ] = 0.0,
+    relief: Annotated[
+        str | None,
+        typer.Option(
+            "--relief",
+            metavar="LENGTH",
+            help="Bumps, folds and raised vessels on the tissue, this high at most, with its unit: 0.5mm.",
+            show_default=False,
+        ),
+    ] = None,
     degrade: Annotated[
         list[str] | None,
         typer.Option(
@@ -109,6 +118,7 @@ def record_command(
     from svmdist.simulation.scenarios import Scenario
     from svmdist.workflows.record import record
 
+    relief_m = 0.0 if relief is None else parse_length_m("--relief", relief)
     path = output or Path(f"{scenario.value}-{seed}.mcap")
     require_output_folder(path)
     plan = Scenario(scenario.value, seed, duration, rate)
@@ -119,7 +129,9 @@ def record_command(
             path,
             renderer=renderer.value,
             noise=noise,
-            extras=Extras(stereo, tag, kinematic_error, parse_degradations("--degrade", degrade), arms),
+            extras=Extras(
+                stereo, tag, kinematic_error, parse_degradations("--degrade", degrade), arms, relief_m
+            ),
             force=force,
             jpeg_quality=jpeg,
             on_progress=advance,

@@ -16,6 +16,7 @@ import numpy as np
 
 from svmdist.simulation.bullet import BulletClient
 from svmdist.simulation.meshes import Mesh
+from svmdist.simulation.relief_clearance import ReliefMeter
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
@@ -74,13 +75,16 @@ class _Meter:
 class ClearanceMeter(_Meter):
     """Measures clearances of one scene.
 
-    A fiducial plate counts as a part of the instrument. Every part and the organ is convex, so that
-    Bullet's convex hulls are the real meshes.
+    A fiducial plate counts as a part of the instrument. Every part and the smooth organ is convex, so that
+    Bullet's convex hulls are the real meshes. An organ with relief is not: `ReliefMeter` measures there.
     """
 
     def __init__(self, scene: Scene) -> None:
         super().__init__()
         self._scene = scene
+        self._relief = None if scene.organ.is_convex else ReliefMeter(scene)
+        if self._relief is not None:
+            return
         try:
             self._tissue = self._body(scene.organ.mesh)
             self._parts = self._bodies(scene)
@@ -91,6 +95,8 @@ class ClearanceMeter(_Meter):
 
     def clearance_m(self, q: Array) -> float:
         """Smallest distance in m at joints `q`, shape (n_joints,); negative is penetration depth."""
+        if self._relief is not None:
+            return self._relief.clearance_m(q)
         poses = self._scene.link_poses(q)
         smallest = np.inf
         for link, body in self._parts:

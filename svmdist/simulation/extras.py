@@ -8,6 +8,8 @@ from svmdist.errors import UsageError
 from svmdist.vision.degradations import require_degradation
 
 MAX_ARMS = 2
+MAX_RELIEF_M = 0.0015
+"""Beyond this, vessels would be steeper than 45°."""
 
 
 @dataclass(frozen=True)
@@ -18,6 +20,7 @@ class Extras:
     the robot believes wrongly about its joints and about where the camera stands (0 none, 1 as the profile
     says). `degradations` spoil the images, one after the other, behind the sensor's noise: (name, severity).
     `arms` is the number of instruments.
+    `relief_m` is how far bumps, folds and vessels rise over the smooth organ, or lie below it, at most.
     """
 
     stereo: bool = False
@@ -25,6 +28,7 @@ class Extras:
     kinematic_error: float = 0.0
     degradations: tuple[tuple[str, int], ...] = ()
     arms: int = 1
+    relief_m: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.kinematic_error <= 20.0:
@@ -33,6 +37,10 @@ class Extras:
             )
         if not 1 <= self.arms <= MAX_ARMS:
             raise UsageError(f"a recording has 1 to {MAX_ARMS} arms, found {self.arms}")
+        if not 0.0 <= self.relief_m <= MAX_RELIEF_M:
+            raise UsageError(
+                f"the tissue's relief is from 0 to {MAX_RELIEF_M * 1e3:g} mm, found {self.relief_m * 1e3:g} mm"
+            )
         for name, severity in self.degradations:
             require_degradation(name, severity)
 
@@ -44,5 +52,6 @@ class Extras:
             "kinematic_error": f"{self.kinematic_error:g}" if self.kinematic_error else "",
             "arms": str(self.arms) if self.arms > 1 else "",
             "degrade": ",".join(f"{name}={severity}" for name, severity in self.degradations),
+            "relief_m": f"{self.relief_m:g}" if self.relief_m else "",
         }
         return {name: value for name, value in named.items() if value}

@@ -1,4 +1,4 @@
-"""The tissue organ of one seed: a convex, slightly irregular dome about its own frame.
+"""The tissue organ of one seed: a convex, slightly irregular dome about its own frame, plain or with relief.
 
 The tissue frame's origin is the area centroid of the outline on the floor, so that the centroid of the
 organ's silhouette, seen from straight above, is the projection of that origin.
@@ -12,48 +12,62 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.simulation.meshes import Mesh, smooth_normals
+from svmdist.simulation.relief import Relief
+from svmdist.simulation.textures import TEXTURE_SPAN_M
 from svmdist.transforms import Array
 
 SEMI_AXES_M = (0.028, 0.022)
 HEIGHT_M = 0.008
-TEXTURE_SPAN_M = 0.07
-"""The texture image covers a square of this side about the tissue frame's origin."""
 
 RING_COUNT = 44
 SIDE_COUNT = 160
+RELIEF_RING_COUNT = 72
+RELIEF_SIDE_COUNT = 200
+"""Edges of about 0.6 mm: a sixth of the relief's shortest wavelength."""
 
 
 @dataclass(frozen=True)
 class Organ:
-    """Mesh in the tissue frame, its outline on the floor, shape (n, 2) in m, and its height in m."""
+    """Mesh in the tissue frame, its outline on the floor, shape (n, 2) in m, and its height in m.
+
+    The mesh is open at the floor. The height is that of the smooth dome; an organ with relief is not convex.
+    """
 
     mesh: Mesh
     outline_m: Array
     height_m: float
+    is_convex: bool = True
 
 
-def make_organ(rng: np.random.Generator) -> Organ:
+def make_organ(rng: np.random.Generator, relief: Relief | None = None) -> Organ:
     """Make the organ of a random stream.
 
     Height over the plane is concave in the outline's gauge (1 on the outline, 0 at the apex), and the
-    outline is convex, so the body is convex. Convexity lets Bullet compute exact distances to it.
+    outline is convex, so the body is convex. Convexity lets Bullet compute exact distances to it. Relief is
+    added to the height, so that the surface stays one height over the plane and the outline what it was.
     """
-    angle = np.linspace(0.0, 2.0 * np.pi, SIDE_COUNT, endpoint=False)
+    ring_count, side_count = (
+        (RING_COUNT, SIDE_COUNT) if relief is None else (RELIEF_RING_COUNT, RELIEF_SIDE_COUNT)
+    )
+    angle = np.linspace(0.0, 2.0 * np.pi, side_count, endpoint=False)
     outline_m = _outline(angle, rng)
     outline_m -= polygon_centroid(outline_m)
     # The apex beside the centroid, as no organ is symmetric.
     apex_m = rng.uniform(-1.0, 1.0, 2) * (0.004, 0.003)
     height_m = HEIGHT_M * rng.uniform(0.97, 1.03)
     # Rings crowd at the rim, where the dome is steep.
-    gauge = np.sin(np.linspace(0.0, np.pi / 2, RING_COUNT + 1)[1:])
+    gauge = np.sin(np.linspace(0.0, np.pi / 2, ring_count + 1)[1:])
     profile = (1.0 - gauge**2.3) ** 0.62
     xy_m = apex_m + gauge[:, None, None] * (outline_m - apex_m)
-    z_m = np.broadcast_to(height_m * profile[:, None, None], (RING_COUNT, SIDE_COUNT, 1))
+    z_m = np.broadcast_to(height_m * profile[:, None, None], (ring_count, side_count, 1))
     vertices_m = np.vstack([[*apex_m, height_m], np.concatenate([xy_m, z_m], -1).reshape(-1, 3)])
-    faces = _fan_and_rings()
+    if relief is not None:
+        at_vertex = np.concatenate([[0.0], np.repeat(gauge, side_count)])
+        vertices_m[:, 2] += relief.height_m(vertices_m[:, :2], at_vertex)
+    faces = _fan_and_rings(ring_count, side_count)
     normals = smooth_normals(vertices_m, faces)
     uv = 0.5 + vertices_m[:, :2] / TEXTURE_SPAN_M
-    return Organ(Mesh(vertices_m, normals, uv, faces), outline_m, float(height_m))
+    return Organ(Mesh(vertices_m, normals, uv, faces), outline_m, float(height_m), relief is None)
 
 
 def polygon_centroid(polygon_m: Array) -> Array:
@@ -79,13 +93,13 @@ def _outline(angle: Array, rng: np.random.Generator) -> Array:
     return np.asarray((radius_m * (1.0 + wave))[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1))
 
 
-def _fan_and_rings() -> NDArray[np.int64]:
-    """Triangles of the dome: a fan at the apex, then rings, then a floor plate that closes the body."""
-    side = np.arange(SIDE_COUNT)
-    following = (side + 1) % SIDE_COUNT
+def _fan_and_rings(ring_count: int, side_count: int) -> NDArray[np.int64]:
+    """Triangles of the dome: a fan at the apex, then rings down to the floor."""
+    side = np.arange(side_count)
+    following = (side + 1) % side_count
     parts = [np.stack([np.zeros_like(side), 1 + side, 1 + following], -1)]
-    for ring in range(RING_COUNT - 1):
-        inner, outer = 1 + ring * SIDE_COUNT, 1 + (ring + 1) * SIDE_COUNT
+    for ring in range(ring_count - 1):
+        inner, outer = 1 + ring * side_count, 1 + (ring + 1) * side_count
         parts.append(np.stack([inner + side, outer + side, outer + following], -1))
         parts.append(np.stack([inner + side, outer + following, inner + following], -1))
     return np.concatenate(parts)

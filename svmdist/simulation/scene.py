@@ -18,14 +18,18 @@ from svmdist.samples import Image
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.instrument import Part, make_parts
 from svmdist.simulation.meshes import Mesh, loft, smooth_normals
-from svmdist.simulation.organ import Organ, make_organ
+from svmdist.simulation.organ import SEMI_AXES_M, Organ, make_organ
 from svmdist.simulation.plate import Plate, make_plate
-from svmdist.simulation.textures import floor_texture, tissue_texture
+from svmdist.simulation.relief import make_relief
+from svmdist.simulation.textures import fine_tissue_texture, floor_texture, tissue_texture
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
 
 FLOOR_HALF_M = 0.16
 TISSUE_SHIFT_M = 0.0015
 """By seed, the organ stands this far from the camera's axis at most, along x and along y."""
+
+RELIEF_STREAMS = (18, 19)
+"""Of the surface and of its texture, apart from all others, so that relief moves nothing else."""
 
 R_WORLD_CAMERA: Array = np.diag([1.0, -1.0, -1.0])
 
@@ -95,6 +99,9 @@ def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Sce
         raise SimulationError(f"profile {profile.name} has no tag to mount: it needs [fiducial]")
     # One stream for each thing, so that one of them can change without moving the others.
     place, shape, red, dull = (np.random.default_rng([seed, stream]) for stream in range(4))
+    bumps, speckle = (np.random.default_rng([seed, stream]) for stream in RELIEF_STREAMS)
+    relief = make_relief(bumps, extras.relief_m, min(SEMI_AXES_M)) if extras.relief_m > 0.0 else None
+    colour = tissue_texture(red)
     T_world_tissue = make_transform(
         rotation_z(place.uniform(-np.pi, np.pi)),
         [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0],
@@ -108,12 +115,12 @@ def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Sce
         T_world_base=make_transform(rotation_z(settings.base_yaw_rad), settings.base_position_m),
         T_world_camera=make_transform(R_WORLD_CAMERA, [0.0, 0.0, settings.camera_height_m]),
         T_world_tissue=T_world_tissue,
-        organ=make_organ(shape),
+        organ=make_organ(shape, relief),
         parts=make_parts(
             profile.instrument, tuple(row.name for row in chain.rows), profile.robot.joints[-3].a_m
         ),
         retractor=make_retractor(),
-        tissue_texture=tissue_texture(red),
+        tissue_texture=colour if relief is None else fine_tissue_texture(speckle, colour, relief),
         floor_texture=floor_texture(dull),
         baseline_m=settings.stereo_baseline_m,
         plate=make_plate(profile.fiducial) if extras.tag and profile.fiducial is not None else None,
