@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from svmdist.toml_model import Angle, Length, StrictModel
-from svmdist.transforms import Array, make_transform
+from svmdist.toml_model import Angle, Length, NeighbourFile, StrictModel
+from svmdist.transforms import Array, make_transform, rotation_z
 
 
 class Joint(StrictModel):
@@ -144,7 +144,10 @@ class Tissue(StrictModel):
     """The plane that the tissue lies on, measured in the camera frame, and its shape above that plane.
 
     The plane holds the points with `plane_normal` · p = -`plane_distance_m`: its normal points to the camera's
-    side. Without a dome the plane itself is the surface.
+    side. Without a dome or a mesh the plane itself is the surface.
+
+    The tissue's frame: origin where the completed outline's centroid lies on the plane, z along the plane's normal,
+    x the camera's x axis laid onto the plane, y to the left of x as the camera sees it: upwards in the image.
     """
 
     plane_normal: tuple[float, float, float] = (0.0, 0.0, -1.0)
@@ -153,6 +156,14 @@ class Tissue(StrictModel):
     plane_tilt_std_rad: float = Field(default=0.0, ge=0.0)
     """Standard deviation of the normal's direction about each of two axes."""
     dome: Dome | None = None
+    mesh: NeighbourFile | None = None
+    """A closed surface in a file .obj or .stl, in place of a dome; a relative path starts from the profile's folder."""
+    mesh_unit: Literal["m", "cm", "mm"] = "m"
+    """What the file's numbers are; the formats do not say."""
+    mesh_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the mesh's origin stands in the tissue's frame."""
+    mesh_yaw_rad: Angle = 0.0
+    """How far the mesh is turned about the tissue's z axis, counter-clockwise seen from the camera's side."""
     surface_std_m: float = Field(default=0.0, ge=0.0)
     """How far the shape stands off the real surface, as a standard deviation."""
 
@@ -160,7 +171,17 @@ class Tissue(StrictModel):
     def _sound(self) -> Tissue:
         if abs(float(np.linalg.norm(self.plane_normal)) - 1.0) > 1e-6:
             raise ValueError("plane_normal must have length 1")
+        if self.mesh is not None and self.dome is not None:
+            raise ValueError("a dome and a mesh exclude each other: which of them is the tissue's shape?")
+        lost = sorted(self.model_fields_set & {"mesh_unit", "mesh_position_m", "mesh_yaw_rad"})
+        if self.mesh is None and lost:
+            raise ValueError(f"{lost[0]} needs a mesh")
         return self
+
+    @property
+    def T_tissue_mesh(self) -> Array:
+        """Where the mesh stands in the tissue's frame, shape (4, 4)."""
+        return make_transform(rotation_z(self.mesh_yaw_rad), self.mesh_position_m)
 
 
 class Simulation(StrictModel):

@@ -12,15 +12,19 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
+from svmdist.geometry.mesh_files import read_closed_mesh
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Mesh, Plane, Surface
 from svmdist.profile import Dome, Profile, Tissue
 from svmdist.samples import Estimate, Status
-from svmdist.transforms import Array
+from svmdist.transforms import Array, make_transform
 from svmdist.vision.completion import CompletedOutline, complete_outline
 from svmdist.vision.regions import Region, find_region
 from svmdist.vision.segmenter import Masks
 
+METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+ACROSS = 0.99
+"""Cosine between normal and axis from which on the axis has no direction on the plane."""
 RINGS = 14
 SIDES = 72
 """The dome's mesh: chords of 5° stand 0.03 mm off an outline of 28 mm."""
@@ -81,12 +85,14 @@ def tissue_row(stamp_ns: int, sight: TissueSight | None) -> Estimate:
 
 
 def require_tissue(profile: Profile) -> Tissue:
-    """The profile's tissue; raises ProfileError where it has none."""
+    """The profile's tissue; raises ProfileError where it has none, or a mesh that cannot be used."""
     if profile.tissue is None:
         raise ProfileError(
             f"profile {profile.name} has no [tissue]: a distance in 3D from one camera needs the plane that the"
             " tissue lies on (plane_normal, plane_distance_m)"
         )
+    if profile.tissue.mesh is not None:
+        tissue_mesh(profile.tissue)  # read once, and told of before the first frame if it cannot be
     return profile.tissue
 
 
@@ -104,6 +110,24 @@ def fix_tissue(outline: CompletedOutline, camera: Camera, tissue: Tissue) -> Tis
 def tissue_plane(tissue: Tissue) -> Plane:
     """The profile's plane, the tissue's side below it."""
     return Plane(np.array(tissue.plane_normal), -tissue.plane_distance_m)
+
+
+def tissue_frame(origin_m: Array, normal: Array) -> Array:
+    """`T_camera_tissue`, shape (4, 4): z along the plane's normal, x the camera's x axis laid onto the plane.
+
+    Of a plane that stands across the camera's x axis, the camera's y axis takes its place.
+    """
+    along = np.eye(3)[0 if abs(normal[0]) < ACROSS else 1]
+    x = along - normal * float(normal @ along)
+    x /= np.linalg.norm(x)
+    return make_transform(np.stack([x, np.cross(normal, x), normal], -1), origin_m)
+
+
+def tissue_mesh(tissue: Tissue) -> Mesh:
+    """The profile's mesh in its own frame, in m; raises ProfileError where its file cannot be used."""
+    if tissue.mesh is None:
+        raise ProfileError("the profile has no tissue.mesh")
+    return read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
 
 
 def dome_mesh(origin_m: Array, outline_m: Array, normal: Array, dome: Dome) -> Mesh:
@@ -135,6 +159,8 @@ def dome_mesh(origin_m: Array, outline_m: Array, normal: Array, dome: Dome) -> M
 def _surface(
     position_m: Array, outline: CompletedOutline, camera: Camera, plane: Plane, tissue: Tissue
 ) -> Surface:
+    if tissue.mesh is not None:
+        return tissue_mesh(tissue).transformed(tissue_frame(position_m, plane.normal) @ tissue.T_tissue_mesh)
     if tissue.dome is None:
         return plane
     outline_m = meet_plane(pixel_rays(camera, outline.curve_px), plane)

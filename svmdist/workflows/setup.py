@@ -11,6 +11,7 @@ from svmdist.errors import CalibrationError, UsageError, did_you_mean
 from svmdist.estimation.calibration import Calibration, load_calibration
 from svmdist.estimation.equations import PRINTED_MAPPING, Equations, PlaneMapping, degeneracies
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
+from svmdist.estimation.tissue import require_tissue
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.reader import Recording
 from svmdist.vision.segmenter import Segmenter, make_segmenter
@@ -72,7 +73,10 @@ def prepare(
         raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
     loaded = load_profile(profile)
     setup = _resolve(profile, loaded, method, equations, calibration)
-    _ = setup.segmenter  # a network that cannot be used is told before a recording is opened
+    # A network or a mesh that cannot be used is told before a recording is opened.
+    _ = setup.segmenter
+    if method not in PLANAR_METHODS:
+        require_tissue(loaded)
     return setup
 
 
