@@ -72,7 +72,7 @@ def compare_command(
     recordings = [
         open_recording(path, setups[0].profile, topics=topics_of(topic)) for path in files_or_golden(files)
     ]
-    with progress_bar(f"{len(setups)} methods", "measurements") as advance:
+    with progress_bar("comparing", "measurements") as advance:
         scores = compare(recordings, setups, conditions, on_progress=advance)
     rows = [compare_row(score) for score in scores]
     write_summary(Summary(compare_tables(scores), COMPARE_KEYS, rows, [FIGURE_NOTE]), form, output)

@@ -30,6 +30,7 @@ class ExitCode(IntEnum):
     USAGE = 2
     LOSS = 3
     WORSE = 4
+    INTERRUPTED = 130
 
 
 def say(message: str) -> None:

@@ -3,23 +3,53 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from svmdist.cli import blur_bench, calibrate, compare, estimate, fk, info, record, validate
 from svmdist.cli.console import ExitCode, say
 from svmdist.errors import SvmdistError, UsageError
 
+
+class Commands(TyperGroup):
+    """The subcommands, interruptible: by itself Typer would exit without a word, or with another code."""
+
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        """Read the command line."""
+        with _interruptible():
+            return super().make_context(*args, **kwargs)
+
+    def invoke(self, *args: Any, **kwargs: Any) -> Any:
+        """Run a subcommand."""
+        with _interruptible():
+            return super().invoke(*args, **kwargs)
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Turn an interrupt into one line and the exit code that shells give it."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        say("svmdist: interrupted")
+        sys.exit(ExitCode.INTERRUPTED)
+
+
 app = typer.Typer(
     name="svmdist",
+    cls=Commands,
     help="Distance between a surgical instrument and tissue, from recorded logs, and how good it is.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="Exit codes: 0 clean, 1 unusable, 2 usage, 3 usable with loss, 4 worse than the baseline.",
+    epilog="Exit codes: 0 clean, 1 unusable, 2 usage, 3 usable with loss, 4 worse than the baseline,"
+    " 130 interrupted.",
 )
 
 
@@ -53,7 +83,7 @@ app.command("fk")(fk.fk_command)
 
 
 def run() -> None:
-    """Entry point: run the command line and exit with its code."""
+    """Run the command line and exit with its code."""
     try:
         app()
     except UsageError as problem:
@@ -62,10 +92,3 @@ def run() -> None:
     except SvmdistError as problem:
         say(f"svmdist: {problem}")
         sys.exit(ExitCode.UNUSABLE)
-    except KeyboardInterrupt:
-        say("svmdist: interrupted")
-        sys.exit(130)
-
-
-if __name__ == "__main__":
-    run()

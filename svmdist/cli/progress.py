@@ -24,12 +24,17 @@ def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], 
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(title, total=None, rate="")
+    try:
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+            task = progress.add_task(title, total=None, rate="")
 
-        def advance(done: int, total: int | None) -> None:
-            elapsed_s = progress.tasks[0].elapsed or 0.0
-            rate = f"{done / elapsed_s:.1f} {unit}/s" if elapsed_s > 0 else ""
-            progress.update(task, completed=done, total=total, rate=rate)
+            def advance(done: int, total: int | None) -> None:
+                elapsed_s = progress.tasks[0].elapsed or 0.0
+                rate = f"{done / elapsed_s:.1f} {unit}/s" if elapsed_s > 0 else ""
+                progress.update(task, completed=done, total=total, rate=rate)
 
-        yield advance
+            yield advance
+    finally:
+        # An interrupt while the bar is being set up would leave the terminal without a cursor.
+        if console.is_terminal:
+            console.show_cursor(True)
