@@ -120,7 +120,9 @@ def test_waiting_right_images_are_bounded(
     buffer = pairing.RightBuffer()
     path = write_scene(tmp_path / "pair.mcap", with_right(scene()))
     recording = open_recording(path, profile)
-    images = [item for item in recording._items("/ECM/left/image") if isinstance(item, pairing.LoggedImage)]
+    images = [
+        item for item in recording._observer.items("/ECM/left/image") if isinstance(item, pairing.LoggedImage)
+    ]
     for logged in images:
         buffer.add(logged)
     assert buffer.take(images[0].image.stamp_ns) is None
