@@ -103,5 +103,6 @@ def tangent_normal(point_m: Array, direction: Array, radius_m: float, side: int)
 
 def _cross(a: Array, b: Array) -> Array:
     """a x b of vectors, shape (..., 3): NumPy's own takes many times as long for one pair."""
-    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)

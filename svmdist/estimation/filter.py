@@ -1,9 +1,8 @@
 """An error-state Kalman filter over what kinematics get wrong: the camera-to-base transform, and joint offsets.
 
-The nominal state is the believed kinematics with corrections; the error state is small and flat, lives in
-R^n and is reset to zero after each update (Solà 2017, "Quaternion kinematics for the error-state Kalman
-filter", sec. 6). Joints that hold still err like a wrong base, so their errors are lumped into the camera-
-to-base transform's (Richter et al. 2021). `docs/method.md` derives both and what can be observed.
+`correction` holds the state. What an observation gets wrong again and again (shading beside an edge, a part that
+jaws hide) would pass for knowledge if it were averaged as noise: each kind of observation has a Gauss–Markov error
+of its own in the state (Gelb 1974, "Applied Optimal Estimation", sec. 3.8).
 """
 
 from __future__ import annotations
@@ -13,22 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.errors import KinematicsError, did_you_mean
-from svmdist.estimation.observations import LinkObservation, pose_derivative
+from svmdist.estimation.correction import CorrectedLink, Correction, ErrorModel, Moment
+from svmdist.estimation.observations import Linearised, LinkObservation, chi_square_bound, linearise
 from svmdist.estimation.pose import ToolPose
-from svmdist.kinematics.dh import DHChain, frame_transforms
-from svmdist.kinematics.jacobian import pose_jacobian, row_index
+from svmdist.estimation.window import WINDOW_SOLVES, Sights, Window
+from svmdist.kinematics.dh import DHChain
+from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import KinematicError
-from svmdist.transforms import Array, rotation_of, rotation_vector, skew
+from svmdist.transforms import Array
 
-GATE_Z = 3.09
-"""Normal quantile of the gate: an observation less likely than 1 in 1,000 is rejected."""
 MAX_ITERATIONS = 8
-WINDOW_SOLVES = (1, 2, 3, 5, 8, 12, 20)
-"""Numbers of frames after which a young filter solves for all of them anew."""
-WINDOW_DEPTH_STARTS = 8
-"""Up to so many frames the batch also starts from other depths: the least observable of all at first."""
-MAX_WINDOW_STEPS = 20
 MAX_REJECTIONS = 8
 """After as many frames in a row without an accepted observation the filter has lost the arm and starts anew."""
 
@@ -43,110 +36,44 @@ class Verdict:
     is_accepted: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Link:
-    """The corrected pose of a link, shape (4, 4), and its derivative by the error state, shape (6, n)."""
-
-    T_camera_link: Array
-    derivative: Array
-
-
-@dataclass(frozen=True, slots=True)
-class _Moment:
-    """Believed joints, shape (n_joints,), and `T_camera_base`, shape (4, 4), of one instant."""
-
-    q: Array
-    T_camera_base: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Correction:
-    """What is added to believed kinematics: a shift in m, a turn, shape (3, 3), and joint offsets."""
-
-    shift_m: Array
-    turn: Array
-    q_offset: Array
-
-    def moved(self, step: Array) -> Correction:
-        """The correction after an error state, shape (n,), was found in it."""
-        turn = rotation_of(step[3:6]) @ self.turn
-        return Correction(self.shift_m + step[:3], turn, self.q_offset + step[6:])
-
-    def vector(self) -> Array:
-        """Shift, rotation vector and offsets, shape (n,)."""
-        return np.concatenate([self.shift_m, rotation_vector(self.turn), self.q_offset])
-
-
-@dataclass(frozen=True, slots=True)
-class _Solution:
-    """Normal equations of a window at a correction."""
-
-    cost: float
-    gradient: Array
-    information: Array
-    correction: Correction
-
-
 class KinematicErrorFilter:
     """Estimates the error of believed kinematics; `predict` once a frame, then `update` with what was seen.
 
-    The error state is (δp, δφ, δq): displacement in m and rotation vector in rad of everything behind the
-    set-up joints, in the camera frame about an anchor point, and the offsets of the joints that move.
+    The state is the error state of `ErrorModel`, then the observations' own errors in units of their deviations.
     """
 
     def __init__(self, chain: DHChain, error: KinematicError) -> None:
         self._chain = chain
-        self._error = error
-        names = chain.joint_names
-        if error.first_moving_joint is not None and error.first_moving_joint not in names:
-            raise KinematicsError(
-                f"no joint {error.first_moving_joint} to be the first moving one:"
-                f" {did_you_mean(error.first_moving_joint, names)}"
-            )
-        self._still_count = names.index(error.first_moving_joint) if error.first_moving_joint else 0
-        is_revolute = np.array([row.joint == "revolute" for row in chain.rows if row.joint != "fixed"])
-        self._joint_std = np.where(is_revolute, error.joint_std_rad, error.joint_std_m)
-        moving = is_revolute[self._still_count :]
-        self._drift = np.concatenate(
-            [
-                np.full(3, error.drift_m_per_sqrt_s),
-                np.full(3, error.drift_rad_per_sqrt_s),
-                np.where(moving, error.drift_rad_per_sqrt_s, error.drift_m_per_sqrt_s),
-            ]
-        )
-        self._size = 6 + len(moving)
-        self._P: Array = np.zeros((self._size, self._size))
-        self._stamp_ns: int | None = None
+        self._model = ErrorModel(chain, error)
+        self._moment: Moment | None = None
         self._rejections = 0
 
     @property
     def covariance(self) -> Array:
         """Covariance of the error state, shape (n, n)."""
-        return self._P
+        return self._P[: self._model.size, : self._model.size]
 
     @property
-    def is_started(self) -> bool:
-        """Whether there was a first `predict`."""
-        return self._stamp_ns is not None
+    def correction(self) -> Correction:
+        """What is added to believed kinematics now."""
+        return self._correction
 
     def predict(self, stamp_ns: int, q: Array, T_camera_base: Array) -> None:
         """Go on to an instant with believed joints, shape (n_joints,), and `T_camera_base`, shape (4, 4)."""
-        if self._stamp_ns is None:
-            self._q, self._T_camera_base = q, T_camera_base
+        before, self._moment = self._moment, Moment(stamp_ns, q, T_camera_base)
+        if before is None:
             self._start()
         else:
-            elapsed_s = max(0.0, (stamp_ns - self._stamp_ns) / 1e9)
-            self._q, self._T_camera_base = q, T_camera_base
-            self._P = self._P + np.diag(self._drift**2 * elapsed_s)
-        self._stamp_ns = stamp_ns
+            self._pass(max(0.0, (stamp_ns - before.stamp_ns) / 1e9))
 
     def update(self, observations: Sequence[LinkObservation]) -> tuple[Verdict, ...]:
         """Take up what the image shows, all at once; tells what passed the gate.
 
         An iterated update: Gauss–Newton on the prior and all accepted residuals (Bell and Cathey 1993).
         """
-        links = self._links({observation.link for observation in observations})
-        verdicts = tuple(self._judge(observation, links[observation.link]) for observation in observations)
+        verdicts = tuple(
+            self._judge(*pair) for pair in zip(observations, self._see(observations), strict=True)
+        )
         accepted = [o for o, verdict in zip(observations, verdicts, strict=True) if verdict.is_accepted]
         if accepted:
             self._rejections = 0
@@ -160,100 +87,117 @@ class KinematicErrorFilter:
 
     def tool_pose(self) -> ToolPose:
         """The corrected pose of the tool and its covariance."""
-        tool = self._link(None)
-        covariance = tool.derivative @ self._P @ tool.derivative.T
+        tool = self._links({None})[None]
+        covariance = tool.derivative @ self.covariance @ tool.derivative.T
         return ToolPose(tool.T_camera_link, covariance, self.shaft_axis())
 
     def corrected_joints(self) -> Array:
         """Believed joints with the offsets found, shape (n_joints,)."""
-        q = self._q.copy()
-        q[self._still_count :] += self._correction.q_offset
-        return q
+        return self._model.joints(self._now(), self._correction)
 
     def shaft_axis(self) -> Array:
         """The shaft's direction towards the tip in the camera frame, shape (3,); the tool's x without a shaft."""
         shaft = shaft_of(self._chain)
         if shaft is None:
-            return np.asarray(self._link(None).T_camera_link[:3, 0])
-        return np.asarray(self._link(shaft.link).T_camera_link[:3, :3] @ shaft.axis)
+            return np.asarray(self._links({None})[None].T_camera_link[:3, 0])
+        return np.asarray(self._links({shaft.link})[shaft.link].T_camera_link[:3, :3] @ shaft.axis)
 
     def _start(self) -> None:
         """Believe the kinematics, with the covariance that the profile states."""
-        T_base_tool = frame_transforms(self._chain, self._q)[-1] @ self._chain.T_last_tool
-        self._anchor_m = (self._T_camera_base @ T_base_tool)[:3, 3]
-        self._correction = Correction(np.zeros(3), np.eye(3), np.zeros(self._size - 6))
-        # A wrong transform may turn about either of its ends, the base or the camera: the shift at the anchor
-        # has the spread of the worse one, and no correlation with the turn, which would choose between them.
-        self._P = np.zeros((self._size, self._size))
-        turn_var = self._error.camera_base_std_rad**2
-        arm = skew(self._anchor_m - self._T_camera_base[:3, 3])
-        self._P[:3, :3] = self._error.camera_base_std_m**2 * np.eye(3) + turn_var * arm @ arm.T
-        self._P[3:6, 3:6] = turn_var * np.eye(3)
-        self._P[6:, 6:] = np.diag(self._joint_std[self._still_count :] ** 2)
-        self._prior_information: Array = np.asarray(
-            np.linalg.inv(self._P + 1e-14 * np.eye(self._size)), np.float64
-        )
-        self._window: list[tuple[_Moment, tuple[LinkObservation, ...]]] = []
+        self._anchor_m = self._model.anchor_m(self._now())
+        self._correction = self._model.no_correction()
+        self._prior = self._model.prior(self._now())
+        self._window = Window(self._model, self._anchor_m, self._prior)
+        self._forget_own_errors(self._prior)
         self._rejections = 0
 
-    def _link(self, name: str | None) -> _Link:
-        return self._links({name})[name]
+    def _forget_own_errors(self, P: Array) -> None:
+        self._P = P
+        self._own: dict[str, slice] = {}
+        self._own_mean: Array = np.zeros(0)
+        self._own_s: Array = np.zeros(0)
 
-    def _links(self, names: set[str | None], moment: _Moment | None = None) -> dict[str | None, _Link]:
-        """Corrected poses of some links at an instant, by default the present one."""
-        moment = moment or _Moment(self._q, self._T_camera_base)
-        q = moment.q.copy()
-        q[self._still_count :] += self._correction.q_offset
-        frames = frame_transforms(self._chain, q)
-        links = {}
-        for name in names:
-            last = (
-                frames[-1] @ self._chain.T_last_tool if name is None else frames[row_index(self._chain, name)]
-            )
-            T_believed = moment.T_camera_base @ last
-            lever_m = self._correction.turn @ (T_believed[:3, 3] - self._anchor_m)
-            T = np.eye(4)
-            T[:3, :3] = self._correction.turn @ T_believed[:3, :3]
-            T[:3, 3] = self._anchor_m + self._correction.shift_m + lever_m
-            derivative = np.zeros((6, self._size))
-            derivative[:, :6] = np.eye(6)
-            derivative[:3, 3:6] = -skew(lever_m)
-            turned = self._correction.turn @ moment.T_camera_base[:3, :3]
-            J = pose_jacobian(self._chain, q, name)[:, self._still_count :]
-            derivative[:3, 6:], derivative[3:, 6:] = turned @ J[:3], turned @ J[3:]
-            links[name] = _Link(T, derivative)
-        return links
+    def _make_room(self, observation: LinkObservation, count: int) -> None:
+        """The first sight of a kind adds its own error to the state, of variance one."""
+        if observation.own in self._own or count == 0:
+            return
+        at = len(self._P)
+        grown = np.eye(at + count)
+        grown[:at, :at] = self._P
+        self._P = grown
+        self._own[observation.own] = slice(at, at + count)
+        self._own_mean = np.concatenate([self._own_mean, np.zeros(count)])
+        self._own_s = np.concatenate([self._own_s, np.full(count, observation.own_s)])
 
-    def _judge(self, observation: LinkObservation, link: _Link) -> Verdict:
-        residual, H = linearise(observation, link)
-        if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(H))):
-            return Verdict(observation.name, np.inf, len(residual), False)
-        S = H @ self._P @ H.T + observation.covariance
-        nis = float(residual @ np.linalg.solve(S, residual))
-        return Verdict(observation.name, nis, len(residual), nis <= chi_square_bound(len(residual)))
+    def _pass(self, elapsed_s: float) -> None:
+        """Time passes: the correction drifts, own errors fade towards their spread of one."""
+        keep = np.exp(-elapsed_s / self._own_s)
+        factor = np.concatenate([np.ones(self._model.size), keep])
+        added = np.concatenate([self._model.drift**2 * elapsed_s, 1.0 - keep**2])
+        self._P = factor[:, None] * self._P * factor + np.diag(added)
+        self._own_mean = keep * self._own_mean
+
+    def _now(self) -> Moment:
+        if self._moment is None:
+            raise ValueError("the filter knows no joints yet: predict comes first")
+        return self._moment
+
+    def _links(self, names: set[str | None]) -> dict[str | None, CorrectedLink]:
+        links = self._model.links(names, [self._now()], self._correction, self._anchor_m)
+        return {name: at_moments[0] for name, at_moments in links.items()}
+
+    def _see(self, observations: Sequence[LinkObservation]) -> list[Linearised]:
+        """The observations about the present state; makes room for their own errors."""
+        links = self._links({observation.link for observation in observations})
+        seen = []
+        for observation in observations:
+            link = links[observation.link]
+            part = linearise(observation, link.T_camera_link, link.derivative)
+            self._make_room(observation, part.spread.shape[1])
+            seen.append(part)
+        return seen
+
+    def _whole(self, observation: LinkObservation, part: Linearised) -> Array:
+        """The derivative of the residual by the whole state, shape (m, n)."""
+        H = np.zeros((len(part.residual), len(self._P)))
+        H[:, : self._model.size] = part.H
+        if part.spread.size:
+            H[:, self._own[observation.own]] = part.spread
+        return H
+
+    def _judge(self, observation: LinkObservation, part: Linearised) -> Verdict:
+        size = len(part.residual)
+        if not part.is_finite:
+            return Verdict(observation.name, np.inf, size, False)
+        H = self._whole(observation, part)
+        innovation = part.residual - H[:, self._model.size :] @ self._own_mean
+        S = H @ self._P @ H.T + part.noise
+        nis = float(innovation @ np.linalg.solve(S, innovation))
+        return Verdict(observation.name, nis, size, nis <= chi_square_bound(size))
 
     def _iterate(self, observations: Sequence[LinkObservation]) -> None:
         """x ← x̂ + K (r + H (x - x̂)) until x rests; covariance in Joseph's form at the last linearisation."""
-        start = self._correction
-        x = np.zeros(self._size)
+        start, own_start = self._correction, self._own_mean
+        size = self._model.size
+        x = np.zeros(len(self._P))
         P = self._P
         R = _block_diagonal([observation.covariance for observation in observations])
         for _ in range(MAX_ITERATIONS):
-            links = self._links({observation.link for observation in observations})
-            parts = [linearise(observation, links[observation.link]) for observation in observations]
-            residual = np.concatenate([part[0] for part in parts])
-            H = np.concatenate([part[1] for part in parts])
-            if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(H))):
-                self._correction = start
+            parts = self._see(observations)
+            if not all(part.is_finite for part in parts):
+                self._correction, self._own_mean = start, own_start
                 return
+            residual = np.concatenate([part.residual for part in parts])
+            H = np.concatenate([self._whole(*pair) for pair in zip(observations, parts, strict=True)])
+            residual = residual - H[:, size:] @ self._own_mean
             # Solved with a unit-free H P: the units of the state differ by orders of magnitude.
             K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
             step = K @ (residual + H @ x) - x
             x = x + step
-            self._correction = start.moved(x)
+            self._correction, self._own_mean = start.moved(x[:size]), own_start + x[size:]
             if float(np.max(np.abs(step) / np.sqrt(np.diag(P) + 1e-18))) < 1e-3:
                 break
-        keep = np.eye(self._size) - K @ H
+        keep = np.eye(len(P)) - K @ H
         P = keep @ P @ keep.T + K @ R @ K.T
         self._P = 0.5 * (P + P.T)
 
@@ -261,109 +205,40 @@ class KinematicErrorFilter:
         """While the filter is young, keep what it saw, and solve for all of it anew at growing intervals.
 
         The first frames are linearised tens of millimetres off, where a camera is far from linear; a Kalman
-        filter can never take back a linearisation, a batch can. The drift is nothing over these frames.
+        filter can never take back a linearisation, a batch can.
         """
         if len(self._window) < WINDOW_SOLVES[-1]:
-            self._window.append((_Moment(self._q, self._T_camera_base), tuple(observations)))
+            self._window.add(Sights(self._now(), tuple(observations)))
             if len(self._window) in WINDOW_SOLVES:
-                self._solve_window()
+                solved = self._window.solve(self._correction)
+                if solved is not None:
+                    self._replay(solved)
 
-    def _solve_window(self) -> None:
-        """Levenberg–Marquardt on prior and window, from the present estimate and from other depths."""
-        depths_m = (0.0, 0.03, -0.03) if len(self._window) <= WINDOW_DEPTH_STARTS else (0.0,)
-        start = self._correction
-        solutions = []
-        for depth_m in depths_m:
-            shift_m = start.shift_m + np.array([0.0, 0.0, depth_m])
-            self._correction = Correction(shift_m, start.turn, start.q_offset)
-            solutions.append(self._descend())
-        best = min(solutions, key=lambda solution: solution.cost)
-        self._correction = best.correction if np.isfinite(best.cost) else start
-        if np.isfinite(best.cost):
-            self._P = np.asarray(np.linalg.inv(best.information), np.float64)
+    def _replay(self, at: Correction) -> None:
+        """Filter the window's frames once more, all linearised at the batch's solution.
 
-    def _descend(self) -> _Solution:
-        """Minimise from the present correction; leaves it changed."""
-        damping = 1e-4
-        solution = self._window_normal()
-        for _ in range(MAX_WINDOW_STEPS):
-            if not np.isfinite(solution.cost):
-                break
-            damped = solution.information + damping * np.diag(np.diag(solution.information))
-            step = np.asarray(np.linalg.solve(damped, solution.gradient), np.float64)
-            before = self._correction
-            self._correction = before.moved(step)
-            trial = self._window_normal()
-            if trial.cost <= solution.cost:
-                gain = solution.cost - trial.cost
-                solution, damping = trial, max(0.1 * damping, 1e-9)
-                if gain < 1e-3:
-                    break
-            else:
-                self._correction = before
-                damping *= 10.0
-        return solution
-
-    def _window_normal(self) -> _Solution:
-        """Cost, gradient and information of prior and window at the present correction.
-
-        Residuals beyond the gate count by Huber's weights: one wild detection must not bend the start.
+        The batch takes the observations' own errors for noise; the filter knows that they last.
         """
-        state = self._correction.vector()
-        A = np.eye(self._size)
-        A[3:6, 3:6] -= 0.5 * skew(state[3:6])
-        information = A.T @ self._prior_information @ A
-        gradient = -A.T @ self._prior_information @ state
-        cost = float(state @ self._prior_information @ state)
-        for moment, observations in self._window:
-            links = self._links({observation.link for observation in observations}, moment)
-            for observation in observations:
-                residual, H = linearise(observation, links[observation.link])
-                if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(H))):
-                    cost = np.inf
-                    continue
-                W = np.linalg.inv(observation.covariance)
-                length = float(np.sqrt(residual @ W @ residual))
-                bound = float(np.sqrt(chi_square_bound(len(residual))))
-                weight = min(1.0, bound / max(length, 1e-12))
-                cost += length**2 if weight == 1.0 else 2.0 * bound * length - bound**2
-                information += weight * H.T @ W @ H
-                gradient += weight * H.T @ W @ residual
-        return _Solution(cost, gradient, information, self._correction)
-
-
-def linearise(observation: LinkObservation, link: _Link) -> tuple[Array, Array]:
-    """Residual, shape (m,), and H = -∂residual/∂state, shape (m, n), at a link's corrected pose."""
-    residual = observation.residual(link.T_camera_link[None])[0]
-    return residual, -pose_derivative(observation, link.T_camera_link) @ link.derivative
-
-
-@dataclass(frozen=True, slots=True)
-class ShaftAxis:
-    """The instrument's shaft on the chain: a point in m and the direction to the tip, (3,), in the row's frame."""
-
-    link: str
-    p_axis_m: Array
-    axis: Array
-
-
-def shaft_of(chain: DHChain) -> ShaftAxis | None:
-    """The shaft is what the last prismatic joint pushes, along its own axis; None for a chain without one."""
-    prismatic = [row for row in chain.rows if row.joint == "prismatic"]
-    if not prismatic:
-        return None
-    row = prismatic[-1]
-    if chain.convention == "modified":
-        return ShaftAxis(row.name, np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    # The row's frame is Trans_x(a) Rot_x(α) away from the axis.
-    axis = np.array([0.0, np.sin(row.alpha_rad), np.cos(row.alpha_rad)])
-    return ShaftAxis(row.name, np.array([-row.a_m, 0.0, 0.0]), axis)
-
-
-def chi_square_bound(freedom: int, z: float = GATE_Z) -> float:
-    """Quantile of the chi-square distribution at the normal quantile z (Wilson and Hilferty 1931)."""
-    c = 2.0 / (9.0 * freedom)
-    return float(freedom * (1.0 - c + z * np.sqrt(c)) ** 3)
+        size = self._model.size
+        self._forget_own_errors(self._window.prior_at(at))
+        # What is to be added to `at`: at first all the way back to no correction.
+        to_correction = self._window.step_to_prior(at)
+        stamp_ns = self._now().stamp_ns
+        for index, (sights, parts) in enumerate(self._window.linearised(at)):
+            if index > 0:
+                self._pass(max(0.0, (sights.moment.stamp_ns - stamp_ns) / 1e9))
+            stamp_ns = sights.moment.stamp_ns
+            for observation, part, weight in parts:
+                self._make_room(observation, part.spread.shape[1])
+                H, R = self._whole(observation, part), part.noise / weight
+                x = np.concatenate([to_correction, self._own_mean])
+                K = np.linalg.solve(H @ self._P @ H.T + R, H @ self._P).T
+                x = x + K @ (part.residual - H @ x)
+                keep = np.eye(len(self._P)) - K @ H
+                P = keep @ self._P @ keep.T + K @ R @ K.T
+                self._P = 0.5 * (P + P.T)
+                to_correction, self._own_mean = x[:size], x[size:]
+        self._correction = at.moved(to_correction)
 
 
 def _block_diagonal(blocks: Sequence[Array]) -> Array:

@@ -1,4 +1,8 @@
-"""What an image says about a link of the robot, as a filter takes it: residual, derivative, covariance."""
+"""What an image says about a link of the robot, as a filter takes it: residual, derivatives, covariance.
+
+`covariance` is that of what changes from frame to frame. What stays alike, an observation's own error, is a vector of
+numbers of variance one that lasts for `own_s` seconds; `spread` turns it into the residual's unit.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,20 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation.cylinder import tangent_normal
-from svmdist.transforms import Array, rotation_of, rotation_vector
+from svmdist.transforms import Array, rotation_of, rotation_vector, transform_points
 
 MIN_DEPTH_M = 1e-3
 STEP = 1e-6
 """Step of the central differences in m and rad: truncation and rounding are both below 1e-8 px of it."""
+TURNS = rotation_of(np.repeat(np.eye(3), 2, axis=0) * np.tile([STEP, -STEP], 3)[:, None])
+POINT_S = 30.0
+"""What hides a part of the knuckle is fixed to it: its visible middle stays where it is on the tool."""
+EDGE_S = 2.0
+"""Shading beside an edge changes as the shaft turns in the light."""
+POSE_S = 0.5
+"""How a mark's edges fall on the pixels changes with every pixel of motion."""
+GATE_Z = 3.09
+"""Normal quantile of the gate: an observation less likely than 1 in 1,000 is rejected."""
 
 
 class LinkObservation(Protocol):
@@ -29,17 +42,29 @@ class LinkObservation(Protocol):
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the residual, shape (m, m), in px²."""
+        """Covariance of the residual's noise, shape (m, m)."""
+
+    @property
+    def own(self) -> str:
+        """Observations of one such name have the same error of their own."""
+
+    @property
+    def own_s(self) -> float:
+        """How long that lasts, in s: the time constant of its fading."""
+
+    def spread(self, T_camera_link: Array, by_pose: Array, /) -> Array:
+        """Derivative of the residual by the own error, (m, k), from the pose and the residual's derivative (m, 6)."""
 
     def residual(self, T_camera_link: Array) -> Array:
-        """Measured minus predicted, shape (k, m) in px, for poses (k, 4, 4); inf where nothing can be seen."""
+        """Measured minus predicted, shape (k, m), for poses (k, 4, 4); inf where nothing can be seen."""
 
 
 @dataclass(frozen=True, slots=True)
 class PointsObservation:
     """Points of a link seen at pixels: the coloured region's centroid, or the corners of a tag.
 
-    `p_link_m` has shape (n, 3), `pixels` (n, 2), the covariance (2n, 2n) in px², rows x1, y1, x2, …
+    `p_link_m` has shape (n, 3), `pixels` (n, 2), the covariance (2n, 2n) in px², rows x1, y1, x2, … The points may
+    all be off by one offset fixed in the link's frame, of deviation `point_std_m` along each axis.
     """
 
     name: str
@@ -48,6 +73,13 @@ class PointsObservation:
     p_link_m: Array
     pixels: Array
     covariance: Array
+    point_std_m: float = 0.0
+    own: str = "point"
+    own_s: float = POINT_S
+
+    def spread(self, T_camera_link: Array, by_pose: Array) -> Array:
+        """Derivative by the offset, shape (2n, 3), in units of its deviation."""
+        return -self.point_std_m * by_pose[:, :3] @ T_camera_link[:3, :3]
 
     def residual(self, T_camera_link: Array) -> Array:
         """Measured minus projected, shape (k, 2n), for poses of shape (k, 4, 4)."""
@@ -61,39 +93,87 @@ class PointsObservation:
 
 
 @dataclass(frozen=True, slots=True)
-class ContourObservation:
-    """One edge of the shaft's silhouette: the straight line through two pixels of an undistorted image.
+class DisparityObservation:
+    """How far apart, in px along x, the two views of a stereo pair show the origin of a link.
 
-    `pixels`, shape (2, 2), are where the observed stretch begins and ends, each uncertain across the line
-    with `covariance`, shape (2, 2) in px². The shaft is a cylinder of `radius_m` about an axis of the link:
-    `p_axis_m` and `axis`, shape (3,), in the link's frame, towards the tip. `side` tells the edges apart:
-    +1 for the one to the right of the axis as it runs through the image, y being down, -1 for the left.
+    `T_right_left` maps the left camera's coordinates to the right one's; the covariance has shape (1, 1) in px².
+    The point may be off as in `PointsObservation`.
     """
 
     name: str
     link: str | None
-    camera: Camera
-    pixels: Array
+    left: Camera
+    right: Camera
+    T_right_left: Array
+    disparity_px: float
+    covariance: Array
+    point_std_m: float = 0.0
+    own: str = "point"
+    own_s: float = POINT_S
+
+    def spread(self, T_camera_link: Array, by_pose: Array) -> Array:
+        """Derivative by the offset, shape (1, 3), in units of its deviation."""
+        return -self.point_std_m * by_pose[:, :3] @ T_camera_link[:3, :3]
+
+    def residual(self, T_camera_link: Array) -> Array:
+        """Measured minus predicted, shape (k, 1), for poses of shape (k, 4, 4)."""
+        p_left_m = T_camera_link[:, :3, 3]
+        p_right_m = transform_points(self.T_right_left, p_left_m)
+        hidden = np.minimum(p_left_m[:, 2], p_right_m[:, 2]) < MIN_DEPTH_M
+        ahead = np.array([0.0, 0.0, 1.0])
+        left_px = self.left.project(np.where(hidden[:, None], ahead, p_left_m))
+        right_px = self.right.project(np.where(hidden[:, None], ahead, p_right_m))
+        off_px = self.disparity_px - (left_px[:, 0] - right_px[:, 0])
+        return np.where(hidden, np.inf, off_px)[:, None]
+
+
+@dataclass(frozen=True, slots=True)
+class ContourObservation:
+    """One edge of the shaft's silhouette: the plane through the camera's centre and the edge touches the shaft.
+
+    `normal`, shape (3,), is that plane's unit normal in the camera frame, turned to the shaft's side; `across`, shape
+    (2, 3), holds two unit vectors square to it, along which it errs by the covariance, shape (2, 2) in rad². The
+    shaft is a cylinder of `radius_m` about an axis of the link: `p_axis_m` and `axis`, shape (3,), in the link's
+    frame, towards the tip. `side` tells the edges apart: +1 for the one to the right of the axis as it runs through
+    the image, y being down, -1 for the left.
+    """
+
+    name: str
+    link: str | None
+    normal: Array
+    across: Array
     covariance: Array
     p_axis_m: Array
     axis: Array
     radius_m: float
     side: int
+    systematic: Array
+    """Covariance of the own error, shape (2, 2) in rad²: shading stays as long as the light falls on the edge so."""
+    own_s: float = EDGE_S
+
+    @property
+    def own(self) -> str:
+        """Each edge errs in its own way."""
+        return self.name
+
+    def spread(self, _T_camera_link: Array, _by_pose: Array, /) -> Array:
+        """Derivative by the own error, shape (2, 2)."""
+        return np.asarray(np.linalg.cholesky(self.systematic))
 
     def residual(self, T_camera_link: Array) -> Array:
-        """Distances of the two pixels from the predicted edge, shape (k, 2), for poses of shape (k, 4, 4)."""
+        """By what the normal is off the predicted one, shape (k, 2) in rad, for poses of shape (k, 4, 4)."""
         axis = T_camera_link[:, :3, :3] @ self.axis
         p_axis_m = T_camera_link[:, :3, :3] @ self.p_axis_m + T_camera_link[:, :3, 3]
-        line = tangent_normal(p_axis_m, axis, self.radius_m, self.side) @ np.linalg.inv(self.camera.K)
-        distances = line[:, :2] @ self.pixels.T + line[:, 2:]
-        return np.nan_to_num(distances / np.hypot(line[:, 0], line[:, 1])[:, None], nan=np.inf)
+        off = (self.normal - tangent_normal(p_axis_m, axis, self.radius_m, self.side)) @ self.across.T
+        return np.where(np.isnan(off), np.inf, off)
 
 
 @dataclass(frozen=True, slots=True)
 class PoseObservation:
     """A pose that was measured as a whole: `T_camera_seen` of a frame fixed on a link by `T_link_seen`, (4, 4).
 
-    The covariance, shape (6, 6), is that of (δp, δθ) in the camera frame, as in `ToolPose`.
+    The covariances, shape (6, 6), are those of (δp, δθ) in the camera frame, as in `ToolPose`; `systematic` is that of
+    the own error.
     """
 
     name: str
@@ -101,6 +181,17 @@ class PoseObservation:
     T_link_seen: Array
     T_camera_seen: Array
     covariance: Array
+    systematic: Array
+    own_s: float = POSE_S
+
+    @property
+    def own(self) -> str:
+        """Each mark errs in its own way."""
+        return self.name
+
+    def spread(self, _T_camera_link: Array, _by_pose: Array, /) -> Array:
+        """Derivative by the own error, shape (6, 6)."""
+        return np.asarray(np.linalg.cholesky(self.systematic))
 
     def residual(self, T_camera_link: Array) -> Array:
         """(δp, δθ) from predicted to measured, shape (k, 6) in m and rad, for poses of shape (k, 4, 4)."""
@@ -109,18 +200,54 @@ class PoseObservation:
         return np.hstack([self.T_camera_seen[:3, 3] - predicted[:, :3, 3], rotation_vector(turns)])
 
 
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """An observation about a state: residual (m,) = H δ + `spread` ξ + noise, of derivatives (m, n) and (m, k).
+
+    δ is the error state, ξ the observation's own error; nothing of it is finite where the link cannot be seen.
+    """
+
+    residual: Array
+    H: Array
+    spread: Array
+    noise: Array
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the link could be seen."""
+        return bool(np.all(np.isfinite(self.residual)) and np.all(np.isfinite(self.H)))
+
+    @property
+    def covariance(self) -> Array:
+        """Of the residual where it is seen once, shape (m, m): noise and own error."""
+        return np.asarray(self.noise + self.spread @ self.spread.T)
+
+
+def linearise(observation: LinkObservation, T_camera_link: Array, by_state: Array) -> Linearised:
+    """An observation about a link's pose, shape (4, 4), of which the state's derivative is (6, n)."""
+    residual = observation.residual(T_camera_link[None])[0]
+    by_pose = pose_derivative(observation, T_camera_link)
+    spread = observation.spread(T_camera_link, by_pose)
+    return Linearised(residual, -by_pose @ by_state, spread, observation.covariance)
+
+
 def pose_derivative(observation: LinkObservation, T_camera_link: Array) -> Array:
     """Derivative of the residual by (δp, δθ) of the link's pose in the camera frame, shape (m, 6).
 
     Central differences: exact to 1e-6 of what they are, and one formula for every kind of observation.
     """
     poses = np.repeat(T_camera_link[None], 12, axis=0)
-    for index, step in enumerate((STEP, -STEP)):
-        for column in range(3):
-            poses[2 * column + index, column, 3] += step
-            turn = rotation_of(step * np.eye(3)[column])
-            poses[6 + 2 * column + index, :3, :3] = turn @ T_camera_link[:3, :3]
+    for column in range(3):
+        poses[2 * column, column, 3] += STEP
+        poses[2 * column + 1, column, 3] -= STEP
+    poses[6:, :3, :3] = TURNS @ T_camera_link[:3, :3]
     residuals = observation.residual(poses)
     if not np.all(np.isfinite(residuals)):
         return np.full((residuals.shape[1], 6), np.nan)
     return np.asarray((residuals[0::2] - residuals[1::2]).T / (2.0 * STEP))
+
+
+def chi_square_bound(freedom: int, z: float = GATE_Z) -> float:
+    """Quantile of the chi-square distribution at the normal quantile z (Wilson and Hilferty 1931)."""
+    c = 2.0 / (9.0 * freedom)
+    return float(freedom * (1.0 - c + z * np.sqrt(c)) ** 3)

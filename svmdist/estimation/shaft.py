@@ -97,11 +97,16 @@ class ShaftEstimator:
         )
         if corners_px is None:
             return None
-        middle_px = corners_px.mean(0)
-        plate_px = middle_px + PLATE * (corners_px - middle_px)
-        mask = np.zeros(image_bgr.shape[:2], np.uint8)
-        cv2.fillConvexPoly(mask, np.round(plate_px).astype(np.int32), 255)
-        return mask
+        return tag_plate(corners_px, image_bgr.shape[:2])
+
+
+def tag_plate(corners_px: Array, shape: tuple[int, ...]) -> Image:
+    """Mask, of `shape` (h, w), of the plate around a tag with these corners, shape (4, 2)."""
+    middle_px = corners_px.mean(0)
+    plate_px = middle_px + PLATE * (corners_px - middle_px)
+    mask = np.zeros(shape, np.uint8)
+    cv2.fillConvexPoly(mask, np.round(plate_px).astype(np.int32), 255)
+    return mask
 
 
 def shaft_model(

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from svmdist.estimation.distances import measure
 from svmdist.estimation.filter import KinematicErrorFilter
 from svmdist.estimation.instrument_model import InstrumentModel
-from svmdist.estimation.kinematic import Belief, belief_of, require_chain
 from svmdist.estimation.locate import locate_both
 from svmdist.estimation.pose import ToolPose
+from svmdist.estimation.robot_scene import Belief, belief_of, require_chain
 from svmdist.estimation.rows import first_rows
 from svmdist.estimation.tissue import TissueFix, require_tissue, see_tissue
 from svmdist.geometry.surfaces import Cloud

@@ -21,24 +21,24 @@ def pose_jacobian(chain: DHChain, q: ArrayLike, row: str | None = None) -> Array
     tool. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a joint behind the
     frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
     """
-    frames = frame_transforms(chain, q)
+    return jacobian_of_frames(chain, frame_transforms(chain, q), row)
+
+
+def jacobian_of_frames(chain: DHChain, frames: Array, row: str | None = None) -> Array:
+    """The same from the poses of all row frames, shape (..., n_rows, 4, 4)."""
     last = len(chain.rows) - 1 if row is None else row_index(chain, row)
     T_base_frame = frames[..., last, :, :] @ chain.T_last_tool if row is None else frames[..., last, :, :]
-    p = T_base_frame[..., :3, 3]
-    columns = []
-    for index, joint in enumerate(chain.rows):
-        if joint.joint == "fixed":
-            continue
-        z, p_joint = joint_axis(chain, frames, index)
-        zero = np.zeros(p.shape)
-        if index > last:
-            moves, turns = zero, zero
-        elif joint.joint == "revolute":
-            moves, turns = np.cross(z, p - p_joint) + zero, z + zero
-        else:
-            moves, turns = z + zero, zero
-        columns.append(np.concatenate([moves, turns], -1))
-    return np.stack(columns, -1)
+    moving = [index for index, joint in enumerate(chain.rows) if joint.joint != "fixed"]
+    axes = [joint_axis(chain, frames, index) for index in moving]
+    shape = (*frames.shape[:-3], 3)
+    z = np.stack([np.broadcast_to(axis, shape) for axis, _ in axes], -1)
+    arm = T_base_frame[..., :3, 3, None] - np.stack([np.broadcast_to(at, shape) for _, at in axes], -1)
+    revolute = np.array([chain.rows[index].joint == "revolute" for index in moving])
+    before = np.array([index <= last for index in moving])
+    zx, zy, zz = z[..., 0, :], z[..., 1, :], z[..., 2, :]
+    x, y, h = arm[..., 0, :], arm[..., 1, :], arm[..., 2, :]
+    swing = np.stack([zy * h - zz * y, zz * x - zx * h, zx * y - zy * x], -2)
+    return np.concatenate([np.where(revolute, swing, z) * before, z * (revolute & before)], -2)
 
 
 def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:

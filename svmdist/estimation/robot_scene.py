@@ -1,0 +1,96 @@
+"""What the methods that know the robot start from: its chain and belief, the tissue so far, and a row to fill."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from svmdist.camera import Camera
+from svmdist.errors import KinematicsError, ProfileError
+from svmdist.estimation.distances import measure
+from svmdist.estimation.instrument_model import InstrumentModel
+from svmdist.estimation.pose import ToolPose
+from svmdist.estimation.tissue import TissueFix, TissueSight, require_tissue, see_tissue
+from svmdist.estimation.tissue_memory import TissueMemory
+from svmdist.kinematics.chain import chain_of
+from svmdist.kinematics.dh import DHChain, select_joints
+from svmdist.profile import Profile
+from svmdist.samples import Estimate, JointSample, Observation, Status
+from svmdist.transforms import Array
+from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What the robot believes: joints in the chain's order, shape (n,), and `T_camera_base`, shape (4, 4)."""
+
+    q: Array
+    T_camera_base: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One frame before the tool is measured: the image's masks, the robot's belief, the tissue as it is known."""
+
+    row: Estimate
+    masks: Masks
+    belief: Belief | None
+    tissue: TissueFix | None
+
+
+class RobotScene:
+    """The set-up of a robot over tissue that holds still; keeps the tissue's place between frames."""
+
+    def __init__(self, profile: Profile, segmenter: Segmenter | None = None) -> None:
+        require_tissue(profile)
+        self.profile = profile
+        self.segmenter = segmenter or make_segmenter(profile.segmentation)
+        self.chain = require_chain(profile)
+        self._model = InstrumentModel.of(profile)
+        self._tissue = TissueMemory()
+
+    def look(self, observation: Observation) -> Look:
+        """Segment a frame, take up its tissue, and select its joints; the row says what is lacking."""
+        belief = belief_of(observation, self.chain)
+        masks = self.segmenter.masks(observation.image_bgr)
+        sight = see_tissue(masks, self.profile, observation.camera)
+        tissue = self._tissue.add(sight.fix if sight else None)
+        row = _with_tissue(Estimate(observation.stamp_ns, Status.NO_TISSUE), sight)
+        if isinstance(belief, str):
+            return Look(replace(row, status=Status.NO_JOINTS, detail=belief), masks, None, tissue)
+        return Look(row, masks, belief, tissue)
+
+    def finish(
+        self, row: Estimate, pose: ToolPose, tissue: TissueFix | None, camera: Camera, joints: JointSample
+    ) -> Estimate:
+        """The row with the tool's place in the image, and the distances where the tissue is known."""
+        if pose.position_m[2] > 0.0:
+            x_px, y_px = (float(value) for value in camera.project(pose.position_m)[0])
+            row = replace(row, tool_x_px=x_px, tool_y_px=y_px)
+        return row if tissue is None else measure(row, pose, tissue, self._model, joints)
+
+
+def require_chain(profile: Profile) -> DHChain:
+    """The profile's chain; raises ProfileError where it has none."""
+    if profile.robot is None:
+        raise ProfileError(f"profile {profile.name} has no [robot]: kinematics need its chain")
+    return chain_of(profile.robot)
+
+
+def belief_of(observation: Observation, chain: DHChain) -> Belief | str:
+    """What the robot believes at an image's stamp, or what of it the log lacks."""
+    if observation.joints is None:
+        return "no joints near the image"
+    if observation.T_camera_base is None:
+        return "no transform from the camera to the base"
+    try:
+        q = select_joints(chain, observation.joints.names, observation.joints.positions)
+    except KinematicsError as problem:
+        return str(problem)
+    return Belief(q, observation.T_camera_base)
+
+
+def _with_tissue(row: Estimate, sight: TissueSight | None) -> Estimate:
+    if sight is None:
+        return row
+    x, y = sight.outline.centroid_px
+    return replace(row, tissue_x_px=float(x), tissue_y_px=float(y), tissue_area_px=sight.region.area_px)

@@ -1,0 +1,190 @@
+"""What one frame shows of the tool, as observations for the filter: knuckle, disparity, tag, and the shaft's edges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.estimation.locate import locate_instrument
+from svmdist.estimation.observations import (
+    ContourObservation,
+    DisparityObservation,
+    LinkObservation,
+    PointsObservation,
+    PoseObservation,
+)
+from svmdist.estimation.pose import ToolPose
+from svmdist.estimation.robot_scene import Belief, Look
+from svmdist.estimation.shaft import tag_plate
+from svmdist.estimation.shaft_sight import see_shaft
+from svmdist.estimation.tag_pose import believed_tag_rotation, find_tag_pose
+from svmdist.kinematics.dh import DHChain
+from svmdist.kinematics.shaft_axis import shaft_of
+from svmdist.profile import Profile
+from svmdist.samples import Image, Observation
+from svmdist.transforms import Array, inverse
+from svmdist.vision.exposure import levelled
+from svmdist.vision.regions import Region
+from svmdist.vision.segmenter import Masks, Segmenter
+from svmdist.vision.shaft_segmentation import find_shaft
+from svmdist.vision.tag import TagFinder, TagPattern
+
+REGION_STD_PX = 2.0
+"""The centroid of a coloured part of unknown shape against the tool's origin."""
+VISIBLE_MIDDLE = 0.08
+"""Of a knuckle that jaws and fork hide a part of, the visible middle stands off the true one: over its radius,
+along each axis of the tool, of which it is a fixed point."""
+NOISE = 0.02
+"""What is left of the centroid's error then, over the radius: pixels, shading, the view's own angle."""
+WHOLE_FRACTION = 0.4
+"""A knuckle of which less is seen tells nothing: its centroid is anybody's guess."""
+WHOLE_SPREAD = 0.1
+"""By how much a whole knuckle's area differs from its disc's: jaws that hide some, fork that adds."""
+DISPARITY_NOISE = 0.008
+"""The same in the difference of two views that see the knuckle from 3° apart, over the radius."""
+EVEN = 0.02
+"""By how much the region's areas in both views differ when nothing is wrong, over their sum."""
+ROW_TOLERANCE_PX = 3.0
+"""Rectified images show the knuckle on one row; what is further off is something else."""
+SHARED = 0.5
+"""The share of a tag's variance that lasts: how its edges fall on the pixels changes with motion."""
+
+
+class ToolSights:
+    """Looks for the tool in a frame with what the profile knows of it."""
+
+    def __init__(self, profile: Profile, chain: DHChain, segmenter: Segmenter) -> None:
+        self._profile = profile
+        self._chain = chain
+        self._segmenter = segmenter
+        self._shaft = shaft_of(chain)
+        tag = profile.fiducial
+        self._finder = TagFinder(tag.family, tag.id) if tag else None
+        self._pattern = TagPattern(tag.family, tag.id, tag.size_m) if tag else None
+
+    def see(
+        self, observation: Observation, look: Look, pose: ToolPose
+    ) -> tuple[Region | None, list[LinkObservation]]:
+        """The instrument's region and all observations of the tool; `pose` is where it is expected."""
+        region = locate_instrument(look.masks, self._profile.segmentation)
+        corners_px = self._tag_corners(observation.image_bgr)
+        seen: list[LinkObservation] = []
+        if region is not None:
+            seen += self._knuckle(observation, region, pose)
+        if corners_px is not None and look.belief is not None:
+            seen += self._tag(observation, look.belief, corners_px)
+        seen += self._contours(observation, look.masks, corners_px)
+        return region, seen
+
+    def _knuckle(self, observation: Observation, region: Region, pose: ToolPose) -> Iterator[LinkObservation]:
+        """The region's centroid is a sight of a point on the tool, as sure as the region is whole."""
+        std_px = self._centroid_std_px(observation.camera, region, pose)
+        if std_px is None:
+            return
+        instrument = self._profile.instrument
+        point_std_m = VISIBLE_MIDDLE * instrument.knuckle_radius_m if instrument is not None else 0.0
+        yield PointsObservation(
+            "knuckle",
+            None,
+            observation.camera,
+            np.zeros((1, 3)),
+            region.centroid_px[None],
+            std_px**2 * np.eye(2),
+            point_std_m,
+        )
+        right = observation.right
+        if right is None:
+            return
+        other = locate_instrument(self._segmenter.masks(right.image_bgr), self._profile.segmentation)
+        if other is None or abs(other.centroid_px[1] - region.centroid_px[1]) > ROW_TOLERANCE_PX:
+            return
+        if self._centroid_std_px(right.camera, other, pose) is None:
+            return
+        # What one view shows more of moves its centroid by up to half of it.
+        uneven = abs(region.area_px - other.area_px) / (region.area_px + other.area_px)
+        radius_px = float(np.sqrt(region.area_px / np.pi))
+        std_px = radius_px * float(np.hypot(DISPARITY_NOISE, max(0.0, uneven - EVEN)))
+        yield DisparityObservation(
+            "disparity",
+            None,
+            observation.camera,
+            right.camera,
+            inverse(right.T_left_right),
+            float(region.centroid_px[0] - other.centroid_px[0]),
+            np.array([[std_px**2]]),
+            point_std_m,
+        )
+
+    def _centroid_std_px(self, camera: Camera, region: Region, pose: ToolPose) -> float | None:
+        """What part of the knuckle is missing says how far its centroid may be off; None where too much is."""
+        x, y, width, height = cv2.boundingRect(region.hull)
+        if x <= 0 or y <= 0 or x + width >= camera.width_px or y + height >= camera.height_px:
+            return None
+        instrument = self._profile.instrument
+        if instrument is None:
+            return REGION_STD_PX
+        depth_m, depth_std_m = pose.position_m[2], np.sqrt(pose.covariance[2, 2])
+        if depth_m <= 0.0 or depth_std_m > 0.05 * depth_m:
+            return REGION_STD_PX
+        radius_px = camera.K[0, 0] * instrument.knuckle_radius_m / depth_m
+        whole = region.area_px / (np.pi * radius_px**2)
+        if whole < WHOLE_FRACTION:
+            return None
+        # What is missing, or too much, lies on one side: at worst it moves the centroid by half of it.
+        wrong = max(0.0, abs(1.0 - whole) - WHOLE_SPREAD)
+        return float(radius_px * np.hypot(NOISE, 0.5 * wrong))
+
+    def _tag_corners(self, image_bgr: Image) -> Array | None:
+        if self._finder is None:
+            return None
+        return self._finder.corners_px(np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY), np.uint8))
+
+    def _tag(self, observation: Observation, belief: Belief, corners_px: Array) -> Iterator[LinkObservation]:
+        fiducial = self._profile.fiducial
+        if fiducial is None or self._pattern is None:
+            return
+        image_grey: Image = np.asarray(cv2.cvtColor(observation.image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
+        believed = believed_tag_rotation(belief.T_camera_base, fiducial, self._chain, belief.q)
+        tag = find_tag_pose(image_grey, corners_px, observation.camera, self._pattern, believed)
+        if tag is not None:
+            yield PoseObservation(
+                "tag",
+                fiducial.link,
+                fiducial.T_link_tag,
+                tag.T_camera_tag,
+                (1.0 - SHARED) * tag.covariance,
+                SHARED * tag.covariance,
+            )
+
+    def _contours(
+        self, observation: Observation, masks: Masks, corners_px: Array | None
+    ) -> Iterator[LinkObservation]:
+        """Both edges of a shaft that is longer than wide; on a stub something else is easily taken for one."""
+        rule, instrument = self._profile.segmentation.shaft, self._profile.instrument
+        if rule is None or instrument is None or self._shaft is None or masks.shaft is None:
+            return
+        covered = None if corners_px is None else tag_plate(corners_px, masks.shaft.shape)
+        region = find_shaft(masks.shaft, rule, covered, masks.black)
+        sight = see_shaft(levelled(observation.image_bgr), region, None, observation.camera)
+        if sight.is_stub:
+            return
+        for contour in sight.contours:
+            _, axes = np.linalg.eigh(contour.plane.covariance)
+            across = axes[:, 1:].T
+            # Shading shifts an edge for as long as the light falls on it so: nothing of it is averaged away.
+            systematic = across @ contour.plane.covariance @ across.T
+            yield ContourObservation(
+                f"edge {contour.side:+d}",
+                self._shaft.link,
+                contour.plane.normal,
+                across,
+                0.1 * systematic,
+                self._shaft.p_axis_m,
+                self._shaft.axis,
+                instrument.shaft_radius_m,
+                contour.side,
+                systematic,
+            )

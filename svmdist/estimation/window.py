@@ -1,0 +1,146 @@
+"""The first frames solved as a batch: where to linearise before anything is known (Levenberg–Marquardt)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.estimation.correction import Correction, ErrorModel, Moment
+from svmdist.estimation.observations import Linearised, LinkObservation, chi_square_bound, linearise
+from svmdist.transforms import Array, skew
+
+WINDOW_SOLVES = (1, 2, 3, 5, 8, 12, 20)
+"""Numbers of frames after which a young filter solves for all of them anew."""
+DEPTH_STARTS_M = (0.0, 0.03, -0.03)
+"""The batch also starts from other depths, the least observable of all at first: a working range's half."""
+DEPTH_START_COUNT = 3
+"""Up to so many frames it does; later the last solution is a start that needs no others."""
+MAX_STEPS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Sights:
+    """What was seen at one moment."""
+
+    moment: Moment
+    observations: tuple[LinkObservation, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Solution:
+    """Normal equations of a window at a correction."""
+
+    cost: float
+    gradient: Array
+    information: Array
+    correction: Correction
+
+
+class Window:
+    """The first frames of a filter that starts at `anchor_m`, shape (3,), with a prior covariance (n, n)."""
+
+    def __init__(self, model: ErrorModel, anchor_m: Array, prior: Array) -> None:
+        self._model = model
+        self._anchor_m = anchor_m
+        self._prior = prior
+        self._prior_information = np.asarray(np.linalg.inv(prior + 1e-14 * np.eye(len(prior))), np.float64)
+        self._frames: list[Sights] = []
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def add(self, sights: Sights) -> None:
+        """Keep what one frame showed."""
+        self._frames.append(sights)
+
+    def solve(self, start: Correction) -> Correction | None:
+        """The correction that fits prior and frames best, from the start and from other depths."""
+        depths_m = DEPTH_STARTS_M if len(self) <= DEPTH_START_COUNT else (0.0,)
+        solutions = []
+        for depth_m in depths_m:
+            shift_m = start.shift_m + np.array([0.0, 0.0, depth_m])
+            solutions.append(self._descend(Correction(shift_m, start.turn, start.q_offset)))
+        best = min(solutions, key=lambda solution: solution.cost)
+        return best.correction if np.isfinite(best.cost) else None
+
+    def prior_at(self, at: Correction) -> Array:
+        """The prior's covariance in the error state about a correction, shape (n, n)."""
+        back = np.linalg.inv(_tangent(at))
+        return np.asarray(back @ self._prior @ back.T)
+
+    def step_to_prior(self, at: Correction) -> Array:
+        """The error state about a correction that leads to the prior's mean, shape (n,)."""
+        return np.asarray(-np.linalg.solve(_tangent(at), at.vector()))
+
+    def linearised(
+        self, at: Correction
+    ) -> Iterator[tuple[Sights, list[tuple[LinkObservation, Linearised, float]]]]:
+        """Every frame's observations about a correction with Huber's weights; what is out of sight is left out."""
+        names = {observation.link for sights in self._frames for observation in sights.observations}
+        links = self._model.links(names, [sights.moment for sights in self._frames], at, self._anchor_m)
+        for index, sights in enumerate(self._frames):
+            parts = []
+            for observation in sights.observations:
+                link = links[observation.link][index]
+                part = linearise(observation, link.T_camera_link, link.derivative)
+                if part.is_finite:
+                    weight = min(1.0, _bound(part) / max(_length(part), 1e-12))
+                    parts.append((observation, part, weight))
+            yield sights, parts
+
+    def _descend(self, start: Correction) -> _Solution:
+        damping = 1e-4
+        solution = self._normal(start)
+        for _ in range(MAX_STEPS):
+            if not np.isfinite(solution.cost):
+                break
+            damped = solution.information + damping * np.diag(np.diag(solution.information))
+            step = np.asarray(np.linalg.solve(damped, solution.gradient), np.float64)
+            trial = self._normal(solution.correction.moved(step))
+            if trial.cost <= solution.cost:
+                gain = solution.cost - trial.cost
+                solution, damping = trial, max(0.1 * damping, 1e-9)
+                if gain < 1e-3:
+                    break
+            else:
+                damping *= 10.0
+        return solution
+
+    def _normal(self, at: Correction) -> _Solution:
+        """Cost, gradient and information of prior and window at a correction.
+
+        Residuals beyond the gate count by Huber's weights: one wild detection must not bend the start.
+        """
+        state, A = at.vector(), _tangent(at)
+        information = A.T @ self._prior_information @ A
+        gradient = -A.T @ self._prior_information @ state
+        cost = float(state @ self._prior_information @ state)
+        for sights, parts in self.linearised(at):
+            if len(parts) < len(sights.observations):
+                cost = np.inf
+            for _, part, weight in parts:
+                W = np.linalg.inv(part.covariance)
+                length, bound = _length(part), _bound(part)
+                cost += length**2 if weight == 1.0 else 2.0 * bound * length - bound**2
+                information += weight * part.H.T @ W @ part.H
+                gradient += weight * part.H.T @ W @ part.residual
+        return _Solution(cost, gradient, information, at)
+
+
+def _tangent(at: Correction) -> Array:
+    """Derivative of the correction's vector by the error state about it, shape (n, n), to first order in the turn."""
+    state = at.vector()
+    A = np.eye(len(state))
+    A[3:6, 3:6] -= 0.5 * skew(state[3:6])
+    return A
+
+
+def _length(part: Linearised) -> float:
+    """The residual's length in its own deviation."""
+    return float(np.sqrt(part.residual @ np.linalg.solve(part.covariance, part.residual)))
+
+
+def _bound(part: Linearised) -> float:
+    return float(np.sqrt(chi_square_bound(len(part.residual))))
