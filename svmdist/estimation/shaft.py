@@ -20,14 +20,17 @@ from svmdist.profile import Instrument, KinematicError, Profile
 from svmdist.samples import Estimate, Image, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform
 from svmdist.vision.exposure import levelled
-from svmdist.vision.segmenter import Segmenter, make_segmenter
-from svmdist.vision.shaft_segmentation import find_shaft
+from svmdist.vision.segmentation import to_hsv
+from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter
+from svmdist.vision.shaft_segmentation import ShaftRegion, bright_fraction, find_shaft
 from svmdist.vision.tag import TagFinder
 
 MAX_STD_M = 0.004
 """A position less certain than this along any direction is no measurement."""
 PLATE = 1.45
 """A tag's plate over its black square: the white margin of a cell or more, and the blur around it."""
+PRINTED = 0.1
+"""Bright part of a dark stub above which it is the print of a tag: half of its cells are white, of a shaft few."""
 UNKNOWN_BEND_RAD = 0.4
 """Of the wrist about each axis, where no joints tell."""
 
@@ -78,15 +81,23 @@ class ShaftEstimator:
         # The shaft's contour lines and end, and the coloured knuckle, in the image.
         image_bgr = levelled(observation.image_bgr)
         masks = self._segmenter.masks(observation.image_bgr)
-        region = None
-        if masks.shaft is not None:
-            region = find_shaft(masks.shaft, self._rule, self._covered(image_bgr), masks.black)
-        knuckle = see_knuckle(masks.instrument, self._profile.segmentation.instrument)
+        region = self._find_shaft(image_bgr, masks)
+        knuckle = see_knuckle(masks.instrument, self._profile.segmentation.instrument, to_hsv(image_bgr))
         seen = see_shaft(image_bgr, region, knuckle, observation.camera)
 
         # The pose that fits them, through the wrist.
         model = shaft_model(observation, self._chain, self._instrument, self._profile.kinematic_error)
         return fit_shaft(seen, model, observation.camera)
+
+    def _find_shaft(self, image_bgr: Image, masks: Masks) -> ShaftRegion | None:
+        if masks.shaft is None:
+            return None
+        covered = self._covered(image_bgr)
+        region = find_shaft(masks.shaft, self._rule, covered, masks.black)
+        if region is None or self._finder is None or covered is not None or not region.is_stub:
+            return region
+        # The border may cut the plate, whose black print is then as wide as the shaft and ends where it does.
+        return None if bright_fraction(region, masks.shaft) > PRINTED else region
 
     def _covered(self, image_bgr: Image) -> Image | None:
         """Mask of the plate that the profile mounts on the shaft, where the tag on it is found."""

@@ -11,7 +11,8 @@ from svmdist.estimation.cylinder import TangentPlane, tangent_plane
 from svmdist.profile import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edges import edge_points, fit_line, straightened
+from svmdist.vision.disc import fit_disc
+from svmdist.vision.edges import CORRELATION_PX, edge_blur_px, edge_points, fit_line, straightened
 from svmdist.vision.regions import find_region
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
 
@@ -26,12 +27,25 @@ RIM_STRIP = 0.25
 """The rim is searched in this part of the shaft's half width about the middle, where its arc has its apex."""
 RIM_REACH = 0.9
 """How far along the shaft, in half widths: an arc's apex lies up to one before the corners."""
-VISIBLE_RADIUS, RADIUS_STD = 0.98, 0.015
-"""Jaws and fork hide some percent of the knuckle: its apparent radius over that of the whole, and how that varies."""
+VISIBLE_RADIUS, RADIUS_STD = 0.97, 0.022
+"""Jaws and fork hide some percent of the knuckle, and its limb is in shade: its apparent radius over that of the
+whole, and how that varies. Over 72 frames of six seeds 0.96 ± 0.02, sharp, blurred, hazy or dim."""
+DISC_POINTS = 8
+"""Points of the disc's border that err independently: it is cut by fork and jaws, each over an eighth."""
+RADIUS_PER_BLUR = 0.1
+"""What neighbours of other colours within the border's blur shift it, over that blur."""
+MAX_LOG_RATIO = 0.25
+"""Between the disc's radius and that of its region: further apart they are not of the same thing."""
+MIN_SATURATION = 50
+"""Grey steel in coloured light stays below."""
 KNUCKLE_STD = 0.045
 """By how much that moves its centroid, over the radius."""
 SYSTEMATIC_PX = 0.08
 """What shading beside an edge shifts it, beside noise: see the error budget."""
+SYSTEMATIC_PER_BLUR, INLIER_PER_BLUR = 0.05, 0.2
+"""Both grow with the edge's blur: shading over twice the width shifts the steepest point by more."""
+BLUR_REACH_FRACTION = 0.022
+"""How far the blur of an edge is measured, over the image's width: a tool at 200 mm/s moves so far in 1/60 s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,19 +116,25 @@ def see_shaft(
     return ShaftSight(tuple(contours), rim, knuckle, known, region.middle_px, region.is_stub)
 
 
-def see_knuckle(mask: Image, rule: AreaGate) -> Knuckle | None:
-    """The region of a mask, shape (h, w), as a disc; a circle through its contour completes what the border cuts."""
+def see_knuckle(mask: Image, rule: AreaGate, image_hsv: Image) -> Knuckle | None:
+    """The region of a mask, shape (h, w), as a disc, its size from where the colour has half its strength.
+
+    A grey region is bare steel, of a tip without a coloured knuckle: it is no disc about the tool's origin and gives
+    none. `image_hsv` has shape (h, w, 3).
+    """
     region = find_region(mask, rule)
-    if region is None:
+    if region is None or float(np.median(image_hsv[..., 1][mask > 0])) < MIN_SATURATION:
         return None
     corners = region.hull.reshape(-1, 2)
     height, width = mask.shape
     free = bool(((corners > 1) & (corners < [width - 2, height - 2])).all())
     radius_px = float(np.sqrt(region.area_px / np.pi))
-    round_enough = region.area_px > 0.75 * np.pi * (np.ptp(corners, axis=0).max() / 2.0) ** 2
-    if free and round_enough:
-        whole_px = radius_px / VISIBLE_RADIUS
-        return Knuckle(region.centroid_px, KNUCKLE_STD * whole_px, whole_px, RADIUS_STD * whole_px)
+    disc = fit_disc(image_hsv, mask, region.centroid_px, radius_px) if free else None
+    if disc is not None and abs(np.log(disc.radius_px / radius_px)) < MAX_LOG_RATIO:
+        whole_px = disc.radius_px / VISIBLE_RADIUS
+        own_px = np.hypot(disc.scatter_px / np.sqrt(DISC_POINTS), RADIUS_PER_BLUR * disc.blur_px)
+        std_px = float(np.hypot(RADIUS_STD * whole_px, own_px))
+        return Knuckle(region.centroid_px, KNUCKLE_STD * whole_px, whole_px, std_px)
     return Knuckle(region.centroid_px, 0.5 * radius_px, None, 0.0)
 
 
@@ -122,19 +142,26 @@ def _contour(
     brightness: Image, side: Side, region: ShaftRegion, towards_tip: Array, camera: Camera
 ) -> Contour | None:
     along = side.end_px - side.start_px
-    trim = TRIM_FRACTION * along
-    middle_px = 0.5 * (side.start_px + side.end_px)
-    outward = middle_px - region.middle_px
-    reach_px = max(MIN_REACH_PX, REACH_FRACTION * brightness.shape[1])
-    points_px = edge_points(
-        brightness, side.start_px + trim, side.end_px - trim, outward, reach_px, MIN_CONTRAST
+    start_px, end_px = side.start_px + TRIM_FRACTION * along, side.end_px - TRIM_FRACTION * along
+    outward = 0.5 * (side.start_px + side.end_px) - region.middle_px
+    width_px = brightness.shape[1]
+    blur_px = edge_blur_px(
+        brightness, start_px, end_px, outward, BLUR_REACH_FRACTION * width_px, MIN_CONTRAST
     )
+    # A threshold may cut a blurred edge two of its deviations off its middle.
+    reach_px = max(MIN_REACH_PX, REACH_FRACTION * width_px) + 2.0 * blur_px
+    points_px = edge_points(brightness, start_px, end_px, outward, reach_px, MIN_CONTRAST, blur_px)
     points_px = _inside_view(points_px, region.field_of_view)
     if len(points_px) == 0:
         return None
     unit = 1.0 / float(camera.K[0, 0])
     line = fit_line(
-        straightened(camera, points_px), unit, min_count=5, inlier_px=0.5, systematic_px=SYSTEMATIC_PX
+        straightened(camera, points_px),
+        unit,
+        min_count=5,
+        inlier_px=0.5 + INLIER_PER_BLUR * blur_px,
+        systematic_px=float(np.hypot(SYSTEMATIC_PX, SYSTEMATIC_PER_BLUR * blur_px)),
+        correlation_px=max(CORRELATION_PX, 2.0 * blur_px),
     )
     if line is None:
         return None

@@ -21,6 +21,10 @@ STEP_PX = 0.5
 """Between samples across the edge: half a pixel loses nothing of what the pixels hold."""
 SLOPE_SIGMA_PX = 1.2
 """Scale of the derivative of Gaussian: as wide as usual optics blur, so that noise is averaged but not shape."""
+BLUR_SCALE = 0.8
+"""A blurred edge is sought at this scale over its own: moved images have ramps, whose steepest point is anywhere."""
+BLUR_PLACES, BLUR_STRIPS = 8, 7
+"""An edge's blur is the median over so many places, each the mean of so many neighbouring profiles."""
 CORRELATION_PX = 2.0
 """Neighbouring edge points share pixels: points closer than this along the edge err alike."""
 MIN_POINT_STD_PX = 0.05
@@ -51,28 +55,28 @@ class Line:
 
 
 def edge_points(
-    brightness: Image, start_px: Array, end_px: Array, outward: Array, reach_px: float, min_contrast: float
+    brightness: Image,
+    start_px: Array,
+    end_px: Array,
+    outward: Array,
+    reach_px: float,
+    min_contrast: float,
+    blur_px: float = 0.0,
 ) -> Array:
     """Points of a dark-to-bright edge near the segment from `start_px` to `end_px`, shape (n, 2) in px.
 
     `brightness` has shape (h, w); `outward` (2,) points from dark to bright. Profiles stand 1 px apart and
     reach `reach_px` to both sides; a profile whose edge is lower than `min_contrast` levels, or which ends
-    before the edge does, gives no point.
+    before the edge does, gives no point. `blur_px` is the standard deviation of the edge's own blur.
     """
     length_px = float(np.linalg.norm(end_px - start_px))
     if length_px < 2.0:
         return np.zeros((0, 2))
-    along = (end_px - start_px) / length_px
-    across = np.array([-along[1], along[0]])
-    across = across if across @ outward > 0 else -across
+    sigma_px = max(SLOPE_SIGMA_PX, BLUR_SCALE * blur_px)
     at = np.arange(0.5, length_px, 1.0)
-    margin_px = 3.0 * SLOPE_SIGMA_PX
-    offsets = np.arange(-reach_px - margin_px, reach_px + margin_px + STEP_PX / 2, STEP_PX)
-    places = (start_px + at[:, None] * along)[:, None, :] + offsets[None, :, None] * across
-    height, width = brightness.shape
-    profiles = _sampled(brightness, places)
-    slope = profiles @ _slope_filter(len(offsets))
-    inside = (places >= 0).all(-1) & (places <= [width - 1, height - 1]).all(-1)
+    feet_px, across = _feet(start_px, end_px, outward, at)
+    profiles, offsets, inside = _profiles(brightness, feet_px, across, reach_px + 3.0 * sigma_px)
+    slope = profiles @ _slope_filter(len(offsets), sigma_px)
     searched = (np.abs(offsets) <= reach_px) & inside
     slope = np.where(searched, slope, -np.inf)
     peak = np.argmax(slope, axis=1)
@@ -80,15 +84,49 @@ def edge_points(
     good = (peak > 0) & (peak < len(offsets) - 1)
     peak = np.clip(peak, 1, len(offsets) - 2)
     before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
-    # A step of height c smoothed by σ has slope c / (σ √(2π)) at its steepest.
-    min_slope = min_contrast / (np.sqrt(2.0 * np.pi) * 2.0 * SLOPE_SIGMA_PX)
-    good &= (top > min_slope) & (before > 0) & (after > 0) & (top >= before) & (top > after)
+    good &= (top > _min_slope(min_contrast, sigma_px)) & (before > 0) & (after > 0)
+    good &= (top >= before) & (top > after)
     log_before, log_top, log_after = (np.log(np.maximum(value, 1e-9)) for value in (before, top, after))
     bend = log_before - 2.0 * log_top + log_after
     good &= bend < -1e-9
     shift = 0.5 * (log_before - log_after) / np.where(good, bend, -1.0)
     found = offsets[peak] + np.clip(shift, -1.0, 1.0) * STEP_PX
-    return np.asarray(((start_px + at[:, None] * along) + found[:, None] * across)[good])
+    return np.asarray((feet_px + found[:, None] * across)[good])
+
+
+def edge_blur_px(
+    brightness: Image, start_px: Array, end_px: Array, outward: Array, reach_px: float, min_contrast: float
+) -> float:
+    """The blur of an edge near a segment: the deviation in px of the Gaussian as wide at half its height as its slope.
+
+    0 for an edge as sharp as the derivative's own scale, and where none is found; arguments as in `edge_points`.
+    """
+    length_px = float(np.linalg.norm(end_px - start_px))
+    if length_px < 2.0 * BLUR_STRIPS:
+        return 0.0
+    middles = np.linspace(0.5 * BLUR_STRIPS, length_px - 0.5 * BLUR_STRIPS, BLUR_PLACES)
+    at = (middles[:, None] + np.arange(BLUR_STRIPS) - BLUR_STRIPS // 2).ravel()
+    feet_px, across = _feet(start_px, end_px, outward, at)
+    profiles, offsets, inside = _profiles(brightness, feet_px, across, reach_px + 3.0 * SLOPE_SIGMA_PX)
+    whole = inside.all(1).reshape(BLUR_PLACES, BLUR_STRIPS).all(1)
+    mean = profiles.reshape(BLUR_PLACES, BLUR_STRIPS, -1).mean(1)[whole]
+    slope = (mean @ _slope_filter(len(offsets), SLOPE_SIGMA_PX))[:, np.abs(offsets) <= reach_px]
+    widths_px = []
+    for values in slope:
+        peak = int(np.argmax(values))
+        # A ramp of the contrast over the whole reach is the slowest rise that counts.
+        if values[peak] < min_contrast / (2.0 * reach_px):
+            continue
+        low = values < 0.5 * values[peak]
+        below, above = np.flatnonzero(low[:peak]), np.flatnonzero(low[peak:])
+        if len(below) and len(above):
+            widths_px.append((peak + above[0] - below[-1] - 1) * STEP_PX)
+    if not widths_px:
+        return 0.0
+    sigma_px = float(np.median(widths_px)) / np.sqrt(
+        8.0 * np.log(2.0)
+    )  # of a Gaussian's width at half its height
+    return float(np.sqrt(max(0.0, sigma_px**2 - SLOPE_SIGMA_PX**2)))
 
 
 def straightened(camera: Camera, points_px: Array) -> Array:
@@ -112,13 +150,18 @@ def straightened(camera: Camera, points_px: Array) -> Array:
 
 
 def fit_line(
-    points: Array, unit: float, min_count: int = 8, inlier_px: float = 1.0, systematic_px: float = 0.0
+    points: Array,
+    unit: float,
+    min_count: int = 8,
+    inlier_px: float = 1.0,
+    systematic_px: float = 0.0,
+    correlation_px: float = CORRELATION_PX,
 ) -> Line | None:
     """The line through most of the points, shape (n, 2): RANSAC, then total least squares with Huber's weights.
 
     `unit` is the size of a pixel in the unit of the points. None where fewer than `min_count` points agree
     within `inlier_px`, or less than half of them. `systematic_px` is an error that the points share: it shifts
-    the line, and may shift its two ends differently.
+    the line, and may shift its two ends differently. Points closer than `correlation_px` err alike.
     """
     chosen = _consensus(points, inlier_px * unit)
     if np.count_nonzero(chosen) < max(min_count, len(points) // 2):
@@ -136,7 +179,7 @@ def fit_line(
     position = (points - centre) @ direction
     # Points err alike over the correlation length: as if there were fewer of them.
     spacing = np.ptp(position) / unit / max(len(points) - 1, 1)
-    alike = max(1.0, CORRELATION_PX / max(spacing, 1e-6))
+    alike = max(1.0, correlation_px / max(spacing, 1e-6))
     variance = scale**2 * alike
     shared = (systematic_px * unit) ** 2
     turn = (variance / weight.sum() + shared) / max(float(weight @ position**2 / weight.sum()), 1e-30)
@@ -171,6 +214,29 @@ def _consensus(points: Array, tolerance: float) -> NDArray[np.bool_]:
     return np.asarray(close[np.argmax(close.sum(1))])
 
 
+def _feet(start_px: Array, end_px: Array, outward: Array, at: Array) -> tuple[Array, Array]:
+    """Points on a segment at distances `at`, shape (n,), from its start, and the unit vector across it outward."""
+    along = (end_px - start_px) / np.linalg.norm(end_px - start_px)
+    across = np.array([-along[1], along[0]])
+    return start_px + at[:, None] * along, across if across @ outward > 0 else -across
+
+
+def _profiles(
+    brightness: Image, feet_px: Array, across: Array, half_px: float
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Brightness across an edge, shape (n, k), at offsets, shape (k,) in px, and whether each is in the image."""
+    offsets = np.arange(-half_px, half_px + STEP_PX / 2, STEP_PX)
+    places = feet_px[:, None, :] + offsets[None, :, None] * across
+    height, width = brightness.shape
+    inside = (places >= 0).all(-1) & (places <= [width - 1, height - 1]).all(-1)
+    return _sampled(brightness, places), offsets, np.asarray(inside)
+
+
+def _min_slope(min_contrast: float, sigma_px: float) -> float:
+    """A step of height c smoothed by σ has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ."""
+    return float(min_contrast / (np.sqrt(2.0 * np.pi) * 2.0 * sigma_px))
+
+
 def _sampled(brightness: Image, places: Array) -> Array:
     """Brightness at places, shape (..., 2) in px, with cubic interpolation; the border is repeated."""
     x, y = places[..., 0].astype(np.float32), places[..., 1].astype(np.float32)
@@ -178,8 +244,8 @@ def _sampled(brightness: Image, places: Array) -> Array:
     return np.asarray(values, np.float64)
 
 
-def _slope_filter(count: int) -> Array:
+def _slope_filter(count: int, sigma_px: float) -> Array:
     """Matrix, shape (count, count), that turns profiles into their slopes per px, smoothed."""
     offset = (np.arange(count)[:, None] - np.arange(count)[None, :]) * STEP_PX
-    kernel = np.exp(-0.5 * (offset / SLOPE_SIGMA_PX) ** 2) * STEP_PX / (np.sqrt(2.0 * np.pi) * SLOPE_SIGMA_PX)
-    return np.asarray(kernel * offset / SLOPE_SIGMA_PX**2)
+    kernel = np.exp(-0.5 * (offset / sigma_px) ** 2) * STEP_PX / (np.sqrt(2.0 * np.pi) * sigma_px)
+    return np.asarray(kernel * offset / sigma_px**2)

@@ -127,6 +127,15 @@ def find_shaft(
     return None
 
 
+def bright_fraction(region: ShaftRegion, dark: Image) -> float:
+    """How much of the region's inside is not dark: streaks of glare on a shaft, and the white cells of a print.
+
+    `dark`, shape (h, w), is the mask that the region was found in.
+    """
+    inside = cv2.erode(region.mask, _disc(2), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return 1.0 - cv2.countNonZero(cv2.bitwise_and(inside, dark)) / max(cv2.countNonZero(inside), 1)
+
+
 def _sides_of(contour: NDArray[np.int32], at_border: Image) -> tuple[Side, Side, Array | None] | None:
     """The two sides of a closed contour, shape (n, 2), and the middle of its distal end."""
     arcs = _arcs_inside(contour, at_border)

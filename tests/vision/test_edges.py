@@ -8,7 +8,7 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.transforms import Array
-from svmdist.vision.edges import edge_points, fit_line, straightened
+from svmdist.vision.edges import edge_blur_px, edge_points, fit_line, straightened
 
 
 def half_plane(angle_rad: float, offset_px: float, blur_px: float, noise: float) -> Array:
@@ -66,3 +66,20 @@ def test_straightening_undoes_the_distortion():
     camera = Camera(640, 480, ideal.K, np.array([-0.12, 0.03, 1e-3, -5e-4, 0.0]))
     p = np.array([[0.2, -0.15, 1.0], [-0.3, 0.2, 1.0], [0.0, 0.0, 1.0]])
     np.testing.assert_allclose(straightened(camera, camera.project(p)), p[:, :2], atol=1e-8)
+
+
+@pytest.mark.parametrize("length_px", [0, 7, 13])
+def test_a_moved_edge_is_found_in_its_middle_and_its_blur_measured(length_px: int) -> None:
+    """Motion makes a ramp of a step: its middle is the edge, within 0.1 px, and it is as wide as it is long."""
+    image = np.full((80, 160), 30.0)
+    image[:, 80:] = 140.0
+    if length_px:
+        image = cv2.blur(image, (length_px, 1))
+    image = np.clip(np.rint(image + np.random.default_rng(4).normal(0, 3, image.shape)), 0, 255)
+    start, end, outward = np.array([81.0, 5.0]), np.array([78.5, 75.0]), np.array([1.0, 0.0])
+    brightness = image.astype(np.uint8)
+    blur_px = edge_blur_px(brightness, start, end, outward, 14.0, 18.0)
+    assert np.sqrt(8.0 * np.log(2.0)) * blur_px == pytest.approx(length_px, abs=2.0)
+    points = edge_points(brightness, start, end, outward, 5.0 + 2.0 * blur_px, 18.0, blur_px)
+    assert len(points) > 60
+    assert abs(float(np.median(points[:, 0])) - 79.5) < 0.1
