@@ -14,6 +14,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.samples import Image
 from svmdist.transforms import Array
+from svmdist.vision.edges import straightened
 
 RADIUS_M, KNUCKLE_RADIUS_M, END_M, WRIST_M = 0.004, 0.00175, 0.00627, 0.0091
 PALE_BGR, RED_BGR = (170.0, 185.0, 205.0), (70.0, 60.0, 190.0)
@@ -29,7 +30,10 @@ class ShaftImage:
     direction: Array
     background_bgr: tuple[float, float, float] = PALE_BGR
     stripe: bool = False
+    glints: int = 0
     knuckle: bool = True
+    gradient: float = 0.0
+    vignette: float = 0.0
     blur_px: float = 0.8
     noise: float = 2.0
     border: str = "none"
@@ -46,15 +50,19 @@ class ShaftImage:
         x = (np.arange(width)[:, None] + offsets).ravel()
         y = (np.arange(height)[:, None] + offsets).ravel()
         grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-        rays = np.column_stack([grid, np.ones(len(grid))]) @ np.linalg.inv(self.camera.K).T
+        rays = np.column_stack([straightened(self.camera, grid), np.ones(len(grid))])
+        # Light falls off along the image's diagonal; the scene is lit so, the shaft with it.
+        light = 1.0 - self.gradient * (grid @ [1.0 / width, 1.0 / height] / 2.0)
+        from_middle = np.hypot(*(grid - [0.5 * width, 0.5 * height]).T) / np.hypot(0.5 * width, 0.5 * height)
+        light = light * (1.0 - self.vignette * from_middle**2)
         colour = np.tile(np.array(self.background_bgr), (len(rays), 1))
         depth = np.full(len(rays), np.inf)
         self._cylinder(rays, colour, depth, RADIUS_M, (-0.3, -END_M), (32.0, 30.0, 30.0), self.stripe)
         self._cylinder(rays, colour, depth, 0.0027, (-END_M, 0.0), (150.0, 150.0, 148.0), False)
         if self.knuckle:
             self._sphere(rays, colour, depth)
-        image = colour.reshape(height, parts, width, parts, 3).mean((1, 3))
-        image = cv2.GaussianBlur(image, (0, 0), self.blur_px)
+        image = (light[:, None] * colour).reshape(height, parts, width, parts, 3).mean((1, 3))
+        image = cv2.GaussianBlur(self._glinting(image, seed), (0, 0), self.blur_px)
         image *= self._border()[..., None]
         image += np.random.default_rng(seed).normal(0.0, self.noise, image.shape)
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
@@ -84,6 +92,19 @@ class ShaftImage:
             shade = np.where(light[:, None] < 0.06, np.array([225.0, 230.0, 235.0]), shade)
         colour[hit] = shade
         depth[hit] = z[hit]
+
+    def _glinting(self, image: Array, seed: int) -> Array:
+        """White ellipses along the visible shaft, as wet steel and lacquer have them, some of them over its sides."""
+        rng = np.random.default_rng([seed, 1])
+        for _ in range(self.glints):
+            point_m = self.hinge_m - rng.uniform(0.01, 0.03) * self.direction
+            pixel = self.camera.project(point_m)[0]
+            radius_px = self.camera.K[0, 0] * RADIUS_M / point_m[2]
+            shift_px = rng.uniform(-1.0, 1.0, 2) * radius_px
+            axes = (float(rng.uniform(0.2, 0.9) * radius_px), float(rng.uniform(0.1, 0.25) * radius_px))
+            place = (float(pixel[0] + shift_px[0]), float(pixel[1] + shift_px[1]))
+            cv2.ellipse(image, (place, axes, float(rng.uniform(0, 180))), (245.0, 245.0, 245.0), -1)
+        return image
 
     def _sphere(self, rays: Array, colour: Array, depth: Array) -> None:
         a, b = (rays**2).sum(1), rays @ self.tool_m
