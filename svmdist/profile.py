@@ -219,15 +219,23 @@ class Profile(StrictModel):
         return self
 
     @model_validator(mode="after")
-    def _fiducial_has_a_link(self) -> Profile:
+    def _names_joints_that_are_there(self) -> Profile:
         for robot in (self.robot, *(other.robot for other in self.other_instruments)):
-            if self.fiducial is None or robot is None:
+            if robot is None:
                 continue
             links = [joint.name for joint in robot.joints]
-            if self.fiducial.link not in links:
-                choices = did_you_mean(self.fiducial.link, links)
-                raise ValueError(f"fiducial.link: no joint named {self.fiducial.link}: {choices}")
+            moving = [joint.name for joint in robot.joints if joint.type != "fixed"]
+            first = self.kinematic_error.first_moving_joint
+            if self.fiducial is not None:
+                _require_joint("fiducial.link", self.fiducial.link, links)
+            if first is not None:
+                _require_joint("kinematic_error.first_moving_joint", first, moving)
         return self
+
+
+def _require_joint(key: str, name: str, names: list[str]) -> None:
+    if name not in names:
+        raise ValueError(f"{key}: no joint named {name}: {did_you_mean(name, names)}")
 
 
 def shipped_profiles() -> tuple[str, ...]:

@@ -147,6 +147,16 @@ def test_a_profile_needs_only_colours_and_a_marker(tmp_path):
             "[robot]\ntool_rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]",
             r"robot: tool_rotation is not a rotation",
         ),
+        (
+            'first_moving_joint = "yaw"',
+            'first_moving_joint = "yow"',
+            r"kinematic_error\.first_moving_joint: no joint named yow: did you mean yaw\?",
+        ),
+        (
+            'link = "roll"',
+            'link = "rol"',
+            r"fiducial\.link: no joint named rol: did you mean roll\?",
+        ),
     ],
 )
 def test_a_mistake_names_file_key_and_what_was_expected(tmp_path, old, new, message):

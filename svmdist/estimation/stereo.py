@@ -1,4 +1,4 @@
-"""`--method stereo`: both cameras. The tool by triangulation, the tissue as a cloud from matching and alignment."""
+"""`--method stereo`: both cameras. Shaft and disparity give the tool, matching and alignment the tissue's surface."""
 
 from __future__ import annotations
 
@@ -9,28 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.estimation.distances import measure
-from svmdist.estimation.filter import KinematicErrorFilter
 from svmdist.estimation.instrument_model import InstrumentModel
-from svmdist.estimation.locate import locate_both
 from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.robot_scene import Belief, belief_of, require_chain
-from svmdist.estimation.rows import first_rows
-from svmdist.estimation.tissue import TissueFix, require_tissue, see_tissue
+from svmdist.estimation.rectified import RectifiedPair, rectified_pair
+from svmdist.estimation.robot_scene import belief_of, require_chain
+from svmdist.estimation.shaft import ShaftEstimator
+from svmdist.estimation.shaft_sight import see_knuckle
+from svmdist.estimation.stereo_tool import FAR_M, believed_pose, deepen, match_knuckle
+from svmdist.estimation.tissue import TissueFix, TissueSight, require_tissue, see_tissue, tissue_row
 from svmdist.geometry.surfaces import Cloud
 from svmdist.profile import Profile
-from svmdist.samples import Estimate, Image, Observation, RightView, Status
+from svmdist.samples import Estimate, Image, Observation, Rejection, RightView, Status
 from svmdist.transforms import Array
-from svmdist.vision.segmenter import Segmenter, make_segmenter
+from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter
 from svmdist.vision.stereo import DisparitySurface, fit_surface
 
-NEAR_M, FAR_M = 0.04, 0.25
-"""Working distance of an endoscope: bounds the disparities that are searched."""
-CENTROID_STD_PX = 0.15
-"""Of one instrument centroid in one image; measured 0.2 mm of depth at 88 mm, that is 0.07 px a pair."""
+NEAR_M = 0.04
+"""With FAR_M, the working distance of an endoscope: bounds the disparities that are searched."""
 SURFACE_STD_PX = 0.12
 """What an aligned low-order surface leaves: measured 0.36 mm at 105 mm and a baseline of 5 mm."""
-ROW_TOLERANCE_PX = 3.0
-"""Corresponding points of rectified images lie on one row; the instrument's region is cut a little differently."""
 GRID_STEP_PX = 5
 
 
@@ -45,117 +42,89 @@ class StereoEstimator:
         self._segmenter = segmenter or make_segmenter(profile.segmentation)
         self._chain = require_chain(profile)
         self._model = InstrumentModel.of(profile)
+        sees_shaft = profile.segmentation.shaft is not None and profile.instrument is not None
+        self._shaft = ShaftEstimator(profile, self._segmenter) if sees_shaft else None
 
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame; a frame that cannot be measured says why."""
-        # Left view: tissue and instrument, as in every method.
-        tissue, instrument = locate_both(
-            self._segmenter.masks(observation.image_bgr), self._profile.segmentation
-        )
-        row = first_rows(observation.stamp_ns, tissue, instrument)
-        if instrument is None or row.status is not Status.OK:
-            return row
+        # The tissue's outline in the left view, and the pair's geometry.
+        masks = self._segmenter.masks(observation.image_bgr)
+        sight = see_tissue(masks, self._profile, observation.camera)
+        row = tissue_row(observation.stamp_ns, sight)
         right = observation.right
-        if right is None or (problem := _unfit(observation, right)):
-            return replace(row, status=Status.NO_STEREO, detail=problem if right else "no right view")
+        if sight is None or sight.fix is None:
+            return row
+        if right is None:
+            return replace(row, status=Status.NO_STEREO, detail="no right view")
+        pair = rectified_pair(observation, right)
+        if isinstance(pair, str):
+            return replace(row, status=Status.NO_STEREO, detail=pair)
 
-        # Right view: the instrument again, and its depth. Its direction is what the robot believes.
-        belief = belief_of(observation, self._chain)
-        if isinstance(belief, str):
-            return replace(row, status=Status.NO_JOINTS, detail=belief)
-        pose = self._triangulate(observation, right, instrument.centroid_px, belief)
+        # The tool: its knuckle in both views, and the shaft's direction.
+        right_masks = self._segmenter.masks(right.image_bgr)
+        pose = self._tool(observation, pair, masks, right_masks)
+        if isinstance(pose, Rejection):
+            return replace(row, status=pose.status, detail=pose.detail)
 
         # The tissue's surface, and the distances.
-        fix = self._tissue(observation, right)
-        if pose is None or fix is None:
-            what = "instrument" if pose is None else "tissue's surface"
-            return replace(row, status=Status.NO_STEREO, detail=f"the views do not agree on the {what}")
-        return measure(row, pose, fix, self._model, observation.joints)
+        fix = self._surface(observation, right, pair, sight, (masks.tissue, right_masks.tissue))
+        if fix is None:
+            return replace(
+                row, status=Status.NO_STEREO, detail="the views do not agree on the tissue's surface"
+            )
+        return measure(row, pose, fix, self._model, observation.joints, observation.camera)
 
-    def _triangulate(
-        self, observation: Observation, right: RightView, left_px: Array, belief: Belief
-    ) -> ToolPose | None:
-        _, instrument = locate_both(self._segmenter.masks(right.image_bgr), self._profile.segmentation)
-        if instrument is None or abs(left_px[1] - instrument.centroid_px[1]) > ROW_TOLERANCE_PX:
-            return None
-        K, baseline_m = observation.camera.K, float(right.T_left_right[0, 3])
-        offset_px = K[0, 2] - right.camera.K[0, 2]
-        disparity_px = float(left_px[0] - instrument.centroid_px[0]) - offset_px
-        if disparity_px <= K[0, 0] * baseline_m / FAR_M:
-            return None
-        p_camera_m, J = _reproject(left_px, disparity_px, K, baseline_m)
-        # A filter that has seen nothing: believed kinematics, with the profile's uncertainty.
-        kalman = KinematicErrorFilter(self._chain, self._profile.kinematic_error)
-        kalman.predict(observation.stamp_ns, belief.q, belief.T_camera_base)
-        believed = kalman.tool_pose()
-        T_camera_tool, covariance = believed.T_camera_tool.copy(), np.zeros((6, 6))
-        T_camera_tool[:3, 3] = p_camera_m
-        # The disparity holds the errors of both centroids; it is not independent of the left one, but nearly.
-        covariance[:3, :3] = J @ np.diag([1.0, 1.0, 2.0]) @ J.T * CENTROID_STD_PX**2
-        covariance[3:, 3:] = believed.covariance[3:, 3:]
-        return ToolPose(T_camera_tool, covariance, believed.axis)
+    def _tool(
+        self, observation: Observation, pair: RectifiedPair, masks: Masks, right_masks: Masks
+    ) -> ToolPose | Rejection:
+        """The shaft's pose corrected by the disparity; else the triangulated point, turned as the robot believes."""
+        rule, instrument = self._profile.segmentation.instrument, self._profile.instrument
+        left, right = (see_knuckle(view.instrument, rule) for view in (masks, right_masks))
+        radius_m = instrument.knuckle_radius_m if instrument else None
+        seen = match_knuckle(left, right, pair, radius_m, observation.camera)
+        if isinstance(seen, str):
+            return Rejection(observation.stamp_ns, Status.NO_INSTRUMENT, seen)
+        fit = self._shaft.find_tool(observation) if self._shaft is not None else ""
+        pose = None if isinstance(fit, str) else deepen(fit.pose, seen, pair)
+        if pose is not None:
+            return pose
+        belief = belief_of(observation, self._chain)
+        if isinstance(belief, str):
+            return Rejection(observation.stamp_ns, Status.NO_JOINTS, belief)
+        return believed_pose(seen, pair, belief, self._chain, self._profile.kinematic_error)
 
-    def _tissue(self, observation: Observation, right: RightView) -> TissueFix | None:
+    def _surface(
+        self,
+        observation: Observation,
+        right: RightView,
+        pair: RectifiedPair,
+        sight: TissueSight,
+        tissue_masks: tuple[Image, Image],
+    ) -> TissueFix | None:
         """The origin by the outline on the profile's plane, as elsewhere; the surface by stereo."""
-        sight = see_tissue(self._segmenter.masks(observation.image_bgr), self._profile, observation.camera)
-        if sight is None or sight.fix is None:
-            return None
-        K, baseline_m = observation.camera.K, float(right.T_left_right[0, 3])
-        mask, right_mask = (
-            self._segmenter.masks(image).tissue for image in (observation.image_bgr, right.image_bgr)
-        )
-        bounds = (int(K[0, 0] * baseline_m / FAR_M), int(np.ceil(K[0, 0] * baseline_m / NEAR_M)))
-        surface = fit_surface(_grey(observation.image_bgr), _grey(right.image_bgr), mask, right_mask, *bounds)
+        assert sight.fix is not None  # the caller has checked it
+        far_px, near_px = (pair.disparity_at(depth_m) + pair.offset_px for depth_m in (FAR_M, NEAR_M))
+        bounds = (int(np.floor(far_px)), int(np.ceil(near_px)))
+        surface = fit_surface(_grey(observation.image_bgr), _grey(right.image_bgr), *tissue_masks, *bounds)
         if surface is None:
             return None
-        points_m = _cloud(surface, sight.region.hull, K, baseline_m, mask.shape)
+        points_m = _cloud(surface, sight.region.hull, pair, tissue_masks[0].shape)
         depth_m = float(np.median(points_m[:, 2]))
-        surface_std_m = depth_m**2 / (K[0, 0] * baseline_m) * SURFACE_STD_PX
+        surface_std_m = depth_m / pair.disparity_at(depth_m) * SURFACE_STD_PX
         # The surface has its own error; the outline's is not part of a clearance.
         return replace(sight.fix, surface=Cloud(points_m), surface_std_m=surface_std_m)
 
 
 def _cloud(
-    surface: DisparitySurface, hull: NDArray[np.int32], K: Array, baseline_m: float, shape: tuple[int, ...]
+    surface: DisparitySurface, hull: NDArray[np.int32], pair: RectifiedPair, shape: tuple[int, ...]
 ) -> Array:
     """Points of the surface inside the tissue's hull, shape (n, 3), under the instrument too."""
     inside = np.zeros(shape[:2], np.uint8)
     cv2.fillConvexPoly(inside, np.asarray(hull, np.int32), 255)
     rows, columns = np.nonzero(inside[::GRID_STEP_PX, ::GRID_STEP_PX])
     points_px = np.stack([columns, rows], -1).astype(np.float64) * GRID_STEP_PX
-    disparity_px = np.maximum(surface.at(points_px), K[0, 0] * baseline_m / FAR_M)
-    depth_m = K[0, 0] * baseline_m / disparity_px
-    x = (points_px[:, 0] - K[0, 2]) / K[0, 0]
-    y = (points_px[:, 1] - K[1, 2]) / K[1, 1]
-    return np.stack([x * depth_m, y * depth_m, depth_m], -1)
-
-
-def _reproject(left_px: Array, disparity_px: float, K: Array, baseline_m: float) -> tuple[Array, Array]:
-    """The point of a left pixel and a disparity, shape (3,) in m, and its Jacobian by (u, v, d), shape (3, 3)."""
-    z = K[0, 0] * baseline_m / disparity_px
-    x, y = (left_px[0] - K[0, 2]) / K[0, 0], (left_px[1] - K[1, 2]) / K[1, 1]
-    point = np.array([x * z, y * z, z])
-    J = np.zeros((3, 3))
-    J[0, 0], J[1, 1] = z / K[0, 0], z / K[1, 1]
-    J[:, 2] = -point / disparity_px
-    return point, J
-
-
-def _unfit(observation: Observation, right: RightView) -> str:
-    """What is wrong with the pair: rows correspond without turn or distortion, the right camera to the right."""
-    T, K, K_right = right.T_left_right, observation.camera.K, right.camera.K
-    if not (np.allclose(T[:3, :3], np.eye(3), atol=1e-6) and np.allclose(T[1:3, 3], 0.0, atol=1e-6)):
-        return "the pair is not rectified: the right camera is turned, or not beside the left one"
-    if T[0, 3] <= 0.0:
-        return "the right camera is not to the right of the left one: are the topics swapped?"
-    if (
-        not np.allclose(np.delete(K - K_right, 2, axis=1), 0.0, atol=1e-3)
-        or abs(K[1, 2] - K_right[1, 2]) > 1e-3
-    ):
-        return "the pair is not rectified: focal lengths or rows of the principal points differ"
-    if observation.camera.D.any() or right.camera.D.any():
-        return "the pair is not rectified: the images are distorted"
-    return ""
+    disparity_px = surface.at(points_px) - pair.offset_px
+    return pair.points(points_px, np.maximum(disparity_px, pair.disparity_at(FAR_M)))
 
 
 def _grey(image_bgr: Image) -> Image:

@@ -22,6 +22,8 @@ BLOCK_PX = 9
 MIN_MATCHES = 2000
 MAX_SAMPLES = 15_000
 """Pixels used in a fit: beyond some ten thousand, noise is no longer what limits it."""
+MAX_START_SAMPLES = 3000
+"""Matches that the alignment starts from: it must begin within a pixel, no better."""
 MARGIN_PX = 7
 """Matches this close to the region's edge mix two surfaces within one block."""
 SMOOTHING_PX = 1.5
@@ -52,6 +54,8 @@ def match_semi_global(left_grey: Image, right_grey: Image, min_px: int, max_px: 
 
     `min_px` and `max_px` bound the search; OpenCV searches a multiple of 16.
     """
+    if left_grey.shape[1] < _least_width_px(min_px, max_px):
+        return np.full(left_grey.shape, np.nan)
     count = 16 * int(np.ceil((max_px - min_px) / 16))
     matcher = cv2.StereoSGBM.create(
         minDisparity=min_px,
@@ -69,6 +73,11 @@ def match_semi_global(left_grey: Image, right_grey: Image, min_px: int, max_px: 
     return np.where(fixed_point >= 16 * min_px, fixed_point / 16.0, np.nan)
 
 
+def _least_width_px(min_px: int, max_px: int) -> int:
+    """Width below which OpenCV's matcher has no column with all disparities in it, and fails."""
+    return max(abs(min_px), abs(max_px)) + (max_px - min_px) + 16 + 2 * BLOCK_PX
+
+
 def fit_surface(
     left_grey: Image, right_grey: Image, region: Image, right_region: Image, min_px: int, max_px: int
 ) -> DisparitySurface | None:
@@ -77,7 +86,15 @@ def fit_surface(
     `right_region` is the same region's mask in the right image: what leaves it there is hidden.
     """
     core = cv2.erode(region, np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), np.uint8))
-    disparity_px = match_semi_global(left_grey, right_grey, min_px, max_px)
+    # Matching costs most of all; only the region's rows, and the columns that its matches can lie in, are needed.
+    x, y, width, height = cv2.boundingRect(core)
+    least_px = _least_width_px(min_px, max_px)
+    left_px = max(0, min(x - max(max_px, 0), core.shape[1] - least_px))
+    right_px = max(x + width - min(min_px, 0), left_px + least_px)
+    window = np.s_[y : y + height, left_px:right_px]
+    disparity_px = np.full(core.shape, np.nan)
+    if width > 0 and height > 0:
+        disparity_px[window] = match_semi_global(left_grey[window], right_grey[window], min_px, max_px)
     rows, columns = np.nonzero((core > 0) & np.isfinite(disparity_px))
     if len(rows) < MIN_MATCHES:
         return None
@@ -86,7 +103,8 @@ def fit_surface(
     rows, columns = rows[::step], columns[::step]
     points_px = np.stack([columns, rows], -1).astype(np.float64)
     centre_px = points_px.mean(0)
-    coefficients = _fit_robustly(_basis(points_px, centre_px), disparity_px[rows, columns])
+    few = slice(None, None, max(1, len(rows) // MAX_START_SAMPLES))
+    coefficients = _fit_robustly(_basis(points_px[few], centre_px), disparity_px[rows[few], columns[few]])
     coefficients, residual = _align(left_grey, right_grey, right_region, points_px, centre_px, coefficients)
     return DisparitySurface(coefficients, centre_px, residual, matched_fraction)
 

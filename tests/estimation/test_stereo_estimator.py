@@ -7,12 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svmdist.estimation.stereo import StereoEstimator, _reproject
+from svmdist.camera import Camera
+from svmdist.estimation.pose import ToolPose
+from svmdist.estimation.rectified import RectifiedPair
+from svmdist.estimation.shaft_sight import Knuckle
+from svmdist.estimation.stereo import StereoEstimator
+from svmdist.estimation.stereo_tool import SeenTwice, deepen, match_knuckle
 from svmdist.profile import load_profile
 from svmdist.samples import Observation, RightView, Status
 from tests.synthetic import make_scene
 
 BASELINE_M = 0.005
+CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
+PAIR = RectifiedPair(CAMERA.K, BASELINE_M, 0.0)
+P_M = np.array([0.012, -0.007, 0.091])
+
+
+def disparity_px(p_m: np.ndarray) -> float:
+    left, right = (CAMERA.project(p_m - [shift, 0.0, 0.0])[0] for shift in (0.0, BASELINE_M))
+    return float(left[0] - right[0])
 
 
 def _observation(T_left_right: np.ndarray | None = None) -> Observation:
@@ -20,22 +33,67 @@ def _observation(T_left_right: np.ndarray | None = None) -> Observation:
     image = scene.frame_at(0.3)
     T = np.eye(4)
     T[0, 3] = BASELINE_M
-    right = RightView(image, scene.camera, T if T_left_right is None else T_left_right)
+    far_px = round(CAMERA.K[0, 0] * BASELINE_M / 0.09)
+    right = RightView(
+        np.roll(image, -far_px, axis=1), scene.camera, T if T_left_right is None else T_left_right
+    )
     return Observation(1, image, scene.camera, None, right, scene.T_camera_base)
 
 
 def test_a_point_and_its_disparity_give_it_back() -> None:
     """Projecting a point in both views and reprojecting the disparity is the identity; the Jacobian is right."""
-    camera = make_scene().camera
-    p_m = np.array([0.012, -0.007, 0.091])
-    left = camera.project(p_m)[0]
-    disparity = left[0] - camera.project(p_m - np.array([BASELINE_M, 0.0, 0.0]))[0][0]
-    found, J = _reproject(left, disparity, camera.K, BASELINE_M)
-    np.testing.assert_allclose(found, p_m, atol=1e-12)
+    left = CAMERA.project(P_M)[0]
+    found, J = PAIR.point(left, disparity_px(P_M))
+    np.testing.assert_allclose(found, P_M, atol=1e-12)
+    np.testing.assert_allclose(PAIR.points(left[None], np.array([disparity_px(P_M)]))[0], P_M, atol=1e-12)
     step = 1e-5
     for axis, (du, dv, dd) in enumerate(np.eye(3) * step):
-        ahead, _ = _reproject(left + np.array([du, dv]), disparity + dd, camera.K, BASELINE_M)
+        ahead, _ = PAIR.point(left + np.array([du, dv]), disparity_px(P_M) + dd)
         np.testing.assert_allclose((ahead - found) / step, J[:, axis], atol=1e-7)
+
+
+def test_a_disparity_corrects_a_pose_as_the_posterior_does() -> None:
+    """The corrected pose is the maximum of the posterior, which a fine search over depth finds on its own."""
+    std = np.array([1e-4, 1e-4, 2e-3, 0.02, 0.02, 0.02])
+    A = np.diag(std)
+    A[0, 2] = 3e-4  # what is wrong with the depth moves the point sideways, too
+    pose = ToolPose(np.eye(4), A @ A.T, np.array([0.0, 0.0, 1.0]))
+    pose.T_camera_tool[:3, 3] = P_M + np.array([0.0, 0.0, 0.003])
+    seen = SeenTwice(CAMERA.project(P_M)[0], 0.5, disparity_px(P_M), 0.12)
+    found = deepen(pose, seen, PAIR)
+    assert found is not None
+    W = np.linalg.inv(pose.covariance)
+    depths = np.linspace(-0.006, 0.002, 80001)
+    # Given the depth, the most likely step of all six is the regression on it.
+    steps = depths[:, None] * (pose.covariance[:, 2] / pose.covariance[2, 2])
+    prior = np.einsum("ni,ij,nj->n", steps, W, steps)
+    predicted = CAMERA.K[0, 0] * BASELINE_M / (pose.position_m[2] + depths)
+    best = steps[np.argmin(prior + ((seen.disparity_px - predicted) / 0.12) ** 2)]
+    np.testing.assert_allclose(found.position_m - pose.position_m, best[:3], atol=1e-6)
+    assert found.covariance[2, 2] < 0.2 * pose.covariance[2, 2]
+
+
+def test_a_disparity_that_contradicts_the_pose_is_not_mixed_in() -> None:
+    pose = ToolPose(np.eye(4), np.diag([1e-8] * 6), np.array([0.0, 0.0, 1.0]))
+    pose.T_camera_tool[:3, 3] = P_M + np.array([0.0, 0.0, 0.01])
+    assert deepen(pose, SeenTwice(np.zeros(2), 0.5, disparity_px(P_M), 0.12), PAIR) is None
+
+
+def test_a_knuckle_of_which_a_part_is_hidden_tells_no_depth() -> None:
+    """A whole one does, within what its hidden parts may differ by."""
+    whole = Knuckle(CAMERA.project(P_M)[0], 0.5, 10.7, 0.2)
+    right = replace(whole, centre_px=whole.centre_px - [disparity_px(P_M), 0.0])
+    seen = match_knuckle(whole, right, PAIR, 0.00175, CAMERA)
+    assert isinstance(seen, SeenTwice)
+    assert seen.disparity_px == pytest.approx(disparity_px(P_M))
+    assert 0.1 < seen.disparity_std_px < 0.2
+    for part in (replace(right, radius_px=None), replace(right, radius_px=7.0)):
+        said = match_knuckle(whole, part, PAIR, 0.00175, CAMERA)
+        assert isinstance(said, str)
+        assert "hidden" in said
+    assert "one view" in str(match_knuckle(whole, None, PAIR, 0.00175, CAMERA))
+    higher = replace(right, centre_px=right.centre_px + np.array([0.0, 9.0]))
+    assert "agree" in str(match_knuckle(whole, higher, PAIR, 0.00175, CAMERA))
 
 
 @pytest.mark.parametrize(
@@ -58,7 +116,7 @@ def test_one_camera_is_not_enough() -> None:
     """Without a right view the frame is rejected, with what the left one shows."""
     row = StereoEstimator(load_profile()).estimate(replace(_observation(), right=None))
     assert row.status is Status.NO_STEREO
-    assert row.tool_x_px is not None
+    assert row.tissue_x_px is not None
     assert row.spatial_m is None
 
 

@@ -1,0 +1,60 @@
+"""The geometry of a rectified stereo pair: rows correspond, and disparity is depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.samples import Observation, RightView
+from svmdist.transforms import Array
+
+
+@dataclass(frozen=True, slots=True)
+class RectifiedPair:
+    """The left camera's K, shape (3, 3), the baseline, and how far the principal points stand apart."""
+
+    K: Array
+    baseline_m: float
+    offset_px: float
+
+    def disparity_px(self, left_x_px: float, right_x_px: float) -> float:
+        """Disparity of a point seen in both images, as if the principal points were one."""
+        return left_x_px - right_x_px - self.offset_px
+
+    def disparity_at(self, depth_m: float) -> float:
+        """Disparity in px at a depth: f b / z."""
+        return float(self.K[0, 0] * self.baseline_m / depth_m)
+
+    def point(self, left_px: Array, disparity_px: float) -> tuple[Array, Array]:
+        """The point of a left pixel (2,) and a disparity, (3,) in m, and its Jacobian by (u, v, d), (3, 3)."""
+        fx, fy = self.K[0, 0], self.K[1, 1]
+        z = fx * self.baseline_m / disparity_px
+        x, y = (left_px[0] - self.K[0, 2]) / fx, (left_px[1] - self.K[1, 2]) / fy
+        p_camera_m = np.array([x * z, y * z, z])
+        J = np.zeros((3, 3))
+        J[0, 0], J[1, 1] = z / fx, z / fy
+        J[:, 2] = -p_camera_m / disparity_px
+        return p_camera_m, J
+
+    def points(self, left_px: Array, disparity_px: Array) -> Array:
+        """Points of left pixels, shape (n, 2), and disparities, shape (n,): shape (n, 3) in m."""
+        depth_m = self.K[0, 0] * self.baseline_m / disparity_px
+        x = (left_px[:, 0] - self.K[0, 2]) / self.K[0, 0]
+        y = (left_px[:, 1] - self.K[1, 2]) / self.K[1, 1]
+        return np.stack([x * depth_m, y * depth_m, depth_m], -1)
+
+
+def rectified_pair(observation: Observation, right: RightView) -> RectifiedPair | str:
+    """The pair's geometry; or what is wrong with it, in words."""
+    T, K, K_right = right.T_left_right, observation.camera.K, right.camera.K
+    if not (np.allclose(T[:3, :3], np.eye(3), atol=1e-6) and np.allclose(T[1:3, 3], 0.0, atol=1e-6)):
+        return "the pair is not rectified: the right camera is turned, or not beside the left one"
+    if T[0, 3] <= 0.0:
+        return "the right camera is not to the right of the left one: are the topics swapped?"
+    same_focal = np.allclose(np.delete(K - K_right, 2, axis=1), 0.0, atol=1e-3)
+    if not same_focal or abs(K[1, 2] - K_right[1, 2]) > 1e-3:
+        return "the pair is not rectified: focal lengths or rows of the principal points differ"
+    if observation.camera.D.any() or right.camera.D.any():
+        return "the pair is not rectified: the images are distorted"
+    return RectifiedPair(K, float(T[0, 3]), float(K[0, 2] - K_right[0, 2]))
