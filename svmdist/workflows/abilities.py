@@ -28,6 +28,7 @@ def abilities(summary: RecordingSummary, profile: Profile) -> tuple[Ability, ...
         Ability("estimate", images),
         Ability("calibrate", images + _lacking(summary, "ground_truth_tf")),
         Ability("validate", images + _reference_lacking(summary, profile)),
+        Ability("compare", images + _lacking(summary, "ground_truth_distance")),
         Ability("blur-bench", images + _lacking(summary, "ground_truth_distance")),
         Ability("fk", _lacking(summary, "joints") + _chain_lacking(summary, profile)),
     )
