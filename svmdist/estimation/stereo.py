@@ -21,6 +21,8 @@ from svmdist.geometry.surfaces import Cloud
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Image, Observation, Rejection, RightView, Status
 from svmdist.transforms import Array
+from svmdist.vision.exposure import levelled
+from svmdist.vision.segmentation import to_hsv
 from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter
 from svmdist.vision.stereo import DisparitySurface, fit_surface
 
@@ -62,7 +64,7 @@ class StereoEstimator:
 
         # The tool: its knuckle in both views, and the shaft's direction.
         right_masks = self._segmenter.masks(right.image_bgr)
-        pose = self._tool(observation, pair, masks, right_masks)
+        pose = self._tool(observation, right, pair, (masks, right_masks))
         if isinstance(pose, Rejection):
             return replace(row, status=pose.status, detail=pose.detail)
 
@@ -75,11 +77,14 @@ class StereoEstimator:
         return measure(row, pose, fix, self._model, observation.joints, observation.camera)
 
     def _tool(
-        self, observation: Observation, pair: RectifiedPair, masks: Masks, right_masks: Masks
+        self, observation: Observation, view: RightView, pair: RectifiedPair, masks: tuple[Masks, Masks]
     ) -> ToolPose | Rejection:
         """The shaft's pose corrected by the disparity; else the triangulated point, turned as the robot believes."""
         rule, instrument = self._profile.segmentation.instrument, self._profile.instrument
-        left, right = (see_knuckle(view.instrument, rule) for view in (masks, right_masks))
+        left, right = (
+            see_knuckle(seen.instrument, rule, to_hsv(levelled(image)))
+            for seen, image in zip(masks, (observation.image_bgr, view.image_bgr), strict=True)
+        )
         radius_m = instrument.knuckle_radius_m if instrument else None
         seen = match_knuckle(left, right, pair, radius_m, observation.camera)
         if isinstance(seen, str):
