@@ -15,7 +15,7 @@ import numpy as np
 from svmdist.estimation.correction import CorrectedLink, Correction, ErrorModel, Moment
 from svmdist.estimation.observations import Linearised, LinkObservation, chi_square_bound, linearise
 from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.window import WINDOW_SOLVES, Sights, Window
+from svmdist.estimation.window import WINDOW_SOLVES, Sights, Window, geman_mcclure
 from svmdist.kinematics.dh import DHChain
 from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import KinematicError
@@ -224,7 +224,7 @@ class KinematicErrorFilter:
         # What is to be added to `at`: at first all the way back to no correction.
         to_correction = self._window.step_to_prior(at)
         stamp_ns = self._now().stamp_ns
-        for index, (sights, parts) in enumerate(self._window.linearised(at)):
+        for index, (sights, parts) in enumerate(self._window.linearised(at, geman_mcclure)):
             if index > 0:
                 self._pass(max(0.0, (sights.moment.stamp_ns - stamp_ns) / 1e9))
             stamp_ns = sights.moment.stamp_ns

@@ -34,7 +34,7 @@ from svmdist.vision.tag import TagFinder, TagPattern
 
 REGION_STD_PX = 2.0
 """The centroid of a coloured part of unknown shape against the tool's origin."""
-VISIBLE_MIDDLE = 0.08
+VISIBLE_MIDDLE = 0.1
 """Of a knuckle that jaws and fork hide a part of, the visible middle stands off the true one: over its radius,
 along each axis of the tool, of which it is a fixed point."""
 NOISE = 0.02
@@ -181,7 +181,7 @@ class ToolSights:
                 self._shaft.link,
                 contour.plane.normal,
                 across,
-                0.1 * systematic,
+                0.5 * systematic,
                 self._shaft.p_axis_m,
                 self._shaft.axis,
                 instrument.shaft_radius_m,

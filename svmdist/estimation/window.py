@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ DEPTH_STARTS_M = (0.0, 0.03, -0.03)
 DEPTH_START_COUNT = 3
 """Up to so many frames it does; later the last solution is a start that needs no others."""
 MAX_STEPS = 20
+Loss = Callable[[float], tuple[float, float]]
+"""Of a squared deviation over the gate's bound: cost over the bound, and weight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +58,17 @@ class Window:
         self._frames.append(sights)
 
     def solve(self, start: Correction) -> Correction | None:
-        """The correction that fits prior and frames best, from the start and from other depths."""
+        """The correction that fits prior and frames best, from the start and from other depths.
+
+        From afar every residual is beyond the gate, and Huber's loss draws it in; a wild detection it would let pull
+        for ever, so that a loss without a pull far out decides.
+        """
         depths_m = DEPTH_STARTS_M if len(self) <= DEPTH_START_COUNT else (0.0,)
-        solutions = []
+        solutions = [self._descend(start, geman_mcclure)]
         for depth_m in depths_m:
             shift_m = start.shift_m + np.array([0.0, 0.0, depth_m])
-            solutions.append(self._descend(Correction(shift_m, start.turn, start.q_offset)))
+            near = self._descend(Correction(shift_m, start.turn, start.q_offset), huber)
+            solutions.append(self._descend(near.correction, geman_mcclure))
         best = min(solutions, key=lambda solution: solution.cost)
         return best.correction if np.isfinite(best.cost) else None
 
@@ -75,9 +82,9 @@ class Window:
         return np.asarray(-np.linalg.solve(_tangent(at), at.vector()))
 
     def linearised(
-        self, at: Correction
+        self, at: Correction, loss: Loss
     ) -> Iterator[tuple[Sights, list[tuple[LinkObservation, Linearised, float]]]]:
-        """Every frame's observations about a correction with Huber's weights; what is out of sight is left out."""
+        """Every frame's observations about a correction with weights; what is out of sight is left out."""
         names = {observation.link for sights in self._frames for observation in sights.observations}
         links = self._model.links(names, [sights.moment for sights in self._frames], at, self._anchor_m)
         for index, sights in enumerate(self._frames):
@@ -86,19 +93,18 @@ class Window:
                 link = links[observation.link][index]
                 part = linearise(observation, link.T_camera_link, link.derivative)
                 if part.is_finite:
-                    weight = min(1.0, _bound(part) / max(_length(part), 1e-12))
-                    parts.append((observation, part, weight))
+                    parts.append((observation, part, loss(_deviation(part))[1]))
             yield sights, parts
 
-    def _descend(self, start: Correction) -> _Solution:
+    def _descend(self, start: Correction, loss: Loss) -> _Solution:
         damping = 1e-4
-        solution = self._normal(start)
+        solution = self._normal(start, loss)
         for _ in range(MAX_STEPS):
             if not np.isfinite(solution.cost):
                 break
             damped = solution.information + damping * np.diag(np.diag(solution.information))
             step = np.asarray(np.linalg.solve(damped, solution.gradient), np.float64)
-            trial = self._normal(solution.correction.moved(step))
+            trial = self._normal(solution.correction.moved(step), loss)
             if trial.cost <= solution.cost:
                 gain = solution.cost - trial.cost
                 solution, damping = trial, max(0.1 * damping, 1e-9)
@@ -108,22 +114,18 @@ class Window:
                 damping *= 10.0
         return solution
 
-    def _normal(self, at: Correction) -> _Solution:
-        """Cost, gradient and information of prior and window at a correction.
-
-        Residuals beyond the gate count by Huber's weights: one wild detection must not bend the start.
-        """
+    def _normal(self, at: Correction, loss: Loss) -> _Solution:
+        """Cost, gradient and information of prior and window at a correction."""
         state, A = at.vector(), _tangent(at)
         information = A.T @ self._prior_information @ A
         gradient = -A.T @ self._prior_information @ state
         cost = float(state @ self._prior_information @ state)
-        for sights, parts in self.linearised(at):
+        for sights, parts in self.linearised(at, loss):
             if len(parts) < len(sights.observations):
                 cost = np.inf
             for _, part, weight in parts:
                 W = np.linalg.inv(part.covariance)
-                length, bound = _length(part), _bound(part)
-                cost += length**2 if weight == 1.0 else 2.0 * bound * length - bound**2
+                cost += chi_square_bound(len(part.residual)) * loss(_deviation(part))[0]
                 information += weight * part.H.T @ W @ part.H
                 gradient += weight * part.H.T @ W @ part.residual
         return _Solution(cost, gradient, information, at)
@@ -137,10 +139,19 @@ def _tangent(at: Correction) -> Array:
     return A
 
 
-def _length(part: Linearised) -> float:
-    """The residual's length in its own deviation."""
-    return float(np.sqrt(part.residual @ np.linalg.solve(part.covariance, part.residual)))
+def huber(deviation: float) -> tuple[float, float]:
+    """Squares within the bound, straight on beyond it (Huber 1964)."""
+    root = float(np.sqrt(deviation))
+    return (deviation, 1.0) if deviation <= 1.0 else (2.0 * root - 1.0, 1.0 / root)
 
 
-def _bound(part: Linearised) -> float:
-    return float(np.sqrt(chi_square_bound(len(part.residual))))
+def geman_mcclure(deviation: float) -> tuple[float, float]:
+    """Squares near zero, bounded far out (Geman and McClure 1987); half the bound's full height at four bounds."""
+    scaled = 0.25 * deviation
+    return deviation / (1.0 + scaled), 1.0 / (1.0 + scaled) ** 2
+
+
+def _deviation(part: Linearised) -> float:
+    """The residual's normalised square over the gate's bound."""
+    squared = float(part.residual @ np.linalg.solve(part.covariance, part.residual))
+    return squared / chi_square_bound(len(part.residual))
