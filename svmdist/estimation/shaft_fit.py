@@ -19,6 +19,8 @@ from svmdist.transforms import Array, make_transform, rotation_of, rotation_vect
 from svmdist.vision.edges import straightened
 
 STEPS = 12
+SETTLED = 1e-5
+"""A step below this, in m and rad, ends the iteration: the next would be its square."""
 GATE = 12.0
 """Squared deviation, in units of the variance, that one in 400 true observations of two numbers exceeds."""
 RIM_MODEL_STD_M = 0.0002
@@ -175,11 +177,12 @@ def _solve(
 ) -> tuple[Array, Array, Array, list[_Block]]:
     bend = np.zeros(2)
     T_start = T
+    whitenings = [contour.plane.whitening for contour in sight.contours]
     for _ in range(STEPS):
         here = (T, bend)
 
         def residual(x: Array, here: tuple[Array, Array] = here) -> Array:
-            blocks = _residuals(*_moved(*here, x), sight, model, camera, T_start)
+            blocks = _residuals(*_moved(*here, x), sight, model, camera, T_start, whitenings)
             return np.concatenate([block.whitened for block in blocks])
 
         J, r = _numeric(residual), residual(np.zeros(8))
@@ -189,9 +192,9 @@ def _solve(
         step: Array = np.asarray(-np.linalg.solve(normal_matrix, J.T @ r), np.float64)
         step = np.asarray(step * min(1.0, 0.5 / max(float(np.linalg.norm(step[3:])), 1e-12)), np.float64)
         T, bend = _moved(T, bend, step)
-        if float(np.abs(step).max()) < 1e-7:
+        if float(np.abs(step).max()) < SETTLED:
             break
-    return T, bend, normal_matrix, _residuals(T, bend, sight, model, camera, T_start)
+    return T, bend, normal_matrix, _residuals(T, bend, sight, model, camera, T_start, whitenings)
 
 
 def _residuals(
@@ -201,12 +204,13 @@ def _residuals(
     model: ShaftModel,
     camera: Camera,
     T_start: Array,
+    whitenings: list[Array],
 ) -> list[_Block]:
     hinge_m, d = T[:3, 3], T[:3, 2]
     blocks = []
-    for contour in sight.contours:
+    for contour, whitening in zip(sight.contours, whitenings, strict=True):
         predicted = tangent_normal(hinge_m, d, model.radius_m, contour.side)
-        off = contour.plane.whitening @ (predicted - contour.plane.normal)
+        off = whitening @ (predicted - contour.plane.normal)
         blocks.append(_Block(f"side {contour.side:+d}", off))
     if sight.rim is not None:
         foot = hinge_m - d * float(d @ hinge_m)

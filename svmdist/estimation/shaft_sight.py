@@ -13,6 +13,7 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.disc import fit_disc
 from svmdist.vision.edges import CORRELATION_PX, edge_blur_px, edge_points, fit_line, straightened
+from svmdist.vision.exposure import brightest_channel
 from svmdist.vision.regions import find_region
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
 
@@ -103,7 +104,7 @@ def see_shaft(
     """Measure contours and rim of a shaft that was found."""
     if region is None:
         return ShaftSight((), None, knuckle, None, None, True)
-    brightness = np.asarray(image_bgr.max(axis=2), np.uint8)
+    brightness = brightest_channel(image_bgr)
     towards_tip = region.first.direction + region.second.direction
     towards_tip /= np.linalg.norm(towards_tip)
     contours: list[Contour] = []

@@ -48,7 +48,7 @@ class Exposure:
 
 def exposure_of(image_bgr: Image) -> Exposure:
     """The map that brings an image, shape (h, w, 3), to a fair exposure."""
-    value = np.asarray(image_bgr[::COARSE, ::COARSE].max(axis=2), np.uint8)
+    value = brightest_channel(np.ascontiguousarray(image_bgr[::COARSE, ::COARSE]))
     bright = float(np.percentile(value, 90.0))
     view = field_of_view(np.asarray(255 * (value <= BORDER_FRACTION * bright), np.uint8))
     seen = value[view > 0]
@@ -68,3 +68,9 @@ def levelled(image_bgr: Image) -> Image:
         image_bgr = np.asarray(cv2.GaussianBlur(image_bgr, (0, 0), NOISE_SIGMA_PX), np.uint8)
     levels = exposure.gain * (np.arange(256) - exposure.veil)
     return np.asarray(cv2.LUT(image_bgr, np.clip(np.rint(levels), 0, 255).astype(np.uint8)), np.uint8)
+
+
+def brightest_channel(image_bgr: Image) -> Image:
+    """HSV's value, shape (h, w): NumPy's maximum along the short axis takes twenty times as long."""
+    blue, green, red = cv2.split(image_bgr)
+    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
