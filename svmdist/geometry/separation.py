@@ -151,13 +151,18 @@ def _deepest(capsules: Capsules, index: int, triangles: Array) -> Separation:
     """The axis's deepest point inside a mesh: unique in a convex one, where the depth is concave along a line."""
     start, along = capsules.start_m[index], capsules.end_m[index] - capsules.start_m[index]
     low, high = 0.0, 1.0
+    bounded_by_inside = False
     for _ in range(ZOOM_ROUNDS):
         t = np.linspace(low, high, ZOOM_POINTS)
         points = start + t[:, None] * along
-        nearest, depth = _depths(points, triangles)
+        nearest, distance = _nearest_on(points, triangles)
+        # Between two points inside all are inside: only the first rounds, which cost most, must ask for each.
+        inside = np.ones(len(t), np.bool_) if bounded_by_inside else winding_number(points, triangles) > 0.5
+        depth = np.where(inside, distance, -distance)
         at = int(np.argmax(depth))
-        half = (high - low) / (ZOOM_POINTS - 1)
-        low, high = max(0.0, float(t[at]) - half), min(1.0, float(t[at]) + half)
+        before, after = max(at - 1, 0), min(at + 1, len(t) - 1)
+        bounded_by_inside = bool(inside[before] and inside[after])
+        low, high = float(t[before]), float(t[after])
     inward = points[at] - nearest[at]
     if np.linalg.norm(inward) <= TOUCH_M:
         inward = along
@@ -165,19 +170,27 @@ def _deepest(capsules: Capsules, index: int, triangles: Array) -> Separation:
     return _outside(capsules, index, points[at], _unit_or_any(inward), distance_m)
 
 
-def _depths(points: Array, triangles: Array) -> tuple[Array, Array]:
-    """Nearest surface points, shape (n, 3), and depths, shape (n,): positive inside, negative outside."""
-    nearest, depth = np.empty_like(points), np.empty(len(points))
-    step = max(1, CHUNK // (8 * len(triangles)))
+def _nearest_on(points: Array, triangles: Array) -> tuple[Array, Array]:
+    """Nearest surface points, shape (n, 3), and distances, shape (n,), of points close to one another.
+
+    A triangle farther from the points' middle than the nearest one, by more than bounding spheres explain, is no
+    candidate for any of them.
+    """
+    middle = points.mean(0)
+    spread = float(np.linalg.norm(points - middle, axis=1).max())
+    centre = triangles.mean(1)
+    reach = np.linalg.norm(triangles - centre[:, None], axis=-1).max(1)
+    to_centre = np.linalg.norm(centre - middle, axis=1)
+    near = triangles[to_centre - reach <= to_centre.min() + 2.0 * spread]
+    nearest, distance = np.empty_like(points), np.empty(len(points))
+    step = max(1, CHUNK // (8 * len(near)))
     for begin in range(0, len(points), step):
         part = slice(begin, begin + step)
-        pair = point_to_triangle(points[part][:, None], triangles[None])
+        pair = point_to_triangle(points[part][:, None], near[None])
         face = np.argmin(pair.distance, axis=1)
         rows = np.arange(len(face))
-        nearest[part] = pair.second[rows, face]
-        sign = np.where(winding_number(points[part], triangles) > 0.5, 1.0, -1.0)
-        depth[part] = sign * pair.distance[rows, face]
-    return nearest, depth
+        nearest[part], distance[part] = pair.second[rows, face], pair.distance[rows, face]
+    return nearest, distance
 
 
 def _outside(
