@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from svmdist.camera import Camera, stereo_transform
-from svmdist.profile import Frames
+from svmdist.recording.arms import LoggedArm
 from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
 from svmdist.recording.health import Loss, LossKind
 from svmdist.recording.messages.checks import DecodeError, EncodedImage, broken_image
 from svmdist.recording.messages.decoding import Decoder
 from svmdist.recording.messages.images import ImageError
-from svmdist.recording.pairing import Item, LoggedImage, LoggedTransforms, Matcher, RightImage
+from svmdist.recording.pairing import (
+    ArmBuffer,
+    Item,
+    LoggedImage,
+    LoggedJoints,
+    LoggedTransforms,
+    Matcher,
+    RightImage,
+)
 from svmdist.recording.sources import RawMessage
 from svmdist.recording.topics import Role, TopicChoice
 from svmdist.recording.transform_buffer import TransformBuffer
@@ -30,10 +38,9 @@ from svmdist.transforms import Array
 class Observer:
     """Puts together what an estimator may see; memory does not grow with the log."""
 
-    def __init__(self, messages: DecodedMessages, choice: TopicChoice, frames: Frames) -> None:
+    def __init__(self, messages: DecodedMessages, choice: TopicChoice) -> None:
         self._messages = messages
         self._choice = choice
-        self._frames = frames
 
     def images(self, topic: str) -> Iterator[ImageSample | Rejection]:
         """Yield every image of a topic in file order, decoded; a Rejection stands for one that cannot be."""
@@ -41,21 +48,25 @@ class Observer:
         return (self._pixels(logged, topic) for logged in items if isinstance(logged, LoggedImage))
 
     def observations(
-        self, image_topic: str, camera: Camera, right_camera: Callable[[], Camera | None]
-    ) -> Iterator[Observation | Rejection]:
-        """Yield what belongs to every image of a topic, in file order.
+        self,
+        image_topic: str,
+        camera: Camera,
+        right_camera: Callable[[], Camera | None],
+        arms: Sequence[LoggedArm],
+    ) -> Iterator[tuple[Observation, ...] | Rejection]:
+        """Yield what belongs to every image of a topic, in file order, for each of the arms.
 
         The right camera is asked for only where the log has right images: it takes another pass over the log.
         """
-        joint_topic = self._choice.find(Role.JOINTS)
+        joint_topics = [arm.choice.find(Role.JOINTS) for arm in arms]
         right = self._right_eye(image_topic, camera, right_camera)
         right_topic = None if right is None else right[0]
-        wants = {JointSample: joint_topic, RightImage: right_topic, LoggedTransforms: self._moving_tf()}
-        matcher = Matcher(
-            TransformBuffer(self._frames.camera, self._frames.base),
-            frozenset(kind for kind, topic in wants.items() if topic is not None),
-        )
-        for matched in matcher.match(self.items(image_topic, joint_topic, right_topic, with_tf=True)):
+        buffers = [
+            ArmBuffer(TransformBuffer(arm.frames.camera, arm.frames.base), has_joints=topic is not None)
+            for arm, topic in zip(arms, joint_topics, strict=True)
+        ]
+        matcher = Matcher(buffers, has_right=right is not None, has_transforms=self._moving_tf() is not None)
+        for matched in matcher.match(self.items(image_topic, joint_topics, right_topic, with_tf=True)):
             image = self._pixels(matched.logged, image_topic)
             if isinstance(image, ImageSample):
                 height_px, width_px = image.image_bgr.shape[:2]
@@ -63,13 +74,10 @@ class Observer:
                     detail = f"{width_px}x{height_px} px; the camera has {camera.width_px}x{camera.height_px}"
                     yield Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, detail)
                     continue
-                yield Observation(
-                    image.stamp_ns,
-                    image.image_bgr,
-                    camera,
-                    matched.joints,
-                    None if right is None else self._right_view(matched.right, *right),
-                    matched.T_camera_base,
+                view = None if right is None else self._right_view(matched.right, *right)
+                yield tuple(
+                    Observation(image.stamp_ns, image.image_bgr, camera, arm.joints, view, arm.T_camera_base)
+                    for arm in matched.arms
                 )
             else:
                 yield image
@@ -77,15 +85,15 @@ class Observer:
     def items(
         self,
         image_topic: str,
-        joint_topic: str | None = None,
+        joint_topics: Sequence[str | None] = (),
         right_topic: str | None = None,
         *,
         with_tf: bool = False,
     ) -> Iterator[Item]:
-        """Yield images of both cameras, joints and believed transforms, in file order."""
+        """Yield images of both cameras, joints of every arm and believed transforms, in file order."""
         static = self._choice.static_transforms() if with_tf else ()
-        topics = {image_topic, joint_topic, right_topic, self._moving_tf() if with_tf else None, *static}
-        names: tuple[str, ...] | None = None
+        topics = {image_topic, *joint_topics, right_topic, self._moving_tf() if with_tf else None, *static}
+        names: dict[str, tuple[str, ...]] = {}
         decoder = Decoder(self._messages.limits)
         for raw in self._messages.source.messages(frozenset(topic for topic in topics if topic is not None)):
             if raw.topic in (image_topic, right_topic):
@@ -98,9 +106,8 @@ class Observer:
                 yield LoggedTransforms(sample, raw.topic in static)
             if not isinstance(sample, JointSample):
                 continue
-            names = names or sample.names
-            if sample.names == names:
-                yield sample
+            if sample.names == names.setdefault(raw.topic, sample.names):
+                yield LoggedJoints(sample, joint_topics.index(raw.topic))
             else:
                 self._messages.lose(LossKind.MESSAGE, OTHER_JOINTS, raw)
 

@@ -1,13 +1,14 @@
 """Images and what belongs to them, in one streaming pass with a bounded look-ahead.
 
-That is the joints and the believed camera pose at the image's stamp, and the other image of a stereo pair.
+That is the joints and the believed camera pose of every arm at the image's stamp, and the other image of a stereo
+pair.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from svmdist.recording.messages.checks import EncodedImage
@@ -50,16 +51,31 @@ class LoggedTransforms:
 
 
 @dataclass(frozen=True, slots=True)
-class Matched:
-    """An image with what was found at its stamp."""
+class LoggedJoints:
+    """A joint sample, and which of the arms it is of."""
 
-    logged: LoggedImage
+    sample: JointSample
+    arm: int
+
+
+@dataclass(frozen=True, slots=True)
+class ArmState:
+    """What one arm reported at an image's stamp."""
+
     joints: JointSample | None
-    right: LoggedImage | None
     T_camera_base: Array | None
 
 
-Item = LoggedImage | RightImage | JointSample | LoggedTransforms
+@dataclass(frozen=True, slots=True)
+class Matched:
+    """An image with what was found at its stamp, for each arm."""
+
+    logged: LoggedImage
+    right: LoggedImage | None
+    arms: tuple[ArmState, ...]
+
+
+Item = LoggedImage | RightImage | LoggedJoints | LoggedTransforms
 
 
 class JointBuffer:
@@ -134,14 +150,27 @@ class RightBuffer:
         return nearest
 
 
-class Matcher:
-    """Finds what belongs to an image; `wants` names what to wait for: joints, right images, transforms."""
+class ArmBuffer:
+    """The latest joints and transforms of one arm; `has_joints` says that images wait for joints of it."""
 
-    def __init__(self, transforms: TransformBuffer, wants: frozenset[type]) -> None:
-        self._joints = JointBuffer()
+    def __init__(self, transforms: TransformBuffer, *, has_joints: bool) -> None:
+        self.joints = JointBuffer()
+        self.transforms = transforms
+        self.has_joints = has_joints
+
+    def at(self, stamp_ns: int) -> ArmState:
+        """What the arm reported at a stamp."""
+        return ArmState(self.joints.at(stamp_ns), self.transforms.at(stamp_ns))
+
+
+class Matcher:
+    """Finds what belongs to an image; images wait for right images and for transforms where there are any."""
+
+    def __init__(self, arms: Sequence[ArmBuffer], *, has_right: bool, has_transforms: bool) -> None:
+        self._arms = tuple(arms)
         self._right = RightBuffer()
-        self._transforms = transforms
-        self._wants = wants
+        self._has_right = has_right
+        self._has_transforms = has_transforms
         self._waiting: deque[LoggedImage] = deque()
         self._waiting_bytes = 0
 
@@ -163,25 +192,22 @@ class Matcher:
                 self._waiting_bytes += item.size_bytes
             case RightImage(logged=logged):
                 self._right.add(logged)
-            case JointSample():
-                self._joints.add(item)
+            case LoggedJoints(sample=joints, arm=arm):
+                self._arms[arm].joints.add(joints)
             case LoggedTransforms(sample=sample, is_static=is_static):
                 for transform in sample.transforms:
-                    self._transforms.add(transform, is_static=is_static)
+                    for buffer in self._arms:
+                        buffer.transforms.add(transform, is_static=is_static)
 
     def _is_ready(self) -> bool:
         first = self._waiting[0]
         if self._waiting[-1].log_time_ns - first.log_time_ns > LOOK_AHEAD_NS:
             return True
-        newest = {
-            JointSample: self._joints.newest_ns,
-            RightImage: self._right.newest_ns,
-            LoggedTransforms: self._transforms.newest_ns,
-        }
-        return all(first.image.stamp_ns <= newest[kind] for kind in self._wants)
+        newest_ns = [self._right.newest_ns] if self._has_right else []
+        newest_ns += [arm.joints.newest_ns for arm in self._arms if arm.has_joints]
+        newest_ns += [arm.transforms.newest_ns for arm in self._arms if self._has_transforms]
+        return all(first.image.stamp_ns <= newest for newest in newest_ns)
 
     def _matched(self, logged: LoggedImage) -> Matched:
         stamp_ns = logged.image.stamp_ns
-        return Matched(
-            logged, self._joints.at(stamp_ns), self._right.take(stamp_ns), self._transforms.at(stamp_ns)
-        )
+        return Matched(logged, self._right.take(stamp_ns), tuple(arm.at(stamp_ns) for arm in self._arms))

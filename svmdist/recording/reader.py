@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.errors import RecordingError
-from svmdist.profile import Frames, Limits, Profile
+from svmdist.errors import RecordingError, did_you_mean
+from svmdist.profile import Limits, Profile
+from svmdist.recording.arms import LoggedArm, find_arms
 from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
 from svmdist.recording.health import Health, LossKind
 from svmdist.recording.names import plain, plain_list
 from svmdist.recording.observing import Observer
 from svmdist.recording.opening import open_source
 from svmdist.recording.sources import RawMessage, Source, TopicInfo
-from svmdist.recording.topics import Role, TopicChoice
+from svmdist.recording.topics import Role
 from svmdist.recording.transform_tree import TransformTree
 from svmdist.samples import (
     CameraSample,
@@ -48,18 +49,39 @@ def open_recording(
     """
     limits = limits or profile.limits
     source = open_source(Path(path), limits)
-    choice = TopicChoice(source.topics(), profile.topics, topics or {}, source.path.name)
-    return Recording(source, choice, limits, profile.frames)
+    return Recording(source, find_arms(source, profile, topics or {}), limits)
 
 
 class Recording:
-    """A log that can be read, over and over; every call streams the file anew and keeps nothing of it."""
+    """A log that can be read, over and over; every call streams the file anew and keeps nothing of it.
 
-    def __init__(self, source: Source, choice: TopicChoice, limits: Limits, frames: Frames) -> None:
+    With several instruments in it, all but `observations_of` is about the first one; `for_instrument` gives the
+    same log as another one sees it.
+    """
+
+    def __init__(self, source: Source, arms: Sequence[LoggedArm], limits: Limits) -> None:
         self._source = source
-        self._choice = choice
+        self._arms = tuple(arms)
+        self._limits = limits
+        self._choice = arms[0].choice
         self._messages = DecodedMessages(source, limits)
-        self._observer = Observer(self._messages, choice, frames)
+        self._observer = Observer(self._messages, self._choice)
+
+    @property
+    def instruments(self) -> tuple[str, ...]:
+        """Names of the instruments in the log: the profile's own, and the others that have a topic in it."""
+        return tuple(arm.name for arm in self._arms)
+
+    def for_instrument(self, name: str) -> Recording:
+        """The same log as one of its instruments sees it; RecordingError lists those that there are."""
+        return Recording(self._source, [self._arm(name)], self._limits)
+
+    def _arm(self, name: str) -> LoggedArm:
+        for arm in self._arms:
+            if arm.name == name:
+                return arm
+        known = did_you_mean(name, self.instruments)
+        raise RecordingError(f"{self.path.name}: no topic of an instrument {plain(name)}: {known}")
 
     @property
     def path(self) -> Path:
@@ -119,8 +141,14 @@ class Recording:
         stereo pair. Each is None where the log has none. Raises RecordingError at once where the log has no
         images or no camera.
         """
+        found = self.observations_of(self.instruments[:1])
+        return (item if isinstance(item, Rejection) else item[0] for item in found)
+
+    def observations_of(self, names: Sequence[str]) -> Iterator[tuple[Observation, ...] | Rejection]:
+        """Yield for every image what estimators may see of each instrument; each image is decoded once."""
+        arms = [self._arm(name) for name in names]
         return self._observer.observations(
-            self._choice.require(Role.IMAGE), self.camera, lambda: self.right_camera
+            self._choice.require(Role.IMAGE), self.camera, lambda: self.right_camera, arms
         )
 
     def joint_track(self) -> JointTrack:

@@ -44,10 +44,15 @@ NAMED = frozenset({Role.GROUND_TRUTH_TF, *RIGHT})
 
 
 class TopicChoice:
-    """The roles of one recording's topics."""
+    """The roles of one recording's topics; those in `claimed` are another arm's, and stand in for no topic."""
 
     def __init__(
-        self, infos: Sequence[TopicInfo], wanted: Topics, overrides: Mapping[str, str], name: str
+        self,
+        infos: Sequence[TopicInfo],
+        wanted: Topics,
+        overrides: Mapping[str, str],
+        name: str,
+        claimed: frozenset[str] = frozenset(),
     ) -> None:
         for role in overrides:
             if role not in list(Role):
@@ -56,6 +61,7 @@ class TopicChoice:
         self._wanted = wanted
         self._overrides = overrides
         self._name = name
+        self._claimed = claimed
 
     def require(self, role: Role) -> str:
         """Name the topic of a role; RecordingError lists the candidates, or the topics there are."""
@@ -101,13 +107,14 @@ class TopicChoice:
         )
 
     def _unclaimed(self, role: Role, candidates: Sequence[str]) -> list[str]:
-        """Leave out topics that are known to play another role, and static transforms.
+        """Leave out topics that are known to play another role or are another arm's, and static transforms.
 
         A right image is one of a pair: where a log has no other, it is the image.
         """
         others = {
             self._overrides.get(other) or getattr(self._wanted, other) for other in Role if other is not role
         }
+        others |= self._claimed
         fitting = [topic for topic in candidates if topic not in others and not topic.endswith("tf_static")]
         right = {getattr(self._wanted, other) for other in RIGHT}
         return fitting or [topic for topic in candidates if topic in right and len(candidates) == 1]

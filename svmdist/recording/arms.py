@@ -1,0 +1,46 @@
+"""Which of a profile's instruments a recording has, and the topics and frames of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from svmdist.profile import Frames, Profile
+from svmdist.profile_instruments import ARM_TOPICS
+from svmdist.recording.sources import Source
+from svmdist.recording.topics import TopicChoice
+
+
+@dataclass(frozen=True)
+class LoggedArm:
+    """One instrument of a recording: the roles of the topics and the frames as it sees them."""
+
+    name: str
+    choice: TopicChoice
+    frames: Frames
+
+
+def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) -> tuple[LoggedArm, ...]:
+    """The profile's own instrument, and every other one whose joints or pose the recording has.
+
+    `overrides` choose topics by role: those of an arm are the first one's, and what they name is no other's.
+    """
+    infos = source.topics()
+    there = {info.topic for info in infos} - {overrides[role] for role in ARM_TOPICS if role in overrides}
+    others = [
+        other for other in profile.other_instruments if there & {other.topics.joints, other.topics.pose}
+    ]
+    first = profile.topics
+    of_first = {overrides.get(role) or getattr(first, role) for role in ARM_TOPICS} - {None}
+    claims = {profile.instrument_name: of_first} | {
+        other.name: set(other.topics.named.values()) for other in others
+    }
+    arms = []
+    for name in claims:
+        view = profile.for_instrument(name)
+        is_first = name == profile.instrument_name
+        chosen = {role: topic for role, topic in overrides.items() if is_first or role not in ARM_TOPICS}
+        claimed = frozenset(topic for owner in claims if owner != name for topic in claims[owner] if topic)
+        choice = TopicChoice(infos, view.topics, chosen, source.path.name, claimed)
+        arms.append(LoggedArm(name, choice, view.frames))
+    return tuple(arms)
