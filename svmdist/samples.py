@@ -6,7 +6,7 @@ estimator can peek; truth travels on its own, as `DistanceSample` and `Transform
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -91,11 +91,15 @@ Sample = ImageSample | JointSample | TransformsSample | PoseSample | CameraSampl
 
 @dataclass(frozen=True, slots=True)
 class RightView:
-    """The right image of a stereo pair, its camera, and where that stands: `T_left_right`, shape (4, 4)."""
+    """The right image of a stereo pair, its camera, and where that stands: `T_left_right`, shape (4, 4).
+
+    `foreign` is as in `Observation`.
+    """
 
     image_bgr: Image
     camera: Camera
     T_left_right: Array
+    foreign: Image | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +108,8 @@ class Observation:
 
     `joints` are interpolated to the image's stamp; `T_camera_base`, shape (4, 4), is what the robot
     believes. Each of them, and the right view, is None where the log has none near the image.
+    `foreign`, shape (h, w), marks the pixels that have an instrument's colours and belong to another one, or
+    to nobody knows whom; None where there is one instrument only.
     """
 
     stamp_ns: int
@@ -112,6 +118,7 @@ class Observation:
     joints: JointSample | None = None
     right: RightView | None = None
     T_camera_base: Array | None = None
+    foreign: Image | None = None
 
 
 class Status(StrEnum):
@@ -142,6 +149,19 @@ class Rejection:
 
 
 @dataclass(frozen=True, slots=True)
+class ToolState:
+    """The instrument as a 3D method found it: `T_camera_tool`, (4, 4), with a covariance of (δp, δθ), (6, 6).
+
+    `axis` is the shaft's direction, shape (3,); `joints` bend the wrist, None where they are not known.
+    """
+
+    T_camera_tool: Array
+    covariance: Array
+    axis: Array
+    joints: JointSample | None
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """The outcome of one frame: a distance, or the reason why there is none.
 
@@ -150,6 +170,9 @@ class Estimate:
     in m, its axis and the direction of the shortest separation, from instrument to tissue (unit vectors),
     are in the camera frame. Positions in the image are in px, areas are pixel counts. A field is None
     where the method did not get that far.
+
+    `instrument` names what was measured. `instrument_clearance_m` is the smallest distance to the surface of another
+    instrument, with its deviation and its direction, towards the other one; `tool_state` is what it is computed from.
     """
 
     stamp_ns: int
@@ -173,6 +196,11 @@ class Estimate:
     tool_position_m: Vector | None = None
     tool_axis: Vector | None = None
     clearance_direction: Vector | None = None
+    instrument: str = ""
+    instrument_clearance_m: float | None = None
+    instrument_clearance_std_m: float | None = None
+    instrument_clearance_direction: Vector | None = None
+    tool_state: ToolState | None = field(default=None, repr=False, compare=False)
 
     @property
     def measured(self) -> bool:

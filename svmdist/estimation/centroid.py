@@ -7,7 +7,7 @@ from svmdist.estimation.locate import locate_both
 from svmdist.estimation.rows import finish, first_rows
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
-from svmdist.vision.segmenter import Segmenter, make_segmenter
+from svmdist.vision.segmenter import Segmenter, make_segmenter, own_masks
 
 
 class CentroidEstimator:
@@ -22,7 +22,8 @@ class CentroidEstimator:
 
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame; a frame that cannot be measured says why."""
-        tissue, instrument = locate_both(self._segmenter.masks(observation.image_bgr), self._segmentation)
+        masks = own_masks(self._segmenter, observation.image_bgr, observation.foreign)
+        tissue, instrument = locate_both(masks, self._segmentation)
         row = first_rows(observation.stamp_ns, tissue, instrument)
         if tissue is None or instrument is None:
             return row

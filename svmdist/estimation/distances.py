@@ -15,7 +15,7 @@ from svmdist.estimation.instrument_model import InstrumentModel
 from svmdist.estimation.pose import ToolPose
 from svmdist.estimation.tissue import TissueFix
 from svmdist.geometry.separation import Separation, separation
-from svmdist.samples import Estimate, JointSample, Status, Vector
+from svmdist.samples import Estimate, JointSample, Status, ToolState, Vector
 from svmdist.transforms import Array
 
 
@@ -49,6 +49,7 @@ def measure(
         spatial_std_m=spatial_std_m,
         tool_position_m=as_vector(pose.position_m),
         tool_axis=as_vector(pose.axis),
+        tool_state=ToolState(pose.T_camera_tool, pose.covariance, pose.axis, joints),
     )
     if camera is not None and pose.position_m[2] > 0.0:
         x_px, y_px = (float(value) for value in camera.project(pose.position_m)[0])

@@ -16,7 +16,7 @@ from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation, Status
 from svmdist.vision.features import EDGE_MARGIN_PX
 from svmdist.vision.marker import paste_marker
-from svmdist.vision.segmenter import Segmenter, make_segmenter
+from svmdist.vision.segmenter import Segmenter, make_segmenter, own_masks
 
 
 class OverlayEstimator:
@@ -35,7 +35,8 @@ class OverlayEstimator:
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame by the paper's three phases; a frame that cannot be measured says why."""
         # First phase: tissue, instrument, marker on the instrument.
-        tissue, instrument = locate_both(self._segmenter.masks(observation.image_bgr), self._segmentation)
+        masks = own_masks(self._segmenter, observation.image_bgr, observation.foreign)
+        tissue, instrument = locate_both(masks, self._segmentation)
         row = first_rows(observation.stamp_ns, tissue, instrument)
         if tissue is None or instrument is None:
             return row

@@ -16,7 +16,7 @@ from svmdist.kinematics.dh import DHChain, select_joints
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, JointSample, Observation, Status
 from svmdist.transforms import Array
-from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter
+from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter, own_masks
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class RobotScene:
     def look(self, observation: Observation) -> Look:
         """Segment a frame, take up its tissue, and select its joints; the row says what is lacking."""
         belief = belief_of(observation, self.chain)
-        masks = self.segmenter.masks(observation.image_bgr)
+        masks = own_masks(self.segmenter, observation.image_bgr, observation.foreign)
         sight = see_tissue(masks, self.profile, observation.camera)
         tissue = self._tissue.add(sight.fix if sight else None)
         row = _with_tissue(Estimate(observation.stamp_ns, Status.NO_TISSUE), sight)

@@ -21,7 +21,7 @@ from svmdist.samples import Estimate, Image, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform
 from svmdist.vision.exposure import levelled
 from svmdist.vision.segmentation import to_hsv
-from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter
+from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter, own_masks
 from svmdist.vision.shaft_segmentation import ShaftRegion, bright_fraction, find_shaft
 from svmdist.vision.tag import TagFinder
 
@@ -80,7 +80,7 @@ class ShaftEstimator:
         """The tool's pose in one frame, or why there is none, in words."""
         # The shaft's contour lines and end, and the coloured knuckle, in the image.
         image_bgr = levelled(observation.image_bgr)
-        masks = self._segmenter.masks(observation.image_bgr)
+        masks = own_masks(self._segmenter, observation.image_bgr, observation.foreign)
         region = self._find_shaft(image_bgr, masks)
         knuckle = see_knuckle(masks.instrument, self._profile.segmentation.instrument, to_hsv(image_bgr))
         seen = see_shaft(image_bgr, region, knuckle, observation.camera)

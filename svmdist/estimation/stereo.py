@@ -23,7 +23,7 @@ from svmdist.samples import Estimate, Image, Observation, Rejection, RightView, 
 from svmdist.transforms import Array
 from svmdist.vision.exposure import levelled
 from svmdist.vision.segmentation import to_hsv
-from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter
+from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter, own_masks
 from svmdist.vision.stereo import DisparitySurface, fit_surface
 
 NEAR_M = 0.04
@@ -50,7 +50,7 @@ class StereoEstimator:
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame; a frame that cannot be measured says why."""
         # The tissue's outline in the left view, and the pair's geometry.
-        masks = self._segmenter.masks(observation.image_bgr)
+        masks = own_masks(self._segmenter, observation.image_bgr, observation.foreign)
         sight = see_tissue(masks, self._profile, observation.camera)
         row = tissue_row(observation.stamp_ns, sight)
         right = observation.right
@@ -63,7 +63,7 @@ class StereoEstimator:
             return replace(row, status=Status.NO_STEREO, detail=pair)
 
         # The tool: its knuckle in both views, and the shaft's direction.
-        right_masks = self._segmenter.masks(right.image_bgr)
+        right_masks = own_masks(self._segmenter, right.image_bgr, right.foreign)
         pose = self._tool(observation, right, pair, (masks, right_masks))
         if isinstance(pose, Rejection):
             return replace(row, status=pose.status, detail=pose.detail)

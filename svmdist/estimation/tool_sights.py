@@ -28,7 +28,7 @@ from svmdist.samples import Image, Observation
 from svmdist.transforms import Array, inverse
 from svmdist.vision.exposure import levelled
 from svmdist.vision.regions import Region
-from svmdist.vision.segmenter import Masks, Segmenter
+from svmdist.vision.segmenter import Masks, Segmenter, own_masks
 from svmdist.vision.shaft_segmentation import find_shaft
 from svmdist.vision.tag import TagFinder, TagPattern
 
@@ -98,7 +98,8 @@ class ToolSights:
         right = observation.right
         if right is None:
             return
-        other = locate_instrument(self._segmenter.masks(right.image_bgr), self._profile.segmentation)
+        masks = own_masks(self._segmenter, right.image_bgr, right.foreign)
+        other = locate_instrument(masks, self._profile.segmentation)
         if other is None or abs(other.centroid_px[1] - region.centroid_px[1]) > ROW_TOLERANCE_PX:
             return
         if self._centroid_std_px(right.camera, other, pose) is None:
