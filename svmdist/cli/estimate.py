@@ -16,6 +16,7 @@ from svmdist.cli.options import (
     EquationsChoice,
     EquationsOption,
     Files,
+    InstrumentOption,
     Method,
     MethodOption,
     OutputOption,
@@ -23,6 +24,7 @@ from svmdist.cli.options import (
     RowFormat,
     RowFormatOption,
     TopicOption,
+    instruments_of,
     topics_of,
 )
 
@@ -44,8 +46,12 @@ def estimate_command(
     output: OutputOption = None,
     alarm_below: AlarmBelowOption = None,
     alarm_confidence: AlarmConfidenceOption = None,
+    instrument: InstrumentOption = None,
 ) -> None:
-    """Estimate the distance in every frame."""
+    """Estimate the distance in every frame.
+
+    A log of several instruments, which the profile names, gives a row a frame and instrument.
+    """
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.setup import prepare
 
@@ -53,28 +59,35 @@ def estimate_command(
     rules = alarm_rules(alarm_below, alarm_confidence, method.value)
     setup = prepare(profile, method.value, equations.value, calibration)
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in files]
+    wanted = instruments_of(instrument, setup.profile)
+    several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
     tally: Counter[str] = Counter()
-    write_lines(_lines(form, _started(_rows(recordings, setup, tally, rules)), rules is not None), output)
+    rows = _started(_rows(recordings, setup, wanted, tally, rules))
+    write_lines(_lines(form, rows, rules is not None, several), output)
     _summarise(tally)
     raise typer.Exit(report_health(recordings))
 
 
 def _rows(
-    recordings: list[Recording], setup: Setup, tally: Counter[str], rules: AlarmRules | None
+    recordings: list[Recording],
+    setup: Setup,
+    wanted: tuple[str, ...] | None,
+    tally: Counter[str],
+    rules: AlarmRules | None,
 ) -> Iterator[Row]:
     from svmdist.estimation.alarms import AlarmWatch
     from svmdist.report.estimates import estimate_row
-    from svmdist.workflows.estimate import estimate
+    from svmdist.workflows.estimate import estimate_instruments
 
     for recording in recordings:
         for warning in setup.degeneracies(recording.camera):
             say(f"svmdist: warning: {warning}")
         start_ns: int | None = None
-        watch = AlarmWatch(rules) if rules else None
-        for row in estimate(recording, setup.estimator_for(recording)):
+        watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
+        for row in estimate_instruments(recording, setup, wanted):
             start_ns = row.stamp_ns if start_ns is None else start_ns
             tally[str(row.status)] += 1
-            alarm = watch.watch(row) if watch else None
+            alarm = watches[row.instrument].watch(row) if watches else None
             yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns, alarm)
 
 
@@ -84,13 +97,14 @@ def _started(rows: Iterator[Row]) -> Iterator[Row]:
     return iter(()) if first is None else chain([first], rows)
 
 
-def _lines(form: RowFormat, rows: Iterator[Row], with_alarms: bool) -> Iterator[str]:
-    from svmdist.report.estimates import ALARM_COLUMNS, ESTIMATE_COLUMNS, ESTIMATE_KEYS
+def _lines(form: RowFormat, rows: Iterator[Row], with_alarms: bool, several: bool) -> Iterator[str]:
+    from svmdist.report.estimates import ALARM_COLUMNS, ESTIMATE_COLUMNS, ESTIMATE_KEYS, INSTRUMENT_COLUMNS
     from svmdist.report.table import csv_lines, json_array_lines, json_lines, text_lines
 
     match form:
         case RowFormat.TABLE:
-            return text_lines(ESTIMATE_COLUMNS + (ALARM_COLUMNS if with_alarms else ()), rows)
+            columns = ESTIMATE_COLUMNS + (INSTRUMENT_COLUMNS if several else ())
+            return text_lines(columns + (ALARM_COLUMNS if with_alarms else ()), rows)
         case RowFormat.CSV:
             return csv_lines(ESTIMATE_KEYS, rows)
         case RowFormat.JSON:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from svmdist.errors import UsageError
+from svmdist.errors import UsageError, did_you_mean
+
+if TYPE_CHECKING:
+    from svmdist.profile import Profile
 
 
 class Method(StrEnum):
@@ -65,6 +68,15 @@ TopicOption = Annotated[
         show_default=False,
     ),
 ]
+InstrumentOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--instrument",
+        metavar="NAME",
+        help="Measure this instrument of a log with several; may be repeated. Default: all.",
+        show_default=False,
+    ),
+]
 MethodOption = Annotated[
     Method,
     typer.Option("--method", help="overlay: the paper's virtual marker; centroid: the same without marker."),
@@ -104,6 +116,17 @@ def topics_of(options: list[str] | None) -> dict[str, str]:
             raise UsageError(f"--topic {option}: expected ROLE=TOPIC, as in image=/left/image_raw")
         topics[role] = topic
     return topics
+
+
+def instruments_of(options: list[str] | None, profile: Profile) -> tuple[str, ...] | None:
+    """The instruments that were asked for, in the order of the profile, None for all; raises UsageError."""
+    if not options:
+        return None
+    for name in options:
+        if name not in profile.instrument_names:
+            known = did_you_mean(name, profile.instrument_names)
+            raise UsageError(f"--instrument {name}: profile {profile.name} has no such instrument: {known}")
+    return tuple(name for name in profile.instrument_names if name in options)
 
 
 LENGTH_UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}

@@ -24,6 +24,7 @@ from svmdist.cli.options import (
     CalibrationOption,
     EquationsChoice,
     EquationsOption,
+    InstrumentOption,
     Method,
     MethodOption,
     OptionalFiles,
@@ -32,6 +33,7 @@ from svmdist.cli.options import (
     TableFormat,
     TableFormatOption,
     TopicOption,
+    instruments_of,
     topics_of,
 )
 from svmdist.errors import UsageError
@@ -123,6 +125,7 @@ def validate_command(
     write_baseline: WriteBaselineOption = None,
     alarm_below: AlarmBelowOption = None,
     alarm_confidence: AlarmConfidenceOption = None,
+    instrument: InstrumentOption = None,
 ) -> None:
     """Score estimates against the truth.
 
@@ -153,7 +156,9 @@ def validate_command(
     references = tuple(Reference(choice.value) for choice in dict.fromkeys(truth)) if truth else None
     rules = truth_rules(tuple(truth_tf or ()), setup.profile, references, round(max_gap * 1e9))
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in paths]
-    result = validate(recordings, setup, rules, _parse_lag(lag), alarms)
+    result = validate(
+        recordings, setup, rules, _parse_lag(lag), alarms, instruments_of(instrument, setup.profile)
+    )
     _write(result, form, output)
     if save_plot:
         from svmdist.report.plot import save_plot as draw_to

@@ -11,7 +11,7 @@ from svmdist.report.figures import FIGURE_COLUMNS, FIGURE_KEYS, figure_cells
 from svmdist.report.table import Cell, Column, rich_table
 from svmdist.workflows.compare import MethodScore
 
-COMPARE_KEYS = ("group", "method", *FIGURE_KEYS, "scenario", "degradation")
+COMPARE_KEYS = ("group", "method", *FIGURE_KEYS, "scenario", "degradation", "instrument")
 
 COMPARE_COLUMNS = (Column("method", "method", is_text=True), *FIGURE_COLUMNS)
 
@@ -24,6 +24,7 @@ def compare_row(score: MethodScore) -> dict[str, Cell]:
         **figure_cells(score.figures),
         "scenario": score.group.scenario,
         "degradation": score.group.degradation,
+        "instrument": score.instrument,
     }
 
 

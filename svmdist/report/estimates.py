@@ -39,6 +39,12 @@ ESTIMATE_KEYS = (
     "alarm",
     "closing_speed_m_s",
     "time_to_contact_s",
+    "instrument",
+    "instrument_clearance_m",
+    "instrument_clearance_std_m",
+    "instrument_direction_x",
+    "instrument_direction_y",
+    "instrument_direction_z",
 )
 """The contract: columns may be added at the end, none is renamed or removed."""
 
@@ -48,6 +54,13 @@ ALARM_COLUMNS = (
     Column("time_to_contact_s", "contact in [s]", number(2)),
 )
 """Shown to a person who asked for alarms."""
+
+INSTRUMENT_COLUMNS = (
+    Column("instrument", "instrument", is_text=True),
+    Column("instrument_clearance_m", "to other [mm]", number(2, 1e3)),
+    Column("instrument_clearance_std_m", "± [mm]", number(2, 1e3)),
+)
+"""Shown to a person where a log has several instruments."""
 
 ESTIMATE_COLUMNS = (
     Column("recording", "recording", is_text=True),
@@ -85,6 +98,10 @@ def estimate_row(
         (("tool_x_m", "tool_y_m", "tool_z_m"), estimate.tool_position_m),
         (("axis_x", "axis_y", "axis_z"), estimate.tool_axis),
         (("direction_x", "direction_y", "direction_z"), estimate.clearance_direction),
+        (
+            ("instrument_direction_x", "instrument_direction_y", "instrument_direction_z"),
+            estimate.instrument_clearance_direction,
+        ),
     ):
         row |= dict(zip(names, vector or (None, None, None), strict=True))
     row |= {

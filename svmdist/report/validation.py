@@ -61,6 +61,7 @@ VALIDATION_KEYS = (
     "alarm_missed_event_count",
     "alarm_lead_median_s",
     "alarm_lead_min_s",
+    "instrument",
 )
 """Columns of the CSV: some may be added at the end, none is renamed or removed. In JSON `rejected` is an object of
 counts by reason."""
@@ -108,6 +109,7 @@ def score_row(score: Score) -> dict[str, Cell]:
         **_distance_figures("spatial", score.spatial),
         **_distance_figures("clearance", score.clearance),
         **_alarm_figures(score.alarms),
+        "instrument": score.instrument or None,
     }
 
 
@@ -144,7 +146,16 @@ def validation_document(validation: Validation) -> dict[str, Any]:
         "schema": SCHEMA,
         "recordings": [_json_score(score) for score in validation.scores],
         "overall": _json_score(primary) if primary else None,
-        "overall_by_reference": {str(score.reference): _json_score(score) for score in validation.overall},
+        "overall_by_reference": {
+            str(score.reference): _json_score(score)
+            for score in validation.overall
+            if primary is None or score.instrument == primary.instrument
+        },
+        "overall_by_instrument": {
+            score.instrument: _json_score(score)
+            for score in validation.overall
+            if primary is None or score.reference is primary.reference
+        },
         "paper": {"r_squared": PAPER_R_SQUARED, "note": PAPER_NOTE},
         "notes": list(validation.notes),
     }

@@ -19,32 +19,39 @@ UNDEGRADED = "clean"
 class Group:
     """Frames that are compared together: those of a scenario, and how they were degraded (`smoke=3`, or empty).
 
-    A scenario of `all` is all of them; so is a degradation of `all`.
+    A scenario of `all` is all of them; so is a degradation of `all`. Instruments are never compared together:
+    `other_instrument` names one that is not the first of its recording.
     """
 
     scenario: str
     degradation: str = ""
+    other_instrument: str = ""
 
     def __str__(self) -> str:
-        return self.scenario if self.degradation in ("", ALL) else f"{self.scenario} {self.degradation}"
+        degradation = "" if self.degradation == ALL else self.degradation
+        return " ".join(filter(None, (self.scenario, degradation, self.other_instrument)))
 
 
 @dataclass(frozen=True)
 class MethodScore:
-    """One method on one group of frames."""
+    """One method on one group of frames, and the instrument that it measured."""
 
     group: Group
     method: str
     figures: Figures
+    instrument: str = ""
 
 
-def group_of(recording: Recording, condition: Condition = CLEAN) -> Group:
+def group_of(recording: Recording, condition: Condition = CLEAN, instrument: str = "") -> Group:
     """What a recording is compared as: its scenario, or its name where it names none, and its degradations.
 
     Those are what it was recorded with, `degrade` of its metadata, and then what is done to it now.
     """
     degradations = (recording.metadata.get("degrade", ""), str(condition))
-    return Group(recording.metadata.get("scenario", recording.name), ",".join(filter(None, degradations)))
+    other = instrument if instrument in recording.instruments[1:] else ""
+    return Group(
+        recording.metadata.get("scenario", recording.name), ",".join(filter(None, degradations)), other
+    )
 
 
 def compare(
@@ -64,15 +71,18 @@ def compare(
     runs = list(replay(recordings, setups, conditions, clock=clock, on_progress=on_progress))
     if not any(run.frame_count for run in runs):
         raise RecordingError("there is no image to measure in these recordings")
-    groups = [(group_of(run.recording, run.condition), run) for run in runs]
+    groups = [(group_of(run.recording, run.condition, run.instrument), run) for run in runs]
     scores = [score for group in _unique(groups) for score in _scores(group, groups, setups)]
     degradations = list(dict.fromkeys(group.degradation for group, _ in groups))
     if len(degradations) > 1 and len({group.scenario for group, _ in groups}) > 1:
-        over_scenarios = [(Group(ALL, group.degradation or UNDEGRADED), run) for group, run in groups]
+        over_scenarios = [
+            (Group(ALL, group.degradation or UNDEGRADED, group.other_instrument), run)
+            for group, run in groups
+        ]
         scores += [s for group in _unique(over_scenarios) for s in _scores(group, over_scenarios, setups)]
-    if len(_unique(groups)) > 1:
-        together = Group(ALL, ALL)
-        scores += _scores(together, [(together, run) for run in runs], setups)
+    if len({(group.scenario, group.degradation) for group, _ in groups}) > 1:
+        together = [(Group(ALL, ALL, group.other_instrument), run) for group, run in groups]
+        scores += [score for group in _unique(together) for score in _scores(group, together, setups)]
     return scores
 
 
@@ -83,11 +93,13 @@ def _unique(groups: Iterable[tuple[Group, Run]]) -> list[Group]:
 def _scores(group: Group, runs: Sequence[tuple[Group, Run]], setups: Sequence[Setup]) -> list[MethodScore]:
     """The scores of one group, in the order of the setups."""
     methods = dict.fromkeys(setup.method for setup in setups)
+    members = [run for of, run in runs if of == group]
     return [
         MethodScore(
             group,
             method,
-            pooled_figures([run for of, run in runs if of == group and run.method == method]),
+            pooled_figures([run for run in members if run.method == method]),
+            members[0].instrument,
         )
         for method in methods
     ]

@@ -16,6 +16,7 @@ from svmdist.recording.topics import Role
 from svmdist.samples import Observation, Rejection
 from svmdist.vision.degradations import Degradation, degrade, image_seed, require_degradation
 from svmdist.workflows.distance_scores import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
+from svmdist.workflows.estimate import instruments_of
 from svmdist.workflows.setup import Setup
 
 Clock = Callable[[], float]
@@ -66,7 +67,7 @@ CLEAN = Condition()
 
 @dataclass(frozen=True)
 class Run:
-    """One method on one recording under one condition.
+    """One method on one instrument of one recording under one condition.
 
     A distance that method or truth cannot tell is None. `seconds` is the method alone, without reading,
     decoding and degrading the image.
@@ -81,6 +82,7 @@ class Run:
     spatial: DistanceScore | None
     clearance: DistanceScore | None
     seconds: float
+    instrument: str = ""
 
 
 @dataclass(frozen=True)
@@ -121,31 +123,38 @@ def replay(
     clock: Clock = time.perf_counter,
     on_progress: Progress | None = None,
 ) -> Iterator[Run]:
-    """Yield a run for every recording, condition and setup; each image is decoded and degraded once.
+    """Yield a run for every recording, condition, setup and instrument; each image is decoded and degraded once.
 
     Every run has an estimator of its own, so that what one remembers never reaches another. Of an image nothing
-    is kept. Raises RecordingError where a recording has no ground-truth distances.
+    is kept. Raises RecordingError where a recording has no ground-truth distances; another instrument than the
+    first is left out where it has none.
     """
     counts = [_image_count(recording) for recording in recordings]
     known = [count for count in counts if count is not None]
     total = sum(known) * len(conditions) * len(setups) if len(known) == len(counts) else None
     done = 0
     for recording in recordings:
-        truth = recording.distance_track()  # before the work: a log without it is told at once
-        cells = [[_Cell(setup, recording) for setup in setups] for _ in conditions]
-        for frame, observation in enumerate(recording.observations()):
-            for condition, row in zip(conditions, cells, strict=True):
+        names = _with_truth(recording)
+        # Before the work: a log without it is told at once.
+        truths = {name: recording.for_instrument(name).distance_track() for name in names}
+        cells = [[_Cell(setup, recording, name) for setup in setups for name in names] for _ in conditions]
+        teams = [instruments_of(recording, setups[0]) for _ in conditions]
+        for frame, found in enumerate(recording.observations_of(recording.instruments)):
+            for condition, team, row in zip(conditions, teams, cells, strict=True):
                 seen = (
-                    observation if isinstance(observation, Rejection) else condition.apply(observation, frame)
+                    found
+                    if isinstance(found, Rejection)
+                    else team.tell_apart(_degraded(condition, found, frame))
                 )
                 for cell in row:
-                    cell.measure(seen, clock)
-                    done += 1
+                    place = recording.instruments.index(cell.instrument)
+                    cell.measure(seen if isinstance(seen, Rejection) else seen[place], clock)
+                    done += cell.instrument == names[0]  # a frame of a method, whatever its instruments
                     if on_progress is not None:
                         on_progress(done, total)
         for condition, row in zip(conditions, cells, strict=True):
             for cell in row:
-                sampled = truth.at(cell.readings.stamps_ns)
+                sampled = truths[cell.instrument].at(cell.readings.stamps_ns)
                 planar, spatial, clearance = (
                     score_pairs(cell.readings.pairs(distance, sampled)) for distance in DISTANCES
                 )
@@ -159,15 +168,30 @@ def replay(
                     spatial,
                     clearance,
                     cell.seconds,
+                    cell.instrument,
                 )
 
 
-class _Cell:
-    """One method under one condition while the frames pass by: an estimator, and numbers."""
+def _degraded(condition: Condition, found: Sequence[Observation], frame: int) -> list[Observation]:
+    """What every instrument's estimator sees of the same degraded image."""
+    first = condition.apply(found[0], frame)
+    return [replace(each, image_bgr=first.image_bgr, right=first.right) for each in found]
 
-    def __init__(self, setup: Setup, recording: Recording) -> None:
+
+def _with_truth(recording: Recording) -> list[str]:
+    """The first instrument, and those of the others whose true distances the recording has."""
+    first, *others = recording.instruments
+    role = Role.GROUND_TRUTH_DISTANCE
+    return [first, *(name for name in others if recording.for_instrument(name).topic_of(role) is not None)]
+
+
+class _Cell:
+    """One method on one instrument under one condition while the frames pass by: an estimator, and numbers."""
+
+    def __init__(self, setup: Setup, recording: Recording, instrument: str) -> None:
         self.method = setup.method
-        self.estimator: Estimator = setup.estimator_for(recording)
+        self.instrument = instrument
+        self.estimator: Estimator = setup.estimator_for(recording, instrument)
         self.frame_count = 0
         self.seconds = 0.0
         self.readings = Readings()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,7 @@ class Score:
     spatial: DistanceScore | None = None
     clearance: DistanceScore | None = None
     alarms: AlarmStatistics | None = None
+    instrument: str = ""
 
     @property
     def sample_count(self) -> int:
@@ -117,15 +118,19 @@ def score_rows(
     )
 
 
-def pool_scores(scores: Sequence[Score]) -> Score:
-    """One score over the pairs of several: every frame counts the same."""
+def pool_scores(scores: Sequence[Score], first_instrument: str = "") -> Score:
+    """One score over the pairs of several of one instrument: every frame counts the same.
+
+    It is called `overall`, for any but the first instrument with its name.
+    """
+    instrument = scores[0].instrument
     rejected: Counter[str] = Counter()
     for score in scores:
         rejected.update(score.rejected)
     alarms = [score.alarms for score in scores if score.alarms]
-    return _score(
+    pooled_score_of_all = _score(
         pooled([score.pairs for score in scores]),
-        recording="overall",
+        recording="overall" if instrument in ("", first_instrument) else f"overall {instrument}",
         setup_method=scores[0].method,
         equations=scores[0].equations,
         reference=scores[0].reference,
@@ -135,6 +140,7 @@ def pool_scores(scores: Sequence[Score]) -> Score:
         clearance=pooled_score([score.clearance for score in scores]),
         alarms=pooled_alarms(alarms) if alarms else None,
     )
+    return replace(pooled_score_of_all, instrument=instrument)
 
 
 def _score(

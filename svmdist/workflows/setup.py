@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -38,11 +38,19 @@ class Setup:
         """What tells tissue and instrument apart; raises ProfileError where its network cannot be used."""
         return make_segmenter(self.profile.segmentation, level=self.method not in PLANAR_METHODS)
 
-    def estimator_for(self, recording: Recording) -> Estimator:
-        """Make the estimator for a recording; raises CalibrationError for another camera."""
+    def estimator_for(self, recording: Recording, instrument: str | None = None) -> Estimator:
+        """Make the estimator for a recording; raises CalibrationError for another camera.
+
+        `instrument` names another one than the profile's own; all of them share the segmenter.
+        """
         if self.equations == "corrected" and self.calibration is not None:
             self.calibration.require_camera(recording.camera, recording.name)
-        return make_estimator(self.method, self.profile, self.mapping, self.segmenter)
+        profile = self.profile if instrument is None else self.profile.for_instrument(instrument)
+        return make_estimator(self.method, profile, self.mapping, self.segmenter)
+
+    def for_instrument(self, name: str) -> Setup:
+        """The same for one of the profile's instruments."""
+        return replace(self, profile=self.profile.for_instrument(name))
 
     def was_fitted_on(self, recording: Recording) -> bool:
         """Whether the calibration was fitted on this very recording: then its figures prove nothing."""

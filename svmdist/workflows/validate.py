@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
@@ -11,7 +11,7 @@ from svmdist.estimation.lag import LagEstimate
 from svmdist.recording.reader import Recording
 from svmdist.samples import Estimate
 from svmdist.workflows.alarms import require_clearance
-from svmdist.workflows.estimate import estimate
+from svmdist.workflows.estimate import estimate_instruments
 from svmdist.workflows.lag import Lag, recording_lag
 from svmdist.workflows.score import Score, pool_scores, score_rows
 from svmdist.workflows.setup import Setup
@@ -35,8 +35,11 @@ class Validation:
 
     @property
     def primary(self) -> Score | None:
-        """The overall score against the strongest reference there is, in the order of `Reference`."""
-        by_reference = {score.reference: score for score in self.overall}
+        """The overall score against the strongest reference there is, in the order of `Reference`.
+
+        Of several instruments it is that of the first one.
+        """
+        by_reference = {score.reference: score for score in reversed(self.overall)}
         return next((by_reference[reference] for reference in Reference if reference in by_reference), None)
 
 
@@ -46,10 +49,12 @@ def validate(
     rules: TruthRules | None = None,
     lag: Lag = 0.0,
     alarms: AlarmRules | None = None,
+    wanted: Sequence[str] | None = None,
 ) -> Validation:
     """Score a setup on recordings against each reference that they have, and its alarms where asked for.
 
-    `lag` in s is taken off the image stamps, or estimated first. Recordings the calibration was fitted on
+    `lag` in s is taken off the image stamps, or estimated first. Every instrument of a recording has scores of its
+    own, those in `wanted` where that is given. Recordings the calibration was fitted on
     are scored, marked, and left out of the overall score. Raises RecordingError where a recording has no
     reference at all, or no true clearance to score alarms against, and UsageError for alarms of a method that
     tells no clearance or without ground truth among the references.
@@ -65,12 +70,14 @@ def validate(
     scores: list[Score] = []
     notes: list[str] = []
     for recording in recordings:
-        scores += _score_recording(recording, setup, rules, lag, alarms, notes)
+        scores += _score_recording(recording, setup, rules, lag, alarms, notes, wanted)
     overall = []
-    for reference in rules.wanted:
-        counted = [score for score in scores if score.reference is reference and not score.fitted_on]
-        if counted:
-            overall.append(pool_scores(counted))
+    for instrument in setup.profile.instrument_names:
+        of_instrument = [score for score in scores if score.instrument == instrument and not score.fitted_on]
+        for reference in rules.wanted:
+            counted = [score for score in of_instrument if score.reference is reference]
+            if counted:
+                overall.append(pool_scores(counted, setup.profile.instrument_name))
     return Validation(tuple(scores), tuple(overall), tuple(dict.fromkeys(notes)), alarms)
 
 
@@ -81,20 +88,28 @@ def _score_recording(
     lag: Lag,
     alarms: AlarmRules | None,
     notes: list[str],
+    wanted: Sequence[str] | None,
 ) -> list[Score]:
+    """Score every wanted instrument; the first one's scores bear the recording's name, another one's its name too."""
     notes += setup.degeneracies(recording.camera)
-    rows = list(estimate(recording, setup.estimator_for(recording)))
-    if not rows:
+    every = list(estimate_instruments(recording, setup, wanted))
+    if not every:
         raise RecordingError(f"{recording.name}: there is no image to measure")
-    offset = _resolve_lag(rows, recording, setup, rules, lag)
-    if not offset.told:
-        notes.append(f"{recording.name}: the lag cannot be told and 0 is used: {offset.reason}")
     scores, missing = [], []
-    for reference in rules.wanted:
-        try:
-            scores.append(score_rows(rows, recording, setup, reference, rules, offset, alarms))
-        except (RecordingError, KinematicsError) as problem:
-            missing.append(f"{recording.name}: no {reference} to compare with: {problem}")
+    for name in dict.fromkeys(row.instrument for row in every):
+        view, seen = recording.for_instrument(name), setup.for_instrument(name)
+        rows = [row for row in every if row.instrument == name]
+        label = recording.name if name == setup.profile.instrument_name else f"{recording.name} {name}"
+        offset = _resolve_lag(rows, view, seen, rules, lag)
+        if not offset.told:
+            notes.append(f"{label}: the lag cannot be told and 0 is used: {offset.reason}")
+        for reference in rules.wanted:
+            try:
+                score = score_rows(rows, view, seen, reference, rules, offset, alarms)
+            except (RecordingError, KinematicsError) as problem:
+                missing.append(f"{label}: no {reference} to compare with: {problem}")
+            else:
+                scores.append(replace(score, recording=label, instrument=name))
     if not scores or (alarms and scores[0].alarms is None):
         raise RecordingError("; ".join(missing))
     notes += missing

@@ -1,0 +1,166 @@
+"""A rendered log of two instruments: rows for each, names that hold, what is between; and one instrument as ever."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.errors import RecordingError
+from svmdist.profile import Profile, load_profile
+from svmdist.recording.reader import open_recording
+from svmdist.samples import Estimate
+from svmdist.workflows.compare import compare
+from svmdist.workflows.estimate import estimate, estimate_instruments
+from svmdist.workflows.setup import prepare
+from svmdist.workflows.truth import Reference, TruthRules
+from svmdist.workflows.validate import validate
+from tests.cli.conftest import Cli, cli  # noqa: F401  (the fixture)
+
+pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+from svmdist.simulation.extras import Extras
+from svmdist.simulation.scenarios import Scenario
+from svmdist.workflows.record import record
+
+NAMES = ("PSM1", "PSM2")
+BETWEEN = "/ground_truth/PSM1/PSM2/distance"
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four frames of two arms that hardly err."""
+    path = tmp_path_factory.mktemp("two") / "two.mcap"
+    record(Scenario("sweep", 5, 0.4, 10.0), load_profile(), path, extras=Extras(arms=2))
+    return path
+
+
+@pytest.fixture(scope="module")
+def rows(two: Path) -> list[Estimate]:
+    setup = prepare(method="kinematic")
+    return list(estimate_instruments(open_recording(two, setup.profile), setup))
+
+
+def test_a_row_for_every_instrument_and_its_own_truth(two: Path, rows: list[Estimate]) -> None:
+    """Rows alternate; each instrument's distance, and place in the image, is its own to a millimetre."""
+    profile = load_profile()
+    recording = open_recording(two, profile)
+    assert recording.instruments == NAMES
+    assert [row.instrument for row in rows] == [*NAMES] * 4
+    for name in NAMES:
+        mine = [row for row in rows if row.instrument == name]
+        stamps_ns = np.array([row.stamp_ns for row in mine])
+        truth = recording.for_instrument(name).distance_track().at(stamps_ns)
+        assert [row.spatial_m for row in mine] == pytest.approx(list(truth.spatial_m), abs=1e-3)
+        tool = profile.for_instrument(name).frames.tool
+        place = recording.transform_track("camera", tool, ground_truth=True).at(stamps_ns).values[:, :3, 3]
+        seen = np.array([(row.tool_x_px, row.tool_y_px) for row in mine])
+        np.testing.assert_allclose(seen, recording.camera.project(place), atol=6.0)
+
+
+def test_clearance_between_is_the_true_one(two: Path, rows: list[Estimate]) -> None:
+    """Within the capsules' and the poses' error of the meshes' distance; both rows say the same, opposite ways."""
+    truth = open_recording(two, load_profile(), topics={"ground_truth_distance": BETWEEN}).distance_track()
+    for first, second in zip(rows[::2], rows[1::2], strict=True):
+        (true_m,) = truth.at(np.array([first.stamp_ns])).clearance_m
+        assert first.instrument_clearance_m == pytest.approx(true_m, abs=1e-3)
+        assert second.instrument_clearance_m == pytest.approx(first.instrument_clearance_m, abs=1e-12)
+        assert np.array(first.instrument_clearance_direction) == pytest.approx(
+            -np.array(second.instrument_clearance_direction)
+        )
+        assert first.instrument_clearance_std_m is not None
+        assert 0.01 < first.instrument_clearance_std_m < 0.2  # two arms of degrees and millimetres
+
+
+@pytest.mark.parametrize("method", ["overlay", "centroid", "shaft"])
+def test_methods_without_memory_measure_their_own_instrument(method: str, two: Path) -> None:
+    """A measured row's place in the image is its own instrument's, nearer than the other's."""
+    setup = prepare(method=method)
+    recording = open_recording(two, setup.profile)
+    measured = [row for row in estimate_instruments(recording, setup) if row.measured]
+    assert {row.instrument for row in measured} == set(NAMES)
+    for row in measured:
+        gaps = {}
+        for name in NAMES:
+            tool = setup.profile.for_instrument(name).frames.tool
+            track = recording.transform_track("camera", tool, ground_truth=True)
+            place = recording.camera.project(track.at(np.array([row.stamp_ns])).values[:, :3, 3])[0]
+            gaps[name] = np.hypot(row.tool_x_px - place[0], row.tool_y_px - place[1])
+        assert min(gaps, key=lambda name: gaps[name]) == row.instrument, gaps
+
+
+def test_scores_are_per_instrument(two: Path) -> None:
+    """Validate and compare score each instrument alone, against its own truth, and never pool the two."""
+    setup = prepare(method="kinematic")
+    recording = open_recording(two, setup.profile)
+    rules = TruthRules(references=(Reference.GROUND_TRUTH,))
+    validation = validate([recording], setup, rules)
+    assert [(s.recording, s.instrument) for s in validation.scores] == [("two", "PSM1"), ("two PSM2", "PSM2")]
+    assert [(s.recording, s.instrument) for s in validation.overall] == [
+        ("overall", "PSM1"),
+        ("overall PSM2", "PSM2"),
+    ]
+    assert validation.primary is not None
+    assert validation.primary.instrument == "PSM1"
+    only = validate([recording], setup, rules, wanted=["PSM2"])
+    assert [s.instrument for s in only.scores] == ["PSM2"]
+    compared = compare([recording], [setup])
+    assert [(str(s.group), s.instrument) for s in compared] == [("sweep", "PSM1"), ("sweep PSM2", "PSM2")]
+    for score, other in zip(validation.scores, compared, strict=True):
+        assert score.sample_count == other.figures.measured_count == 4
+        assert score.spatial is not None
+        assert other.figures.spatial is not None
+        assert score.spatial.statistics.rmse == pytest.approx(other.figures.spatial.statistics.rmse)
+
+
+def test_the_command_line_names_instruments(cli: Cli, two: Path) -> None:  # noqa: F811
+    """Columns are added at the end; `--instrument` picks one; a wrong name is told with the choices."""
+    outcome = cli("estimate", two, "--method", "kinematic", "--format", "csv")
+    table = list(csv.DictReader(io.StringIO(outcome.out)))
+    assert outcome.code == 0
+    assert [row["instrument"] for row in table] == [*NAMES] * 4
+    assert all(float(row["instrument_clearance_m"]) > 0.0 for row in table)
+    assert outcome.out.splitlines()[0].endswith(
+        "instrument_direction_x,instrument_direction_y,instrument_direction_z"
+    )
+    one = cli("estimate", two, "--method", "kinematic", "--format", "jsonl", "--instrument", "PSM2")
+    assert [json.loads(line)["instrument"] for line in one.out.splitlines()] == ["PSM2"] * 4
+    wrong = cli("estimate", two, "--instrument", "PSM3")
+    assert wrong.code == 2
+    assert "profile psm13 has no such instrument: did you mean PSM" in wrong.err
+
+
+def test_one_instrument_is_as_ever(synthetic_log: Path, cli: Cli) -> None:  # noqa: F811
+    """Without the other's topics nothing changes but the new column; asking for the other is told."""
+    setup = prepare(method="kinematic")
+    recording = open_recording(synthetic_log, setup.profile)
+    assert recording.instruments == ("PSM1",)
+    plain = list(estimate(recording, setup.estimator_for(recording)))
+    named = list(estimate_instruments(recording, setup))
+    assert all(row.instrument == "PSM1" and row.instrument_clearance_m is None for row in named)
+    keys = [key for key in Estimate.__slots__ if key not in ("instrument", "tool_state")]
+    assert [[getattr(row, key) for key in keys] for row in named] == [
+        [getattr(row, key) for key in keys] for row in plain
+    ]
+    with pytest.raises(RecordingError, match="no topic of an instrument PSM2: did you mean PSM1"):
+        estimate_instruments(recording, setup, ["PSM2"])
+    assert cli("estimate", synthetic_log, "--method", "kinematic", "--instrument", "PSM2").code == 1
+
+
+def test_topics_of_another_arm_stand_in_for_nothing(two: Path, profile: Profile) -> None:
+    """A profile that leaves its own topics open does not take the second arm's; one chosen by hand is no other's."""
+    open_topics = profile.model_copy(
+        update={"topics": profile.topics.model_copy(update={"joints": None, "pose": None})}
+    )
+    assert open_recording(two, open_topics).topic_of("joints") == "/PSM1/measured_js"
+    chosen = open_recording(two, profile, topics={"joints": "/PSM2/measured_js", "pose": "/PSM2/measured_cp"})
+    assert chosen.instruments == ("PSM1",)
+    assert chosen.topic_of("joints") == "/PSM2/measured_js"
+
+
+@pytest.fixture
+def profile() -> Profile:
+    return load_profile()
