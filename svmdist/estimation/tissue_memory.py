@@ -12,6 +12,8 @@ from svmdist.transforms import Array
 
 MOVED_COUNT = 5
 """So many fixes in a row away from the remembered place mean that the tissue has moved."""
+MIN_SCATTER_COUNT = 4.0
+"""Fewer fixes do not tell how they scatter."""
 MEMORY_COUNT = 50.0
 """Fixes beyond as many fade: tissue that creeps is followed."""
 
@@ -21,12 +23,14 @@ class TissueMemory:
     """A weighted mean of the fixes so far, which a wild one does not enter.
 
     Fixes of one outline err alike, so the mean's covariance is the mean's of one fix (the harmonic mean of
-    all), never smaller for their number.
+    all), never smaller for their number. Where they scatter more than they say of themselves, as under blur and
+    noise, it grows by as much (Birge 1932).
     """
 
     best: TissueFix | None = None
     _information: Array | None = None
     _weighted: Array | None = None
+    _squares: float = 0.0
     _count: float = 0.0
     _strange: int = 0
 
@@ -38,7 +42,8 @@ class TissueMemory:
             self._strange += 1
             if self._strange < MOVED_COUNT:
                 return self.now()
-            self.best, self._information, self._weighted, self._count = None, None, None, 0.0
+            self.best, self._information, self._weighted = None, None, None
+            self._squares, self._count = 0.0, 0.0
         self._strange = 0
         weight = np.asarray(np.linalg.inv(fix.covariance + 1e-14 * np.eye(3)), np.float64)
         if self._information is None or self._weighted is None:
@@ -46,6 +51,7 @@ class TissueMemory:
         fade = 1.0 - 1.0 / MEMORY_COUNT
         self._information = fade * self._information + weight
         self._weighted = fade * self._weighted + weight @ fix.position_m
+        self._squares = fade * self._squares + float(fix.position_m @ weight @ fix.position_m)
         self._count = fade * self._count + 1.0
         if self.best is None or np.trace(fix.covariance) <= np.trace(self.best.covariance):
             self.best = fix
@@ -56,8 +62,12 @@ class TissueMemory:
         if self.best is None or self._information is None or self._weighted is None:
             return None
         spread = np.linalg.inv(self._information)
-        covariance = np.asarray(self._count * spread, np.float64)
-        return replace(self.best, position_m=spread @ self._weighted, covariance=covariance)
+        position_m = np.asarray(spread @ self._weighted, np.float64)
+        scatter = self._squares - float(self._weighted @ position_m)
+        # A fix has two dimensions of its own, on the plane; the mean takes one fix's share.
+        excess = max(1.0, scatter / (2.0 * (self._count - 1.0))) if self._count >= MIN_SCATTER_COUNT else 1.0
+        covariance = np.asarray(excess * self._count * spread, np.float64)
+        return replace(self.best, position_m=position_m, covariance=covariance)
 
     def _agrees(self, fix: TissueFix) -> bool:
         known = self.now()

@@ -133,3 +133,21 @@ def test_tissue_is_remembered_and_wild_fixes_are_not() -> None:
     known = memory.add(fix_at(0.01))
     assert known is not None
     assert known.position_m[0] == pytest.approx(0.01)
+
+
+def test_fixes_that_scatter_widen_the_tissues_interval() -> None:
+    """Fixes that say 0.1 mm and scatter by 0.2 mm leave 0.2 mm in the mean; quiet ones stay at what they say."""
+    rng = np.random.default_rng(3)
+    loud, quiet = TissueMemory(), TissueMemory()
+    for _ in range(40):
+        for memory, std_m in ((loud, 2e-4), (quiet, 2e-5)):
+            fix = fix_at(0.0)
+            known = memory.add(
+                replace(fix, position_m=fix.position_m + std_m * np.array([*rng.normal(size=2), 0.0]))
+            )
+            assert known is not None
+    loud_fix, quiet_fix = loud.now(), quiet.now()
+    assert loud_fix is not None
+    assert quiet_fix is not None
+    assert np.sqrt(loud_fix.covariance[0, 0]) == pytest.approx(2e-4, rel=0.25)
+    assert np.sqrt(quiet_fix.covariance[0, 0]) == pytest.approx(1e-4, rel=1e-3)
