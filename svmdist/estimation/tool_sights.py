@@ -20,8 +20,9 @@ from svmdist.estimation.pose import ToolPose
 from svmdist.estimation.robot_scene import Belief, Look
 from svmdist.estimation.shaft import tag_plate
 from svmdist.estimation.shaft_sight import see_shaft
-from svmdist.estimation.tag_pose import believed_tag_rotation, find_tag_pose
-from svmdist.kinematics.dh import DHChain
+from svmdist.estimation.tag_pose import find_tag_pose
+from svmdist.kinematics.dh import DHChain, frame_transforms
+from svmdist.kinematics.jacobian import row_index
 from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import Profile
 from svmdist.samples import Image, Observation
@@ -75,7 +76,7 @@ class ToolSights:
         if region is not None:
             seen += self._knuckle(observation, region, pose)
         if corners_px is not None and look.belief is not None:
-            seen += self._tag(observation, look.belief, corners_px)
+            seen += self._tag(observation, look.belief, pose, corners_px)
         seen += self._contours(observation, look.masks, corners_px)
         return region, seen
 
@@ -143,13 +144,20 @@ class ToolSights:
             return None
         return self._finder.corners_px(np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY), np.uint8))
 
-    def _tag(self, observation: Observation, belief: Belief, corners_px: Array) -> Iterator[LinkObservation]:
+    def _tag(
+        self, observation: Observation, belief: Belief, pose: ToolPose, corners_px: Array
+    ) -> Iterator[LinkObservation]:
         fiducial = self._profile.fiducial
         if fiducial is None or self._pattern is None:
             return
         image_grey: Image = np.asarray(cv2.cvtColor(observation.image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-        believed = believed_tag_rotation(belief.T_camera_base, fiducial, self._chain, belief.q)
-        tag = find_tag_pose(image_grey, corners_px, observation.camera, self._pattern, believed)
+        # Where the tag is turned to is known from the tool, but for the wrist's joints between them.
+        frames = frame_transforms(self._chain, belief.q)
+        T_base_tag = frames[row_index(self._chain, fiducial.link)] @ fiducial.T_link_tag
+        T_base_tool = frames[-1] @ self._chain.T_last_tool
+        turned = pose.T_camera_tool[:3, :3] @ T_base_tool[:3, :3].T @ T_base_tag[:3, :3]
+        std_rad = float(np.sqrt(np.linalg.eigvalsh(pose.covariance[3:, 3:])[-1]))
+        tag = find_tag_pose(image_grey, corners_px, observation.camera, self._pattern, turned, std_rad)
         if tag is not None:
             yield PoseObservation(
                 "tag",

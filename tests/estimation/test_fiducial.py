@@ -116,6 +116,22 @@ def test_belief_decides_where_the_image_cannot() -> None:
     assert undecided > 0
 
 
+def test_a_sure_belief_finds_the_same_pose() -> None:
+    """Started from a rotation known to a degree, the one search ends where both would; a wrong one is not believed."""
+    rng = np.random.default_rng(8)
+    for seed in range(3):
+        T = tilted(rng, (0.3, 0.6), 0.09)
+        image = draw(T, 2.0, seed)
+        corners = FINDER.corners_px(image)
+        assert corners is not None
+        whole = found_pose(image)
+        for believed in (rotation_x(0.015) @ T[:3, :3], rotation_x(1.0) @ T[:3, :3]):
+            sure = find_tag_pose(image, corners, CAMERA, PATTERN, believed, 0.01)
+            assert sure is not None
+            np.testing.assert_allclose(sure.T_camera_tag[:3, 3], whole.T_camera_tag[:3, 3], atol=2e-5)
+            np.testing.assert_allclose(sure.T_camera_tag[:3, :3], whole.T_camera_tag[:3, :3], atol=2e-3)
+
+
 def test_the_tool_is_behind_the_tag() -> None:
     """The exact tag gives the exact tool; one degree in the wrist's pitch is 0.16 mm at the tool."""
     fiducial = PROFILE.fiducial
