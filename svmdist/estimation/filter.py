@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.estimation.correction import CorrectedLink, Correction, ErrorModel, Moment
-from svmdist.estimation.observations import Linearised, LinkObservation, chi_square_bound, linearise
+from svmdist.estimation.linearisation import Linearised, chi_square_bound, linearise
+from svmdist.estimation.observations import LinkObservation
 from svmdist.estimation.pose import ToolPose
 from svmdist.estimation.window import WINDOW_SOLVES, Sights, Window, geman_mcclure
 from svmdist.kinematics.dh import DHChain

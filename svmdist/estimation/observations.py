@@ -13,20 +13,15 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation.cylinder import tangent_normal
-from svmdist.transforms import Array, rotation_of, rotation_vector, transform_points
+from svmdist.transforms import Array, rotation_vector, transform_points
 
 MIN_DEPTH_M = 1e-3
-STEP = 1e-6
-"""Step of the central differences in m and rad: truncation and rounding are both below 1e-8 px of it."""
-TURNS = rotation_of(np.repeat(np.eye(3), 2, axis=0) * np.tile([STEP, -STEP], 3)[:, None])
 POINT_S = 30.0
 """What hides a part of the knuckle is fixed to it: its visible middle stays where it is on the tool."""
 EDGE_S = 2.0
 """Shading beside an edge changes as the shaft turns in the light."""
 POSE_S = 0.5
 """How a mark's edges fall on the pixels changes with every pixel of motion."""
-GATE_Z = 3.09
-"""Normal quantile of the gate: an observation less likely than 1 in 1,000 is rejected."""
 
 
 class LinkObservation(Protocol):
@@ -128,6 +123,42 @@ class DisparityObservation:
 
 
 @dataclass(frozen=True, slots=True)
+class SizeObservation:
+    """The radius in px of the disc that a sphere of `radius_m` about a link's origin shows.
+
+    The covariance has shape (1, 1) in px²; `own_px` is how far the radius is off for good, by what is hidden.
+    """
+
+    name: str
+    link: str | None
+    camera: Camera
+    radius_m: float
+    radius_px: float
+    covariance: Array
+    own_px: float
+    own_s: float = POINT_S
+
+    @property
+    def own(self) -> str:
+        """A size errs in its own way."""
+        return self.name
+
+    def spread(self, _T_camera_link: Array, _by_pose: Array, /) -> Array:
+        """Derivative by the own error, shape (1, 1)."""
+        return np.array([[self.own_px]])
+
+    def residual(self, T_camera_link: Array) -> Array:
+        """Measured minus predicted, shape (k, 1), for poses of shape (k, 4, 4)."""
+        p_m = T_camera_link[:, :3, 3]
+        hidden = p_m[:, 2] < MIN_DEPTH_M
+        p_m = np.where(hidden[:, None], np.array([0.0, 0.0, 1.0]), p_m)
+        # A circle of the image's plane at first, stretched away from the axis: as in shaft_fit.
+        stretch = np.sqrt(np.linalg.norm(p_m, axis=1) / p_m[:, 2])
+        predicted_px = self.camera.K[0, 0] * self.radius_m / p_m[:, 2] * stretch
+        return np.where(hidden, np.inf, self.radius_px - predicted_px)[:, None]
+
+
+@dataclass(frozen=True, slots=True)
 class ContourObservation:
     """One edge of the shaft's silhouette: the plane through the camera's centre and the edge touches the shaft.
 
@@ -198,56 +229,3 @@ class PoseObservation:
         predicted = T_camera_link @ self.T_link_seen
         turns = self.T_camera_seen[:3, :3] @ np.swapaxes(predicted[:, :3, :3], 1, 2)
         return np.hstack([self.T_camera_seen[:3, 3] - predicted[:, :3, 3], rotation_vector(turns)])
-
-
-@dataclass(frozen=True, slots=True)
-class Linearised:
-    """An observation about a state: residual (m,) = H δ + `spread` ξ + noise, of derivatives (m, n) and (m, k).
-
-    δ is the error state, ξ the observation's own error; nothing of it is finite where the link cannot be seen.
-    """
-
-    residual: Array
-    H: Array
-    spread: Array
-    noise: Array
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether the link could be seen."""
-        return bool(np.all(np.isfinite(self.residual)) and np.all(np.isfinite(self.H)))
-
-    @property
-    def covariance(self) -> Array:
-        """Of the residual where it is seen once, shape (m, m): noise and own error."""
-        return np.asarray(self.noise + self.spread @ self.spread.T)
-
-
-def linearise(observation: LinkObservation, T_camera_link: Array, by_state: Array) -> Linearised:
-    """An observation about a link's pose, shape (4, 4), of which the state's derivative is (6, n)."""
-    residual = observation.residual(T_camera_link[None])[0]
-    by_pose = pose_derivative(observation, T_camera_link)
-    spread = observation.spread(T_camera_link, by_pose)
-    return Linearised(residual, -by_pose @ by_state, spread, observation.covariance)
-
-
-def pose_derivative(observation: LinkObservation, T_camera_link: Array) -> Array:
-    """Derivative of the residual by (δp, δθ) of the link's pose in the camera frame, shape (m, 6).
-
-    Central differences: exact to 1e-6 of what they are, and one formula for every kind of observation.
-    """
-    poses = np.repeat(T_camera_link[None], 12, axis=0)
-    for column in range(3):
-        poses[2 * column, column, 3] += STEP
-        poses[2 * column + 1, column, 3] -= STEP
-    poses[6:, :3, :3] = TURNS @ T_camera_link[:3, :3]
-    residuals = observation.residual(poses)
-    if not np.all(np.isfinite(residuals)):
-        return np.full((residuals.shape[1], 6), np.nan)
-    return np.asarray((residuals[0::2] - residuals[1::2]).T / (2.0 * STEP))
-
-
-def chi_square_bound(freedom: int, z: float = GATE_Z) -> float:
-    """Quantile of the chi-square distribution at the normal quantile z (Wilson and Hilferty 1931)."""
-    c = 2.0 / (9.0 * freedom)
-    return float(freedom * (1.0 - c + z * np.sqrt(c)) ** 3)

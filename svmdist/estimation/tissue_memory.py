@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.observations import chi_square_bound
+from svmdist.estimation.linearisation import chi_square_bound
 from svmdist.estimation.tissue import TissueFix
 from svmdist.transforms import Array
 

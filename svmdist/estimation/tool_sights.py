@@ -15,11 +15,12 @@ from svmdist.estimation.observations import (
     LinkObservation,
     PointsObservation,
     PoseObservation,
+    SizeObservation,
 )
 from svmdist.estimation.pose import ToolPose
 from svmdist.estimation.robot_scene import Belief, Look
 from svmdist.estimation.shaft import tag_plate
-from svmdist.estimation.shaft_sight import see_shaft
+from svmdist.estimation.shaft_sight import see_knuckle, see_shaft
 from svmdist.estimation.tag_pose import find_tag_pose
 from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.kinematics.jacobian import row_index
@@ -29,6 +30,7 @@ from svmdist.samples import Image, Observation
 from svmdist.transforms import Array, inverse
 from svmdist.vision.exposure import levelled
 from svmdist.vision.regions import Region
+from svmdist.vision.segmentation import to_hsv
 from svmdist.vision.segmenter import Masks, Segmenter, own_masks
 from svmdist.vision.shaft_segmentation import find_shaft
 from svmdist.vision.tag import TagFinder, TagPattern
@@ -48,6 +50,8 @@ DISPARITY_NOISE = 0.008
 """The same in the difference of two views that see the knuckle from 3° apart, over the radius."""
 EVEN = 0.02
 """By how much the region's areas in both views differ when nothing is wrong, over their sum."""
+SIZE_STD = 0.01
+"""Depth over depth: where it is known this well, the knuckle's size adds nothing to it."""
 ROW_TOLERANCE_PX = 3.0
 """Rectified images show the knuckle on one row; what is further off is something else."""
 SHARED = 0.5
@@ -75,6 +79,7 @@ class ToolSights:
         seen: list[LinkObservation] = []
         if region is not None:
             seen += self._knuckle(observation, region, pose)
+            seen += self._size(observation, look.masks, pose)
         if corners_px is not None and look.belief is not None:
             seen += self._tag(observation, look.belief, pose, corners_px)
         seen += self._contours(observation, look.masks, corners_px)
@@ -119,6 +124,24 @@ class ToolSights:
             np.array([[std_px**2]]),
             point_std_m,
         )
+
+    def _size(self, observation: Observation, masks: Masks, pose: ToolPose) -> Iterator[LinkObservation]:
+        """The whole knuckle's radius: a depth right within some percent, where nothing better tells one yet."""
+        instrument = self._profile.instrument
+        if instrument is None or np.sqrt(pose.covariance[2, 2]) < SIZE_STD * pose.position_m[2]:
+            return
+        image_hsv = to_hsv(levelled(observation.image_bgr))
+        knuckle = see_knuckle(masks.instrument, self._profile.segmentation.instrument, image_hsv)
+        if knuckle is not None and knuckle.radius_px is not None:
+            yield SizeObservation(
+                "size",
+                None,
+                observation.camera,
+                instrument.knuckle_radius_m,
+                knuckle.radius_px,
+                np.array([[0.25 * knuckle.radius_std_px**2]]),
+                knuckle.radius_std_px,
+            )
 
     def _centroid_std_px(self, camera: Camera, region: Region, pose: ToolPose) -> float | None:
         """What part of the knuckle is missing says how far its centroid may be off; None where too much is."""

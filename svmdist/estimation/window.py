@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.estimation.correction import Correction, ErrorModel, Moment
-from svmdist.estimation.observations import Linearised, LinkObservation, chi_square_bound, linearise
+from svmdist.estimation.linearisation import Linearised, chi_square_bound, linearise
+from svmdist.estimation.observations import LinkObservation
 from svmdist.transforms import Array, skew
 
 WINDOW_SOLVES = (1, 2, 3, 5, 8, 12, 20)

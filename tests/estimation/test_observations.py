@@ -7,15 +7,14 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.correction import ErrorModel, Moment
+from svmdist.estimation.linearisation import chi_square_bound, linearise, pose_derivative
 from svmdist.estimation.observations import (
     ContourObservation,
     DisparityObservation,
     LinkObservation,
     PointsObservation,
     PoseObservation,
-    chi_square_bound,
-    linearise,
-    pose_derivative,
+    SizeObservation,
 )
 from svmdist.kinematics.chain import chain_of
 from svmdist.profile import load_profile
@@ -37,6 +36,7 @@ def observations() -> list[LinkObservation]:
             "p", None, CAMERA, np.array([[0.0, 0.001, 0.002]]), np.zeros((1, 2)), np.eye(2), 1e-4
         ),
         DisparityObservation("d", None, CAMERA, CAMERA, T_RIGHT_LEFT, 30.0, np.eye(1), 1e-4),
+        SizeObservation("s", None, CAMERA, 0.00175, 12.0, np.eye(1), 0.2),
         ContourObservation(
             "c",
             None,
@@ -92,6 +92,23 @@ def test_a_point_off_the_origin_moves_the_residual_by_the_spread() -> None:
     for observation in (point, disparity):
         part = linearise(observation, T_LINK, np.eye(6))
         np.testing.assert_allclose(part.residual, part.spread @ offset, rtol=2e-2, atol=1e-3)
+
+
+def test_a_size_is_that_of_a_drawn_sphere() -> None:
+    """The disc as large as a sphere's outline, found from the rays that touch it, to 0.02 px."""
+    centre_m = np.array([0.02, -0.015, 0.09])
+    distance_m, radius_m = float(np.linalg.norm(centre_m)), 0.00175
+    towards = centre_m / distance_m
+    u = np.cross(towards, [1.0, 0.0, 0.0])
+    u /= np.linalg.norm(u)
+    angle = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
+    side = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * np.cross(towards, u)
+    sine = radius_m / distance_m
+    x, y = CAMERA.project(np.sqrt(1.0 - sine**2) * towards + sine * side).T
+    area_px2 = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+    seen = SizeObservation("s", None, CAMERA, radius_m, float(np.sqrt(area_px2 / np.pi)), np.eye(1), 0.2)
+    T = make_transform(np.eye(3), centre_m)
+    assert abs(float(seen.residual(T[None])[0, 0])) < 0.02
 
 
 def test_a_measured_pose_has_derivatives_by_its_rotation() -> None:

@@ -1,0 +1,69 @@
+"""Observations about a state: residual and derivatives, as filter and batch take them, and the gate for residuals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.estimation.observations import LinkObservation
+from svmdist.transforms import Array, rotation_of
+
+STEP = 1e-6
+"""Step of the central differences in m and rad: truncation and rounding are both below 1e-8 px of it."""
+TURNS = rotation_of(np.repeat(np.eye(3), 2, axis=0) * np.tile([STEP, -STEP], 3)[:, None])
+GATE_Z = 3.09
+"""Normal quantile of the gate: an observation less likely than 1 in 1,000 is rejected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """An observation about a state: residual (m,) = H δ + `spread` ξ + noise, of derivatives (m, n) and (m, k).
+
+    δ is the error state, ξ the observation's own error; nothing of it is finite where the link cannot be seen.
+    """
+
+    residual: Array
+    H: Array
+    spread: Array
+    noise: Array
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the link could be seen."""
+        return bool(np.all(np.isfinite(self.residual)) and np.all(np.isfinite(self.H)))
+
+    @property
+    def covariance(self) -> Array:
+        """Of the residual where it is seen once, shape (m, m): noise and own error."""
+        return np.asarray(self.noise + self.spread @ self.spread.T)
+
+
+def linearise(observation: LinkObservation, T_camera_link: Array, by_state: Array) -> Linearised:
+    """An observation about a link's pose, shape (4, 4), of which the state's derivative is (6, n)."""
+    residual = observation.residual(T_camera_link[None])[0]
+    by_pose = pose_derivative(observation, T_camera_link)
+    spread = observation.spread(T_camera_link, by_pose)
+    return Linearised(residual, -by_pose @ by_state, spread, observation.covariance)
+
+
+def pose_derivative(observation: LinkObservation, T_camera_link: Array) -> Array:
+    """Derivative of the residual by (δp, δθ) of the link's pose in the camera frame, shape (m, 6).
+
+    Central differences: exact to 1e-6 of what they are, and one formula for every kind of observation.
+    """
+    poses = np.repeat(T_camera_link[None], 12, axis=0)
+    for column in range(3):
+        poses[2 * column, column, 3] += STEP
+        poses[2 * column + 1, column, 3] -= STEP
+    poses[6:, :3, :3] = TURNS @ T_camera_link[:3, :3]
+    residuals = observation.residual(poses)
+    if not np.all(np.isfinite(residuals)):
+        return np.full((residuals.shape[1], 6), np.nan)
+    return np.asarray((residuals[0::2] - residuals[1::2]).T / (2.0 * STEP))
+
+
+def chi_square_bound(freedom: int, z: float = GATE_Z) -> float:
+    """Quantile of the chi-square distribution at the normal quantile z (Wilson and Hilferty 1931)."""
+    c = 2.0 / (9.0 * freedom)
+    return float(freedom * (1.0 - c + z * np.sqrt(c)) ** 3)
