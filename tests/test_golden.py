@@ -19,6 +19,7 @@ from svmdist.workflows.truth import Reference
 from svmdist.workflows.validate import Validation, validate
 
 NAMES = ("approach", "calibration", "contact", "occlusion", "random", "sweep")
+NAMES_3D = ("contact", "duo")
 
 
 @pytest.fixture(scope="module")
@@ -40,17 +41,20 @@ def _score(validation: Validation, name: str, reference: Reference = Reference.G
 def test_hashes_in_the_readme_are_those_of_the_files(golden: Path) -> None:
     """Every log is listed with its SHA-256, and no other file claims to be one."""
     text = (golden / "README.md").read_text()
-    listed = dict(re.findall(r"`(\w+)\.mcap`.*?`([0-9a-f]{64})`", text))
-    found = {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in golden.glob("*.mcap")}
+    listed = dict(re.findall(r"^\| `([\w/]+)\.mcap` .*`([0-9a-f]{64})`", text, re.MULTILINE))
+    found = {
+        path.relative_to(golden).with_suffix("").as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in golden.rglob("*.mcap")
+    }
     assert listed == found
-    assert set(NAMES) <= set(found)
+    assert {*NAMES, *(f"3d/{name}" for name in NAMES_3D)} == set(found)
 
 
 def test_sizes(golden: Path) -> None:
-    """Each log has at least 40 frames and at most 6 MB; together they stay under 36 MB."""
-    sizes = [path.stat().st_size for path in golden.glob("*.mcap")]
-    assert max(sizes) <= 6_000_000
-    assert sum(sizes) <= 36_000_000
+    """A planar log has at most 6 MB, one in 3D 12 MB; all recordings together stay under 60 MB."""
+    sizes = {path: path.stat().st_size for path in golden.rglob("*.mcap")}
+    assert all(size <= (12e6 if path.parent.name == "3d" else 6e6) for path, size in sizes.items())
+    assert sum(path.stat().st_size for path in golden.rglob("*")) <= 60_000_000
 
 
 @pytest.mark.parametrize(
