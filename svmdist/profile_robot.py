@@ -124,6 +124,12 @@ class Fiducial(StrictModel):
         return self
 
     @property
+    def plate_side_m(self) -> float:
+        """Side of the plate, with a white margin of one cell around the black square."""
+        cells = {"16h5": 6, "25h9": 7, "36h10": 8, "36h11": 8}[self.family]
+        return self.size_m * (cells + 2) / cells
+
+    @property
     def T_link_tag(self) -> Array:
         """Where the tag is on its link, shape (4, 4)."""
         return make_transform(self.rotation, self.position_m)

@@ -152,13 +152,15 @@ class Rejection:
 class ToolState:
     """The instrument as a 3D method found it: `T_camera_tool`, (4, 4), with a covariance of (δp, δθ), (6, 6).
 
-    `axis` is the shaft's direction, shape (3,); `joints` bend the wrist, None where they are not known.
+    `axis` is the shaft's direction, shape (3,); `joints` bend the wrist, None where they are not known. `has_plate`
+    says that a fiducial's plate was seen on it.
     """
 
     T_camera_tool: Array
     covariance: Array
     axis: Array
     joints: JointSample | None
+    has_plate: bool = False
 
 
 @dataclass(frozen=True, slots=True)

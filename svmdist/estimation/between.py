@@ -23,7 +23,9 @@ def with_clearance_between(
     """
     poses = [_pose(row) if model is not None else None for row, model in zip(rows, models, strict=True)]
     bodies = [
-        model.posed(pose, row.tool_state.joints) if model and pose and row.tool_state else None
+        model.posed(pose, row.tool_state.joints, row.tool_state.has_plate)
+        if model and pose and row.tool_state
+        else None
         for row, model, pose in zip(rows, models, poses, strict=True)
     ]
     filled = []

@@ -26,11 +26,12 @@ def measure(
     model: InstrumentModel | None = None,
     joints: JointSample | None = None,
     camera: Camera | None = None,
+    has_plate: bool = False,
 ) -> Estimate:
     """Fill the row with what the pose and the tissue tell; without a model there is no clearance.
 
     `joints` bend the model's wrist; without them it is straight along the shaft. With a `camera` the row tells
-    where the tool is in the image.
+    where the tool is in the image. `has_plate` says that the profile's tag, and so its plate, is on the instrument.
     """
     if not (np.all(np.isfinite(pose.T_camera_tool)) and np.all(np.isfinite(pose.covariance))):
         return replace(row, status=Status.NOT_FINITE)
@@ -49,14 +50,14 @@ def measure(
         spatial_std_m=spatial_std_m,
         tool_position_m=as_vector(pose.position_m),
         tool_axis=as_vector(pose.axis),
-        tool_state=ToolState(pose.T_camera_tool, pose.covariance, pose.axis, joints),
+        tool_state=ToolState(pose.T_camera_tool, pose.covariance, pose.axis, joints, has_plate),
     )
     if camera is not None and pose.position_m[2] > 0.0:
         x_px, y_px = (float(value) for value in camera.project(pose.position_m)[0])
         row = replace(row, tool_x_px=x_px, tool_y_px=y_px)
     if model is None:
         return row
-    gap = separation(model.posed(pose, joints), tissue.surface)
+    gap = separation(model.posed(pose, joints, has_plate), tissue.surface)
     return replace(
         row,
         clearance_m=gap.distance_m,

@@ -66,4 +66,6 @@ class FiducialEstimator:
 
         # Through mounting and wrist to the tool, and the distances from there.
         pose = tool_behind_tag(tag, self._fiducial, self._chain, q, self._profile.kinematic_error)
-        return measure(row, pose, sight.fix, self._model, observation.joints, observation.camera)
+        return measure(
+            row, pose, sight.fix, self._model, observation.joints, observation.camera, has_plate=True
+        )

@@ -47,4 +47,5 @@ class FusedEstimator:
         joints = JointSample(
             observation.stamp_ns, self._scene.chain.joint_names, self._filter.corrected_joints()
         )
-        return self._scene.finish(row, self._filter.tool_pose(), look.tissue, observation.camera, joints)
+        pose, camera = self._filter.tool_pose(), observation.camera
+        return self._scene.finish(row, pose, look.tissue, camera, joints, self._sights.has_seen_tag)

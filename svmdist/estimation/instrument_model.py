@@ -12,12 +12,12 @@ import numpy as np
 
 from svmdist.errors import KinematicsError
 from svmdist.estimation.pose import ToolPose
-from svmdist.geometry.surfaces import Capsules
+from svmdist.geometry.surfaces import Capsules, join
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, frame_transforms, select_joints
-from svmdist.kinematics.jacobian import joint_axis
+from svmdist.kinematics.jacobian import joint_axis, row_index
 from svmdist.kinematics.wrist import WristRows, wrist_rows
-from svmdist.profile import Instrument, Profile
+from svmdist.profile import Fiducial, Instrument, Profile
 from svmdist.samples import JointSample
 from svmdist.transforms import Array, inverse, transform_points
 
@@ -34,6 +34,8 @@ BLADE_RODS = (
 )
 """A tapering blade, wider than thick: where a rod begins and ends over the jaw's length, how far beside the middle
 it lies and how thick it is, both over the jaw's radius. The last one ends with its cap."""
+PLATE_RADIUS_M, PLATE_RODS = 0.0003, 7
+"""Half of the thickness of a printed plate; rods 1.4 mm apart stand in for one of 9 mm."""
 BLADE_OFFSET = 0.55
 """A blade's middle plane stands this many radii of the jaw outside the plane where the jaws meet."""
 
@@ -63,32 +65,49 @@ class Wrist:
 class InstrumentModel:
     """Capsules of one instrument."""
 
-    def __init__(self, instrument: Instrument, chain: DHChain | None) -> None:
+    def __init__(
+        self, instrument: Instrument, chain: DHChain | None, fiducial: Fiducial | None = None
+    ) -> None:
         self._instrument = instrument
         self._chain = chain if chain is not None and wrist_rows(chain) is not None else None
+        self._fiducial = fiducial
 
     @classmethod
     def of(cls, profile: Profile) -> InstrumentModel | None:
         """The profile's instrument; None where it has none."""
         if profile.instrument is None:
             return None
-        return cls(profile.instrument, chain_of(profile.robot) if profile.robot else None)
+        chain = chain_of(profile.robot) if profile.robot else None
+        return cls(profile.instrument, chain, profile.fiducial)
 
-    def posed(self, pose: ToolPose, joints: JointSample | None = None) -> Capsules:
-        """Capsules in the camera frame: with the wrist as the joints bend it, or straight without joints."""
-        bent = self.bent_wrist(joints)
-        wrist = self._straight_wrist(pose) if bent is None else moved(bent, pose.T_camera_tool)
-        return build_capsules(self._instrument, wrist)
+    def posed(self, pose: ToolPose, joints: JointSample | None = None, has_plate: bool = False) -> Capsules:
+        """Capsules in the camera frame: with the wrist as the joints bend it, or straight without joints.
+
+        `has_plate` adds the plate of the profile's fiducial, where joints tell how its link stands.
+        """
+        q = self._joints(joints)
+        if self._chain is None or q is None:
+            return build_capsules(self._instrument, self._straight_wrist(pose))
+        body = build_capsules(self._instrument, moved(wrist_in_tool(self._chain, q), pose.T_camera_tool))
+        if not has_plate or self._fiducial is None:
+            return body
+        frames = frame_transforms(self._chain, q)
+        T_base_link = frames[row_index(self._chain, self._fiducial.link)]
+        T_tool_tag = inverse(frames[-1] @ self._chain.T_last_tool) @ T_base_link @ self._fiducial.T_link_tag
+        return join(body, plate_capsules(self._fiducial).transformed(pose.T_camera_tool @ T_tool_tag))
 
     def bent_wrist(self, joints: JointSample | None) -> Wrist | None:
         """The wrist in the tool frame; None without a chain or without its joints."""
+        q = self._joints(joints)
+        return None if self._chain is None or q is None else wrist_in_tool(self._chain, q)
+
+    def _joints(self, joints: JointSample | None) -> Array | None:
         if self._chain is None or joints is None:
             return None
         try:
-            q = select_joints(self._chain, joints.names, joints.positions)
+            return select_joints(self._chain, joints.names, joints.positions)
         except KinematicsError:
             return None
-        return wrist_in_tool(self._chain, q)
 
     def _straight_wrist(self, pose: ToolPose) -> Wrist:
         tool_m, axis, length_m = pose.position_m, pose.axis, self._wrist_length_m()
@@ -181,6 +200,15 @@ def build_capsules(instrument: Instrument, wrist: Wrist) -> Capsules:
         rods += _blade(instrument, tool, jaw)
     starts, ends, radii = zip(*rods, strict=True)
     return Capsules(np.array(starts), np.array(ends), np.array(radii))
+
+
+def plate_capsules(fiducial: Fiducial) -> Capsules:
+    """A tag's plate in the tag's frame, as rods side by side under its face at z = 0."""
+    half_m = 0.5 * fiducial.plate_side_m - PLATE_RADIUS_M
+    across_m = np.linspace(-half_m, half_m, PLATE_RODS)
+    low = np.full(PLATE_RODS, -PLATE_RADIUS_M)
+    starts, ends = (np.stack([np.full(PLATE_RODS, end_m), across_m, low], -1) for end_m in (-half_m, half_m))
+    return Capsules(starts, ends, np.full(PLATE_RODS, PLATE_RADIUS_M))
 
 
 def _blade(instrument: Instrument, tool: Array, jaw: Jaw) -> list[tuple[Array, Array, float]]:

@@ -60,13 +60,21 @@ class RobotScene:
         return Look(row, masks, belief, tissue)
 
     def finish(
-        self, row: Estimate, pose: ToolPose, tissue: TissueFix | None, camera: Camera, joints: JointSample
+        self,
+        row: Estimate,
+        pose: ToolPose,
+        tissue: TissueFix | None,
+        camera: Camera,
+        joints: JointSample,
+        has_plate: bool = False,
     ) -> Estimate:
         """The row with the tool's place in the image, and the distances where the tissue is known."""
         if pose.position_m[2] > 0.0:
             x_px, y_px = (float(value) for value in camera.project(pose.position_m)[0])
             row = replace(row, tool_x_px=x_px, tool_y_px=y_px)
-        return row if tissue is None else measure(row, pose, tissue, self._model, joints)
+        if tissue is None:
+            return row
+        return measure(row, pose, tissue, self._model, joints, has_plate=has_plate)
 
 
 def require_chain(profile: Profile) -> DHChain:

@@ -36,7 +36,7 @@ UNKNOWN_BEND_RAD = 0.4
 
 
 class ShaftEstimator:
-    """`--method shaft`: one observation in, one estimate out; keeps nothing between frames."""
+    """`--method shaft`: one observation in, one estimate out; keeps only whether it saw the tag's plate."""
 
     name = "shaft"
 
@@ -56,6 +56,7 @@ class ShaftEstimator:
         self._model = InstrumentModel.of(profile)
         tag = profile.fiducial
         self._finder = TagFinder(tag.family, tag.id) if tag is not None else None
+        self.has_seen_tag = False
 
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame; a frame that cannot be measured says why."""
@@ -74,7 +75,7 @@ class ShaftEstimator:
         if not std_m <= MAX_STD_M:
             detail = f"the position is uncertain by {std_m * 1e3:.1f} mm"
             return replace(row, status=Status.NO_INSTRUMENT, detail=detail)
-        return measure(row, fit.pose, sight.fix, self._model, observation.joints, camera)
+        return measure(row, fit.pose, sight.fix, self._model, observation.joints, camera, self.has_seen_tag)
 
     def find_tool(self, observation: Observation) -> ShaftFit | str:
         """The tool's pose in one frame, or why there is none, in words."""
@@ -108,6 +109,7 @@ class ShaftEstimator:
         )
         if corners_px is None:
             return None
+        self.has_seen_tag = True
         return tag_plate(corners_px, image_bgr.shape[:2])
 
 

@@ -34,7 +34,7 @@ GRID_STEP_PX = 5
 
 
 class StereoEstimator:
-    """One observation with both views in, one estimate out; keeps nothing between frames."""
+    """One observation with both views in, one estimate out; keeps only whether it saw the tag's plate."""
 
     name = "stereo"
 
@@ -74,7 +74,8 @@ class StereoEstimator:
             return replace(
                 row, status=Status.NO_STEREO, detail="the views do not agree on the tissue's surface"
             )
-        return measure(row, pose, fix, self._model, observation.joints, observation.camera)
+        has_plate = self._shaft is not None and self._shaft.has_seen_tag
+        return measure(row, pose, fix, self._model, observation.joints, observation.camera, has_plate)
 
     def _tool(
         self, observation: Observation, view: RightView, pair: RectifiedPair, masks: tuple[Masks, Masks]

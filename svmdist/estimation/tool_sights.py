@@ -69,6 +69,8 @@ class ToolSights:
         tag = profile.fiducial
         self._finder = TagFinder(tag.family, tag.id) if tag else None
         self._pattern = TagPattern(tag.family, tag.id, tag.size_m) if tag else None
+        self.has_seen_tag = False
+        """Whether any frame so far showed the tag: then its plate is on the instrument."""
 
     def see(
         self, observation: Observation, look: Look, pose: ToolPose
@@ -76,6 +78,7 @@ class ToolSights:
         """The instrument's region and all observations of the tool; `pose` is where it is expected."""
         region = locate_instrument(look.masks, self._profile.segmentation)
         corners_px = self._tag_corners(observation.image_bgr)
+        self.has_seen_tag |= corners_px is not None
         seen: list[LinkObservation] = []
         if region is not None:
             seen += self._knuckle(observation, region, pose)

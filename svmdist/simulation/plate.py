@@ -52,9 +52,8 @@ def make_plate(fiducial: Fiducial) -> Plate:
     cells = cv2.aruco.generateImageMarker(dictionary, fiducial.id, cell_count)
     with_margin = np.pad(np.where(cells > 0, WHITE, BLACK).astype(np.uint8), 1, constant_values=WHITE)
     texture = with_margin.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
-    side_m = fiducial.size_m * (cell_count + 2) / cell_count
     texture_bgr = np.repeat(texture[..., None], 3, axis=2)
-    return Plate(_box(side_m), texture_bgr, fiducial.link, fiducial.T_link_tag)
+    return Plate(_box(fiducial.plate_side_m), texture_bgr, fiducial.link, fiducial.T_link_tag)
 
 
 def _box(side_m: float) -> Mesh:

@@ -7,10 +7,14 @@ import pytest
 
 from svmdist.errors import KinematicsError
 from svmdist.estimation.instrument_model import InstrumentModel, build_capsules, wrist_in_tool
+from svmdist.estimation.pose import ToolPose
+from svmdist.geometry.surfaces import Capsules
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, forward_kinematics
 from svmdist.kinematics.wrist import wrist_rows
 from svmdist.profile import load_profile
+from svmdist.samples import JointSample
+from svmdist.simulation.extras import Extras
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import inverse, transform_points
 
@@ -52,6 +56,36 @@ def test_capsules_reach_as_far_as_the_meshes() -> None:
     assert len(errors) > 800
     assert np.sqrt(np.mean(np.square(errors))) < 6e-5
     assert np.abs(errors).max() < 4e-4
+
+
+def test_a_tags_plate_is_a_part_of_the_instrument_where_it_was_seen() -> None:
+    """Beside the shaft it reaches as far as the plate's mesh, to 0.05 mm along any direction that ends on it."""
+    scene = make_scene(PROFILE, 3, Extras(tag=True))
+    assert scene.plate is not None
+    model = InstrumentModel.of(PROFILE)
+    assert model is not None
+    q = bent(np.random.default_rng(6))
+    T_camera_tool = scene.T_camera_base @ forward_kinematics(scene.chain, q)
+    pose = ToolPose(T_camera_tool, np.zeros((6, 6)), T_camera_tool[:3, 0])
+    joints = JointSample(0, scene.chain.joint_names, q)
+    plain, plated = (model.posed(pose, joints, has_plate) for has_plate in (False, True))
+    T_camera_plate = (
+        inverse(scene.T_world_camera) @ scene.link_poses(q)[scene.plate.link] @ scene.plate.T_link_tag
+    )
+    corners = transform_points(T_camera_plate, scene.plate.mesh.vertices_m)
+
+    def reach(capsules: Capsules, d: np.ndarray) -> float:
+        return float((np.maximum(capsules.start_m @ d, capsules.end_m @ d) + capsules.radius_m).max())
+
+    # Out of the plate, and along its sides: 6 directions, of which some end on the plate.
+    ends_on_plate = 0
+    for d in [*T_camera_plate[:3, :3].T, *-T_camera_plate[:3, :3].T]:
+        if (corners @ d).max() > reach(plain, d):
+            ends_on_plate += 1
+            assert reach(plated, d) == pytest.approx((corners @ d).max(), abs=5e-5)
+        else:
+            assert reach(plated, d) == reach(plain, d)
+    assert ends_on_plate >= 2
 
 
 def test_open_jaws_stand_apart() -> None:
