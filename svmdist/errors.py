@@ -49,6 +49,8 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
     'did you mean sweep? The choices are: approach, sweep'
     """
     known = sorted(choices)
-    listed = f"The choices are: {', '.join(known)}" if known else "There are none to choose from"
+    if not known:
+        return "there are none to choose from"
+    listed = f"he choices are: {', '.join(known)}"
     nearest = get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {nearest[0]}? {listed}" if nearest else listed
+    return f"did you mean {nearest[0]}? T{listed}" if nearest else f"t{listed}"

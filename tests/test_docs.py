@@ -41,6 +41,55 @@ def test_readme_table_is_what_is_measured() -> None:
             assert abs(float(x) - float(y)) <= 1.01 * unit, (a, b)
 
 
+def _tables(text: str) -> dict[str, list[list[str]]]:
+    """The cells of each table's rows, by the heading above it."""
+    tables: dict[str, list[list[str]]] = {}
+    heading = ""
+    for line in text.splitlines():
+        if line.startswith("#"):
+            heading = line.strip("# ")
+        elif line.startswith("| "):
+            tables.setdefault(heading, []).append([cell.strip() for cell in line.strip("|").split("|")])
+    return tables
+
+
+def test_tables_in_3d_agree_with_each_other_and_with_the_baseline() -> None:
+    """The README shows the first table of docs/results.md; there, the rows of `fused` are what the baseline stores."""
+    from svmdist.workflows.baseline import load_baseline
+    from tools.docs_3d import ALL, HEADER, LOGS
+    from tools.make_docs import MARKS_3D
+
+    begin, end = MARKS_3D
+    in_readme, in_results = (
+        (REPOSITORY / name).read_text("utf-8").partition(begin)[2].partition(end)[0]
+        for name in ("README.md", "docs/results.md")
+    )
+    tables = _tables(in_results)
+    assert in_readme.lstrip().startswith(HEADER)
+    assert _tables(in_readme)[""] == tables[ALL.strip("# \n")]
+    stored = {
+        score.recording: score
+        for score in load_baseline(REPOSITORY / "recordings" / "3d" / "baseline.json").scores
+    }
+    (alarms,) = (rows for heading, rows in tables.items() if heading.startswith("Alarms"))
+    assert {row[0] for row in alarms[1:]} == set(stored)
+    for name, *_, safe_alarmed, _, _ in alarms[1:]:
+        assert float(safe_alarmed.rstrip(" %")) == pytest.approx(
+            100.0 * (stored[name].false_alarm_fraction or 0.0), abs=0.06
+        )
+    logs = [name for name in stored if not name.startswith("overall")]
+    assert {name.split()[0] for name in logs} == set(LOGS)
+    for name in logs:
+        (fused,) = (row for row in tables[name] if row[0] == "`fused`")
+        measured, frames = map(int, fused[1].split(" / "))
+        assert measured / frames == stored[name].coverage
+        for shown, kept_m in (
+            (fused[2], stored[name].spatial_rmse_m),
+            (fused[5], stored[name].clearance_rmse_m),
+        ):
+            assert float(shown) == pytest.approx(1e3 * (kept_m or 0.0), abs=0.0051)
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(REPOSITORY)))
 def test_links_lead_somewhere(document: Path) -> None:
     """Every relative link of a document names a file that is there."""

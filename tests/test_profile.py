@@ -280,8 +280,8 @@ def test_the_nearest_name_comes_first(name):
 
 def test_a_name_like_none_gets_the_choices_alone():
     """Without a near name the choices are listed in order; without choices it says that."""
-    assert did_you_mean("xyz", ["b", "a"]) == "The choices are: a, b"
-    assert did_you_mean("xyz", []) == "There are none to choose from"
+    assert did_you_mean("xyz", ["b", "a"]) == "the choices are: a, b"
+    assert did_you_mean("xyz", []) == "there are none to choose from"
 
 
 def test_limits_are_numbers_of_bytes_or_text_with_a_unit(tmp_path):

@@ -1,7 +1,7 @@
 """Remake what the documentation shows of the golden logs: the README's table and pictures, docs/results.md.
 
-Run `uv run python tools/make_docs.py` after a change that moves figures; a test holds the README's table
-against what is measured.
+Run `uv run python -m tools.make_docs` after a change that moves figures, with `planar` or `3d` for one half of it;
+tests hold the README's tables against what is measured.
 """
 
 from __future__ import annotations
@@ -27,11 +27,17 @@ from svmdist.workflows.score import Score
 from svmdist.workflows.setup import Setup, prepare
 from svmdist.workflows.truth import Reference
 from svmdist.workflows.validate import Validation, validate
+from tools.docs_3d import make_results_3d, measure_logs, score_alarms, table_of_all
+from tools.scene_picture import save_scene_picture
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "images"
 LOGS = ("calibration", "sweep", "approach", "contact", "occlusion", "random")
+README, RESULTS = ROOT / "README.md", ROOT / "docs" / "results.md"
 BEGIN, END = "<!-- results:begin -->", "<!-- results:end -->"
+MARKS_3D = ("<!-- results-3d:begin -->", "<!-- results-3d:end -->")
+SCENE_FRAME = 60
+"""A frame of the log of two instruments that shows both, one of them 5 mm over the organ."""
 
 
 def results_table(validation: Validation, reference: Reference = Reference.GROUND_TRUTH) -> str:
@@ -67,7 +73,7 @@ def _markdown_row(score: Score) -> str:
 def annotate(observation: Observation, row: Estimate, setup: Setup) -> Image:
     """Draw what the estimator saw: tissue and instrument, the marker's outline, the line that is measured."""
     picture = observation.image_bgr.copy()
-    tissue, instrument = locate_both(picture, setup.profile.segmentation)
+    tissue, instrument = locate_both(setup.segmenter.masks(picture), setup.profile.segmentation)
     assert tissue is not None
     assert instrument is not None
     tool_px = np.array([row.tool_x_px, row.tool_y_px], np.float64)
@@ -113,11 +119,12 @@ def score_logs(setup: Setup, names: Sequence[str] = LOGS) -> Validation:
     return validate(recordings, setup)
 
 
-def with_table(readme: str, table: str) -> str:
-    """The README with its table replaced."""
-    head, _, rest = readme.partition(BEGIN)
-    _, _, tail = rest.partition(END)
-    return f"{head}{BEGIN}\n{table}{END}{tail}"
+def with_table(text: str, table: str, marks: tuple[str, str] = (BEGIN, END)) -> str:
+    """A document with what stands between the marks replaced."""
+    begin, end = marks
+    head, _, rest = text.partition(begin)
+    _, _, tail = rest.partition(end)
+    return f"{head}{begin}\n{table}{end}{tail}"
 
 
 def blur_table(setup: Setup) -> str:
@@ -159,18 +166,39 @@ def make_results(overlay: Validation, setup: Setup) -> str:
     )
 
 
-def main() -> None:
-    """Remake everything."""
+def make_planar() -> None:
+    """Remake the tables and pictures of the planar logs."""
     setup = prepare()
-    IMAGES.mkdir(parents=True, exist_ok=True)
     make_frame_picture(setup, IMAGES / "frame.png")
     validation = score_logs(setup)
     save_plot(validation, IMAGES / "validation.png")
-    readme = ROOT / "README.md"
-    readme.write_text(with_table(readme.read_text("utf-8"), results_table(validation)), "utf-8")
-    results = ROOT / "docs" / "results.md"
-    results.write_text(with_table(results.read_text("utf-8"), make_results(validation, setup)), "utf-8")
-    print(f"remade {IMAGES}, {readme} and {results}", file=sys.stderr)
+    _rewrite(README, results_table(validation))
+    _rewrite(RESULTS, make_results(validation, setup))
+
+
+def make_3d() -> None:
+    """Remake the tables and the picture of the logs in 3D."""
+    setup = prepare(method="fused")
+    duo = open_recording(ROOT / "recordings" / "3d" / "duo.mcap", setup.profile)
+    save_scene_picture(duo, setup, SCENE_FRAME, IMAGES / "scene.jpg")
+    runs = measure_logs()
+    _rewrite(README, table_of_all(runs), MARKS_3D)
+    _rewrite(RESULTS, make_results_3d(runs, score_alarms()), MARKS_3D)
+
+
+def _rewrite(document: Path, table: str, marks: tuple[str, str] = (BEGIN, END)) -> None:
+    document.write_text(with_table(document.read_text("utf-8"), table, marks), "utf-8")
+
+
+def main() -> None:
+    """Remake everything, or the halves that are named."""
+    IMAGES.mkdir(parents=True, exist_ok=True)
+    halves = {"planar": make_planar, "3d": make_3d}
+    for name in sys.argv[1:] or halves:
+        if name not in halves:
+            raise SystemExit(f"no half {name}: the choices are {', '.join(halves)}")
+        halves[name]()
+    print(f"remade {IMAGES}, {README} and {RESULTS}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from svmdist.cli.console import report_health, require_output_folder, say
-from svmdist.cli.options import Files, Method, MethodOption, ProfileOption, TopicOption, topics_of
+from svmdist.cli.options import Files, PlanarMethod, ProfileOption, TopicOption, topics_of
 from svmdist.errors import UsageError
 
 
@@ -20,7 +20,9 @@ def calibrate_command(
             "--output", "-o", metavar="FILE.toml", help="Calibration file to write.", show_default=False
         ),
     ],
-    method: MethodOption = Method.OVERLAY,
+    method: Annotated[
+        PlanarMethod, typer.Option("--method", help="The planar method that is to use the mapping.")
+    ] = PlanarMethod.OVERLAY,
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,

@@ -27,7 +27,10 @@ def compare_command(
     method: Annotated[
         list[Method] | None,
         typer.Option(
-            "--method", help="A method to compare; may be repeated. Default: all.", show_default=False
+            "--method",
+            metavar="|".join(Method),
+            help="A method to compare; may be repeated. Default: all.",
+            show_default=False,
         ),
     ] = None,
     degrade: Annotated[

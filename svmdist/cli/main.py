@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typer.core import TyperGroup
 
 from svmdist.cli import blur_bench, calibrate, compare, estimate, fk, info, record, validate
 from svmdist.cli.console import ExitCode, say
-from svmdist.errors import SvmdistError, UsageError
+from svmdist.errors import SvmdistError, UsageError, did_you_mean
 
 
 class Commands(TyperGroup):
@@ -20,12 +21,12 @@ class Commands(TyperGroup):
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
         """Read the command line."""
-        with _interruptible():
+        with _interruptible(), _plain_choices():
             return super().make_context(*args, **kwargs)
 
     def invoke(self, *args: Any, **kwargs: Any) -> Any:
         """Run a subcommand."""
-        with _interruptible():
+        with _interruptible(), _plain_choices():
             return super().invoke(*args, **kwargs)
 
 
@@ -37,6 +38,19 @@ def _interruptible() -> Iterator[None]:
     except KeyboardInterrupt:
         say("svmdist: interrupted")
         sys.exit(ExitCode.INTERRUPTED)
+
+
+@contextmanager
+def _plain_choices() -> Iterator[None]:
+    """Tell a wrong choice as everything else here does, the nearest one first, in place of Typer's words."""
+    try:
+        yield
+    except typer.BadParameter as problem:
+        found = re.fullmatch(r"(?:Value error, )?'(.*)' is not one of (.*)\.", problem.message)
+        if found:
+            name, choices = found[1], re.findall(r"'([^']*)'", found[2])
+            problem.message = f"{name}: {did_you_mean(name, choices)}"
+        raise
 
 
 app = typer.Typer(

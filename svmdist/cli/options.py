@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Method(StrEnum):
-    """`--method`: the paper's, or its ablation."""
+    """`--method`: the paper's, its ablation, and those in 3D."""
 
     OVERLAY = "overlay"
     CENTROID = "centroid"
@@ -24,6 +24,13 @@ class Method(StrEnum):
     STEREO = "stereo"
     KINEMATIC = "kinematic"
     FUSED = "fused"
+
+
+class PlanarMethod(StrEnum):
+    """`--method` where only the paper's and its ablation make sense."""
+
+    OVERLAY = "overlay"
+    CENTROID = "centroid"
 
 
 class EquationsChoice(StrEnum):
@@ -56,7 +63,7 @@ Files = Annotated[
 OptionalFiles = Annotated[
     list[Path] | None,
     typer.Argument(
-        metavar="[FILE]...", help="Recordings; without any, every .mcap in recordings/.", show_default=False
+        metavar="FILE", help="Recordings; without any, every .mcap in recordings/.", show_default=False
     ),
 ]
 TopicOption = Annotated[
@@ -79,7 +86,11 @@ InstrumentOption = Annotated[
 ]
 MethodOption = Annotated[
     Method,
-    typer.Option("--method", help="overlay: the paper's virtual marker; centroid: the same without marker."),
+    typer.Option(
+        "--method",
+        help="overlay: the paper's virtual marker, in the plane; centroid: the same without marker."
+        " The others measure in 3D: by tag, shaft, two cameras, kinematics, or all of them fused.",
+    ),
 ]
 EquationsOption = Annotated[
     EquationsChoice,

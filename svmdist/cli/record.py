@@ -36,12 +36,22 @@ def record_command(
     scenario: Annotated[
         ScenarioName, typer.Option("--scenario", help="What the instrument does.")
     ] = ScenarioName.SWEEP,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Same seed, same content.")] = 1,
-    duration: Annotated[float, typer.Option("--duration", min=0.2, max=3600.0, help="Length in s.")] = 8.0,
-    rate: Annotated[float, typer.Option("--rate", min=0.5, max=60.0, help="Images per second.")] = 10.0,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Same seed, same content.")] = 1,
+    duration: Annotated[
+        float, typer.Option("--duration", metavar="SECONDS", min=0.2, max=3600.0, help="Length.")
+    ] = 8.0,
+    rate: Annotated[
+        float, typer.Option("--rate", metavar="HZ", min=0.5, max=60.0, help="Images per second.")
+    ] = 10.0,
     noise: Annotated[
         float,
-        typer.Option("--noise", min=0.0, max=50.0, help="Sensor noise, standard deviation in 8-bit levels."),
+        typer.Option(
+            "--noise",
+            metavar="LEVELS",
+            min=0.0,
+            max=50.0,
+            help="Sensor noise, standard deviation in 8-bit levels.",
+        ),
     ] = 0.0,
     stereo: Annotated[
         bool, typer.Option("--stereo", help="Add the right camera: /ECM/right/image and its camera_info.")
@@ -53,6 +63,7 @@ def record_command(
         int,
         typer.Option(
             "--arms",
+            metavar="N",
             min=1,
             max=2,
             help="2 adds the profile's second instrument, whose picture crosses the first one's at times.",

@@ -86,6 +86,7 @@ TruthOption = Annotated[
     list[TruthChoice] | None,
     typer.Option(
         "--truth",
+        metavar="|".join(TruthChoice),
         help="Reference to compare with; may be repeated. Default: all the log has.",
         show_default=False,
     ),
@@ -102,7 +103,11 @@ TruthTfOption = Annotated[
 MaxGapOption = Annotated[
     float,
     typer.Option(
-        "--max-gap", min=0.0, max=60.0, help="Longest gap in the truth to interpolate across, in s."
+        "--max-gap",
+        metavar="SECONDS",
+        min=0.0,
+        max=60.0,
+        help="Longest gap in the truth to interpolate across.",
     ),
 ]
 
@@ -147,6 +152,10 @@ def validate_command(
 
     for target in (output, save_plot, write_baseline):
         require_output_folder(target)
+    if save_plot:
+        from svmdist.report.plot import plot_format
+
+        plot_format(save_plot)  # before the work rather than after it
     alarms = alarm_rules(alarm_below, alarm_confidence, method.value)
     paths = files_or_golden(files)
     stored = load_baseline(baseline) if baseline else None

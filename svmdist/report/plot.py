@@ -31,11 +31,8 @@ def save_plot(validation: Validation, path: Path, reference: Reference | None = 
     scores = _scores_to_draw(validation, reference)
     if not scores:
         raise OutputError(f"{path}: nothing to draw: no recording was compared with {reference}")
+    suffix = plot_format(path)
     figure = draw(scores)
-    formats = set(figure.canvas.get_supported_filetypes()) - {"pgf"}  # which needs a TeX installation
-    suffix = path.suffix.lstrip(".").lower()
-    if suffix not in formats:
-        raise OutputError(f"{path}: cannot draw a .{suffix}: the choices are {', '.join(sorted(formats))}")
     try:
         # SVG ids and dates would differ between two runs on the same data.
         with mpl.rc_context({"svg.hashsalt": "svmdist"}), warnings.catch_warnings():
@@ -44,6 +41,15 @@ def save_plot(validation: Validation, path: Path, reference: Reference | None = 
             figure.savefig(path, dpi=150, metadata={"Date": None} if suffix == "svg" else None)
     except OSError as problem:
         raise OutputError(f"{path}: cannot write: {problem.strerror or problem}") from None
+
+
+def plot_format(path: Path) -> str:
+    """The format of a path's suffix; raises OutputError, which lists the choices, for one matplotlib cannot write."""
+    formats = set(Figure().canvas.get_supported_filetypes()) - {"pgf"}  # which needs a TeX installation
+    suffix = path.suffix.lstrip(".").lower()
+    if suffix not in formats:
+        raise OutputError(f"{path}: cannot draw a .{suffix}: the choices are {', '.join(sorted(formats))}")
+    return suffix
 
 
 def draw(scores: Sequence[Score]) -> Figure:

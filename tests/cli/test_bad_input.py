@@ -43,6 +43,24 @@ def test_unusable_file(cli: Cli, tmp_path: Path, name: str, content: bytes | Non
     assert said.lower() in line.lower()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("estimate", "x.mcap", "--method", "fuse"), "fuse: did you mean fused? The choices are: centroid"),
+        (("record", "--scenario", "swep"), "swep: did you mean sweep? The choices are: approach"),
+        (
+            ("calibrate", "x.mcap", "-o", "a.toml", "--method", "fused"),
+            "fused: the choices are: centroid, overlay",
+        ),
+    ],
+)
+def test_wrong_choice_names_the_nearest(cli: Cli, arguments: tuple[str, ...], said: str) -> None:
+    """An option's wrong choice is wrong usage, and the nearest right one is named."""
+    outcome = cli(*arguments)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert said in outcome.err
+
+
 def test_missing_topic_lists_the_topics(cli: Cli, tmp_path: Path) -> None:
     """A log without images names what is missing and the topics that there are."""
 

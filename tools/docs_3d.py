@@ -1,0 +1,116 @@
+"""The documentation's tables of the golden logs in 3D: methods side by side, and the alarms of `fused`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+
+from svmdist.estimation.alarms import AlarmRules
+from svmdist.estimation.methods import SPATIAL_METHODS
+from svmdist.recording.reader import Recording, open_recording
+from svmdist.workflows.distance_scores import DistanceScore
+from svmdist.workflows.replay import Figures, Run, pooled_figures, replay
+from svmdist.workflows.score import Score
+from svmdist.workflows.setup import prepare
+from svmdist.workflows.truth import Reference, TruthRules
+from svmdist.workflows.validate import Validation, validate
+
+RECORDINGS = Path(__file__).resolve().parent.parent / "recordings" / "3d"
+LOGS = ("contact", "duo")
+ALARMS = AlarmRules(5e-3)
+HEADER = (
+    "| method | n / frames | spatial RMSE [mm] | p95 [mm] | in 95 % | clearance RMSE [mm] | p95 [mm] | in 95 % | ms |\n"
+    "|---|---|---|---|---|---|---|---|---|\n"
+)
+ALL = "### All methods in 3D, both logs and all instruments\n"
+
+
+def measure_logs() -> list[Run]:
+    """Every method in 3D on the golden logs, one run a method, log and instrument, timed by one core's work."""
+    cv2.setNumThreads(1)
+    setups = [prepare(method=method) for method in SPATIAL_METHODS]
+    recordings = [open_recording(RECORDINGS / f"{name}.mcap", setups[0].profile) for name in LOGS]
+    return list(replay(recordings, setups, clock=time.process_time))
+
+
+def score_alarms() -> Validation:
+    """`fused` on the golden logs, with its alarms."""
+    setup = prepare(method="fused")
+    recordings = [open_recording(RECORDINGS / f"{name}.mcap", setup.profile) for name in LOGS]
+    return validate(recordings, setup, TruthRules((Reference.GROUND_TRUTH,)), alarms=ALARMS)
+
+
+def table_of_all(runs: Sequence[Run]) -> str:
+    """The table over both logs and all instruments, as the README shows it too."""
+    return _table(runs)
+
+
+def make_results_3d(runs: Sequence[Run], alarms: Validation) -> str:
+    """The generated part of docs/results.md about the logs in 3D."""
+    parts = [ALL, _table(runs)]
+    for recording, instrument in dict.fromkeys((run.recording, run.instrument) for run in runs):
+        members = [run for run in runs if (run.recording, run.instrument) == (recording, instrument)]
+        parts += [f"### {_label(recording, instrument)}\n", _table(members)]
+    parts += [f"### Alarms of `fused`, clearance below {ALARMS.below_m * 1e3:g} mm\n", _alarm_table(alarms)]
+    return "\n".join(parts)
+
+
+def _label(recording: Recording, instrument: str) -> str:
+    """What `validate` calls the scores of this instrument."""
+    return recording.name if instrument == recording.instruments[0] else f"{recording.name} {instrument}"
+
+
+def _table(runs: Sequence[Run]) -> str:
+    methods = dict.fromkeys(run.method for run in runs)
+    rows = (_row(method, pooled_figures([run for run in runs if run.method == method])) for method in methods)
+    return HEADER + "".join(rows)
+
+
+def _row(method: str, figures: Figures) -> str:
+    cells = (
+        f"`{method}`",
+        f"{figures.measured_count} / {figures.frame_count}",
+        *_distance_cells(figures.spatial),
+        *_distance_cells(figures.clearance),
+        f"{figures.ms_per_frame:.0f}",
+    )
+    return f"| {' | '.join(cells)} |\n"
+
+
+def _distance_cells(score: DistanceScore | None) -> tuple[str, str, str]:
+    assert score is not None
+    assert score.interval_coverage is not None
+    rmse_m, p95_m = score.statistics.rmse, score.statistics.p95_abs_error
+    return f"{rmse_m * 1e3:.2f}", f"{p95_m * 1e3:.2f}", f"{score.interval_coverage * 100:.0f} %"
+
+
+def _alarm_table(validation: Validation) -> str:
+    lines = [
+        "| log | unsafe / frames | recall | precision | safe alarmed | false alarms / min | least lead [s] |",
+        "|---|---|---|---|---|---|---|",
+        *(_alarm_row(score) for score in (*validation.scores, *validation.overall)),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _alarm_row(score: Score) -> str:
+    alarms = score.alarms
+    assert alarms is not None
+    least_s = alarms.min_lead_s
+    cells = (
+        score.recording,
+        f"{alarms.unsafe_count} / {alarms.frame_count}",
+        _share(alarms.recall),
+        _share(alarms.precision),
+        _share(alarms.false_alarm_fraction),
+        "–" if alarms.false_alarms_per_minute is None else f"{alarms.false_alarms_per_minute:.1f}",
+        "–" if least_s is None else f"{least_s:.2f}",
+    )
+    return f"| {' | '.join(cells)} |"
+
+
+def _share(value: float | None) -> str:
+    return "–" if value is None else f"{value * 100:.1f} %"
