@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
-from svmdist.cli.console import report_health, require_output_folder, say, write_lines
+from svmdist.cli.console import report_health, require_output_folder, say, terminal_width, write_lines
 from svmdist.cli.options import (
     CalibrationOption,
     EquationsChoice,
@@ -63,7 +63,7 @@ def estimate_command(
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
     tally: Counter[str] = Counter()
     rows = _started(_rows(recordings, setup, wanted, tally, rules))
-    write_lines(_lines(form, rows, rules is not None, several), output)
+    write_lines(_lines(form, rows, rules is not None, several, terminal_width(output)), output)
     _summarise(tally)
     raise typer.Exit(report_health(recordings))
 
@@ -97,14 +97,23 @@ def _started(rows: Iterator[Row]) -> Iterator[Row]:
     return iter(()) if first is None else chain([first], rows)
 
 
-def _lines(form: RowFormat, rows: Iterator[Row], with_alarms: bool, several: bool) -> Iterator[str]:
-    from svmdist.report.estimates import ALARM_COLUMNS, ESTIMATE_COLUMNS, ESTIMATE_KEYS, INSTRUMENT_COLUMNS
+def _lines(
+    form: RowFormat, rows: Iterator[Row], with_alarms: bool, several: bool, width: int | None
+) -> Iterator[str]:
+    from svmdist.report.estimates import (
+        ALARM_COLUMNS,
+        ESTIMATE_COLUMNS,
+        ESTIMATE_KEYS,
+        INSTRUMENT_COLUMNS,
+        columns_within,
+    )
     from svmdist.report.table import csv_lines, json_array_lines, json_lines, text_lines
 
     match form:
         case RowFormat.TABLE:
             columns = ESTIMATE_COLUMNS + (INSTRUMENT_COLUMNS if several else ())
-            return text_lines(columns + (ALARM_COLUMNS if with_alarms else ()), rows)
+            columns += ALARM_COLUMNS if with_alarms else ()
+            return text_lines(columns_within(columns, width), rows)
         case RowFormat.CSV:
             return csv_lines(ESTIMATE_KEYS, rows)
         case RowFormat.JSON:

@@ -16,7 +16,6 @@ from svmdist.cli.console import (
     report_health,
     require_output_folder,
     say,
-    terminal_width,
     write_lines,
     write_tables,
 )
@@ -216,7 +215,7 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
         say(f"svmdist: note: {note}")
     match form:
         case TableFormat.TABLE:
-            tables = validation_tables(result, terminal_width(output))
+            tables = validation_tables(result)
             write_tables(tables, [*remarks(result), PAPER_NOTE], output)
         case TableFormat.CSV:
             scores = (*result.scores, *result.overall)

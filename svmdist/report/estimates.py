@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from svmdist.estimation.alarms import AlarmState
-from svmdist.report.table import Cell, Column, Row, number
+from svmdist.report.table import Cell, Column, Row, number, text_width
 from svmdist.samples import Estimate
 
 ESTIMATE_KEYS = (
@@ -80,6 +82,21 @@ ESTIMATE_COLUMNS = (
     Column("match_count", "matches", number(0)),
     Column("inlier_count", "inliers", number(0)),
 )
+
+DISPENSABLE = (
+    *("keypoint_count", "match_count", "inlier_count", "tool_area_px", "tissue_area_px"),
+    *("tissue_x_px", "tissue_y_px", "tool_x_px", "tool_y_px", "recording"),
+)
+"""What a narrow terminal goes without, the first ones first; machines get all of it."""
+
+
+def columns_within(columns: Sequence[Column], width: int | None) -> Sequence[Column]:
+    """The columns that a terminal of some width has room for, as far as they are dispensable; all where it is None."""
+    for key in DISPENSABLE:
+        if width is None or text_width(columns) <= width:
+            break
+        columns = [column for column in columns if column.key != key]
+    return columns
 
 
 def estimate_row(

@@ -48,14 +48,7 @@ def percent(digits: int) -> Callable[[Cell], str]:
 
 def rich_table(title: str, columns: Sequence[Column], rows: Iterable[Row]) -> RichTable:
     """Build the table for a person; text is printed as it stands, without markup."""
-    table = RichTable(
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        collapse_padding=True,
-        title=Text(printable(title)),
-        title_justify="left",
-        title_style="bold",
-    )
+    table = _empty_table(printable(title))
     for column in columns:
         # As Text: a plain "[mm]" would be taken for markup and vanish.
         justify: Literal["left", "right"] = "left" if column.is_text else "right"
@@ -65,8 +58,22 @@ def rich_table(title: str, columns: Sequence[Column], rows: Iterable[Row]) -> Ri
     return table
 
 
+def _empty_table(title: str) -> RichTable:
+    return RichTable(
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+        title=Text(title) if title else None,
+        title_justify="left",
+        title_style="bold",
+    )
+
+
 def render(table: RichTable, *, width: int | None = None, colour: bool = False) -> str:
-    """Render a table to text; as wide as it needs where no width is given, as for a pipe."""
+    """Render a table to text; as wide as it needs where no width is given, as for a pipe.
+
+    A table that is wider than `width` comes in parts, one below the other, so that no cell is broken.
+    """
     buffer = io.StringIO()
     console = Console(
         file=buffer,
@@ -76,8 +83,51 @@ def render(table: RichTable, *, width: int | None = None, colour: bool = False) 
         emoji=False,
         highlight=False,
     )
-    console.print(table)
+    for part in _parts(table, width) if width else [table]:
+        console.print(part)
     return "\n".join(line.rstrip() for line in buffer.getvalue().splitlines()) + "\n"
+
+
+def _parts(table: RichTable, width: int) -> Iterator[RichTable]:
+    """The table, or some of its columns after the others, each part led by the first ones, which tell rows apart.
+
+    Columns under one heading, those whose own begins with an empty line, stay together.
+    """
+    columns = table.columns
+    lead = [0]
+    while columns[len(lead)].justify == "left":
+        if _natural_width(_part(table, [*lead, len(lead)])) > width // 2:
+            break
+        lead.append(len(lead))
+    groups: list[list[int]] = []
+    for index in range(len(lead), len(columns)):
+        if groups and str(columns[index].header).startswith("\n"):
+            groups[-1].append(index)
+        else:
+            groups.append([index])
+    title, taken = str(table.title or ""), lead
+    for group in groups:
+        if taken != lead and _natural_width(_part(table, taken + group)) > width:
+            yield _part(table, taken, title)
+            title, taken = "", lead
+        taken = taken + group
+    yield _part(table, taken, title)
+
+
+def _part(table: RichTable, indices: Sequence[int], title: str = "") -> RichTable:
+    """Some of a table's columns."""
+    part = _empty_table(title)
+    for index in indices:
+        column = table.columns[index]
+        part.add_column(column.header, justify=column.justify, overflow=column.overflow)
+    cells = [list(table.columns[index].cells) for index in indices]
+    for at, row in enumerate(table.rows):
+        part.add_row(*(column[at] for column in cells), style=row.style, end_section=row.end_section)
+    return part
+
+
+def _natural_width(table: RichTable) -> int:
+    return Console(width=1000).measure(table).maximum
 
 
 def text_lines(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[str]:
@@ -86,11 +136,20 @@ def text_lines(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[str]:
     Column widths come from the headings and a minimum for text, for the rows are not known beforehand; a
     longer value pushes its line to the right.
     """
-    widths = [max(len(column.heading), 16 if column.is_text else 7) for column in columns]
+    widths = _text_widths(columns)
     yield _text_line(columns, [column.heading for column in columns], widths)
     yield "  ".join("─" * width for width in widths) + "\n"
     for row in rows:
         yield _text_line(columns, [printable(column.show(row.get(column.key))) for column in columns], widths)
+
+
+def text_width(columns: Sequence[Column]) -> int:
+    """How wide `text_lines` makes a table of these columns, in characters."""
+    return sum(_text_widths(columns)) + 2 * (len(columns) - 1)
+
+
+def _text_widths(columns: Sequence[Column]) -> list[int]:
+    return [max(len(column.heading), 16 if column.is_text else 7) for column in columns]
 
 
 def _text_line(columns: Sequence[Column], cells: Sequence[str], widths: Sequence[int]) -> str:

@@ -39,9 +39,6 @@ COLUMNS = (
 )
 """Lengths in mm, as the title says: a unit in every heading would not fit a terminal."""
 
-FULL_WIDTH = 124
-"""Columns of a terminal that the whole table needs."""
-
 DISTANCE_COLUMNS = (
     Column("recording", "recording", is_text=True),
     _AGAINST,
@@ -68,9 +65,9 @@ ALARM_COLUMNS = (
 )
 
 
-def validation_tables(validation: Validation, width: int | None = None) -> list[RichTable]:
+def validation_tables(validation: Validation) -> list[RichTable]:
     """The tables for a person: planar figures, those in 3D where there are any, and alarms where asked for."""
-    tables = [validation_table(validation, width)]
+    tables = [validation_table(validation)]
     scores = (*validation.scores, *validation.overall)
     if any(score.spatial or score.clearance for score in scores):
         tables.append(distance_table(validation))
@@ -79,17 +76,12 @@ def validation_tables(validation: Validation, width: int | None = None) -> list[
     return tables
 
 
-def validation_table(validation: Validation, width: int | None = None) -> RichTable:
-    """The table for a person: a row a recording and reference, then the overall rows.
-
-    In a terminal narrower than `FULL_WIDTH` the intervals are left out, rather than every cell broken.
-    """
+def validation_table(validation: Validation) -> RichTable:
+    """The table for a person: a row a recording and reference, then the overall rows."""
     first = next(iter(validation.scores))
-    narrow = width is not None and width < FULL_WIDTH
-    columns = [column for column in COLUMNS if not (narrow and column.key.endswith("_interval"))]
     return _table(
         f"{first.method}, {first.equations} equations; errors and σ (of the truth) in mm; 95 %: bootstrap interval",
-        columns,
+        COLUMNS,
         [_shown(score) for score in validation.scores],
         [_shown(score) for score in validation.overall],
     )

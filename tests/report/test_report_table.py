@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.report.estimates import ESTIMATE_COLUMNS, ESTIMATE_KEYS, estimate_row
+from svmdist.report.estimates import ESTIMATE_COLUMNS, ESTIMATE_KEYS, columns_within, estimate_row
 from svmdist.report.table import (
     Column,
     csv_lines,
@@ -23,6 +23,7 @@ from svmdist.report.table import (
     render,
     rich_table,
     text_lines,
+    text_width,
 )
 from svmdist.report.text import csv_text, printable
 from svmdist.samples import Estimate, Status
@@ -226,3 +227,32 @@ def test_a_person_sees_the_distance_in_millimetres():
     lines = list(text_lines(ESTIMATE_COLUMNS, rows))
     assert lines[2].split()[:4] == ["a.mcap", "0.000", "ok", "12.30"]
     assert lines[3].split()[:4] == ["a.mcap", "0.000", "no_instrument", "–"]
+
+
+def test_a_narrow_terminal_gets_whole_cells_in_parts() -> None:
+    """No cell is broken: columns under one heading stay together, and each part tells its rows apart."""
+    columns = (
+        Column("name", "recording", is_text=True),
+        *(Column(f"value_{i}", "group a\nRMSE" if i % 3 == 0 else "\np95", number(4, 1e3)) for i in range(9)),
+    )
+    rows = [{"name": name, **{f"value_{i}": 0.1 * i for i in range(9)}} for name in ("first", "second")]
+    whole = render(rich_table("the title", columns, rows))
+    parts = render(rich_table("the title", columns, rows), width=60)
+    assert max(map(len, whole.splitlines())) > 60
+    assert max(map(len, parts.splitlines())) <= 60
+    assert parts.count("the title") == 1
+    assert parts.count("second") == parts.count("recording") >= 2
+    for line in parts.splitlines():
+        assert line.count("p95") == 2 * line.count("RMSE")
+    assert [parts.count(f"{100 * i}.0000") for i in range(1, 9)] == [2] * 8
+    assert render(rich_table("the title", columns, rows), width=200) == whole
+
+
+def test_a_narrow_terminal_goes_without_pixels() -> None:
+    """What does not fit is left out by rank; distances and their deviation stay."""
+    assert columns_within(ESTIMATE_COLUMNS, None) == ESTIMATE_COLUMNS
+    kept = [column.key for column in columns_within(ESTIMATE_COLUMNS, 80)]
+    assert kept == ["time_s", "status", "distance_m", "spatial_m", "clearance_m", "clearance_std_m"]
+    wide = columns_within(ESTIMATE_COLUMNS, 150)
+    assert text_width(wide) <= 150
+    assert wide[0].key == "recording"
