@@ -6,9 +6,12 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import pytest
 
@@ -18,6 +21,33 @@ from svmdist.samples import ImageSample
 from tests.cli.conftest import Cli
 
 INTERRUPTED = "svmdist: interrupted"
+LIMIT_S = 120.0
+"""A process that has not ended by then is killed, which fails its test; all of them need a few seconds."""
+
+
+@contextmanager
+def running(*arguments: object, **streams: Any) -> Iterator[subprocess.Popen[str]]:
+    """`svmdist` in a process that hears interrupts and that ends, so that nothing need wait with a limit of its own.
+
+    A shell starts what it runs in the background with interrupts ignored, and so do its children begin: also
+    the tests', then. They do not inherit a handler, and begin with the default where their parent has one.
+    """
+    command = [sys.executable, "-u", "-m", "svmdist", *map(str, arguments)]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen(command, text=True, start_new_session=True, **streams)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    watchdog = threading.Timer(LIMIT_S, process.kill)
+    watchdog.start()
+    try:
+        with process:
+            try:
+                yield process
+            finally:
+                process.kill()  # does nothing to one that has ended
+    finally:
+        watchdog.cancel()
 
 
 @pytest.mark.parametrize(
@@ -52,15 +82,14 @@ def test_every_command(
 
 
 def test_while_rows_are_written(golden: Path) -> None:
-    """A real signal between two rows."""
-    command = [sys.executable, "-u", "-m", "svmdist", "estimate", str(golden / "sweep.mcap"), "-f", "csv"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as process:
+    """A real signal between two rows, of more than a pipe holds: they cannot come to their end before it."""
+    logs = [golden / "sweep.mcap"] * 8
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with running("estimate", *logs, "-f", "csv", **streams) as process:
         assert process.stdout is not None
         rows = [process.stdout.readline() for _ in range(3)]
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate()
     assert rows[2].startswith("sweep,")
     assert process.returncode == 130
     assert err.splitlines() == [INTERRUPTED]
@@ -70,13 +99,11 @@ def test_while_a_log_is_recorded(tmp_path: Path) -> None:
     """A real signal between two frames: no log under its name, and what there is stays in its `.part`, readable."""
     pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
     path, part = tmp_path / "r.mcap", tmp_path / "r.mcap.part"
-    command = [sys.executable, "-m", "svmdist", "record", "--duration", "60", "-o", str(path)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
-        deadline = time.monotonic() + 30.0
-        while not (part.exists() and part.stat().st_size > 100_000) and time.monotonic() < deadline:
+    with running("record", "--duration", 60, "-o", path, stderr=subprocess.PIPE) as process:
+        while process.poll() is None and not (part.exists() and part.stat().st_size > 100_000):
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate()
     assert process.returncode == 130
     assert err.splitlines() == [INTERRUPTED]
     assert list(tmp_path.iterdir()) == [part]
@@ -84,13 +111,14 @@ def test_while_a_log_is_recorded(tmp_path: Path) -> None:
 
 
 def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
-    """The bar is taken off the terminal, the cursor comes back, and the line stands alone."""
+    """The bar is taken off the terminal, the cursor comes back, and the line stands alone.
+
+    All methods on all logs take a minute, of which the interrupt leaves the first moment.
+    """
     pty = pytest.importorskip("pty", reason="this system has no pseudo-terminals")
     leader, follower = pty.openpty()
-    command = [sys.executable, "-m", "svmdist", "compare", str(golden / "sweep.mcap"), "--method", "centroid"]
-    with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=follower, start_new_session=True
-    ) as process:
+    logs = sorted(golden.glob("*.mcap"))
+    with running("compare", *logs, stdout=subprocess.DEVNULL, stderr=follower) as process:
         os.close(follower)
         shown = b""
         while b"comparing" not in shown:
@@ -104,6 +132,7 @@ def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
             if not piece:
                 break
             shown += piece
+        process.wait()
     os.close(leader)
     assert process.returncode == 130
     assert b"Traceback" not in shown
