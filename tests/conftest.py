@@ -11,10 +11,33 @@ from tests.synthetic import write_log
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Run one file's tests, benchmarks and what is debugged in this process: without others, and to be seen."""
+    files = {name.partition("::")[0] for name in config.args}
+    is_one_file = len(files) == 1 and files.pop().endswith(".py")
+    if is_one_file or config.option.benchmark_enable or config.option.usepdb:
+        config.option.numprocesses = 0
+
+
 @pytest.fixture(scope="session")
 def synthetic_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log of 40 frames drawn with OpenCV, with exact geometry."""
     return write_log(tmp_path_factory.mktemp("synthetic") / "synthetic.mcap", frame_count=40)
+
+
+@pytest.fixture(scope="session")
+def synthetic_calibration(synthetic_log: Path) -> Path:
+    """A calibration fitted on the synthetic log."""
+    from svmdist.estimation.calibration import save_calibration
+    from svmdist.profile import load_profile
+    from svmdist.recording.reader import open_recording
+    from svmdist.workflows.calibrate import calibrate
+
+    profile = load_profile()
+    path = synthetic_log.with_suffix(".calibration.toml")
+    save_calibration(calibrate([open_recording(synthetic_log, profile)], profile), path)
+    return path
 
 
 @pytest.fixture(scope="session")

@@ -19,6 +19,8 @@ from svmdist.vision.edges import straightened
 RADIUS_M, KNUCKLE_RADIUS_M, END_M, WRIST_M = 0.004, 0.00175, 0.00627, 0.0091
 PALE_BGR, RED_BGR = (170.0, 185.0, 205.0), (70.0, 60.0, 190.0)
 KNUCKLE_BGR = (178.0, 158.0, 0.0)
+STRIP_PX = 16
+"""Rows that are drawn at once: the rays of a whole picture would be moved through memory with every step."""
 
 
 @dataclass(frozen=True)
@@ -45,27 +47,35 @@ class ShaftImage:
 
     def draw(self, parts: int = 3, seed: int = 0) -> Image:
         """The picture, BGR, each pixel the mean of `parts` squared rays."""
+        height = self.camera.height_px
+        strips = [np.arange(top, min(top + STRIP_PX, height)) for top in range(0, height, STRIP_PX)]
+        image = np.vstack([self._traced(rows, parts) for rows in strips])
+        image = cv2.GaussianBlur(self._glinting(image, seed), (0, 0), self.blur_px)
+        image *= self._border()[..., None]
+        image += np.random.default_rng(seed).normal(0.0, self.noise, image.shape)
+        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+    def _traced(self, rows: Array, parts: int) -> Array:
+        """Rows of the sharp picture, shape (n, w, 3): what each pixel's rays meet first, and their mean."""
         width, height = self.camera.width_px, self.camera.height_px
         offsets = (np.arange(parts) + 0.5) / parts - 0.5
         x = (np.arange(width)[:, None] + offsets).ravel()
-        y = (np.arange(height)[:, None] + offsets).ravel()
+        y = (rows[:, None] + offsets).ravel()
         grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
         rays = np.column_stack([straightened(self.camera, grid), np.ones(len(grid))])
-        # Light falls off along the image's diagonal; the scene is lit so, the shaft with it.
-        light = 1.0 - self.gradient * (grid @ [1.0 / width, 1.0 / height] / 2.0)
-        from_middle = np.hypot(*(grid - [0.5 * width, 0.5 * height]).T) / np.hypot(0.5 * width, 0.5 * height)
-        light = light * (1.0 - self.vignette * from_middle**2)
         colour = np.tile(np.array(self.background_bgr), (len(rays), 1))
         depth = np.full(len(rays), np.inf)
         self._cylinder(rays, colour, depth, RADIUS_M, (-0.3, -END_M), (32.0, 30.0, 30.0), self.stripe)
         self._cylinder(rays, colour, depth, 0.0027, (-END_M, 0.0), (150.0, 150.0, 148.0), False)
         if self.knuckle:
             self._sphere(rays, colour, depth)
-        image = (light[:, None] * colour).reshape(height, parts, width, parts, 3).mean((1, 3))
-        image = cv2.GaussianBlur(self._glinting(image, seed), (0, 0), self.blur_px)
-        image *= self._border()[..., None]
-        image += np.random.default_rng(seed).normal(0.0, self.noise, image.shape)
-        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+        if self.gradient or self.vignette:
+            # Light falls off along the image's diagonal; the scene is lit so, the shaft with it.
+            light = 1.0 - self.gradient * (grid @ [1.0 / width, 1.0 / height] / 2.0)
+            middle = np.array([0.5 * width, 0.5 * height])
+            from_middle = np.hypot(*(grid - middle).T) / np.hypot(*middle)
+            colour *= (light * (1.0 - self.vignette * from_middle**2))[:, None]
+        return colour.reshape(len(rows), parts, width, parts, 3).mean((1, 3))
 
     def _cylinder(
         self,
@@ -78,20 +88,24 @@ class ShaftImage:
         stripe: bool,
     ) -> None:
         d, h = self.direction, self.hinge_m
-        ray, to = rays - (rays @ d)[:, None] * d, h - (h @ d) * d
-        a, b, c = (ray**2).sum(1), ray @ to, to @ to - radius_m**2
-        under = b * b - a * c
-        z = np.where(under > 0, (b - np.sqrt(np.maximum(under, 0))) / a, np.inf)
-        along = np.where(np.isfinite(z), np.where(np.isfinite(z), z, 0) * (rays @ d) - h @ d, np.nan)
-        hit = (under > 0) & (along >= span_m[0]) & (along <= span_m[1]) & (z > 0.005) & (z < depth)
-        normal = (z[hit, None] * ray[hit] - to) / radius_m
+        to = h - (h @ d) * d
+        # Across the axis: the rays' squared lengths, and their products with what leads to the axis.
+        along, b, c = rays @ d, rays @ to, to @ to - radius_m**2
+        a = np.einsum("ij,ij->i", rays, rays) - along**2
+        hit = np.flatnonzero(b * b > a * c)
+        a, b, along = a[hit], b[hit], along[hit]
+        z = (b - np.sqrt(b * b - a * c)) / a
+        place_m = z * along - h @ d
+        seen = (place_m >= span_m[0]) & (place_m <= span_m[1]) & (z > 0.005) & (z < depth[hit])
+        hit, z, along = hit[seen], z[seen], along[seen]
+        normal = (z[:, None] * (rays[hit] - along[:, None] * d) - to) / radius_m
         side = np.cross(d, to / np.linalg.norm(to))
         light = np.abs(normal @ side - 0.25)
         shade = np.array(bgr) * (0.75 + 0.35 * np.abs(normal @ (to / np.linalg.norm(to))))[:, None]
         if stripe:
             shade = np.where(light[:, None] < 0.06, np.array([225.0, 230.0, 235.0]), shade)
         colour[hit] = shade
-        depth[hit] = z[hit]
+        depth[hit] = z
 
     def _glinting(self, image: Array, seed: int) -> Array:
         """White ellipses along the visible shaft, as wet steel and lacquer have them, some of them over its sides."""
@@ -107,10 +121,11 @@ class ShaftImage:
         return image
 
     def _sphere(self, rays: Array, colour: Array, depth: Array) -> None:
-        a, b = (rays**2).sum(1), rays @ self.tool_m
-        under = b * b - a * (self.tool_m @ self.tool_m - KNUCKLE_RADIUS_M**2)
-        z = (b - np.sqrt(np.maximum(under, 0))) / a
-        hit = (under > 0) & (z < depth)
+        a, b = np.einsum("ij,ij->i", rays, rays), rays @ self.tool_m
+        c = self.tool_m @ self.tool_m - KNUCKLE_RADIUS_M**2
+        hit = np.flatnonzero(b * b > a * c)
+        z = (b[hit] - np.sqrt(b[hit] ** 2 - a[hit] * c)) / a[hit]
+        hit = hit[z < depth[hit]]
         colour[hit] = KNUCKLE_BGR
 
     def _border(self) -> Array:

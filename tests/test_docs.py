@@ -25,22 +25,6 @@ def test_readme_example_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     assert lines[-1].startswith("ErrorStatistics(count=80")
 
 
-def test_readme_table_is_what_is_measured() -> None:
-    """The README's results table agrees with the golden logs measured now, to one unit of the last digit."""
-    from svmdist.workflows.setup import prepare
-    from tools.make_docs import BEGIN, END, results_table, score_logs
-
-    text = (REPOSITORY / "README.md").read_text("utf-8")
-    shown = text.partition(BEGIN)[2].partition(END)[0].strip().splitlines()
-    measured = results_table(score_logs(prepare())).strip().splitlines()
-    assert len(shown) == len(measured)
-    for a, b in zip(shown, measured, strict=True):
-        assert re.sub(r"-?[\d.]+", "#", a) == re.sub(r"-?[\d.]+", "#", b)
-        for x, y in zip(re.findall(r"-?\d+\.?\d*", a), re.findall(r"-?\d+\.?\d*", b), strict=True):
-            unit = 10.0 ** -len(x.partition(".")[2])
-            assert abs(float(x) - float(y)) <= 1.01 * unit, (a, b)
-
-
 def _tables(text: str) -> dict[str, list[list[str]]]:
     """The cells of each table's rows, by the heading above it."""
     tables: dict[str, list[list[str]]] = {}

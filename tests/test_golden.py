@@ -6,20 +6,25 @@ import hashlib
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from svmdist.estimation.calibration import load_calibration
+from svmdist.estimation.lag import estimate_lag
 from svmdist.profile import load_profile, profile_path
-from svmdist.recording.reader import open_recording
+from svmdist.recording.reader import Recording, open_recording
+from svmdist.samples import Estimate
 from svmdist.workflows.baseline import find_regressions, load_baseline
 from svmdist.workflows.calibrate import calibrate
+from svmdist.workflows.estimate import estimate
+from svmdist.workflows.lag import predictor
 from svmdist.workflows.score import Score
 from svmdist.workflows.setup import Setup, prepare
-from svmdist.workflows.truth import Reference
-from svmdist.workflows.validate import Validation, validate
-
-NAMES = ("approach", "calibration", "contact", "occlusion", "random", "sweep")
-NAMES_3D = ("contact", "duo")
+from svmdist.workflows.truth import Reference, tool_track
+from svmdist.workflows.validate import Validation
+from tests.conftest import REPOSITORY
+from tools.docs_3d import LOGS as LOGS_3D
+from tools.make_docs import BEGIN, END, LOGS, results_table, score_logs
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +34,9 @@ def setup() -> Setup:
 
 
 @pytest.fixture(scope="module")
-def validation(golden: Path, setup: Setup) -> Validation:
+def validation(setup: Setup) -> Validation:
     """All golden logs, scored once."""
-    return validate([open_recording(golden / f"{name}.mcap", setup.profile) for name in NAMES], setup)
+    return score_logs(setup)
 
 
 def _score(validation: Validation, name: str, reference: Reference = Reference.GROUND_TRUTH) -> Score:
@@ -47,7 +52,7 @@ def test_hashes_in_the_readme_are_those_of_the_files(golden: Path) -> None:
         for path in golden.rglob("*.mcap")
     }
     assert listed == found
-    assert {*NAMES, *(f"3d/{name}" for name in NAMES_3D)} == set(found)
+    assert {*LOGS, *(f"3d/{name}" for name in LOGS_3D)} == set(found)
 
 
 def test_sizes(golden: Path) -> None:
@@ -88,7 +93,7 @@ def test_contact_is_covered_and_occlusion_says_what_it_lost(validation: Validati
 
 def test_kinematics_and_truth_agree(validation: Validation) -> None:
     """Both references tell nearly the same RMSE: the encoders' error is small against the estimator's."""
-    for name in NAMES:
+    for name in LOGS:
         truth, kinematics = _score(validation, name), _score(validation, name, Reference.KINEMATICS)
         assert truth.statistics is not None
         assert kinematics.statistics is not None
@@ -99,6 +104,19 @@ def test_nothing_is_worse_than_the_baseline(golden: Path, validation: Validation
     """The stored figures hold."""
     baseline = load_baseline(golden / "baseline.json")
     assert find_regressions(validation, baseline, complete=True) == []
+
+
+def test_readme_table_is_what_is_measured(validation: Validation) -> None:
+    """The README's results table agrees with the golden logs measured now, to one unit of the last digit."""
+    text = (REPOSITORY / "README.md").read_text("utf-8")
+    shown = text.partition(BEGIN)[2].partition(END)[0].strip().splitlines()
+    measured = results_table(validation).strip().splitlines()
+    assert len(shown) == len(measured)
+    for a, b in zip(shown, measured, strict=True):
+        assert re.sub(r"-?[\d.]+", "#", a) == re.sub(r"-?[\d.]+", "#", b)
+        for x, y in zip(re.findall(r"-?\d+\.?\d*", a), re.findall(r"-?\d+\.?\d*", b), strict=True):
+            unit = 10.0 ** -len(x.partition(".")[2])
+            assert abs(float(x) - float(y)) <= 1.01 * unit, (a, b)
 
 
 def test_shipped_calibration_is_reproduced(golden: Path) -> None:
@@ -124,19 +142,19 @@ def test_only_the_calibration_log_is_marked_as_fitted_on(validation: Validation)
     assert overall.sample_count == sum(score.sample_count for score in counted)
 
 
-@pytest.mark.parametrize("name", ["sweep", "random"])
+@pytest.fixture(scope="module", params=["sweep", "random"])
+def measured(request: pytest.FixtureRequest, golden: Path, setup: Setup) -> tuple[Recording, list[Estimate]]:
+    """A golden log of much motion, and its measured rows."""
+    recording = open_recording(golden / f"{request.param}.mcap", setup.profile)
+    return recording, [row for row in estimate(recording, setup.estimator_for(recording)) if row.measured]
+
+
 @pytest.mark.parametrize("lag_s", [-2.5, -0.3137, 0.012, 2.5])
-def test_an_injected_lag_is_recovered(golden: Path, setup: Setup, name: str, lag_s: float) -> None:
+def test_an_injected_lag_is_recovered(
+    measured: tuple[Recording, list[Estimate]], setup: Setup, lag_s: float
+) -> None:
     """Image stamps moved against the kinematic clock are found to 1 ms on the golden sweep and random logs."""
-    import numpy as np
-
-    from svmdist.estimation.lag import estimate_lag
-    from svmdist.workflows.estimate import estimate
-    from svmdist.workflows.lag import predictor
-    from svmdist.workflows.truth import tool_track
-
-    recording = open_recording(golden / f"{name}.mcap", setup.profile)
-    rows = [row for row in estimate(recording, setup.estimator_for(recording)) if row.measured]
+    recording, rows = measured
     stamps_ns = np.array([row.stamp_ns for row in rows], np.int64) + round(lag_s * 1e9)
     seen_px = np.array([(row.tool_x_px, row.tool_y_px) for row in rows], np.float64)
     track = tool_track(recording, setup.profile, Reference.KINEMATICS)

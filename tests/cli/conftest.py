@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 
@@ -37,17 +36,3 @@ def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         return Outcome(int(exit_info.value.code or 0), captured.out, captured.err)
 
     return call
-
-
-@pytest.fixture(scope="session")
-def synthetic_calibration(synthetic_log: Path) -> Path:
-    """A calibration fitted on the synthetic log."""
-    from svmdist.estimation.calibration import save_calibration
-    from svmdist.profile import load_profile
-    from svmdist.recording.reader import open_recording
-    from svmdist.workflows.calibrate import calibrate
-
-    profile = load_profile()
-    path = synthetic_log.with_suffix(".calibration.toml")
-    save_calibration(calibrate([open_recording(synthetic_log, profile)], profile), path)
-    return path

@@ -15,6 +15,7 @@ from svmdist.cli.options import EquationsChoice, Method, PlanarMethod
 from svmdist.cli.record import Renderer, ScenarioName
 from svmdist.report.estimates import ESTIMATE_KEYS
 from tests.cli.conftest import Cli
+from tests.synthetic import write_log
 
 CONTRACT = (
     "recording,stamp_ns,status,distance_m,tool_x_px,tool_y_px,tissue_x_px,tissue_y_px,"
@@ -156,11 +157,11 @@ def test_save_plot(
     assert figure.stat().st_size > 5000
 
 
-def test_blur_bench_rows(cli: Cli, synthetic_log: Path, synthetic_calibration: Path) -> None:
+def test_blur_bench_rows(cli: Cli, tmp_path: Path, synthetic_calibration: Path) -> None:
     """Every blur of Table I has a row, with a clean one, and the kernels are those asked for."""
     outcome = cli(
         "blur-bench",
-        synthetic_log,
+        write_log(tmp_path / "short.mcap", frame_count=10),
         "--calibration",
         synthetic_calibration,
         "-f",

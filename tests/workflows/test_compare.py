@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from svmdist.recording.reader import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.report.comparison import COMPARE_KEYS, compare_row, compare_tables
 from svmdist.report.table import render
+from svmdist.samples import ImageSample
 from svmdist.simulation.extras import Extras
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import Group, compare, group_of
@@ -24,14 +27,29 @@ from svmdist.workflows.validate import validate
 from tests.synthetic import make_scene, samples
 
 SMOKE = Condition(Degradation.SMOKE, 3)
+PLAIN = Extras()
 
 
-def test_figures_are_those_of_validate(golden: Path) -> None:
-    """Per group and overall, R² and RMSE equal what `validate` gives for the method alone."""
-    setups = [prepare(method=method) for method in ("overlay", "centroid")]
-    recordings = [
-        open_recording(golden / f"{name}.mcap", setups[0].profile) for name in ("sweep", "occlusion")
+def log(
+    path: Path, scenario: str, frame_count: int = 4, extras: Extras = PLAIN, lost: Container[int] = ()
+) -> Path:
+    """A drawn log with the metadata that `record` writes for these extras; lost frames are black."""
+    frames = count()
+    with RecordingWriter(path, {"scenario": scenario} | extras.metadata()) as writer:
+        for topic, sample in samples(make_scene(), frame_count):
+            is_lost = isinstance(sample, ImageSample) and next(frames) in lost
+            writer.write(topic, replace(sample, image_bgr=0 * sample.image_bgr) if is_lost else sample)
+    return path
+
+
+def test_figures_are_those_of_validate(tmp_path: Path, synthetic_calibration: Path) -> None:
+    """Per group and overall, R² and RMSE equal what `validate` gives for the method alone, lost frames or none."""
+    setups = [prepare(method=method, calibration=synthetic_calibration) for method in ("overlay", "centroid")]
+    paths = [
+        log(tmp_path / "whole.mcap", "sweep", 14),
+        log(tmp_path / "part.mcap", "occlusion", 10, lost=range(3, 7)),
     ]
+    recordings = [open_recording(path, setups[0].profile) for path in paths]
     ticks = count()
     found = compare(recordings, setups, clock=lambda: float(next(ticks)))
     scores = {(str(s.group), s.method): s.figures for s in found}
@@ -40,7 +58,7 @@ def test_figures_are_those_of_validate(golden: Path) -> None:
     for setup in setups:
         validation = validate(recordings, setup, rules)
         for score in (*validation.scores, *validation.overall):
-            group = "all" if score.recording == "overall" else score.recording
+            group = {"whole": "sweep", "part": "occlusion", "overall": "all"}[score.recording]
             compared = scores[group, setup.method]
             assert compared.coverage == score.coverage
             assert compared.planar is not None
@@ -54,20 +72,12 @@ def test_figures_are_those_of_validate(golden: Path) -> None:
             assert compared.ms_per_frame == pytest.approx(1000.0)
 
 
-def short_log(path: Path, scenario: str, extras: Extras) -> Path:
-    """A drawn log of four frames with the metadata that `record` writes for these extras."""
-    with RecordingWriter(path, {"scenario": scenario} | extras.metadata()) as writer:
-        for topic, sample in samples(make_scene(), 4):
-            writer.write(topic, sample)
-    return path
-
-
 def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
     """What `record --degrade` wrote into a log is what it is compared as; each degradation also over scenarios."""
     smoked = Extras(degradations=(("smoke", 3),))
     setup = prepare(method="kinematic")
     recordings = [
-        open_recording(short_log(tmp_path / f"{index}.mcap", scenario, extras), setup.profile)
+        open_recording(log(tmp_path / f"{index}.mcap", scenario, extras=extras), setup.profile)
         for index, (scenario, extras) in enumerate(
             [("sweep", Extras()), ("sweep", smoked), ("contact", smoked), ("contact", smoked)]
         )
@@ -98,7 +108,7 @@ def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
 def test_degrading_at_replay_stands_beside_what_was_recorded(tmp_path: Path) -> None:
     """A condition adds a group; on a log that was recorded degraded its name follows the recorded one."""
     profile = load_profile()
-    noisy = short_log(tmp_path / "noisy.mcap", "sweep", Extras(degradations=(("noise", 1), ("jpeg", 2))))
+    noisy = log(tmp_path / "noisy.mcap", "sweep", extras=Extras(degradations=(("noise", 1), ("jpeg", 2))))
     recording = open_recording(noisy, profile)
     assert str(group_of(recording, CLEAN)) == "sweep noise=1,jpeg=2"
     assert str(group_of(recording, SMOKE)) == "sweep noise=1,jpeg=2,smoke=3"
