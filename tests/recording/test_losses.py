@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import struct
 import tracemalloc
 from pathlib import Path
@@ -171,13 +172,25 @@ def test_memory_does_not_grow_with_the_length_of_the_log(
     peaks = []
     for frame_count in (60, 600):
         path = write_scene(tmp_path / f"{frame_count}.mcap", scene(frame_count))
-        recording = open_recording(path, profile)
-        recording.topics()
-        tracemalloc.start()
-        assert sum(1 for _ in recording.observations()) == frame_count
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
+        peaks.append(min(peak_of_reading(path, profile, frame_count) for _ in range(3)))
     assert peaks[1] < 1.3 * peaks[0]
+
+
+def peak_of_reading(path: Path, profile: Profile, frame_count: int) -> int:
+    """Peak of what is allocated while a log is read once.
+
+    That is by the whole process: a cache filled, a table grown, or another test's garbage finalised meanwhile counts too, but
+    happens once. What reading itself takes is the least of some times.
+    """
+    recording = open_recording(path, profile)
+    recording.topics()
+    gc.collect()
+    tracemalloc.start()
+    try:
+        assert sum(1 for _ in recording.observations()) == frame_count
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
 
 
 def test_images_do_not_wait_in_memory_for_joints_that_never_come(tmp_path: Path, profile: Profile) -> None:
