@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.estimation.calibration import load_calibration
 from svmdist.estimation.lag import estimate_lag
+from svmdist.estimation.planar.calibration import load_calibration
 from svmdist.profile import load_profile, profile_path
 from svmdist.recording.reader import Recording, open_recording
 from svmdist.samples import Estimate

@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 
 from svmdist.camera import Camera
 from svmdist.estimation.between import with_clearance_between
-from svmdist.estimation.instrument_model import InstrumentModel
-from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.tissue import see_tissue
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.tissue.fix import see_tissue
 from svmdist.geometry.separation import Separation, capsule_separation, separation
 from svmdist.geometry.surfaces import Capsules
 from svmdist.recording.reader import Recording

@@ -31,7 +31,7 @@ def calibrate_command(
 
     Refits eqs. (5) and (6), one quadratic per axis, to recordings with ground truth.
     """
-    from svmdist.estimation.calibration import save_calibration
+    from svmdist.estimation.planar.calibration import save_calibration
     from svmdist.profile import load_profile
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.calibrate import calibrate

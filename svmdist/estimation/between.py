@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.estimation.distances import as_vector
-from svmdist.estimation.instrument_model import InstrumentModel
-from svmdist.estimation.pose import ToolPose
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.geometry.separation import Separation, capsule_separation
 from svmdist.samples import Estimate
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from svmdist.estimation.equations import PlaneMapping, planar_distance_m
 from svmdist.estimation.locate import locate_both
+from svmdist.estimation.planar.equations import PlaneMapping, planar_distance_m
 from svmdist.estimation.rows import finish, first_rows
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation

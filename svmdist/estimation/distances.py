@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument_model import InstrumentModel
-from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.tissue import TissueFix
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.tissue.fix import TissueFix
 from svmdist.geometry.separation import Separation, separation
 from svmdist.samples import Estimate, JointSample, Status, ToolState, Vector
 from svmdist.transforms import Array

@@ -9,9 +9,9 @@ import numpy as np
 
 from svmdist.errors import KinematicsError, ProfileError
 from svmdist.estimation.distances import measure
-from svmdist.estimation.instrument_model import InstrumentModel
-from svmdist.estimation.tag_pose import believed_tag_rotation, find_tag_pose, tool_behind_tag
-from svmdist.estimation.tissue import require_tissue, see_tissue, tissue_row
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.instrument.tag_pose import believed_tag_rotation, find_tag_pose, tool_behind_tag
+from svmdist.estimation.tissue.fix import require_tissue, see_tissue, tissue_row
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import select_joints
 from svmdist.profile import Profile

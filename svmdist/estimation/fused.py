@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from svmdist.estimation.filter import KinematicErrorFilter
-from svmdist.estimation.robot_scene import RobotScene
-from svmdist.estimation.tool_sights import ToolSights
+from svmdist.estimation.filtering.filter import KinematicErrorFilter
+from svmdist.estimation.filtering.robot_scene import RobotScene
+from svmdist.estimation.filtering.tool_sights import ToolSights
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, JointSample, Observation
 from svmdist.vision.segmenter import Segmenter

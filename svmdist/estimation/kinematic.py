@@ -5,8 +5,8 @@ As bad as joints and camera-to-base transform are; the standard deviations say h
 
 from __future__ import annotations
 
-from svmdist.estimation.filter import KinematicErrorFilter
-from svmdist.estimation.robot_scene import RobotScene
+from svmdist.estimation.filtering.filter import KinematicErrorFilter
+from svmdist.estimation.filtering.robot_scene import RobotScene
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
 from svmdist.vision.segmenter import Segmenter

@@ -7,11 +7,11 @@ from typing import Protocol
 
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.estimation.centroid import CentroidEstimator
-from svmdist.estimation.equations import PlaneMapping
 from svmdist.estimation.fiducial import FiducialEstimator
 from svmdist.estimation.fused import FusedEstimator
 from svmdist.estimation.kinematic import KinematicEstimator
 from svmdist.estimation.overlay import OverlayEstimator
+from svmdist.estimation.planar.equations import PlaneMapping
 from svmdist.estimation.shaft import ShaftEstimator
 from svmdist.estimation.stereo import StereoEstimator
 from svmdist.profile import Profile

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from svmdist.estimation.equations import PlaneMapping, planar_distance_m
 from svmdist.estimation.locate import locate_both
-from svmdist.estimation.outline import find_marker, template_features
+from svmdist.estimation.planar.equations import PlaneMapping, planar_distance_m
+from svmdist.estimation.planar.outline import find_marker, template_features
 from svmdist.estimation.rows import finish, first_rows
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation, Status

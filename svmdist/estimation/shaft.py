@@ -7,32 +7,26 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from svmdist.errors import KinematicsError, ProfileError
+from svmdist.errors import ProfileError
 from svmdist.estimation.distances import measure
-from svmdist.estimation.instrument_model import NECK_PER_RADIUS, InstrumentModel
-from svmdist.estimation.shaft_fit import ShaftFit, ShaftModel, fit_shaft
-from svmdist.estimation.shaft_sight import see_knuckle, see_shaft
-from svmdist.estimation.tissue import require_tissue, see_tissue, tissue_row
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.instrument.shaft_fit import ShaftFit, fit_shaft
+from svmdist.estimation.instrument.shaft_model import shaft_model
+from svmdist.estimation.instrument.shaft_sight import see_knuckle, see_shaft
+from svmdist.estimation.tissue.fix import require_tissue, see_tissue, tissue_row
 from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import DHChain, frame_transforms, select_joints
-from svmdist.kinematics.jacobian import joint_axis
-from svmdist.profile import Instrument, KinematicError, Profile
+from svmdist.profile import Profile
 from svmdist.samples import Estimate, Image, Observation, Status
-from svmdist.transforms import Array, inverse, make_transform
 from svmdist.vision.exposure import levelled
 from svmdist.vision.segmentation import to_hsv
 from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter, own_masks
 from svmdist.vision.shaft_segmentation import ShaftRegion, bright_fraction, find_shaft
-from svmdist.vision.tag import TagFinder
+from svmdist.vision.tag import TagFinder, tag_plate
 
 MAX_STD_M = 0.004
 """A position less certain than this along any direction is no measurement."""
-PLATE = 1.45
-"""A tag's plate over its black square: the white margin of a cell or more, and the blur around it."""
 PRINTED = 0.1
 """Bright part of a dark stub above which it is the print of a tag: half of its cells are white, of a shaft few."""
-UNKNOWN_BEND_RAD = 0.4
-"""Of the wrist about each axis, where no joints tell."""
 
 
 class ShaftEstimator:
@@ -111,86 +105,3 @@ class ShaftEstimator:
             return None
         self.has_seen_tag = True
         return tag_plate(corners_px, image_bgr.shape[:2])
-
-
-def tag_plate(corners_px: Array, shape: tuple[int, ...]) -> Image:
-    """Mask, of `shape` (h, w), of the plate around a tag with these corners, shape (4, 2)."""
-    middle_px = corners_px.mean(0)
-    plate_px = middle_px + PLATE * (corners_px - middle_px)
-    mask = np.zeros(shape, np.uint8)
-    cv2.fillConvexPoly(mask, np.round(plate_px).astype(np.int32), 255)
-    return mask
-
-
-def shaft_model(
-    observation: Observation, chain: DHChain, instrument: Instrument, error: KinematicError
-) -> ShaftModel:
-    """What is known before looking: the instrument's sizes, the wrist's bend, and the believed rotation."""
-    q = _joints(observation, chain)
-    roll = roll_row(chain)
-    T_base_shaft, T_shaft_tool = shaft_frames(chain, np.zeros(len(chain.joint_names)) if q is None else q)
-    R_believed, rotation_std_rad, bend_std_rad = None, np.pi, UNKNOWN_BEND_RAD
-    if q is not None and observation.T_camera_base is not None:
-        R_believed = np.asarray((observation.T_camera_base @ T_base_shaft)[:3, :3])
-        moving = [row.name for row in chain.rows]
-        first = moving.index(error.first_moving_joint) if error.first_moving_joint in moving else 0
-        turning = sum(row.joint == "revolute" for row in chain.rows[first : roll + 1])
-        rotation_std_rad = float(np.hypot(error.camera_base_std_rad, error.joint_std_rad * np.sqrt(turning)))
-        bend_std_rad = error.joint_std_rad
-    elif q is not None:
-        # How much the wrist is bent is known, but not to which side in the camera frame.
-        tool = T_shaft_tool[:3, 3]
-        bend_std_rad = max(0.05, float(np.arctan2(np.hypot(tool[0], tool[1]), tool[2])))
-        T_shaft_tool = make_transform(np.eye(3), [0.0, 0.0, float(np.linalg.norm(tool))]) @ make_transform(
-            T_shaft_tool[:3, :3], np.zeros(3)
-        )
-    return ShaftModel(
-        T_shaft_tool,
-        bend_std_rad,
-        R_believed,
-        rotation_std_rad,
-        instrument.shaft_radius_m,
-        instrument.shaft_end_m or NECK_PER_RADIUS * instrument.wrist_radius_m,
-        instrument.knuckle_radius_m,
-    )
-
-
-def roll_row(chain: DHChain) -> int:
-    """The row whose joint turns the shaft about itself: the first revolute one behind the last that slides."""
-    slides = [index for index, row in enumerate(chain.rows) if row.joint == "prismatic"]
-    turns = [
-        index
-        for index, row in enumerate(chain.rows)
-        if row.joint == "revolute" and index > max(slides, default=-1)
-    ]
-    if not slides or len(turns) < 2:
-        raise ProfileError(
-            "the method shaft needs a chain that slides along its shaft, turns it, and has a wrist"
-        )
-    return turns[0]
-
-
-def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
-    """`T_base_shaft` and `T_shaft_tool` at joints `q`, shape (n_joints,).
-
-    The shaft's frame: z along the roll's axis, which is the insertion's, to the tip; its origin is the point of that
-    axis next to the wrist's pitch axis.
-    """
-    frames = frame_transforms(chain, q)
-    roll = roll_row(chain)
-    z, on_axis_m = joint_axis(chain, frames, roll)
-    _, hinge_m = joint_axis(chain, frames, roll + 1)
-    x = frames[roll, :3, 0] - z * float(z @ frames[roll, :3, 0])
-    x /= np.linalg.norm(x)
-    origin_m = on_axis_m + z * float(z @ (hinge_m - on_axis_m))
-    T_base_shaft = make_transform(np.stack([x, np.cross(z, x), z], -1), origin_m)
-    return T_base_shaft, inverse(T_base_shaft) @ frames[-1] @ chain.T_last_tool
-
-
-def _joints(observation: Observation, chain: DHChain) -> Array | None:
-    if observation.joints is None:
-        return None
-    try:
-        return select_joints(chain, observation.joints.names, observation.joints.positions)
-    except KinematicsError:
-        return None

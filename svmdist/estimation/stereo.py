@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.estimation.distances import measure
-from svmdist.estimation.instrument_model import InstrumentModel
-from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.rectified import RectifiedPair, rectified_pair
-from svmdist.estimation.robot_scene import belief_of, require_chain
+from svmdist.estimation.filtering.robot_scene import belief_of, require_chain
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.instrument.rectified import RectifiedPair, rectified_pair
+from svmdist.estimation.instrument.shaft_sight import see_knuckle
 from svmdist.estimation.shaft import ShaftEstimator
-from svmdist.estimation.shaft_sight import see_knuckle
 from svmdist.estimation.stereo_tool import FAR_M, believed_pose, deepen, match_knuckle
-from svmdist.estimation.tissue import TissueFix, TissueSight, require_tissue, see_tissue, tissue_row
+from svmdist.estimation.tissue.fix import TissueFix, TissueSight, require_tissue, see_tissue, tissue_row
 from svmdist.geometry.surfaces import Cloud
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Image, Observation, Rejection, RightView, Status

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter import KinematicErrorFilter
-from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.rectified import RectifiedPair
-from svmdist.estimation.robot_scene import Belief
-from svmdist.estimation.shaft_fit import apparent_radius_px
-from svmdist.estimation.shaft_sight import Knuckle
+from svmdist.estimation.filtering.filter import KinematicErrorFilter
+from svmdist.estimation.filtering.robot_scene import Belief
+from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.instrument.rectified import RectifiedPair
+from svmdist.estimation.instrument.shaft_fit import apparent_radius_px
+from svmdist.estimation.instrument.shaft_sight import Knuckle
 from svmdist.kinematics.dh import DHChain
 from svmdist.profile import KinematicError
 from svmdist.transforms import Array, rotation_of

@@ -22,11 +22,16 @@ def wrist_rows(chain: DHChain) -> WristRows | None:
 
     That is the wrist of the da Vinci's instruments. None for a chain that slides nowhere, or has fewer behind it.
     """
-    slides = [index for index, row in enumerate(chain.rows) if row.joint == "prismatic"]
-    if not slides:
-        return None
-    turns = [index for index, row in enumerate(chain.rows) if row.joint == "revolute" and index > slides[-1]]
+    turns = rows_behind_insertion(chain)
     if len(turns) < 3:
         return None
     roll, pitch, yaw = turns[:3]
     return WristRows(roll, pitch, yaw, turns[3] if len(turns) > 3 else None)
+
+
+def rows_behind_insertion(chain: DHChain) -> list[int]:
+    """Indices of the revolute rows behind the last one that slides, the shaft's roll first; none if none slides."""
+    slides = [index for index, row in enumerate(chain.rows) if row.joint == "prismatic"]
+    if not slides:
+        return []
+    return [index for index, row in enumerate(chain.rows) if row.joint == "revolute" and index > slides[-1]]

@@ -22,6 +22,8 @@ DICTIONARIES = {
     "36h10": cv2.aruco.DICT_APRILTAG_36h10,
     "36h11": cv2.aruco.DICT_APRILTAG_36h11,
 }
+PLATE = 1.45
+"""A tag's plate over its black square: the white margin of a cell or more, and the blur around it."""
 CELL_SAMPLES = 16
 """Texture samples to a cell: three for each pixel of a tag that is seen 40 px wide."""
 MARGIN_CELLS = 0.6
@@ -271,3 +273,12 @@ def _line(model: Array, brightness: Array) -> tuple[float, float]:
     spread = float(centred @ centred)
     contrast = float(centred @ brightness) / spread if spread > 0.0 else 0.0
     return float(brightness.mean() - contrast * model.mean()), contrast
+
+
+def tag_plate(corners_px: Array, shape: tuple[int, ...]) -> Image:
+    """Mask, of `shape` (h, w), of the plate around a tag with these corners, shape (4, 2)."""
+    middle_px = corners_px.mean(0)
+    plate_px = middle_px + PLATE * (corners_px - middle_px)
+    mask = np.zeros(shape, np.uint8)
+    cv2.fillConvexPoly(mask, np.round(plate_px).astype(np.int32), 255)
+    return mask

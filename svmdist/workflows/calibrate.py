@@ -8,9 +8,9 @@ from importlib.metadata import version
 import numpy as np
 
 from svmdist.errors import CalibrationError, UsageError
-from svmdist.estimation.calibration import Calibration, CalibrationSamples, SourceFile, fit_calibration
-from svmdist.estimation.equations import PlaneMapping, Quadratic
 from svmdist.estimation.methods import PLANAR_METHODS, make_estimator
+from svmdist.estimation.planar.calibration import Calibration, CalibrationSamples, SourceFile, fit_calibration
+from svmdist.estimation.planar.equations import PlaneMapping, Quadratic
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
 from svmdist.workflows.estimate import estimate

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from svmdist.estimation.between import with_clearance_between
-from svmdist.estimation.instrument_model import InstrumentModel
-from svmdist.estimation.instruments import Instruments
+from svmdist.estimation.identity.instruments import Instruments
+from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.methods import Estimator
 from svmdist.recording.reader import Recording
 from svmdist.samples import Estimate, Observation, Rejection

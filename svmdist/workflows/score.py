@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from svmdist.alarm_metrics import AlarmStatistics, pooled_alarms
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.estimation.equations import Equations
 from svmdist.estimation.lag import LagEstimate
+from svmdist.estimation.planar.equations import Equations
 from svmdist.metrics import ErrorStatistics, Interval, bootstrap_intervals, coverage, error_statistics
 from svmdist.recording.reader import Recording
 from svmdist.samples import Estimate

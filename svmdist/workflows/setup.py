@@ -8,10 +8,10 @@ from pathlib import Path
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError, did_you_mean
-from svmdist.estimation.calibration import Calibration, load_calibration
-from svmdist.estimation.equations import PRINTED_MAPPING, Equations, PlaneMapping, degeneracies
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
-from svmdist.estimation.tissue import require_tissue
+from svmdist.estimation.planar.calibration import Calibration, load_calibration
+from svmdist.estimation.planar.equations import PRINTED_MAPPING, Equations, PlaneMapping, degeneracies
+from svmdist.estimation.tissue.fix import require_tissue
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.reader import Recording
 from svmdist.vision.segmenter import Segmenter, make_segmenter

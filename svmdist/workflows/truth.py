@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import RecordingError, UsageError
-from svmdist.estimation.equations import Equations
+from svmdist.estimation.planar.equations import Equations
 from svmdist.kinematics import paper
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics, select_joints

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, OutputError
-from svmdist.estimation.calibration import (
+from svmdist.estimation.planar.calibration import (
     MIN_SAMPLE_COUNT,
     Calibration,
     CalibrationSamples,
@@ -21,7 +21,7 @@ from svmdist.estimation.calibration import (
     load_calibration,
     save_calibration,
 )
-from svmdist.estimation.equations import PlaneMapping, Quadratic
+from svmdist.estimation.planar.equations import PlaneMapping, Quadratic
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 SOURCES = (SourceFile(name="calibration.mcap", sha256="0" * 64),)

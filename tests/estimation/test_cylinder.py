@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from svmdist.estimation.cylinder import TangentPlane, axis_of_cylinder, tangent_normal, tangent_plane
+from svmdist.estimation.instrument.cylinder import (
+    TangentPlane,
+    axis_of_cylinder,
+    tangent_normal,
+    tangent_plane,
+)
 from svmdist.transforms import Array
 from svmdist.vision.edges import Line
 

@@ -8,9 +8,9 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.distances import measure
-from svmdist.estimation.instrument_model import InstrumentModel
-from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.tissue import TissueFix, dome_mesh, see_tissue
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.tissue.fix import TissueFix, dome_mesh, see_tissue
 from svmdist.geometry.closest import winding_number
 from svmdist.geometry.surfaces import Plane
 from svmdist.kinematics.chain import chain_of

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.estimation.equations import (
+from svmdist.estimation.planar.equations import (
     PRINTED_MAPPING,
     PRINTED_X,
     PRINTED_Y,

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from svmdist.camera import Camera
 from svmdist.errors import UsageError
-from svmdist.estimation.equations import PlaneMapping, Quadratic
 from svmdist.estimation.methods import make_estimator
+from svmdist.estimation.planar.equations import PlaneMapping, Quadratic
 from svmdist.profile import load_profile
 from svmdist.samples import Estimate, Observation, Status
 

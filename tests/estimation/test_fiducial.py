@@ -9,7 +9,7 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
 from svmdist.estimation.fiducial import FiducialEstimator
-from svmdist.estimation.tag_pose import find_tag_pose, tool_behind_tag
+from svmdist.estimation.instrument.tag_pose import find_tag_pose, tool_behind_tag
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.jacobian import row_index

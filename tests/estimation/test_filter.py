@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.cylinder import tangent_normal
-from svmdist.estimation.filter import KinematicErrorFilter
-from svmdist.estimation.observations import ContourObservation, LinkObservation, PointsObservation
+from svmdist.estimation.filtering.filter import KinematicErrorFilter
+from svmdist.estimation.filtering.observations import ContourObservation, LinkObservation, PointsObservation
+from svmdist.estimation.instrument.cylinder import tangent_normal
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.inverse import solve_position

@@ -10,8 +10,8 @@ import pytest
 from svmdist.errors import ProfileError
 from svmdist.estimation.fused import FusedEstimator
 from svmdist.estimation.kinematic import KinematicEstimator
-from svmdist.estimation.tissue import TissueFix
-from svmdist.estimation.tissue_memory import MOVED_COUNT, TissueMemory
+from svmdist.estimation.tissue.fix import TissueFix
+from svmdist.estimation.tissue.memory import MOVED_COUNT, TissueMemory
 from svmdist.geometry.surfaces import Plane
 from svmdist.profile import Profile
 from svmdist.samples import JointSample, Observation, Status

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.estimation.identity import Blob, IdentityTracker
-from svmdist.estimation.identity_motion import Believed, Gaussian
+from svmdist.estimation.identity.motion import Believed, Gaussian
+from svmdist.estimation.identity.tracker import Blob, IdentityTracker
 from svmdist.transforms import Array
 
 WIDTH_PX, HEIGHT_PX, RADIUS_PX, FOCAL_PX, DEPTH_M = 640, 480, 11.0, 554.0, 0.09

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.correction import ErrorModel, Moment
-from svmdist.estimation.linearisation import chi_square_bound, linearise, pose_derivative
-from svmdist.estimation.observations import (
+from svmdist.estimation.filtering.correction import ErrorModel, Moment
+from svmdist.estimation.filtering.linearisation import linearise, pose_derivative
+from svmdist.estimation.filtering.observations import (
     ContourObservation,
     DisparityObservation,
     LinkObservation,
@@ -16,6 +16,7 @@ from svmdist.estimation.observations import (
     PoseObservation,
     SizeObservation,
 )
+from svmdist.estimation.gate import chi_square_bound
 from svmdist.kinematics.chain import chain_of
 from svmdist.profile import load_profile
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_y

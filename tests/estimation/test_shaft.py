@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.shaft import ShaftEstimator, shaft_frames
-from svmdist.estimation.shaft_fit import ShaftFit
+from svmdist.estimation.instrument.shaft_fit import ShaftFit
+from svmdist.estimation.instrument.shaft_model import shaft_frames
+from svmdist.estimation.shaft import ShaftEstimator
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import ColourRegion, load_profile

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.rectified import RectifiedPair
-from svmdist.estimation.shaft_sight import Knuckle
+from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.instrument.rectified import RectifiedPair
+from svmdist.estimation.instrument.shaft_sight import Knuckle
 from svmdist.estimation.stereo import StereoEstimator
 from svmdist.estimation.stereo_tool import SeenTwice, deepen, match_knuckle
 from svmdist.profile import load_profile

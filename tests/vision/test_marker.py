@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.estimation.outline import find_marker, template_features
+from svmdist.estimation.planar.outline import find_marker, template_features
 from svmdist.profile import load_profile
 from svmdist.samples import Status
 from svmdist.vision.features import EDGE_MARGIN_PX, detect_orb

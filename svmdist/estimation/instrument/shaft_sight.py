@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.cylinder import TangentPlane, tangent_plane
+from svmdist.estimation.instrument.cylinder import TangentPlane, tangent_plane
 from svmdist.profile import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter import KinematicErrorFilter
-from svmdist.estimation.identity_motion import Believed, Gaussian
-from svmdist.estimation.instrument_model import NECK_PER_RADIUS, WRIST_LENGTH_PER_RADIUS
-from svmdist.estimation.instrument_regions import ShaftAxis
-from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.robot_scene import belief_of
+from svmdist.estimation.filtering.filter import KinematicErrorFilter
+from svmdist.estimation.filtering.robot_scene import belief_of
+from svmdist.estimation.identity.motion import Believed, Gaussian
+from svmdist.estimation.identity.regions import ShaftAxis
+from svmdist.estimation.instrument.model import NECK_PER_RADIUS, WRIST_LENGTH_PER_RADIUS
+from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.kinematics.chain import chain_of
 from svmdist.profile import Instrument, Profile
 from svmdist.samples import Observation

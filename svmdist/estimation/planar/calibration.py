@@ -12,7 +12,7 @@ from pydantic import Field
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, OutputError
-from svmdist.estimation.equations import PlaneMapping, Quadratic, screen_cm_corrected
+from svmdist.estimation.planar.equations import PlaneMapping, Quadratic, screen_cm_corrected
 from svmdist.toml_model import StrictModel, parse_toml
 from svmdist.transforms import Array
 

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.estimation.correction import CorrectedLink, Correction, ErrorModel, Moment
-from svmdist.estimation.linearisation import Linearised, chi_square_bound, linearise
-from svmdist.estimation.observations import LinkObservation
-from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.window import WINDOW_SOLVES, Sights, Window, geman_mcclure
+from svmdist.estimation.filtering.correction import CorrectedLink, Correction, ErrorModel, Moment
+from svmdist.estimation.filtering.linearisation import Linearised, linearise
+from svmdist.estimation.filtering.observations import LinkObservation
+from svmdist.estimation.filtering.window import WINDOW_SOLVES, Sights, Window, geman_mcclure
+from svmdist.estimation.gate import chi_square_bound
+from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.kinematics.dh import DHChain
 from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import KinematicError

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.cylinder import tangent_normal
+from svmdist.estimation.instrument.cylinder import tangent_normal
 from svmdist.transforms import Array, rotation_vector, transform_points
 
 MIN_DEPTH_M = 1e-3

@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from svmdist.estimation.identity_motion import Believed, BelievedMotion, Gaussian, SteadyMotion
+from svmdist.estimation.identity.motion import Believed, BelievedMotion, Gaussian, SteadyMotion
 from svmdist.transforms import Array
 
 GATE_D2 = 18.4

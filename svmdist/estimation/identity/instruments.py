@@ -1,6 +1,6 @@
 """The instruments of one image told apart: each estimator gets the image with what is not its own marked.
 
-The coloured regions go to the instruments by `identity.py`. A dark pixel goes to the shaft whose axis is nearer: where
+The coloured regions go to the instruments by `tracker.py`. A dark pixel goes to the shaft whose axis is nearer: where
 the region is, and which way the robot believes its shaft to point, tell where the axis runs in the image.
 """
 
@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.identity import Identity, IdentityTracker
-from svmdist.estimation.instrument_belief import ArmBelief, InstrumentBelief
-from svmdist.estimation.instrument_regions import ColouredRegions, DarkPixels, ShaftAxis
+from svmdist.estimation.identity.belief import ArmBelief, InstrumentBelief
+from svmdist.estimation.identity.regions import ColouredRegions, DarkPixels, ShaftAxis
+from svmdist.estimation.identity.tracker import Identity, IdentityTracker
 from svmdist.profile import Profile
 from svmdist.samples import Image, Observation
 from svmdist.transforms import inverse

@@ -1,4 +1,4 @@
-"""Observations about a state: residual and derivatives, as filter and batch take them, and the gate for residuals."""
+"""Observations about a state: residual and derivatives, as filter and batch take them."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.estimation.observations import LinkObservation
+from svmdist.estimation.filtering.observations import LinkObservation
 from svmdist.transforms import Array, rotation_of
 
 STEP = 1e-6
 """Step of the central differences in m and rad: truncation and rounding are both below 1e-8 px of it."""
 TURNS = rotation_of(np.repeat(np.eye(3), 2, axis=0) * np.tile([STEP, -STEP], 3)[:, None])
-GATE_Z = 3.09
-"""Normal quantile of the gate: an observation less likely than 1 in 1,000 is rejected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +59,3 @@ def pose_derivative(observation: LinkObservation, T_camera_link: Array) -> Array
     if not np.all(np.isfinite(residuals)):
         return np.full((residuals.shape[1], 6), np.nan)
     return np.asarray((residuals[0::2] - residuals[1::2]).T / (2.0 * STEP))
-
-
-def chi_square_bound(freedom: int, z: float = GATE_Z) -> float:
-    """Quantile of the chi-square distribution at the normal quantile z (Wilson and Hilferty 1931)."""
-    c = 2.0 / (9.0 * freedom)
-    return float(freedom * (1.0 - c + z * np.sqrt(c)) ** 3)

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.estimation.correction import Correction, ErrorModel, Moment
-from svmdist.estimation.linearisation import Linearised, chi_square_bound, linearise
-from svmdist.estimation.observations import LinkObservation
+from svmdist.estimation.filtering.correction import Correction, ErrorModel, Moment
+from svmdist.estimation.filtering.linearisation import Linearised, linearise
+from svmdist.estimation.filtering.observations import LinkObservation
+from svmdist.estimation.gate import chi_square_bound
 from svmdist.transforms import Array, skew
 
 WINDOW_SOLVES = (1, 2, 3, 5, 8, 12, 20)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, ProfileError
 from svmdist.estimation.distances import measure
-from svmdist.estimation.instrument_model import InstrumentModel
-from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.tissue import TissueFix, TissueSight, require_tissue, see_tissue
-from svmdist.estimation.tissue_memory import TissueMemory
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.tissue.fix import TissueFix, TissueSight, require_tissue, see_tissue
+from svmdist.estimation.tissue.memory import TissueMemory
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, select_joints
 from svmdist.profile import Profile

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.estimation.identity import Blob
+from svmdist.estimation.identity.tracker import Blob
 from svmdist.profile import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array

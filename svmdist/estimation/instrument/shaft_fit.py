@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.cylinder import CylinderAxis, axis_of_cylinder, tangent_normal
-from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.shaft_sight import ShaftSight
+from svmdist.estimation.instrument.cylinder import CylinderAxis, axis_of_cylinder, tangent_normal
+from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.instrument.shaft_sight import ShaftSight
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector
 from svmdist.vision.edges import straightened
 

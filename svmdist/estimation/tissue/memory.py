@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.linearisation import chi_square_bound
-from svmdist.estimation.tissue import TissueFix
+from svmdist.estimation.gate import chi_square_bound
+from svmdist.estimation.tissue.fix import TissueFix
 from svmdist.transforms import Array
 
 MOVED_COUNT = 5

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.errors import KinematicsError
-from svmdist.estimation.pose import ToolPose
+from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.geometry.surfaces import Capsules, join
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, frame_transforms, select_joints

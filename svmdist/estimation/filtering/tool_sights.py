@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.locate import locate_instrument
-from svmdist.estimation.observations import (
+from svmdist.estimation.filtering.observations import (
     ContourObservation,
     DisparityObservation,
     LinkObservation,
@@ -17,11 +16,11 @@ from svmdist.estimation.observations import (
     PoseObservation,
     SizeObservation,
 )
-from svmdist.estimation.pose import ToolPose
-from svmdist.estimation.robot_scene import Belief, Look
-from svmdist.estimation.shaft import tag_plate
-from svmdist.estimation.shaft_sight import see_knuckle, see_shaft
-from svmdist.estimation.tag_pose import find_tag_pose
+from svmdist.estimation.filtering.robot_scene import Belief, Look
+from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.instrument.shaft_sight import see_knuckle, see_shaft
+from svmdist.estimation.instrument.tag_pose import find_tag_pose
+from svmdist.estimation.locate import locate_instrument
 from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.kinematics.jacobian import row_index
 from svmdist.kinematics.shaft_axis import shaft_of
@@ -33,7 +32,7 @@ from svmdist.vision.regions import Region
 from svmdist.vision.segmentation import to_hsv
 from svmdist.vision.segmenter import Masks, Segmenter, own_masks
 from svmdist.vision.shaft_segmentation import find_shaft
-from svmdist.vision.tag import TagFinder, TagPattern
+from svmdist.vision.tag import TagFinder, TagPattern, tag_plate
 
 REGION_STD_PX = 2.0
 """The centroid of a coloured part of unknown shape against the tool's origin."""

@@ -1,0 +1,1 @@
+"""Which region of the image is which instrument, over time."""

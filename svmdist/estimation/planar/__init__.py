@@ -1,0 +1,1 @@
+"""The paper's plane: its equations, the mapping fitted to a scene, and the marker's outline."""
