@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.methods import SPATIAL_METHODS
 from svmdist.recording.reader import Recording, open_recording
-from svmdist.workflows.distance_scores import DistanceScore
+from svmdist.workflows.distance_scores import Distance, DistanceScore, pair, score_pairs
+from svmdist.workflows.estimate import estimate_instruments
 from svmdist.workflows.replay import Figures, Run, pooled_figures, replay
 from svmdist.workflows.score import Score
 from svmdist.workflows.setup import prepare
@@ -24,6 +26,13 @@ ALARMS = AlarmRules(5e-3)
 HEADER = (
     "| method | n / frames | spatial RMSE [mm] | p95 [mm] | in 95 % | clearance RMSE [mm] | p95 [mm] | in 95 % | ms |\n"
     "|---|---|---|---|---|---|---|---|---|\n"
+)
+BETWEEN = ("PSM1", "PSM2")
+CLEARANCE_BETWEEN = Distance(
+    "clearance between instruments",
+    lambda row: row.instrument_clearance_m,
+    lambda row: row.instrument_clearance_std_m,
+    lambda truth: truth.clearance_m,
 )
 ALL = "### All methods in 3D, both logs and all instruments\n"
 
@@ -48,12 +57,30 @@ def table_of_all(runs: Sequence[Run]) -> str:
     return _table(runs)
 
 
-def make_results_3d(runs: Sequence[Run], alarms: Validation) -> str:
+def score_between() -> DistanceScore:
+    """`fused` on the log of two instruments: the clearance between them, against the simulator's."""
+    setup = prepare(method="fused")
+    path = RECORDINGS / "duo.mcap"
+    rows = [
+        row
+        for row in estimate_instruments(open_recording(path, setup.profile), setup)
+        if row.instrument == BETWEEN[0] and row.measured
+    ]
+    stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
+    topics = {"ground_truth_distance": f"/ground_truth/{'/'.join(BETWEEN)}/distance"}
+    truth = open_recording(path, setup.profile, topics=topics).distance_track().at(stamps_ns)
+    score = score_pairs(pair(CLEARANCE_BETWEEN, rows, truth, stamps_ns))
+    assert score is not None
+    return score
+
+
+def make_results_3d(runs: Sequence[Run], alarms: Validation, between: DistanceScore) -> str:
     """The generated part of docs/results.md about the logs in 3D."""
     parts = [ALL, _table(runs)]
     for recording, instrument in dict.fromkeys((run.recording, run.instrument) for run in runs):
         members = [run for run in runs if (run.recording, run.instrument) == (recording, instrument)]
         parts += [f"### {_label(recording, instrument)}\n", _table(members)]
+    parts += [f"### Between {' and '.join(BETWEEN)} in `duo`, `fused`\n", _between_table(between)]
     parts += [f"### Alarms of `fused`, clearance below {ALARMS.below_m * 1e3:g} mm\n", _alarm_table(alarms)]
     return "\n".join(parts)
 
@@ -85,6 +112,14 @@ def _distance_cells(score: DistanceScore | None) -> tuple[str, str, str]:
     assert score.interval_coverage is not None
     rmse_m, p95_m = score.statistics.rmse, score.statistics.p95_abs_error
     return f"{rmse_m * 1e3:.2f}", f"{p95_m * 1e3:.2f}", f"{score.interval_coverage * 100:.0f} %"
+
+
+def _between_table(score: DistanceScore) -> str:
+    cells = (str(len(score.pairs)), *_distance_cells(score), f"{score.statistics.bias * 1e3:.2f}")
+    return (
+        "| n | clearance RMSE [mm] | p95 [mm] | in 95 % | bias [mm] |\n"
+        f"|---|---|---|---|---|\n| {' | '.join(cells)} |\n"
+    )
 
 
 def _alarm_table(validation: Validation) -> str:

@@ -27,7 +27,7 @@ from svmdist.workflows.score import Score
 from svmdist.workflows.setup import Setup, prepare
 from svmdist.workflows.truth import Reference
 from svmdist.workflows.validate import Validation, validate
-from tools.docs_3d import make_results_3d, measure_logs, score_alarms, table_of_all
+from tools.docs_3d import make_results_3d, measure_logs, score_alarms, score_between, table_of_all
 from tools.scene_picture import save_scene_picture
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -183,7 +183,7 @@ def make_3d() -> None:
     save_scene_picture(duo, setup, SCENE_FRAME, IMAGES / "scene.jpg")
     runs = measure_logs()
     _rewrite(README, table_of_all(runs), MARKS_3D)
-    _rewrite(RESULTS, make_results_3d(runs, score_alarms()), MARKS_3D)
+    _rewrite(RESULTS, make_results_3d(runs, score_alarms(), score_between()), MARKS_3D)
 
 
 def _rewrite(document: Path, table: str, marks: tuple[str, str] = (BEGIN, END)) -> None:
