@@ -97,7 +97,7 @@ def test_every_command_is_in_the_readme() -> None:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(REPOSITORY)))
 def test_named_modules_exist(document: Path) -> None:
-    """A path such as `vision/marker.py` in a document names a module of the package."""
+    """A path such as `vision/marker/pattern.py` in a document names a module of the package."""
     for path in re.findall(r"`(?:svmdist/)?((?:[a-z_]+/)*[a-z_]+\.py)`", document.read_text("utf-8")):
         folders = (REPOSITORY / "svmdist", REPOSITORY)
         there = any((folder / path).exists() for folder in folders)

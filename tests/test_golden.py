@@ -18,9 +18,9 @@ from svmdist.workflows.baseline import find_regressions, load_baseline
 from svmdist.workflows.calibrate import calibrate
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.lag import predictor
-from svmdist.workflows.score import Score
+from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.truth import Reference, tool_track
 from svmdist.workflows.setup import Setup, prepare
-from svmdist.workflows.truth import Reference, tool_track
 from svmdist.workflows.validate import Validation
 from tests.conftest import REPOSITORY
 from tools.docs_3d import LOGS as LOGS_3D

@@ -12,12 +12,12 @@ import numpy as np
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.methods import SPATIAL_METHODS
 from svmdist.recording.reader import Recording, open_recording
-from svmdist.workflows.distance_scores import Distance, DistanceScore, pair, score_pairs
 from svmdist.workflows.estimate import estimate_instruments
 from svmdist.workflows.replay import Figures, Run, pooled_figures, replay
-from svmdist.workflows.score import Score
+from svmdist.workflows.scoring.distances import Distance, DistanceScore, pair, score_pairs
+from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.setup import prepare
-from svmdist.workflows.truth import Reference, TruthRules
 from svmdist.workflows.validate import Validation, validate
 
 RECORDINGS = Path(__file__).resolve().parent.parent / "recordings" / "3d"

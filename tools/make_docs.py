@@ -20,12 +20,12 @@ from svmdist.recording.reader import open_recording
 from svmdist.report.plot import save_plot
 from svmdist.samples import Estimate, Image, Observation
 from svmdist.transforms import Array
-from svmdist.vision.homography import square_corners
-from svmdist.vision.marker import marker_pattern
+from svmdist.vision.marker.homography import square_corners
+from svmdist.vision.marker.pattern import marker_pattern
 from svmdist.workflows.blur_bench import blur_bench
-from svmdist.workflows.score import Score
+from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.setup import Setup, prepare
-from svmdist.workflows.truth import Reference
 from svmdist.workflows.validate import Validation, validate
 from tools.docs_3d import make_results_3d, measure_logs, score_alarms, score_between, table_of_all
 from tools.scene_picture import save_scene_picture

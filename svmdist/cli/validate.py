@@ -145,8 +145,8 @@ def validate_command(
         require_same_alarms,
         save_baseline,
     )
+    from svmdist.workflows.scoring.truth import Reference, truth_rules
     from svmdist.workflows.setup import prepare
-    from svmdist.workflows.truth import Reference, truth_rules
     from svmdist.workflows.validate import validate
 
     for target in (output, save_plot, write_baseline):

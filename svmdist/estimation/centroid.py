@@ -7,7 +7,7 @@ from svmdist.estimation.planar.equations import PlaneMapping, planar_distance_m
 from svmdist.estimation.rows import finish, first_rows
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
-from svmdist.vision.segmenter import Segmenter, make_segmenter, own_masks
+from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter, own_masks
 
 
 class CentroidEstimator:

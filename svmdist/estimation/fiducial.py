@@ -16,8 +16,9 @@ from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import select_joints
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Image, Observation, Status
-from svmdist.vision.segmenter import Segmenter, make_segmenter
-from svmdist.vision.tag import TagFinder, TagPattern
+from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
+from svmdist.vision.tag.detection import TagFinder
+from svmdist.vision.tag.pattern import TagPattern
 
 
 class FiducialEstimator:

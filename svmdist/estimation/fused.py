@@ -13,7 +13,7 @@ from svmdist.estimation.filtering.robot_scene import RobotScene
 from svmdist.estimation.filtering.tool_sights import ToolSights
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, JointSample, Observation
-from svmdist.vision.segmenter import Segmenter
+from svmdist.vision.segmentation.segmenter import Segmenter
 
 
 class FusedEstimator:

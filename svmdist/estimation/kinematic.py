@@ -9,7 +9,7 @@ from svmdist.estimation.filtering.filter import KinematicErrorFilter
 from svmdist.estimation.filtering.robot_scene import RobotScene
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
-from svmdist.vision.segmenter import Segmenter
+from svmdist.vision.segmentation.segmenter import Segmenter
 
 
 class KinematicEstimator:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from svmdist.profile import Segmentation
 from svmdist.vision.regions import Region, find_region
-from svmdist.vision.segmenter import Masks
+from svmdist.vision.segmentation.segmenter import Masks
 
 
 def locate_tissue(masks: Masks, segmentation: Segmentation) -> Region | None:

@@ -16,7 +16,7 @@ from svmdist.estimation.shaft import ShaftEstimator
 from svmdist.estimation.stereo import StereoEstimator
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
-from svmdist.vision.segmenter import Segmenter
+from svmdist.vision.segmentation.segmenter import Segmenter
 
 
 class Estimator(Protocol):

@@ -14,9 +14,9 @@ from svmdist.estimation.planar.outline import find_marker, template_features
 from svmdist.estimation.rows import finish, first_rows
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation, Status
-from svmdist.vision.features import EDGE_MARGIN_PX
-from svmdist.vision.marker import paste_marker
-from svmdist.vision.segmenter import Segmenter, make_segmenter, own_masks
+from svmdist.vision.marker.features import EDGE_MARGIN_PX
+from svmdist.vision.marker.pattern import paste_marker
+from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter, own_masks
 
 
 class OverlayEstimator:

@@ -17,11 +17,11 @@ from svmdist.estimation.tissue.fix import require_tissue, see_tissue, tissue_row
 from svmdist.kinematics.chain import chain_of
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Image, Observation, Status
-from svmdist.vision.exposure import levelled
-from svmdist.vision.segmentation import to_hsv
-from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter, own_masks
+from svmdist.vision.segmentation.colour import to_hsv
+from svmdist.vision.segmentation.exposure import levelled
+from svmdist.vision.segmentation.segmenter import Masks, Segmenter, make_segmenter, own_masks
 from svmdist.vision.shaft_segmentation import ShaftRegion, bright_fraction, find_shaft
-from svmdist.vision.tag import TagFinder, tag_plate
+from svmdist.vision.tag.detection import TagFinder, tag_plate
 
 MAX_STD_M = 0.004
 """A position less certain than this along any direction is no measurement."""

@@ -21,9 +21,9 @@ from svmdist.geometry.surfaces import Cloud
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Image, Observation, Rejection, RightView, Status
 from svmdist.transforms import Array
-from svmdist.vision.exposure import levelled
-from svmdist.vision.segmentation import to_hsv
-from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter, own_masks
+from svmdist.vision.segmentation.colour import to_hsv
+from svmdist.vision.segmentation.exposure import levelled
+from svmdist.vision.segmentation.segmenter import Masks, Segmenter, make_segmenter, own_masks
 from svmdist.vision.stereo import DisparitySurface, fit_surface
 
 NEAR_M = 0.04

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from svmdist.report.table import Cell, Column, number, percent
-from svmdist.workflows.distance_scores import DistanceScore
 from svmdist.workflows.replay import Figures
+from svmdist.workflows.scoring.distances import DistanceScore
 
 FIGURE_KEYS = (
     "frame_count",

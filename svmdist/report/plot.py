@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from svmdist.errors import OutputError
 from svmdist.report.text import printable
-from svmdist.workflows.score import Score
-from svmdist.workflows.truth import Reference
+from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
 
 TRUTH_COLOUR, ESTIMATE_COLOUR = "#c1272d", "#1f5fa8"  # red and blue, as in the paper

@@ -6,8 +6,8 @@ from typing import Any
 
 from svmdist.alarm_metrics import AlarmStatistics
 from svmdist.report.table import Cell, json_value
-from svmdist.workflows.distance_scores import DistanceScore
-from svmdist.workflows.score import Score
+from svmdist.workflows.scoring.distances import DistanceScore
+from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 
 SCHEMA = "svmdist.validation/1"

@@ -12,8 +12,8 @@ from svmdist.metrics import ErrorStatistics
 from svmdist.report.table import Cell, Column, Row, number, percent, rich_table
 from svmdist.report.text import printable
 from svmdist.report.validation import score_row
-from svmdist.workflows.distance_scores import score_pairs
-from svmdist.workflows.score import Score
+from svmdist.workflows.scoring.distances import score_pairs
+from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import Validation
 
 _AGAINST = Column(

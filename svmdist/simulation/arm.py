@@ -11,7 +11,7 @@ from svmdist.kinematics.dh import forward_kinematics, link_transforms
 from svmdist.profile import Profile
 from svmdist.samples import DistanceSample, JointSample, PoseSample, Sample, TransformSample
 from svmdist.simulation.belief import Belief
-from svmdist.simulation.clearance import ClearanceMeter
+from svmdist.simulation.clearance.meters import ClearanceMeter
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array
 

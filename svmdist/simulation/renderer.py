@@ -16,8 +16,8 @@ import numpy as np
 from svmdist.camera import R_OPENGL_OPENCV, Camera
 from svmdist.errors import SimulationError, did_you_mean
 from svmdist.samples import Image
+from svmdist.simulation.bodies.meshes import Mesh
 from svmdist.simulation.bullet import BulletClient, quiet_stdout
-from svmdist.simulation.meshes import Mesh
 from svmdist.simulation.scene import Scene, make_floor
 from svmdist.simulation.urdf import LinkVisual, urdf_of
 from svmdist.transforms import Array, inverse, quaternion_xyzw_from_rotation

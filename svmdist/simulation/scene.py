@@ -15,13 +15,13 @@ from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.profile import Profile
 from svmdist.samples import Image
+from svmdist.simulation.bodies.instrument import Part, make_parts
+from svmdist.simulation.bodies.meshes import Mesh, loft, smooth_normals
+from svmdist.simulation.bodies.organ import SEMI_AXES_M, Organ, make_organ
+from svmdist.simulation.bodies.plate import Plate, make_plate
+from svmdist.simulation.bodies.relief import make_relief
+from svmdist.simulation.bodies.textures import fine_tissue_texture, floor_texture, tissue_texture
 from svmdist.simulation.extras import Extras
-from svmdist.simulation.instrument import Part, make_parts
-from svmdist.simulation.meshes import Mesh, loft, smooth_normals
-from svmdist.simulation.organ import SEMI_AXES_M, Organ, make_organ
-from svmdist.simulation.plate import Plate, make_plate
-from svmdist.simulation.relief import make_relief
-from svmdist.simulation.textures import fine_tissue_texture, floor_texture, tissue_texture
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
 
 FLOOR_HALF_M = 0.16

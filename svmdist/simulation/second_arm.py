@@ -13,9 +13,9 @@ from svmdist.errors import KinematicsError, SimulationError
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.kinematics.inverse import solve_position
 from svmdist.profile import Profile
-from svmdist.simulation.clearance import BetweenMeter
+from svmdist.simulation.clearance.meters import BetweenMeter
 from svmdist.simulation.extras import Extras
-from svmdist.simulation.paths import cubic_spline, wander
+from svmdist.simulation.motion.paths import cubic_spline, wander
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, inverse, transform_points
 

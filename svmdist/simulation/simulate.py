@@ -20,14 +20,14 @@ from svmdist.samples import (
 )
 from svmdist.simulation.arm import Arm, ArmTopicNames, distances
 from svmdist.simulation.belief import draw_belief
-from svmdist.simulation.clearance import BetweenMeter, ClearanceMeter
+from svmdist.simulation.clearance.meters import BetweenMeter, ClearanceMeter
 from svmdist.simulation.extras import Extras
+from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.motion.trajectory import make_trajectory
 from svmdist.simulation.renderer import Renderer
-from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.simulation.second_arm import OtherArm, make_other_arms
 from svmdist.simulation.sensor import Sensor
-from svmdist.simulation.trajectory import make_trajectory
 
 START_NS = 1_700_000_000_000_000_000
 """The stamp of the first sample. No clock is read, so that a rerun gives the same log."""

@@ -1,8 +1,6 @@
 """The instrument's shaft in the image: a dark bar that comes in from the border of what the endoscope shows.
 
 Its contour starts at the border, runs along one side, around the distal end and back along the other side.
-Endoscopes frame their picture in black, as dark as a shaft: the field of view is found first, as the convex
-hull of all that is bright, which rectangles and discs are, whatever a shaft cuts out of them.
 """
 
 from __future__ import annotations
@@ -16,9 +14,8 @@ from numpy.typing import NDArray
 from svmdist.profile import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array
+from svmdist.vision.field_of_view import field_of_view
 
-BRIGHT_PART_FRACTION = 0.005
-"""Bright parts below this fraction of the image are letters on a black border, not scene."""
 RIM_FRACTION = 0.006
 """The outermost part of the field of view, over the image's width: optics fade there."""
 GAP_FRACTION = 0.03
@@ -77,18 +74,6 @@ class ShaftRegion:
         """A point between the contour lines, shape (2,)."""
         ends = [self.first.start_px, self.first.end_px, self.second.start_px, self.second.end_px]
         return np.asarray(np.mean(ends, axis=0))
-
-
-def field_of_view(dark: Image) -> Image:
-    """Mask, shape (h, w), of what the endoscope shows: the convex hull of the larger parts that are not dark."""
-    height, width = dark.shape
-    bright = cv2.erode(cv2.bitwise_not(dark), np.ones((3, 3), np.uint8), borderValue=255)
-    contours, _ = cv2.findContours(bright, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    large = [part for part in contours if cv2.contourArea(part) > BRIGHT_PART_FRACTION * height * width]
-    view = np.zeros_like(dark)
-    if large:
-        cv2.fillConvexPoly(view, cv2.convexHull(np.concatenate(large)), 255)
-    return view
 
 
 def find_shaft(

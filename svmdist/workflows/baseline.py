@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from svmdist.errors import OutputError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.workflows.score import Score
+from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import Validation
 
 SCHEMA: Literal["svmdist.baseline/1"] = "svmdist.baseline/1"

@@ -15,10 +15,10 @@ from svmdist.recording.reader import Recording
 from svmdist.samples import Estimate, Image, Observation, Rejection
 from svmdist.transforms import Array
 from svmdist.vision.blur import Blur, apply_blur
-from svmdist.vision.features import EDGE_MARGIN_PX, detect_orb
-from svmdist.vision.marker import paste_marker
+from svmdist.vision.marker.features import EDGE_MARGIN_PX, detect_orb
+from svmdist.vision.marker.pattern import paste_marker
+from svmdist.workflows.scoring.truth import Reference, distance_truth
 from svmdist.workflows.setup import Setup
-from svmdist.workflows.truth import Reference, distance_truth
 
 DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
     Blur.NONE: 1,

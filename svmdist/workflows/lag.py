@@ -15,7 +15,7 @@ from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
 from svmdist.samples import Estimate
 from svmdist.transforms import Array
-from svmdist.workflows.truth import PoseAt, Reference, TruthRules, tool_track
+from svmdist.workflows.scoring.truth import PoseAt, Reference, TruthRules, tool_track
 
 Lag = float | Literal["auto"]
 """A lag in s, positive when the image stamps are late, or `auto` to estimate it."""

@@ -11,7 +11,7 @@ from svmdist.errors import UsageError
 from svmdist.profile import Profile
 from svmdist.recording.writer import RecordingWriter
 from svmdist.simulation.extras import Extras
-from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.simulate import simulate, topic_names
 
 VERSIONED_PACKAGES = ("svmdist", "pybullet", "numpy", "opencv-python-headless")

@@ -15,8 +15,8 @@ from svmdist.recording.reader import Recording
 from svmdist.recording.topics import Role
 from svmdist.samples import Observation, Rejection
 from svmdist.vision.degradations import Degradation, degrade, image_seed, require_degradation
-from svmdist.workflows.distance_scores import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 from svmdist.workflows.estimate import instruments_of
+from svmdist.workflows.scoring.distances import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 from svmdist.workflows.setup import Setup
 
 Clock = Callable[[], float]

@@ -14,7 +14,7 @@ from svmdist.estimation.planar.equations import PRINTED_MAPPING, Equations, Plan
 from svmdist.estimation.tissue.fix import require_tissue
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.reader import Recording
-from svmdist.vision.segmenter import Segmenter, make_segmenter
+from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.lag import LagEstimate
 from svmdist.recording.reader import Recording
 from svmdist.samples import Estimate
-from svmdist.workflows.alarms import require_clearance
 from svmdist.workflows.estimate import estimate_instruments
 from svmdist.workflows.lag import Lag, recording_lag
-from svmdist.workflows.score import Score, pool_scores, score_rows
+from svmdist.workflows.scoring.alarms import require_clearance
+from svmdist.workflows.scoring.score import Score, pool_scores, score_rows
+from svmdist.workflows.scoring.truth import KINEMATICS_PRINTED_NOTE, Reference, TruthRules
 from svmdist.workflows.setup import Setup
-from svmdist.workflows.truth import KINEMATICS_PRINTED_NOTE, Reference, TruthRules
 
 PAPER_R_SQUARED = 0.78
 """The paper's own figure (sec. IV); its scene differs from every scene here."""

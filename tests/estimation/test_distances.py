@@ -18,8 +18,8 @@ from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import Dome, load_profile
 from svmdist.samples import Estimate, JointSample, Status
 from svmdist.transforms import inverse, make_transform, rotation_x, rotation_z
-from svmdist.vision.segmenter import make_segmenter
-from svmdist.vision.tag import nudged
+from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.vision.tag.refinement import nudged
 
 PROFILE = load_profile()
 assert PROFILE.robot is not None

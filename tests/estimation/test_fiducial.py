@@ -16,7 +16,9 @@ from svmdist.kinematics.jacobian import row_index
 from svmdist.profile import KinematicError, load_profile
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_y, rotation_z
-from svmdist.vision.tag import TagFinder, TagPattern, TagPose, pose_candidates, square_corners_m
+from svmdist.vision.tag.detection import TagFinder, pose_candidates, square_corners_m
+from svmdist.vision.tag.pattern import TagPattern
+from svmdist.vision.tag.refinement import TagPose
 
 SIZE_M = 0.007
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)

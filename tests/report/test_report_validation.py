@@ -20,9 +20,9 @@ from svmdist.report.validation import VALIDATION_KEYS, score_row, validation_doc
 from svmdist.report.validation_tables import remarks, validation_table
 from svmdist.vision.blur import Blur
 from svmdist.workflows.blur_bench import BlurRow, PrintedRow
-from svmdist.workflows.distance_scores import Pairs
-from svmdist.workflows.score import Score
-from svmdist.workflows.truth import Reference
+from svmdist.workflows.scoring.distances import Pairs
+from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
 
 START_NS = 1_700_000_000_000_000_000

@@ -16,12 +16,12 @@ from svmdist.recording.reader import open_recording
 from svmdist.samples import CameraSample, ImageSample, JointSample, Sample, TransformsSample
 from svmdist.simulation.belief import draw_belief
 from svmdist.simulation.extras import Extras
-from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, inverse, rotation_angle, transform_points
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.clearance import ClearanceMeter
+from svmdist.simulation.clearance.meters import ClearanceMeter
 from svmdist.simulation.renderer import Renderer
 from svmdist.simulation.sensor import Sensor
 from svmdist.simulation.simulate import simulate

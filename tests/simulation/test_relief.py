@@ -11,15 +11,15 @@ from scipy.spatial import cKDTree
 from svmdist.errors import UsageError
 from svmdist.kinematics.inverse import solve_position
 from svmdist.profile import Profile
+from svmdist.simulation.clearance.surface_tree import SurfaceTree
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.scene import Scene, make_scene
-from svmdist.simulation.surface_tree import SurfaceTree
 from svmdist.transforms import Array, inverse, transform_points
-from svmdist.vision.segmentation import colour_mask, to_hsv
+from svmdist.vision.segmentation.colour import colour_mask, to_hsv
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.clearance import ClearanceMeter
-from svmdist.simulation.relief_clearance import OrganSurface, ReliefMeter
+from svmdist.simulation.clearance.meters import ClearanceMeter
+from svmdist.simulation.clearance.relief_meter import OrganSurface, ReliefMeter
 from svmdist.simulation.renderer import Renderer
 
 RELIEF = Extras(relief_m=0.0005)

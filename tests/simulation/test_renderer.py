@@ -13,7 +13,7 @@ import pytest
 from svmdist.errors import SimulationError
 from svmdist.kinematics.inverse import solve_position
 from svmdist.profile import ColourRegion, Profile
-from svmdist.simulation.meshes import sphere
+from svmdist.simulation.bodies.meshes import sphere
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import inverse, make_transform, transform_points
 

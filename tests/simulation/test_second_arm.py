@@ -12,15 +12,15 @@ from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import Profile
 from svmdist.samples import DistanceSample, ImageSample, JointSample, Sample, TransformsSample
 from svmdist.simulation.extras import Extras
-from svmdist.simulation.scenarios import SCENARIOS, Scenario
+from svmdist.simulation.motion.scenarios import SCENARIOS, Scenario
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, transform_points
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.clearance import BetweenMeter, ClearanceMeter
+from svmdist.simulation.clearance.meters import BetweenMeter, ClearanceMeter
+from svmdist.simulation.motion.trajectory import make_trajectory
 from svmdist.simulation.second_arm import CLEARANCE_M, make_other_arms
 from svmdist.simulation.simulate import simulate
-from svmdist.simulation.trajectory import make_trajectory
 
 SHORT = Scenario("sweep", 1, 0.1, 10.0)
 ARMS = Extras(arms=2, tag=True, kinematic_error=1.0)

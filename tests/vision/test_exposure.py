@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.exposure import exposure_of, levelled
+from svmdist.vision.segmentation.exposure import exposure_of, levelled
 
 
 def _scene(border: bool = False) -> np.ndarray:

@@ -6,8 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.features import DESCRIPTOR_BYTES, Features, detect_orb, hamming, match_features
-from svmdist.vision.patch import HALF_PATCH_PX, binary_test, intensity_centroid, orientation, patch_moments
+from svmdist.vision.marker.features import DESCRIPTOR_BYTES, Features, detect_orb, hamming, match_features
+from svmdist.vision.marker.patch import (
+    HALF_PATCH_PX,
+    binary_test,
+    intensity_centroid,
+    orientation,
+    patch_moments,
+)
 
 
 def textured_grey(seed: int = 1) -> np.ndarray:

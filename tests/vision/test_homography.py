@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.vision.features import Matches
-from svmdist.vision.homography import (
+from svmdist.vision.marker.features import Matches
+from svmdist.vision.marker.homography import (
     fit_homography,
     inliers_printed,
     is_plausible,

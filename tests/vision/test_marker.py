@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from svmdist.estimation.planar.outline import find_marker, template_features
 from svmdist.profile import load_profile
 from svmdist.samples import Status
-from svmdist.vision.features import EDGE_MARGIN_PX, detect_orb
-from svmdist.vision.marker import DATA_ROWS, marker_pattern, padded_template, paste_marker
+from svmdist.vision.marker.features import EDGE_MARGIN_PX, detect_orb
+from svmdist.vision.marker.pattern import DATA_ROWS, marker_pattern, padded_template, paste_marker
 
 PROFILE = load_profile()
 SIZE_PX = PROFILE.marker.size_px

@@ -11,7 +11,7 @@ from svmdist.errors import UsageError
 from svmdist.profile import load_profile
 from svmdist.recording.reader import open_recording
 from svmdist.simulation.extras import Extras
-from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.motion.scenarios import Scenario
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.workflows.compare import Group, group_of

@@ -16,14 +16,14 @@ from svmdist.recording.reader import open_recording
 from svmdist.samples import Estimate
 from svmdist.workflows.compare import compare
 from svmdist.workflows.estimate import estimate, estimate_instruments
+from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.setup import prepare
-from svmdist.workflows.truth import Reference, TruthRules
 from svmdist.workflows.validate import validate
 from tests.cli.conftest import Cli, cli  # noqa: F401  (the fixture)
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.extras import Extras
-from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.workflows.record import record
 
 NAMES = ("PSM1", "PSM2")

@@ -17,9 +17,9 @@ from svmdist.report.validation import VALIDATION_KEYS, score_row, validation_doc
 from svmdist.report.validation_tables import validation_tables
 from svmdist.samples import DistanceSample, Estimate, Sample, Status
 from svmdist.workflows.baseline import find_regressions, make_baseline, require_same_alarms
-from svmdist.workflows.score import Score, pool_scores, score_rows
+from svmdist.workflows.scoring.score import Score, pool_scores, score_rows
+from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.setup import prepare
-from svmdist.workflows.truth import Reference, TruthRules
 from svmdist.workflows.validate import Validation, validate
 from tests.synthetic import write_log
 

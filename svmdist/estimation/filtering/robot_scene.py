@@ -16,7 +16,7 @@ from svmdist.kinematics.dh import DHChain, select_joints
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, JointSample, Observation, Status
 from svmdist.transforms import Array
-from svmdist.vision.segmenter import Masks, Segmenter, make_segmenter, own_masks
+from svmdist.vision.segmentation.segmenter import Masks, Segmenter, make_segmenter, own_masks
 
 
 @dataclass(frozen=True, slots=True)

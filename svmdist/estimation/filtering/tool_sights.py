@@ -27,12 +27,13 @@ from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import Profile
 from svmdist.samples import Image, Observation
 from svmdist.transforms import Array, inverse
-from svmdist.vision.exposure import levelled
 from svmdist.vision.regions import Region
-from svmdist.vision.segmentation import to_hsv
-from svmdist.vision.segmenter import Masks, Segmenter, own_masks
+from svmdist.vision.segmentation.colour import to_hsv
+from svmdist.vision.segmentation.exposure import levelled
+from svmdist.vision.segmentation.segmenter import Masks, Segmenter, own_masks
 from svmdist.vision.shaft_segmentation import find_shaft
-from svmdist.vision.tag import TagFinder, TagPattern, tag_plate
+from svmdist.vision.tag.detection import TagFinder, tag_plate
+from svmdist.vision.tag.pattern import TagPattern
 
 REGION_STD_PX = 2.0
 """The centroid of a coloured part of unknown shape against the tool's origin."""

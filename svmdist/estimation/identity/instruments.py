@@ -18,7 +18,7 @@ from svmdist.estimation.identity.tracker import Identity, IdentityTracker
 from svmdist.profile import Profile
 from svmdist.samples import Image, Observation
 from svmdist.transforms import inverse
-from svmdist.vision.segmenter import Segmenter, make_segmenter
+from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
 
 PLACED_FRACTION = 0.05
 """Where a hidden region is expected no surer than this, over the image's width, its shaft is nowhere."""

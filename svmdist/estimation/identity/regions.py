@@ -13,7 +13,7 @@ from svmdist.estimation.identity.tracker import Blob
 from svmdist.profile import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.shaft_segmentation import field_of_view
+from svmdist.vision.field_of_view import field_of_view
 
 RAY_COUNT = 12
 RAY_SPAN = (1.25, 2.2)

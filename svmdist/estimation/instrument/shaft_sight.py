@@ -13,8 +13,8 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.disc import fit_disc
 from svmdist.vision.edges import CORRELATION_PX, edge_blur_px, edge_points, fit_line, straightened
-from svmdist.vision.exposure import brightest_channel
 from svmdist.vision.regions import find_region
+from svmdist.vision.segmentation.exposure import brightest_channel
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
 
 REACH_FRACTION = 0.007

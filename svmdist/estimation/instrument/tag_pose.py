@@ -14,7 +14,9 @@ from svmdist.kinematics.jacobian import joint_axis, row_index
 from svmdist.profile import Fiducial, KinematicError
 from svmdist.samples import Image
 from svmdist.transforms import Array, inverse, make_transform, rotation_angle, skew
-from svmdist.vision.tag import TagPattern, TagPose, pose_candidates, refine_pose
+from svmdist.vision.tag.detection import pose_candidates
+from svmdist.vision.tag.pattern import TagPattern
+from svmdist.vision.tag.refinement import TagPose, refine_pose
 
 WINDOW_MARGIN = 0.2
 """Pixels around the tag that are looked at, over its size in the image."""

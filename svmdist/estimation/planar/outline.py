@@ -11,11 +11,11 @@ from svmdist.profile import Features as FeatureRules
 from svmdist.profile import Marker
 from svmdist.samples import Image, Status
 from svmdist.transforms import Array
-from svmdist.vision.features import EDGE_MARGIN_PX, Features, detect_orb, match_features
-from svmdist.vision.homography import fit_homography, is_plausible, square_corners, transfer
-from svmdist.vision.marker import MarkedImage, padded_template
+from svmdist.vision.marker.features import EDGE_MARGIN_PX, Features, detect_orb, match_features
+from svmdist.vision.marker.homography import fit_homography, is_plausible, square_corners, transfer
+from svmdist.vision.marker.pattern import MarkedImage, padded_template
 from svmdist.vision.regions import Region, find_region
-from svmdist.vision.segmentation import colour_mask, to_hsv
+from svmdist.vision.segmentation.colour import colour_mask, to_hsv
 
 SUBPIXEL_BITS = 4
 """OpenCV draws at 1/16 px with this shift."""

@@ -20,7 +20,7 @@ from svmdist.samples import Estimate, Status
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.completion import CompletedOutline, complete_outline
 from svmdist.vision.regions import Region, find_region
-from svmdist.vision.segmenter import Masks
+from svmdist.vision.segmentation.segmenter import Masks
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ACROSS = 0.99

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.transforms import Array
-from svmdist.vision.features import Matches
+from svmdist.vision.marker.features import Matches
 
 SEED = 20
 """Fixed seed of the sampler: with it, and without threads, USAC gives the same bits everywhere."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.profile import Instrument
-from svmdist.simulation.meshes import Mesh, bar, loft, revolve, sphere
+from svmdist.simulation.bodies.meshes import Mesh, bar, loft, revolve, sphere
 from svmdist.transforms import make_transform, rotation_x, rotation_z
 
 SHAFT_RGBA = (0.13, 0.13, 0.145, 1.0)

@@ -10,8 +10,8 @@ import numpy as np
 
 from svmdist.profile import HsvSegmentation, Segmentation
 from svmdist.samples import Image
-from svmdist.vision.network import OnnxSegmenter
-from svmdist.vision.segmentation import HsvSegmenter
+from svmdist.vision.segmentation.colour import HsvSegmenter
+from svmdist.vision.segmentation.network import OnnxSegmenter
 
 
 class Masks(Protocol):

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.simulation.meshes import Mesh, smooth_normals
-from svmdist.simulation.relief import Relief
-from svmdist.simulation.textures import TEXTURE_SPAN_M
+from svmdist.simulation.bodies.meshes import Mesh, smooth_normals
+from svmdist.simulation.bodies.relief import Relief
+from svmdist.simulation.bodies.textures import TEXTURE_SPAN_M
 from svmdist.transforms import Array
 
 SEMI_AXES_M = (0.028, 0.022)

@@ -9,7 +9,7 @@ import numpy as np
 
 from svmdist.profile import ColourRegion, HsvSegmentation
 from svmdist.samples import Image
-from svmdist.vision.exposure import levelled
+from svmdist.vision.segmentation.exposure import levelled
 
 
 class HsvMasks:

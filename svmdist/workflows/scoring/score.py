@@ -17,8 +17,8 @@ from svmdist.metrics import ErrorStatistics, Interval, bootstrap_intervals, cove
 from svmdist.recording.reader import Recording
 from svmdist.samples import Estimate
 from svmdist.tracks import SampledDistances
-from svmdist.workflows.alarms import score_alarms
-from svmdist.workflows.distance_scores import (
+from svmdist.workflows.scoring.alarms import score_alarms
+from svmdist.workflows.scoring.distances import (
     DISTANCES,
     PLANAR,
     DistanceScore,
@@ -28,8 +28,8 @@ from svmdist.workflows.distance_scores import (
     pooled_score,
     score_pairs,
 )
+from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth
 from svmdist.workflows.setup import Setup
-from svmdist.workflows.truth import Reference, TruthRules, distance_truth
 
 BOOTSTRAP_SEED = 36
 

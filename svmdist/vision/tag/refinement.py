@@ -1,4 +1,4 @@
-"""AprilTags in an image: their corners, and their pose refined on every pixel of the tag.
+"""A tag's pose refined on every pixel of the tag.
 
 Four corners give a first pose; on a tag of 40 pixels they leave half a degree of tilt and a third of a
 millimetre of depth. The printed cells have twenty times as much edge: the known pattern, blurred as the image
@@ -13,19 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform
+from svmdist.vision.tag.pattern import TagPattern
 
-DICTIONARIES = {
-    "16h5": cv2.aruco.DICT_APRILTAG_16h5,
-    "25h9": cv2.aruco.DICT_APRILTAG_25h9,
-    "36h10": cv2.aruco.DICT_APRILTAG_36h10,
-    "36h11": cv2.aruco.DICT_APRILTAG_36h11,
-}
-PLATE = 1.45
-"""A tag's plate over its black square: the white margin of a cell or more, and the blur around it."""
-CELL_SAMPLES = 16
-"""Texture samples to a cell: three for each pixel of a tag that is seen 40 px wide."""
 MARGIN_CELLS = 0.6
 """How much of the white margin is compared; what lies behind the plate shines into the rest of it."""
 ITERATIONS = 16
@@ -35,7 +25,6 @@ BLUR_START_PX = 0.8
 BLUR_RANGE_PX = (0.3, 6.0)
 BLUR_STEP_PX = 0.05
 MIN_PIXELS = 50
-SHEET_COLUMNS = 64
 MIN_CONTRAST = 4.0
 """Grey levels between black and white below which there is no pattern to lay."""
 CLUSTER_INFLATION = 6.0
@@ -59,88 +48,6 @@ class TagPose:
     covariance: Array
     residual: float
     blur_px: float
-
-
-class TagFinder:
-    """Finds the one tag of a family and number."""
-
-    def __init__(self, family: str, tag_id: int) -> None:
-        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
-        parameters = cv2.aruco.DetectorParameters()
-        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        parameters.relativeCornerRefinmentWinSize = 0.3  # of a cell: a window that sees no other corner
-        self._detector = cv2.aruco.ArucoDetector(dictionary, parameters)
-        self._id = tag_id
-
-    def corners_px(self, image_grey: Image) -> Array | None:
-        """Corners, shape (4, 2) in px: upper left, upper right, lower right, lower left as one reads the tag."""
-        corners, ids, _ = self._detector.detectMarkers(image_grey)
-        if ids is None:
-            return None
-        found = [
-            np.asarray(c, np.float64).reshape(4, 2)
-            for c, i in zip(corners, ids.ravel(), strict=True)
-            if i == self._id
-        ]
-        if not found:
-            return None
-        return max(found, key=lambda c: float(cv2.contourArea(c.astype(np.float32))))
-
-
-def square_corners_m(size_m: float) -> Array:
-    """The tag's corners in its frame, shape (4, 3), in the order of `TagFinder.corners_px`."""
-    h = size_m / 2.0
-    return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
-
-
-def pose_candidates(corners_px: Array, size_m: float, K: Array, D: Array) -> list[Array]:
-    """Both poses that four corners allow, shape (4, 4) each, the better one first (Collins and Bartoli 2014)."""
-    _, rotations, translations, _ = cv2.solvePnPGeneric(
-        square_corners_m(size_m),
-        np.ascontiguousarray(corners_px),
-        K,
-        D if len(D) else None,
-        flags=cv2.SOLVEPNP_IPPE_SQUARE,
-    )
-    poses = []
-    for rotation, translation in zip(rotations, translations, strict=True):
-        T = make_transform(cv2.Rodrigues(rotation)[0], np.asarray(translation).ravel())
-        if np.all(np.isfinite(T)) and T[2, 3] > 0.0:
-            poses.append(T)
-    return poses
-
-
-class TagPattern:
-    """The tag as it is printed, to be laid over an image."""
-
-    def __init__(self, family: str, tag_id: int, size_m: float) -> None:
-        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
-        self.size_m = size_m
-        self.cell_count = dictionary.markerSize + 2
-        cells = cv2.aruco.generateImageMarker(dictionary, tag_id, self.cell_count).astype(np.float32) / 255.0
-        self.scale = np.array([size_m, size_m, size_m, 1.0, 1.0, 1.0])
-        self._pad = 4
-        padded = np.pad(cells, self._pad, constant_values=1.0)
-        self._texture: NDArray[np.float32] = np.kron(
-            padded, np.ones((CELL_SAMPLES, CELL_SAMPLES), np.float32)
-        ).astype(np.float32)
-
-    def blurred(self, blur_cells: float) -> NDArray[np.float32]:
-        """The pattern under a Gaussian blur in cells."""
-        sigma = max(blur_cells * CELL_SAMPLES, 0.3)
-        return np.asarray(cv2.GaussianBlur(self._texture, (0, 0), sigma), np.float32)
-
-    def sample(self, texture: NDArray[np.float32], xy_m: Array) -> Array:
-        """Brightness between 0 and 1 at points of the tag's plane, shape (n, 2) in m: shape (n,)."""
-        cell_m = self.size_m / self.cell_count
-        middle = self._pad + self.cell_count / 2.0
-        column = (middle + xy_m[:, 0] / cell_m) * CELL_SAMPLES - 0.5
-        row = (middle - xy_m[:, 1] / cell_m) * CELL_SAMPLES - 0.5
-        places = np.stack([column, row]).astype(np.float32)
-        # OpenCV remaps images of at most 32767 columns: the points go in as rows of a sheet.
-        sheet = np.pad(places, ((0, 0), (0, -len(xy_m) % SHEET_COLUMNS))).reshape(2, -1, SHEET_COLUMNS)
-        values = cv2.remap(texture, sheet[0], sheet[1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-        return np.asarray(values, np.float64).ravel()[: len(xy_m)]
 
 
 def refine_pose(
@@ -273,12 +180,3 @@ def _line(model: Array, brightness: Array) -> tuple[float, float]:
     spread = float(centred @ centred)
     contrast = float(centred @ brightness) / spread if spread > 0.0 else 0.0
     return float(brightness.mean() - contrast * model.mean()), contrast
-
-
-def tag_plate(corners_px: Array, shape: tuple[int, ...]) -> Image:
-    """Mask, of `shape` (h, w), of the plate around a tag with these corners, shape (4, 2)."""
-    middle_px = corners_px.mean(0)
-    plate_px = middle_px + PLATE * (corners_px - middle_px)
-    mask = np.zeros(shape, np.uint8)
-    cv2.fillConvexPoly(mask, np.round(plate_px).astype(np.int32), 255)
-    return mask

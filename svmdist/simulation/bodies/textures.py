@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from svmdist.samples import Image
-from svmdist.simulation.relief import Relief
+from svmdist.simulation.bodies.relief import Relief
 from svmdist.transforms import Array
 
 TEXTURE_PX = 1024

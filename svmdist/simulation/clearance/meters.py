@@ -14,9 +14,9 @@ from typing import Self
 
 import numpy as np
 
+from svmdist.simulation.bodies.meshes import Mesh
 from svmdist.simulation.bullet import BulletClient
-from svmdist.simulation.meshes import Mesh
-from svmdist.simulation.relief_clearance import ReliefMeter
+from svmdist.simulation.clearance.relief_meter import ReliefMeter
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 

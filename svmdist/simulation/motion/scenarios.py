@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.errors import UsageError, did_you_mean
-from svmdist.simulation.paths import cubic_spline, smooth_pulse, smooth_step, wander
+from svmdist.simulation.motion.paths import cubic_spline, smooth_pulse, smooth_step, wander
 from svmdist.transforms import Array
 
 Progress = Array

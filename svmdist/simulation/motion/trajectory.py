@@ -8,8 +8,8 @@ import numpy as np
 
 from svmdist.errors import KinematicsError, SimulationError
 from svmdist.kinematics.inverse import solve_position
-from svmdist.simulation.clearance import ClearanceMeter
-from svmdist.simulation.scenarios import Motion, Scenario, Stage, plan_motion
+from svmdist.simulation.clearance.meters import ClearanceMeter
+from svmdist.simulation.motion.scenarios import Motion, Scenario, Stage, plan_motion
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array, inverse, make_transform, rotation_z, transform_points
 

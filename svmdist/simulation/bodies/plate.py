@@ -13,7 +13,7 @@ import numpy as np
 from svmdist.errors import SimulationError
 from svmdist.profile import Fiducial
 from svmdist.samples import Image
-from svmdist.simulation.meshes import Mesh
+from svmdist.simulation.bodies.meshes import Mesh
 from svmdist.transforms import Array
 
 THICKNESS_M = 0.0006

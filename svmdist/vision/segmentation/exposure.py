@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from svmdist.samples import Image
-from svmdist.vision.shaft_segmentation import field_of_view
+from svmdist.vision.field_of_view import field_of_view
 
 COARSE = 4
 """Levels are counted on every fourth row and column."""

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.geometry.closest import point_to_triangle
-from svmdist.simulation.meshes import Mesh
+from svmdist.simulation.bodies.meshes import Mesh
+from svmdist.simulation.clearance.surface_tree import Indices, SurfaceTree
 from svmdist.simulation.scene import Scene
-from svmdist.simulation.surface_tree import Indices, SurfaceTree
 from svmdist.transforms import Array, inverse, transform_points
 
 SPACING_M = 0.0004

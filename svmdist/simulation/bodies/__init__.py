@@ -1,0 +1,1 @@
+"""What stands in the scene, as meshes and textures: instrument, tag plate, organ and its relief."""

@@ -1,0 +1,1 @@
+"""Estimates against their references: the truth, the pairs, and the figures of both."""
