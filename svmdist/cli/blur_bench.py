@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from svmdist.cli.console import Summary, files_or_golden, report_health, require_output_folder, write_summary
+from svmdist.cli.console import Summary, files_or_golden, report_health, require_output, write_summary
 from svmdist.cli.degradation_grid import (
     DegradationsOption,
     GridMethodOption,
@@ -66,7 +66,7 @@ def blur_bench_command(
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.setup import prepare
 
-    require_output_folder(output)
+    require_output(output, files or ())
     if grid:
         _refuse("--kernel is for Table I: it has no place beside --grid", kernel)
         conditions = grid_conditions_of(degradations, severities)

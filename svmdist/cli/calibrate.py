@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from svmdist.cli.console import report_health, require_output_folder, say
+from svmdist.cli.console import report_health, require_output, say
 from svmdist.cli.options import Files, PlanarMethod, ProfileOption, TopicOption, topics_of
 from svmdist.errors import UsageError
 
@@ -36,7 +36,7 @@ def calibrate_command(
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.calibrate import calibrate
 
-    require_output_folder(output)
+    require_output(output, files)
     if output.exists() and not force:
         raise UsageError(f"{output} exists; --force replaces it")
     loaded = load_profile(profile)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from svmdist.cli.console import Summary, files_or_golden, report_health, require_output_folder, write_summary
+from svmdist.cli.console import Summary, files_or_golden, report_health, require_output, write_summary
 from svmdist.cli.degradations import parse_degradations
 from svmdist.cli.options import (
     CalibrationOption,
@@ -61,7 +61,7 @@ def compare_command(
     from svmdist.workflows.replay import CLEAN, Condition
     from svmdist.workflows.setup import prepare
 
-    require_output_folder(output)
+    require_output(output, files or ())
     conditions = [CLEAN] + [
         Condition(require_degradation(name, severity), severity)
         for name, severity in dict.fromkeys(parse_degradations("--degrade", degrade))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from svmdist.cli.options import TableFormat
 from svmdist.errors import OutputError, UsageError
+from svmdist.output_file import write_whole
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,7 +49,7 @@ def error_console() -> Console:
 
 
 def write_lines(lines: Iterable[str], output: Path | None) -> None:
-    """Write lines to a file or to stdout as they come; raises OutputError where that fails."""
+    """Write lines to stdout as they come, or to a file that is there when it is whole; raises OutputError."""
     if output is None:
         try:
             for line in lines:
@@ -59,11 +60,7 @@ def write_lines(lines: Iterable[str], output: Path | None) -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             raise SystemExit(ExitCode.CLEAN) from None
         return
-    try:
-        with output.open("w", encoding="utf-8", newline="") as file:
-            file.writelines(lines)
-    except OSError as problem:
-        raise OutputError(f"{output}: cannot write: {problem.strerror or problem}") from None
+    write_whole(output, lines)
 
 
 def write_tables(tables: Sequence[Table], notes: Sequence[str], output: Path | None) -> None:
@@ -107,10 +104,12 @@ def terminal_width(output: Path | None) -> int | None:
     return os.get_terminal_size().columns if output is None and sys.stdout.isatty() else None
 
 
-def require_output_folder(output: Path | None) -> None:
-    """Fail before the work rather than after it; raises OutputError."""
+def require_output(output: Path | None, inputs: Iterable[Path] = ()) -> None:
+    """Fail before the work rather than after it; raises OutputError, and UsageError where it is one of the inputs."""
     if output is None:
         return
+    if output.exists() and any(path.exists() and path.samefile(output) for path in inputs):
+        raise UsageError(f"{output}: is the recording to read; give the output another name")
     if output.is_dir():
         raise OutputError(f"{output}: cannot write: it is a folder")
     if not output.parent.is_dir():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
-from svmdist.cli.console import report_health, require_output_folder, say, terminal_width, write_lines
+from svmdist.cli.console import report_health, require_output, say, terminal_width, write_lines
 from svmdist.cli.options import (
     CalibrationOption,
     EquationsChoice,
@@ -55,7 +55,7 @@ def estimate_command(
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.setup import prepare
 
-    require_output_folder(output)
+    require_output(output, files)
     rules = alarm_rules(alarm_below, alarm_confidence, method.value)
     setup = prepare(profile, method.value, equations.value, calibration)
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in files]

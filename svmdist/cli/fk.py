@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from svmdist.cli.console import report_health, require_output_folder, say, write_lines
+from svmdist.cli.console import report_health, require_output, say, write_lines
 from svmdist.cli.options import OutputOption, ProfileOption, TopicOption, topics_of
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def fk_command(
     from svmdist.report.table import csv_lines, json_array_lines
     from svmdist.workflows.fk import fk
 
-    require_output_folder(output)
+    require_output(output, [file])
     loaded = load_profile(profile)
     topics = topics_of(topic) | ({"joints": joints} if joints else {})
     recording = open_recording(file, loaded, topics=topics)

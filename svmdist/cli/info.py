@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from svmdist.cli.console import report_health, require_output_folder, terminal_width, write_lines
+from svmdist.cli.console import report_health, require_output, terminal_width, write_lines
 from svmdist.cli.options import (
     OutputOption,
     ProfileOption,
@@ -36,7 +36,7 @@ def info_command(
     from svmdist.report.info import TOPIC_KEYS, info_document, info_lines, topic_row
     from svmdist.report.table import csv_lines
 
-    require_output_folder(output)
+    require_output(output, [file])
     loaded = load_profile(profile)
     summary = inspect_recording(file, loaded, topics=topics_of(topic))
     match form:

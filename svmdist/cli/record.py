@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from svmdist.cli.console import require_output_folder, say
+from svmdist.cli.console import require_output, say
 from svmdist.cli.degradations import parse_degradations
 from svmdist.cli.options import ProfileOption, parse_length_m
 from svmdist.cli.progress import progress_bar
@@ -131,7 +131,7 @@ def record_command(
 
     relief_m = 0.0 if relief is None else parse_length_m("--relief", relief)
     path = output or Path(f"{scenario.value}-{seed}.mcap")
-    require_output_folder(path)
+    require_output(path)
     plan = Scenario(scenario.value, seed, duration, rate)
     with progress_bar(f"{scenario.value}, seed {seed}", "frames") as advance:
         result = record(

@@ -14,7 +14,7 @@ from svmdist.cli.console import (
     ExitCode,
     files_or_golden,
     report_health,
-    require_output_folder,
+    require_output,
     say,
     write_lines,
     write_tables,
@@ -150,7 +150,7 @@ def validate_command(
     from svmdist.workflows.validate import validate
 
     for target in (output, save_plot, write_baseline):
-        require_output_folder(target)
+        require_output(target, files or ())
     if save_plot:
         from svmdist.report.plot import plot_format
 

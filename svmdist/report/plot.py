@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from svmdist.errors import OutputError
+from svmdist.output_file import whole_file
 from svmdist.report.text import printable
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference
@@ -33,14 +34,12 @@ def save_plot(validation: Validation, path: Path, reference: Reference | None = 
         raise OutputError(f"{path}: nothing to draw: no recording was compared with {reference}")
     suffix = plot_format(path)
     figure = draw(scores)
-    try:
-        # SVG ids and dates would differ between two runs on the same data.
-        with mpl.rc_context({"svg.hashsalt": "svmdist"}), warnings.catch_warnings():
-            # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
-            warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
-            figure.savefig(path, dpi=150, metadata={"Date": None} if suffix == "svg" else None)
-    except OSError as problem:
-        raise OutputError(f"{path}: cannot write: {problem.strerror or problem}") from None
+    metadata = {"Date": None} if suffix == "svg" else None
+    # SVG ids and dates would differ between two runs on the same data.
+    with whole_file(path) as target, mpl.rc_context({"svg.hashsalt": "svmdist"}), warnings.catch_warnings():
+        # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
+        warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
+        figure.savefig(target, dpi=150, format=suffix, metadata=metadata)
 
 
 def plot_format(path: Path) -> str:

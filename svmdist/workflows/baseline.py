@@ -10,8 +10,9 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from svmdist.errors import OutputError, RecordingError, UsageError
+from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
+from svmdist.output_file import write_whole
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import Validation
 
@@ -176,10 +177,7 @@ def load_baseline(path: Path) -> Baseline:
 
 def save_baseline(baseline: Baseline, path: Path) -> None:
     """Write a baseline file; raises OutputError where that fails."""
-    try:
-        path.write_text(json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=1) + "\n", "utf-8")
-    except OSError as problem:
-        raise OutputError(f"{path}: cannot write: {problem.strerror or problem}") from None
+    write_whole(path, [json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=1), "\n"])
 
 
 def _stored_rules(rules: AlarmRules | None) -> StoredAlarmRules | None:

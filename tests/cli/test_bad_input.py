@@ -135,6 +135,16 @@ def test_unwritable_output_fails_before_the_work(
     assert "nowhere" in _one_line(outcome.err)
 
 
+@pytest.mark.parametrize("command", ["info", "fk", "estimate", "validate", "compare", "blur-bench"])
+def test_a_recording_is_never_written_over(cli: Cli, synthetic_log: Path, command: str) -> None:
+    """An output that is the recording itself is wrong usage, and the recording stays."""
+    before = synthetic_log.read_bytes()
+    outcome = cli(command, synthetic_log, "-o", synthetic_log)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert "is the recording to read" in _one_line(outcome.err)
+    assert synthetic_log.read_bytes() == before
+
+
 def test_full_device(cli: Cli, synthetic_log: Path, synthetic_calibration: Path) -> None:
     """A device without space is an error, not a short result with exit code 0."""
     if not Path("/dev/full").exists():

@@ -95,6 +95,35 @@ def test_while_rows_are_written(golden: Path) -> None:
     assert err.splitlines() == [INTERRUPTED]
 
 
+@pytest.mark.parametrize("before", [None, "rows of yesterday"])
+def test_while_rows_are_written_to_a_file(
+    cli: Cli,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    synthetic_log: Path,
+    synthetic_calibration: Path,
+    before: str | None,
+) -> None:
+    """The file is what it was before, or is not there; no part of one is left."""
+    from svmdist.report import estimates
+
+    output = tmp_path / "rows.csv"
+    if before is not None:
+        output.write_text(before)
+    whole, made = estimates.estimate_row, []
+
+    def interrupted(*arguments: Any) -> Any:
+        made.append(arguments)
+        if len(made) == 3:
+            raise KeyboardInterrupt
+        return whole(*arguments)
+
+    monkeypatch.setattr(estimates, "estimate_row", interrupted)
+    outcome = cli("estimate", synthetic_log, "--calibration", synthetic_calibration, "-o", output)
+    assert (outcome.code, len(made)) == (130, 3)
+    assert [file.read_text() for file in tmp_path.iterdir()] == ([before] if before else [])
+
+
 def test_while_a_log_is_recorded(tmp_path: Path) -> None:
     """A real signal between two frames: no log under its name, and what there is stays in its `.part`, readable."""
     pytest.importorskip("pybullet", reason="the simulation needs PyBullet")

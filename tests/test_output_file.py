@@ -1,0 +1,79 @@
+"""A file that a command writes is whole, or what it was before."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from svmdist.errors import OutputError
+from svmdist.output_file import whole_file, write_whole
+
+
+def _cut_short(error: BaseException) -> Iterator[str]:
+    yield "first\n"
+    raise error
+
+
+@pytest.mark.parametrize("before", [None, "what was there\n"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("in the middle")])
+def test_a_write_that_ends_early_changes_nothing(
+    tmp_path: Path, before: str | None, error: BaseException
+) -> None:
+    """An interrupt or an error leaves the folder as it was."""
+    path = tmp_path / "rows.csv"
+    if before is not None:
+        path.write_text(before)
+    with pytest.raises(type(error)):
+        write_whole(path, _cut_short(error))
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == (
+        [("rows.csv", before)] if before else []
+    )
+
+
+def test_the_name_appears_with_the_last_line(tmp_path: Path) -> None:
+    """While lines come there is no file of that name; then it holds all of them, and nothing stands beside it."""
+    path = tmp_path / "rows.csv"
+
+    def lines() -> Iterator[str]:
+        yield "é\r\n"
+        assert not path.exists()
+        yield "last\n"
+
+    write_whole(path, lines())
+    assert path.read_bytes() == "é\r\nlast\n".encode()
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_links_and_permissions_stay(tmp_path: Path) -> None:
+    """A link goes on leading to the same file, which keeps who may read it."""
+    real, link = tmp_path / "real.csv", tmp_path / "link.csv"
+    real.write_text("old")
+    real.chmod(0o640)
+    link.symlink_to(real)
+    write_whole(link, ["new"])
+    assert link.is_symlink()
+    assert (real.read_text(), real.stat().st_mode & 0o777) == ("new", 0o640)
+
+
+def test_a_pipe_is_written_in_place(tmp_path: Path) -> None:
+    """What is no regular file is never replaced."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_whole(pipe, ["through\n"])
+    assert os.read(reader, 100) == b"through\n"
+    os.close(reader)
+    assert pipe.is_fifo()
+
+
+def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
+    """The message has the path that was asked for, not that of the file beside it."""
+    path = tmp_path / "nowhere" / "rows.csv"
+    with (
+        pytest.raises(OutputError, match=r"nowhere/rows\.csv: cannot write: No such file"),
+        whole_file(path) as target,
+    ):
+        target.write_text("x")
