@@ -52,5 +52,6 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
     if not known:
         return "there are none to choose from"
     listed = f"he choices are: {', '.join(known)}"
-    nearest = get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {nearest[0]}? T{listed}" if nearest else f"t{listed}"
+    by_small_letters = {choice.casefold(): choice for choice in known}
+    nearest = get_close_matches(name.casefold(), by_small_letters, n=1, cutoff=0.5)
+    return f"did you mean {by_small_letters[nearest[0]]}? T{listed}" if nearest else f"t{listed}"

@@ -24,6 +24,7 @@ from svmdist.profile_robot import (
     Rotation,
     Simulation,
     Tissue,
+    require_tag,
 )
 from svmdist.profile_segmentation import (
     AnySegmentation,
@@ -123,12 +124,23 @@ class Limits(StrictModel):
 
 
 class Marker(StrictModel):
-    """The static virtual marker (SVM): its size and the colour of the outline drawn around it."""
+    """The static virtual marker (SVM): its size and the colour of the outline drawn around it (pure green)."""
 
     size_px: int = Field(default=96, ge=48, le=256)
-    outline: ColourRegion
-    outline_bgr: tuple[Byte, Byte, Byte]
+    outline: ColourRegion = ColourRegion(
+        hue=(58, 62), saturation=(250, 255), value=(250, 255), min_area_px=100, components="largest"
+    )
+    outline_bgr: tuple[Byte, Byte, Byte] = (0, 255, 0)
     outline_width_px: int = Field(default=3, ge=1, le=15)
+
+    @model_validator(mode="after")
+    def _one_colour(self) -> Marker:
+        given = self.model_fields_set & {"outline", "outline_bgr"}
+        if len(given) == 1:
+            raise ValueError(
+                "outline_bgr is drawn and outline finds it again: give both of them, or neither for pure green"
+            )
+        return self
 
 
 class Features(StrictModel):
@@ -151,7 +163,7 @@ class Profile(StrictModel):
     frames: Frames = Frames()
     limits: Limits = Limits()
     segmentation: AnySegmentation
-    marker: Marker
+    marker: Marker = Marker()
     features: Features = Features()
     robot: Robot | None = None
     kinematic_error: KinematicError = KinematicError()
@@ -208,6 +220,9 @@ class Profile(StrictModel):
             "frame": [frame for view in views for frame in (view.frames.base, view.frames.tool)],
             "fiducial_id": [str(view.fiducial.id) for view in views if view.fiducial is not None],
         }
+        for view in views:
+            if view.fiducial is not None:
+                require_tag(view.fiducial.family, view.fiducial.id)
         if not self.other_instruments:
             return self
         for what, values in told.items():

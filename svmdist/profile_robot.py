@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from svmdist.toml_model import Angle, Length, NeighbourFile, StrictModel
+from svmdist.toml_model import Angle, Length, NeighbourFile, SmallLength, StrictModel
 from svmdist.transforms import Array, make_transform, rotation_z
 
 
@@ -33,6 +33,11 @@ class Joint(StrictModel):
             )
         return self
 
+
+AWAY = 0.5
+"""z of a plane's normal from which on no camera of less than 120° sees the plane."""
+TAG_COUNTS = {"16h5": 30, "25h9": 35, "36h10": 2320, "36h11": 587}
+"""How many tags an AprilTag family has; they are numbered from 0."""
 
 Rotation = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
@@ -91,14 +96,20 @@ class KinematicError(StrictModel):
 class Instrument(StrictModel):
     """The instrument's shape, in m, about the tool frame: what the simulation builds and clearance needs."""
 
-    shaft_radius_m: Length
+    shaft_radius_m: SmallLength
     shaft_length_m: Length
-    shaft_end_m: Length | None = None
+    shaft_end_m: SmallLength | None = None
     """From the wrist's hinge back to where the dark shaft visibly ends; None: 2.2 radii of the wrist."""
-    wrist_radius_m: Length
-    knuckle_radius_m: Length
-    jaw_length_m: Length
-    jaw_radius_m: Length
+    wrist_radius_m: SmallLength
+    knuckle_radius_m: SmallLength
+    jaw_length_m: SmallLength
+    jaw_radius_m: SmallLength
+
+
+def require_tag(family: str, tag_id: int) -> None:
+    """Raise ValueError where the family has no tag of that number."""
+    if tag_id >= TAG_COUNTS[family]:
+        raise ValueError(f"family {family} has the tags 0 to {TAG_COUNTS[family] - 1}, found {tag_id}")
 
 
 class Fiducial(StrictModel):
@@ -111,7 +122,7 @@ class Fiducial(StrictModel):
     family: Literal["16h5", "25h9", "36h10", "36h11"] = "36h11"
     """The AprilTag family."""
     id: int = Field(default=0, ge=0)
-    size_m: Length
+    size_m: SmallLength
     """Side of the black square; the white margin around it is not in it."""
     link: str
     """The joint whose DH frame carries the plate."""
@@ -120,6 +131,7 @@ class Fiducial(StrictModel):
 
     @model_validator(mode="after")
     def _sound(self) -> Fiducial:
+        require_tag(self.family, self.id)
         _require_rotation("rotation", self.rotation)
         return self
 
@@ -141,7 +153,7 @@ class Dome(StrictModel):
     The defaults make half an ellipsoid. The outline itself comes from the image.
     """
 
-    height_m: Length
+    height_m: SmallLength
     gauge_exponent: float = Field(default=2.0, ge=1.0, le=20.0)
     height_exponent: float = Field(default=0.5, gt=0.0, le=2.0)
 
@@ -175,8 +187,13 @@ class Tissue(StrictModel):
 
     @model_validator(mode="after")
     def _sound(self) -> Tissue:
-        if abs(float(np.linalg.norm(self.plane_normal)) - 1.0) > 1e-6:
-            raise ValueError("plane_normal must have length 1")
+        length = float(np.linalg.norm(self.plane_normal))
+        if abs(length - 1.0) > 1e-6:
+            raise ValueError(f"plane_normal must have length 1, found {length:.7g}")
+        if self.plane_normal[2] > AWAY:
+            raise ValueError(
+                "plane_normal points away from the camera: towards it z is negative, as in [0, 0, -1]"
+            )
         if self.mesh is not None and self.dome is not None:
             raise ValueError("a dome and a mesh exclude each other: which of them is the tissue's shape?")
         lost = sorted(self.model_fields_set & {"mesh_unit", "mesh_position_m", "mesh_yaw_rad"})
@@ -206,5 +223,5 @@ class Simulation(StrictModel):
     joint_rate_hz: float = Field(default=100.0, ge=1.0)
     encoder_std_rad: float = Field(default=0.0, ge=0.0)
     encoder_std_m: float = Field(default=0.0, ge=0.0)
-    stereo_baseline_m: Length = 0.005
+    stereo_baseline_m: SmallLength = 0.005
     """How far the right camera stands from the left one, along its x axis: that of a da Vinci's endoscope."""

@@ -67,7 +67,9 @@ SIZE_UNITS = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 MIB = SIZE_UNITS["MiB"]
 Angle = Annotated[float, BeforeValidator(_parse_angle)]
 Size = Annotated[int, BeforeValidator(_parse_size), Field(ge=1 << 10, le=1 << 40)]
-Length = Annotated[float, Field(gt=0.0)]
+Length = Annotated[float, Field(gt=0.0, lt=10.0)]
+SmallLength = Annotated[float, Field(gt=0.0, lt=0.1)]
+"""Of a part that a hand holds: 0.1 m and more is a number of millimetres that was meant."""
 NeighbourFile = Annotated[Path, AfterValidator(_beside_the_file)]
 Byte = Annotated[int, Field(ge=0, le=255)]
 Hue = Annotated[int, Field(ge=0, le=179)]
@@ -102,7 +104,9 @@ def _describe(problem: ValidationError, model: type[BaseModel]) -> Iterator[str]
             yield f"missing key {key}"
         else:
             message = item["msg"].removeprefix("Value error, ")
-            yield f"{key or 'file'}: {message} (found {_short(item['input'])})" if key else message
+            # A rule about a table as a whole says itself what it found; the table would only be in the way.
+            found = "" if isinstance(item["input"], dict) else f" (found {_short(item['input'])})"
+            yield f"{key}: {message}{found}" if key else message
 
 
 def _short(value: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,6 +20,7 @@ from svmdist.profile import (
     profile_path,
     shipped_profiles,
 )
+from svmdist.profile_robot import TAG_COUNTS
 
 TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")
 MINIMAL = """
@@ -28,11 +30,6 @@ hue = [170, 8]
 min_area_px = 50
 [segmentation.instrument]
 hue = [80, 105]
-min_area_px = 100
-[marker]
-outline_bgr = [0, 255, 0]
-[marker.outline]
-hue = [58, 62]
 min_area_px = 100
 """
 
@@ -73,9 +70,20 @@ def test_the_posture_names_the_joints_of_the_chain():
     assert all(joint.lower <= posture[joint.name] <= joint.upper for joint in profile.robot.joints)
 
 
-def test_a_profile_needs_only_colours_and_a_marker(tmp_path):
-    """Without robot, simulation and topics a profile loads: a log may have no kinematics to compare with."""
+def test_the_tags_are_those_of_opencv():
+    """OpenCV knows as many tags of each family as a profile may name."""
+    for family, count in TAG_COUNTS.items():
+        dictionary = getattr(cv2.aruco, f"DICT_APRILTAG_{family}")
+        assert len(cv2.aruco.getPredefinedDictionary(dictionary).bytesList) == count
+
+
+def test_a_profile_needs_only_colours(tmp_path):
+    """Without robot, simulation and topics a profile loads: a log may have no kinematics to compare with.
+
+    The marker is pure green where nothing else is said.
+    """
     profile = load_text(tmp_path, MINIMAL)
+    assert profile.marker == load_profile().marker
     assert (profile.robot, profile.simulation, profile.instrument, profile.calibration) == (None,) * 4
     assert profile.topics.image is None
     assert profile.features.ratio == 0.75
@@ -141,7 +149,25 @@ def test_a_profile_needs_only_colours_and_a_marker(tmp_path):
         ),
         ('name = "setup_2"', 'name = "setup_1"', r"robot: joint names must differ; given twice: setup_1"),
         ('name = "psm13"', "", "missing key name"),
-        ("outline_bgr = [0, 255, 0]", "", r"missing key marker\.outline_bgr"),
+        (
+            "outline_bgr = [0, 255, 0]",
+            "",
+            r"marker: outline_bgr is drawn and outline finds it .*give both.*green$",
+        ),
+        ("[0.0, 0.0, -1.0]", "[0.0, 0.0, 1.0]", r"tissue: plane_normal points away from the camera"),
+        ("[0.0, 0.0, -1.0]", "[0.0, 0.0, -2.0]", r"tissue: plane_normal must have length 1, found 2$"),
+        (
+            "plane_distance_m = 0.112",
+            "plane_distance_m = 112",
+            r"plane_distance_m: .*less than 10 \(found 112\)",
+        ),
+        (
+            "shaft_radius_m = 0.004",
+            "shaft_radius_m = 4",
+            r"instrument\.shaft_radius_m: .*less than 0\.1 \(found 4\)",
+        ),
+        ("id = 0", "id = 587", r"fiducial: family 36h11 has the tags 0 to 586, found 587$"),
+        ("fiducial_id = 1", "fiducial_id = 999", r"family 36h11 has the tags 0 to 586, found 999$"),
         (
             "[robot]",
             "[robot]\ntool_rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]",

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from svmdist.report.table import Row
     from svmdist.workflows.setup import Setup
 
+Tally = Counter[tuple[str, str]]
+"""How many frames ended with a status and a detail."""
+
 
 def estimate_command(
     files: Files,
@@ -53,15 +56,18 @@ def estimate_command(
     A log of several instruments, which the profile names, gives a row a frame and instrument.
     """
     from svmdist.recording.reader import open_recording
+    from svmdist.workflows.scoring.alarms import require_clearance
     from svmdist.workflows.setup import prepare
 
     require_output(output, files)
     rules = alarm_rules(alarm_below, alarm_confidence, method.value)
     setup = prepare(profile, method.value, equations.value, calibration)
+    if rules:
+        require_clearance(setup.method, setup.profile)
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in files]
     wanted = instruments_of(instrument, setup.profile)
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
-    tally: Counter[str] = Counter()
+    tally: Tally = Counter()
     rows = _started(_rows(recordings, setup, wanted, tally, rules))
     write_lines(_lines(form, rows, rules is not None, several, terminal_width(output)), output)
     _summarise(tally)
@@ -72,7 +78,7 @@ def _rows(
     recordings: list[Recording],
     setup: Setup,
     wanted: tuple[str, ...] | None,
-    tally: Counter[str],
+    tally: Tally,
     rules: AlarmRules | None,
 ) -> Iterator[Row]:
     from svmdist.estimation.alarms import AlarmWatch
@@ -86,7 +92,7 @@ def _rows(
         watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
         for row in estimate_instruments(recording, setup, wanted):
             start_ns = row.stamp_ns if start_ns is None else start_ns
-            tally[str(row.status)] += 1
+            tally[str(row.status), row.detail] += 1
             alarm = watches[row.instrument].watch(row) if watches else None
             yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns, alarm)
 
@@ -122,13 +128,22 @@ def _lines(
             return json_lines(ESTIMATE_KEYS, rows)
 
 
-def _summarise(tally: Counter[str]) -> None:
+def _summarise(tally: Tally) -> None:
     total = sum(tally.values())
     if total == 0:
         say("svmdist: no frame to measure")
         return
-    lost = ", ".join(f"{count} {reason}" for reason, count in sorted(tally.items()) if reason != "ok")
+    measured = sum(count for (status, _), count in tally.items() if status == "ok")
+    reasons = sorted({status for status, _ in tally} - {"ok"})
+    lost = ", ".join(_lost_by(reason, tally) for reason in reasons)
     say(
-        f"svmdist: {tally['ok']} of {total} frames measured ({tally['ok'] / total:.1%})"
+        f"svmdist: {measured} of {total} frames measured ({measured / total:.1%})"
         + (f"; {lost}" if lost else "")
     )
+
+
+def _lost_by(reason: str, tally: Tally) -> str:
+    """How many frames ended so, and the detail that most of them have, where they have one."""
+    details = Counter({detail: count for (status, detail), count in tally.items() if status == reason})
+    ((commonest, _),) = details.most_common(1)
+    return f"{details.total()} {reason}" + (f" ({commonest})" if commonest else "")

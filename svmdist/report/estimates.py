@@ -47,6 +47,7 @@ ESTIMATE_KEYS = (
     "instrument_direction_x",
     "instrument_direction_y",
     "instrument_direction_z",
+    "detail",
 )
 """The contract: columns may be added at the end, none is renamed or removed."""
 
@@ -122,6 +123,7 @@ def estimate_row(
     ):
         row |= dict(zip(names, vector or (None, None, None), strict=True))
     row |= {
+        "detail": estimate.detail or None,
         "recording": recording,
         "status": str(estimate.status),
         "method": method,

@@ -61,7 +61,7 @@ def validate(
     """
     rules = rules or TruthRules()
     if alarms is not None:
-        require_clearance(setup.method)
+        require_clearance(setup.method, setup.profile)
         if Reference.GROUND_TRUTH not in rules.wanted:
             raise UsageError(
                 f"alarms are scored against {Reference.GROUND_TRUTH}, the only reference with a clearance; asked"

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
 from svmdist.cli.options import parse_length_m
 from svmdist.errors import UsageError
+from svmdist.profile import DEFAULT_PROFILE, profile_path
 from svmdist.report.estimates import ESTIMATE_KEYS
 from tests.cli.conftest import Cli
 
@@ -37,6 +41,20 @@ def test_a_planar_method_cannot_alarm(cli: Cli, command: str, method: str) -> No
     (line,) = outcome.err.splitlines()
     assert method in line
     assert "fused" in line
+
+
+@pytest.mark.parametrize("command", ["estimate", "validate"])
+def test_an_instrument_without_sizes_cannot_alarm(
+    cli: Cli, tmp_path: Path, synthetic_log: Path, command: str
+) -> None:
+    """Without the instrument's sizes no row has a clearance: that is told before the work, not by silence."""
+    text = profile_path(DEFAULT_PROFILE).read_text("utf-8")
+    profile = tmp_path / "mine.toml"
+    profile.write_text(re.sub(r"\[instrument\]\n(.+\n)+", "", text))
+    outcome = cli(command, synthetic_log, "--profile", profile, "--method", "fused", "--alarm-below", "5mm")
+    assert (outcome.code, outcome.out) == (1, "")
+    (line,) = outcome.err.splitlines()
+    assert "no [instrument]" in line
 
 
 def test_confidence_without_a_threshold_is_refused(cli: Cli) -> None:

@@ -74,6 +74,28 @@ def test_missing_topic_lists_the_topics(cli: Cli, tmp_path: Path) -> None:
     assert "/PSM1/measured_js" in line
 
 
+@pytest.mark.parametrize(
+    ("method", "said"),
+    [
+        ("fused", "3 no_joints (no joints near the image)"),
+        ("stereo", "3 no_stereo (no right view)"),
+    ],
+)
+def test_a_method_says_what_the_log_lacks(cli: Cli, tmp_path: Path, method: str, said: str) -> None:
+    """Frames without what a method needs are rows with a reason and its detail, and the last line tells both."""
+
+    def without_joints(topic: str, sample: Sample) -> Sample | None:
+        return None if "PSM1" in topic else sample
+
+    path = write_log(tmp_path / "still.mcap", frame_count=3, change=without_joints)
+    outcome = cli("estimate", path, "--method", method, "-f", "csv")
+    assert outcome.code == 0
+    assert _one_line(outcome.err) == f"svmdist: 0 of 3 frames measured (0.0%); {said}"
+    header, *rows = outcome.out.splitlines()
+    assert header.endswith(",detail")
+    assert [f"{row.split(',')[2]} ({row.split(',')[-1]})" for row in rows] == [said.removeprefix("3 ")] * 3
+
+
 def test_truncated_file(cli: Cli, tmp_path: Path, synthetic_log: Path, synthetic_calibration: Path) -> None:
     """Of a file that was cut off, the readable frames are measured; the loss is said and the exit code is 3."""
     cut = tmp_path / "cut.mcap"

@@ -8,19 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.alarm_metrics import AlarmStatistics, alarm_statistics
-from svmdist.errors import RecordingError, UsageError
+from svmdist.errors import ProfileError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
+from svmdist.profile import Profile
 from svmdist.samples import Estimate
 from svmdist.tracks import SampledDistances
 
 
-def require_clearance(method: str) -> None:
-    """Refuse alarms of a method that tells no clearance; raises UsageError that names those that do."""
+def require_clearance(method: str, profile: Profile | None = None) -> None:
+    """Refuse alarms where no clearance is told: they would be silent, and look like safety.
+
+    Raises UsageError that names the methods that tell one, and ProfileError for a profile without [instrument].
+    """
     if method in PLANAR_METHODS:
         raise UsageError(
             f"alarms need a clearance, and {method} measures in the plane: the choices are"
             f" {', '.join(SPATIAL_METHODS)}"
+        )
+    if profile is not None and profile.instrument is None:
+        raise ProfileError(
+            f"profile {profile.name} has no [instrument]: alarms need a clearance, and that the instrument's sizes"
         )
 
 
