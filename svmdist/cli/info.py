@@ -27,7 +27,7 @@ def info_command(
 ) -> None:
     """Show topics, rates, cameras, frames and health.
 
-    And which commands the recording can serve, or what they lack.
+    And which commands and methods the recording can serve, or what they lack.
     """
     import json
 

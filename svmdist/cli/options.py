@@ -58,7 +58,8 @@ class RowFormat(StrEnum):
 
 
 Files = Annotated[
-    list[Path], typer.Argument(metavar="FILE", help="Recordings to read (MCAP).", show_default=False)
+    list[Path],
+    typer.Argument(metavar="FILE", help="Recordings: MCAP, ROS 1 bags, rosbag2 folders.", show_default=False),
 ]
 OptionalFiles = Annotated[
     list[Path] | None,
@@ -71,7 +72,8 @@ TopicOption = Annotated[
     typer.Option(
         "--topic",
         metavar="ROLE=TOPIC",
-        help="Topic for a role (image, camera_info, joints, pose, tf, …), over the profile's; may be repeated.",
+        help="Topic for a role, over the profile's; may be repeated. Roles: image, camera_info, right_image,"
+        " right_camera_info, joints, pose, tf, ground_truth_tf, ground_truth_distance.",
         show_default=False,
     ),
 ]

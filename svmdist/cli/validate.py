@@ -203,12 +203,7 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
     import json
 
     from svmdist.report.table import csv_lines
-    from svmdist.report.validation import (
-        PAPER_NOTE,
-        VALIDATION_KEYS,
-        score_row,
-        validation_document,
-    )
+    from svmdist.report.validation import VALIDATION_KEYS, score_row, validation_document
     from svmdist.report.validation_tables import remarks, validation_tables
 
     for note in result.notes:
@@ -216,7 +211,7 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
     match form:
         case TableFormat.TABLE:
             tables = validation_tables(result)
-            write_tables(tables, [*remarks(result), PAPER_NOTE], output)
+            write_tables(tables, remarks(result), output)
         case TableFormat.CSV:
             scores = (*result.scores, *result.overall)
             write_lines(csv_lines(VALIDATION_KEYS, (score_row(score) for score in scores)), output)

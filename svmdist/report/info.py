@@ -10,7 +10,7 @@ from svmdist.profile import Profile
 from svmdist.recording.inspect import RecordingSummary, TopicSummary
 from svmdist.report.table import Cell, Column, number, render, rich_table
 from svmdist.report.text import printable
-from svmdist.workflows.abilities import abilities
+from svmdist.workflows.abilities import Ability, abilities, instruments_in, method_abilities
 
 SCHEMA = "svmdist.info/1"
 
@@ -57,14 +57,15 @@ def info_document(summary: RecordingSummary, profile: Profile) -> dict[str, Any]
         "metadata": summary.metadata,
         "topics": [topic_row(topic) for topic in summary.topics],
         "roles": summary.roles,
+        "instruments": list(instruments_in(summary, profile)),
         "cameras": {topic: _camera_document(camera) for topic, camera in summary.cameras.items()},
         "frames": list(summary.frames),
         "joint_names": {topic: list(names) for topic, names in summary.joint_names.items()},
         "is_clean": summary.health.is_clean,
         "losses": [str(loss) for loss in summary.health.losses],
-        "commands": {
-            ability.command: {"served": ability.served, "missing": list(ability.missing)}
-            for ability in abilities(summary, profile)
+        "commands": {ability.name: _ability_document(ability) for ability in abilities(summary, profile)},
+        "methods": {
+            ability.name: _ability_document(ability) for ability in method_abilities(summary, profile)
         },
     }
 
@@ -84,11 +85,21 @@ def info_lines(summary: RecordingSummary, profile: Profile, width: int | None = 
         yield f"joints      {printable(topic)}: {printable(', '.join(names))}\n"
     roles = ", ".join(f"{role} {topic}" for role, topic in summary.roles.items())
     yield f"roles       {printable(roles) or 'none of the topics is one that svmdist reads'}\n"
+    yield f"instruments {printable(', '.join(instruments_in(summary, profile)))}\n"
     for ability in abilities(summary, profile):
         verdict = "yes" if ability.served else f"no: it lacks {'; '.join(ability.missing)}"
-        yield f"{ability.command:<11} {printable(verdict)}\n"
+        yield f"{ability.name:<11} {printable(verdict)}\n"
+    methods = method_abilities(summary, profile)
+    yield f"methods     {', '.join(each.name for each in methods if each.served) or 'none'}\n"
+    for each in methods:
+        if not each.served:
+            yield f"  {each.name:<9} no: it lacks {printable('; '.join(each.missing))}\n"
     losses = len(summary.health.losses)
     yield f"health      {'clean' if summary.health.is_clean else f'{losses} losses'}\n"
+
+
+def _ability_document(ability: Ability) -> dict[str, Any]:
+    return {"served": ability.served, "missing": list(ability.missing)}
 
 
 def _camera_line(camera: Camera) -> str:

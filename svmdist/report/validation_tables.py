@@ -8,10 +8,11 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from svmdist.alarm_metrics import AlarmStatistics
+from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.metrics import ErrorStatistics
 from svmdist.report.table import Cell, Column, Row, number, percent, rich_table
 from svmdist.report.text import printable
-from svmdist.report.validation import score_row
+from svmdist.report.validation import PAPER_NOTE, score_row
 from svmdist.workflows.scoring.distances import score_pairs
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import Validation
@@ -79,8 +80,9 @@ def validation_tables(validation: Validation) -> list[RichTable]:
 def validation_table(validation: Validation) -> RichTable:
     """The table for a person: a row a recording and reference, then the overall rows."""
     first = next(iter(validation.scores))
+    how = f"{first.equations} equations" if first.method in PLANAR_METHODS else "planar distance"
     return _table(
-        f"{first.method}, {first.equations} equations; errors and σ (of the truth) in mm; 95 %: bootstrap interval",
+        f"{first.method}, {how}; errors and σ (of the truth) in mm; 95 %: bootstrap interval",
         COLUMNS,
         [_shown(score) for score in validation.scores],
         [_shown(score) for score in validation.overall],
@@ -147,7 +149,10 @@ def _table(title: str, columns: Sequence[Column], rows: Iterable[Row], overall: 
 
 
 def remarks(validation: Validation) -> list[str]:
-    """What the table has no room for, a line a recording: frames that were lost, lag, and what was fitted on."""
+    """What the table has no room for, a line a recording: frames that were lost, lag, and what was fitted on.
+
+    Last, of a planar method, what the paper reports.
+    """
     lines: dict[str, list[str]] = {}
     for score in validation.scores:
         found = ["fitted on this log: left out of the overall row"] if score.fitted_on else []
@@ -163,7 +168,8 @@ def remarks(validation: Validation) -> list[str]:
             found.append(f"without it against {score.reference}: {_figures(score.uncorrected)}")
         known = lines.setdefault(score.recording, [])
         known += [remark for remark in found if remark not in known]
-    return [printable(f"{name}: {'; '.join(found)}") for name, found in lines.items() if found]
+    told = [printable(f"{name}: {'; '.join(found)}") for name, found in lines.items() if found]
+    return [*told, PAPER_NOTE] if any(score.method in PLANAR_METHODS for score in validation.scores) else told
 
 
 def _shown(score: Score) -> dict[str, Cell]:

@@ -1,23 +1,24 @@
-"""Which commands a recording can serve with a profile, and what it lacks for the others."""
+"""Which commands and methods a recording can serve with a profile, and what is lacking for the others."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from svmdist.estimation.methods import METHODS
 from svmdist.profile import Profile
 from svmdist.recording.inspect import RecordingSummary
 
 
 @dataclass(frozen=True, slots=True)
 class Ability:
-    """One command, and what is missing for it; nothing missing means that it can be served."""
+    """One command or method, and what is missing for it; nothing missing means that it can be served."""
 
-    command: str
+    name: str
     missing: tuple[str, ...]
 
     @property
     def served(self) -> bool:
-        """Whether the command can be served."""
+        """Whether it can be served."""
         return not self.missing
 
 
@@ -32,6 +33,43 @@ def abilities(summary: RecordingSummary, profile: Profile) -> tuple[Ability, ...
         Ability("blur-bench", images + _lacking(summary, "ground_truth_distance")),
         Ability("fk", _lacking(summary, "joints") + _chain_lacking(summary, profile)),
     )
+
+
+def method_abilities(summary: RecordingSummary, profile: Profile) -> tuple[Ability, ...]:
+    """Tell for each method of `estimate` what log and profile lack."""
+    images = _lacking(summary, "image", "camera_info")
+    joints = _lacking(summary, "joints") + _chain_lacking(summary, profile)
+    kinematics = joints + _belief_lacking(summary, profile)
+    in_3d = _parts_lacking(profile, "robot", "tissue")
+    shaft = () if profile.segmentation.shaft else (f"[segmentation.shaft] in profile {profile.name}",)
+    needs = {
+        "fiducial": joints + _parts_lacking(profile, "fiducial", "tissue"),
+        "shaft": shaft + _parts_lacking(profile, "instrument") + in_3d,
+        "stereo": _lacking(summary, "right_image", "right_camera_info") + in_3d,
+        "kinematic": kinematics + _parts_lacking(profile, "tissue"),
+        "fused": kinematics + _parts_lacking(profile, "tissue"),
+    }
+    return tuple(Ability(method, images + needs.get(method, ())) for method in METHODS)
+
+
+def _parts_lacking(profile: Profile, *tables: str) -> tuple[str, ...]:
+    return tuple(
+        f"[{table}] in profile {profile.name}" for table in tables if getattr(profile, table) is None
+    )
+
+
+def _belief_lacking(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
+    frames = profile.frames
+    if {frames.camera, frames.base} <= set(summary.frames):
+        return ()
+    return (f"transforms from {frames.camera} to {frames.base}",)
+
+
+def instruments_in(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
+    """Names of the instruments that the log has: the profile's own, and the others that have a topic in it."""
+    topics = {topic.topic for topic in summary.topics}
+    others = (other.name for other in profile.other_instruments if topics & set(other.topics.named.values()))
+    return (profile.instrument_name, *others)
 
 
 def _lacking(summary: RecordingSummary, *roles: str) -> tuple[str, ...]:

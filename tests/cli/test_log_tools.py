@@ -290,6 +290,12 @@ def test_info_tells_what_a_log_can_serve(cli: Cli, tmp_path: Path, synthetic_log
     assert counts["/PSM1/measured_js"] == 401
     assert document["is_clean"]
     assert all(command["served"] for command in document["commands"].values())
+    assert document["instruments"] == ["PSM1"]
+    assert "methods     overlay, centroid, fiducial, shaft, kinematic, fused\n" in table.out
+    assert document["methods"]["stereo"] == {
+        "served": False,
+        "missing": ["a topic for right_image", "a topic for right_camera_info"],
+    }
     rows = list(csv.DictReader(io.StringIO(cli("info", synthetic_log, "-f", "csv").out)))
     assert {row["topic"]: int(row["message_count"]) for row in rows} == counts
 
@@ -299,6 +305,18 @@ def test_info_tells_what_a_log_can_serve(cli: Cli, tmp_path: Path, synthetic_log
     lacking = json.loads(cli("info", write_log(tmp_path / "blind.mcap", change=blind), "-f", "json").out)
     assert lacking["commands"]["estimate"] == {"served": False, "missing": ["a topic for image"]}
     assert lacking["commands"]["fk"]["served"]
+
+
+def test_info_tells_what_a_profile_lacks(cli: Cli, synthetic_log: Path) -> None:
+    """Methods that a profile has no tables or frames for are named with what is lacking."""
+    out = cli("info", synthetic_log, "--profile", "dvrk-psm", "-f", "json").out
+    methods = json.loads(out)["methods"]
+    assert methods["overlay"]["served"]
+    assert methods["fiducial"]["missing"][-2:] == [
+        "[fiducial] in profile dvrk-psm",
+        "[tissue] in profile dvrk-psm",
+    ]
+    assert "transforms from ECM to PSM1_base" in methods["fused"]["missing"]
 
 
 def test_info_counts_gaps_disorder_and_losses(cli: Cli, tmp_path: Path) -> None:

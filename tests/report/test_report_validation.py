@@ -155,10 +155,21 @@ def test_the_table_shows_r_squared_with_rmse_sigma_and_n():
         f"{statistics.truth_std * 1e3:.2f}",
     ):
         assert text in row
-    (remark,) = remarks(made)
+    remark, note = remarks(made)
+    assert "The paper reports R² = 78%" in note
     assert "fitted on this log" in remark
     assert "not measured: 9 no_instrument, 1 no_tissue of" in remark
     assert "2" in remark
+
+
+def test_of_a_method_in_3d_nothing_is_said_about_the_papers_plane():
+    """The title names the distance in place of the equations, and the paper's figure is left out."""
+    made = validation("contact.mcap")
+    in_3d = replace(made, scores=(replace(made.scores[0], method="fused"),))
+    shown = render(validation_table(in_3d))
+    assert shown.startswith("fused, planar distance; ")
+    assert "equations" not in shown
+    assert not any("paper" in remark for remark in remarks(in_3d))
 
 
 @pytest.mark.parametrize(
