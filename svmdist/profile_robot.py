@@ -148,12 +148,16 @@ class Fiducial(StrictModel):
 
 
 class Dome(StrictModel):
-    """A dome over the tissue's outline: height h (1 - g^a)^b at gauge g, 0 in the middle and 1 on the outline.
+    """A dome over the tissue's outline: height h (1 - g^a)^b at gauge g, 0 at the apex and 1 on the outline.
 
-    The defaults make half an ellipsoid. The outline itself comes from the image.
+    The defaults make half an ellipsoid. The outline itself comes from the image, the apex stands over its middle.
+    What the standard deviations leave open, `fused` finds where it has both cameras.
     """
 
     height_m: SmallLength
+    height_std_m: float = Field(default=0.0, ge=0.0)
+    apex_std_m: float = Field(default=0.0, ge=0.0)
+    """How far the apex stands beside the outline's middle, as a standard deviation along each of two axes."""
     gauge_exponent: float = Field(default=2.0, ge=1.0, le=20.0)
     height_exponent: float = Field(default=0.5, gt=0.0, le=2.0)
 
@@ -183,7 +187,7 @@ class Tissue(StrictModel):
     mesh_yaw_rad: Angle = 0.0
     """How far the mesh is turned about the tissue's z axis, counter-clockwise seen from the camera's side."""
     surface_std_m: float = Field(default=0.0, ge=0.0)
-    """How far the shape stands off the real surface, as a standard deviation."""
+    """How far the shape stands off the real surface, as a standard deviation; beside what a dome says of itself."""
 
     @model_validator(mode="after")
     def _sound(self) -> Tissue:

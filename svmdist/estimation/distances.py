@@ -71,12 +71,13 @@ def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissueFix) -> float
 
     The closest points are extremal, so to first order a small motion changes the distance only through
     their own motion along the direction d (envelope theorem): by -d · (δp + δθ x r) for the instrument, with r
-    from the tool to its closest point, and by d · δt for the tissue.
+    from the tool to its closest point, by d · δt for the tissue, and by what its surface stands off there.
     """
     arm_m = gap.on_instrument_m - pose.position_m
     derivative = -np.concatenate([gap.direction, np.cross(arm_m, gap.direction)])
     variance = derivative @ pose.covariance @ derivative
-    variance += gap.direction @ tissue.covariance @ gap.direction + tissue.surface_std_m**2
+    variance += gap.direction @ tissue.covariance @ gap.direction
+    variance += tissue.surface_variance_m2(gap.on_tissue_m, gap.direction)
     return float(np.sqrt(max(float(variance), 0.0)))
 
 

@@ -17,12 +17,12 @@ from svmdist.vision.segmentation.segmenter import Segmenter
 
 
 class FusedEstimator:
-    """`--method fused`: keeps the filter and the tissue's place between frames."""
+    """`--method fused`: keeps the filter, and the tissue's place and shape, between frames."""
 
     name = "fused"
 
     def __init__(self, profile: Profile, segmenter: Segmenter | None = None) -> None:
-        self._scene = RobotScene(profile, segmenter)
+        self._scene = RobotScene(profile, segmenter, sees_shape=True)
         self._sights = ToolSights(profile, self._scene.chain, self._scene.segmenter)
         self._filter = KinematicErrorFilter(self._scene.chain, profile.kinematic_error)
 

@@ -4,33 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
-
 from svmdist.estimation.distances import measure
 from svmdist.estimation.filtering.robot_scene import belief_of, require_chain
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.instrument.rectified import RectifiedPair, rectified_pair
 from svmdist.estimation.instrument.shaft_sight import see_knuckle
 from svmdist.estimation.shaft import ShaftEstimator
-from svmdist.estimation.stereo_tool import FAR_M, believed_pose, deepen, match_knuckle
-from svmdist.estimation.tissue.fix import TissueFix, TissueSight, require_tissue, see_tissue, tissue_row
+from svmdist.estimation.stereo_tool import believed_pose, deepen, match_knuckle
+from svmdist.estimation.tissue.fix import require_tissue, see_tissue, tissue_row
+from svmdist.estimation.tissue.stereo_surface import see_surface
 from svmdist.geometry.surfaces import Cloud
 from svmdist.profile import Profile
-from svmdist.samples import Estimate, Image, Observation, Rejection, RightView, Status
-from svmdist.transforms import Array
+from svmdist.samples import Estimate, Observation, Rejection, RightView, Status
+from svmdist.vision.rectified import RectifiedPair, rectified_pair
 from svmdist.vision.segmentation.colour import to_hsv
 from svmdist.vision.segmentation.exposure import levelled
 from svmdist.vision.segmentation.segmenter import Masks, Segmenter, make_segmenter, own_masks
-from svmdist.vision.stereo import DisparitySurface, fit_surface
-
-NEAR_M = 0.04
-"""With FAR_M, the working distance of an endoscope: bounds the disparities that are searched."""
-SURFACE_STD_PX = 0.12
-"""What an aligned low-order surface leaves: measured 0.36 mm at 105 mm and a baseline of 5 mm."""
-GRID_STEP_PX = 5
 
 
 class StereoEstimator:
@@ -69,11 +58,13 @@ class StereoEstimator:
             return replace(row, status=pose.status, detail=pose.detail)
 
         # The tissue's surface, and the distances.
-        fix = self._surface(observation, right, pair, sight, (masks.tissue, right_masks.tissue))
-        if fix is None:
+        seen = see_surface(observation, right, pair, sight.region.hull, (masks.tissue, right_masks.tissue))
+        if seen is None:
             return replace(
                 row, status=Status.NO_STEREO, detail="the views do not agree on the tissue's surface"
             )
+        # The surface has its own error; the dome's and the outline's are no part of it.
+        fix = replace(sight.fix, surface=Cloud(seen.points_m), surface_std_m=seen.std_m, dome=None)
         has_plate = self._shaft is not None and self._shaft.has_seen_tag
         return measure(row, pose, fix, self._model, observation.joints, observation.camera, has_plate)
 
@@ -98,40 +89,3 @@ class StereoEstimator:
         if isinstance(belief, str):
             return Rejection(observation.stamp_ns, Status.NO_JOINTS, belief)
         return believed_pose(seen, pair, belief, self._chain, self._profile.kinematic_error)
-
-    def _surface(
-        self,
-        observation: Observation,
-        right: RightView,
-        pair: RectifiedPair,
-        sight: TissueSight,
-        tissue_masks: tuple[Image, Image],
-    ) -> TissueFix | None:
-        """The origin by the outline on the profile's plane, as elsewhere; the surface by stereo."""
-        assert sight.fix is not None  # the caller has checked it
-        far_px, near_px = (pair.disparity_at(depth_m) + pair.offset_px for depth_m in (FAR_M, NEAR_M))
-        bounds = (int(np.floor(far_px)), int(np.ceil(near_px)))
-        surface = fit_surface(_grey(observation.image_bgr), _grey(right.image_bgr), *tissue_masks, *bounds)
-        if surface is None:
-            return None
-        points_m = _cloud(surface, sight.region.hull, pair, tissue_masks[0].shape)
-        depth_m = float(np.median(points_m[:, 2]))
-        surface_std_m = depth_m / pair.disparity_at(depth_m) * SURFACE_STD_PX
-        # The surface has its own error; the outline's is not part of a clearance.
-        return replace(sight.fix, surface=Cloud(points_m), surface_std_m=surface_std_m)
-
-
-def _cloud(
-    surface: DisparitySurface, hull: NDArray[np.int32], pair: RectifiedPair, shape: tuple[int, ...]
-) -> Array:
-    """Points of the surface inside the tissue's hull, shape (n, 3), under the instrument too."""
-    inside = np.zeros(shape[:2], np.uint8)
-    cv2.fillConvexPoly(inside, np.asarray(hull, np.int32), 255)
-    rows, columns = np.nonzero(inside[::GRID_STEP_PX, ::GRID_STEP_PX])
-    points_px = np.stack([columns, rows], -1).astype(np.float64) * GRID_STEP_PX
-    disparity_px = surface.at(points_px) - pair.offset_px
-    return pair.points(points_px, np.maximum(disparity_px, pair.disparity_at(FAR_M)))
-
-
-def _grey(image_bgr: Image) -> Image:
-    return np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)

@@ -13,15 +13,13 @@ from svmdist.camera import Camera
 from svmdist.estimation.filtering.filter import KinematicErrorFilter
 from svmdist.estimation.filtering.robot_scene import Belief
 from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.instrument.rectified import RectifiedPair
 from svmdist.estimation.instrument.shaft_fit import apparent_radius_px
 from svmdist.estimation.instrument.shaft_sight import Knuckle
 from svmdist.kinematics.dh import DHChain
 from svmdist.profile import KinematicError
 from svmdist.transforms import Array, rotation_of
+from svmdist.vision.rectified import FAR_M, RectifiedPair
 
-FAR_M = 0.25
-"""Working distance of an endoscope: bounds the disparities that are believed."""
 ROW_TOLERANCE_PX = 3.0
 """Corresponding points of rectified images lie on one row; the knuckle is cut a little differently."""
 DISPARITY_STD = 0.012

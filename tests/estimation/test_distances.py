@@ -10,7 +10,8 @@ from svmdist.camera import Camera
 from svmdist.estimation.distances import measure
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.tissue.fix import TissueFix, dome_mesh, see_tissue
+from svmdist.estimation.tissue.dome import DomeFix
+from svmdist.estimation.tissue.fix import TissueFix, see_tissue, tissue_frame
 from svmdist.geometry.closest import winding_number
 from svmdist.geometry.surfaces import Plane
 from svmdist.kinematics.chain import chain_of
@@ -31,6 +32,7 @@ MODEL = InstrumentModel.of(PROFILE)
 assert MODEL is not None
 ROW = Estimate(0, Status.OK)
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
+FLOOR = tissue_frame(np.array([0.0, 0.0, 0.112]), np.array([0.0, 0.0, -1.0]))
 
 
 def tool_pose(covariance: np.ndarray | None = None) -> ToolPose:
@@ -119,9 +121,8 @@ def test_without_joints_the_instrument_is_straight() -> None:
 def test_a_dome_is_closed_and_as_high_as_told() -> None:
     angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     outline = np.stack([0.028 * np.cos(angle), 0.022 * np.sin(angle), np.full(360, 0.112)], -1)
-    up = np.array([0.0, 0.0, -1.0])
     for ring in (outline, outline[::-1]):
-        mesh = dome_mesh(np.array([0.0, 0.0, 0.112]), ring, up, Dome(height_m=0.008))
+        mesh = DomeFix.over(ring, FLOOR, Dome(height_m=0.008)).mesh()
         points = np.array([[0.0, 0.0, 0.108], [0.0, 0.0, 0.1035], [0.0, 0.0, 0.113], [0.02, 0.0, 0.111]])
         np.testing.assert_allclose(winding_number(points, mesh.triangles_m), [1, 0, 0, 1], atol=1e-9)
         assert mesh.vertices_m[:, 2].min() == pytest.approx(0.104, abs=1e-12)
@@ -152,5 +153,5 @@ def test_the_tissue_is_found_where_it_lies() -> None:
 def test_a_dome_stands_on_an_outline_of_any_number_of_corners(count: int) -> None:
     angles = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     ring = np.stack([0.02 * np.cos(angles), 0.02 * np.sin(angles), np.full(count, 0.112)], -1)
-    mesh = dome_mesh(np.array([0.0, 0.0, 0.112]), ring, np.array([0.0, 0.0, -1.0]), Dome(height_m=0.008))
+    mesh = DomeFix.over(ring, FLOOR, Dome(height_m=0.008)).mesh()
     assert mesh.vertices_m[:, 2].min() == pytest.approx(0.104)

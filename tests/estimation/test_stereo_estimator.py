@@ -9,12 +9,12 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.instrument.rectified import RectifiedPair
 from svmdist.estimation.instrument.shaft_sight import Knuckle
 from svmdist.estimation.stereo import StereoEstimator
 from svmdist.estimation.stereo_tool import SeenTwice, deepen, match_knuckle
 from svmdist.profile import load_profile
 from svmdist.samples import Observation, RightView, Status
+from svmdist.vision.rectified import RectifiedPair
 from tests.synthetic import make_scene
 
 BASELINE_M = 0.005

@@ -9,13 +9,16 @@ from svmdist.errors import KinematicsError, ProfileError
 from svmdist.estimation.distances import measure
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.tissue.dome import DomeFix
 from svmdist.estimation.tissue.fix import TissueFix, TissueSight, require_tissue, see_tissue
 from svmdist.estimation.tissue.memory import TissueMemory
+from svmdist.estimation.tissue.stereo_surface import fit_dome, see_surface
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, select_joints
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, JointSample, Observation, Status
 from svmdist.transforms import Array
+from svmdist.vision.rectified import rectified_pair
 from svmdist.vision.segmentation.segmenter import Masks, Segmenter, make_segmenter, own_masks
 
 
@@ -38,26 +41,46 @@ class Look:
 
 
 class RobotScene:
-    """The set-up of a robot over tissue that holds still; keeps the tissue's place between frames."""
+    """The set-up of a robot over tissue that holds still; keeps the tissue's place between frames.
 
-    def __init__(self, profile: Profile, segmenter: Segmenter | None = None) -> None:
+    With `sees_shape` it finds the dome's apex and height too, where frames have both views.
+    """
+
+    def __init__(
+        self, profile: Profile, segmenter: Segmenter | None = None, sees_shape: bool = False
+    ) -> None:
         require_tissue(profile)
         self.profile = profile
         self.segmenter = segmenter or make_segmenter(profile.segmentation)
         self.chain = require_chain(profile)
         self._model = InstrumentModel.of(profile)
         self._tissue = TissueMemory()
+        self._sees_shape = sees_shape
 
     def look(self, observation: Observation) -> Look:
         """Segment a frame, take up its tissue, and select its joints; the row says what is lacking."""
         belief = belief_of(observation, self.chain)
         masks = own_masks(self.segmenter, observation.image_bgr, observation.foreign)
         sight = see_tissue(masks, self.profile, observation.camera)
-        tissue = self._tissue.add(sight.fix if sight else None)
+        tissue = self._tissue.add(sight.fix if sight else None, self._dome(observation, sight, masks))
         row = _with_tissue(Estimate(observation.stamp_ns, Status.NO_TISSUE), sight)
         if isinstance(belief, str):
             return Look(replace(row, status=Status.NO_JOINTS, detail=belief), masks, None, tissue)
         return Look(row, masks, belief, tissue)
+
+    def _dome(self, observation: Observation, sight: TissueSight | None, masks: Masks) -> DomeFix | None:
+        """The dome as both views show it, where another look at it is wanted."""
+        right = observation.right
+        if not self._sees_shape or right is None or sight is None or sight.fix is None:
+            return None
+        if sight.fix.dome is None or not self._tissue.wants_shape:
+            return None
+        pair = rectified_pair(observation, right)
+        if isinstance(pair, str):
+            return None
+        right_masks = own_masks(self.segmenter, right.image_bgr, right.foreign)
+        surface = see_surface(observation, right, pair, sight.region.hull, (masks.tissue, right_masks.tissue))
+        return None if surface is None else fit_dome(sight.fix.dome, surface)
 
     def finish(
         self,

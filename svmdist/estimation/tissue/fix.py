@@ -6,16 +6,17 @@ completed outline's centroid meets that plane.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
+from svmdist.estimation.tissue.dome import DomeFix
 from svmdist.geometry.mesh_files import read_closed_mesh
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Mesh, Plane, Surface
-from svmdist.profile import Dome, Profile, Tissue
+from svmdist.profile import Profile, Tissue
 from svmdist.samples import Estimate, Status
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.completion import CompletedOutline, complete_outline
@@ -25,22 +26,30 @@ from svmdist.vision.segmentation.segmenter import Masks
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ACROSS = 0.99
 """Cosine between normal and axis from which on the axis has no direction on the plane."""
-RINGS = 14
-SIDES = 72
-"""The dome's mesh: chords of 5° stand 0.03 mm off an outline of 28 mm."""
 
 
 @dataclass(frozen=True, slots=True)
 class TissueFix:
     """The tissue's origin in the camera frame, shape (3,) in m, with covariance (3, 3), and its surface there.
 
-    `surface_std_m` is how far the surface may stand off the real one, beside the origin's error.
+    `surface_std_m` is how far the surface may stand off the real one, beside the origin's error and what a `dome`,
+    where the surface is one, says of its own shape.
     """
 
     position_m: Array
     covariance: Array
     surface: Surface
     surface_std_m: float = 0.0
+    dome: DomeFix | None = None
+
+    def with_dome(self, dome: DomeFix) -> TissueFix:
+        """The same place under a dome of another shape."""
+        return replace(self, surface=dome.mesh(), dome=dome)
+
+    def surface_variance_m2(self, point_m: Array, direction: Array) -> float:
+        """By how much the surface may stand off at one of its points, shape (3,), along a unit vector, shape (3,)."""
+        variance_m2 = self.surface_std_m**2
+        return variance_m2 if self.dome is None else variance_m2 + self.dome.variance_m2(point_m, direction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +112,14 @@ def fix_tissue(outline: CompletedOutline, camera: Camera, tissue: Tissue) -> Tis
     if not np.all(np.isfinite(position_m)):
         return None
     covariance = _position_covariance(position_m, outline, camera, plane, tissue)
-    surface = _surface(position_m, outline, camera, plane, tissue)
+    dome = _dome(position_m, outline, camera, plane, tissue)
+    if dome is not None:
+        return TissueFix(position_m, covariance, dome.mesh(), tissue.surface_std_m, dome)
+    surface: Surface = plane
+    if tissue.mesh is not None:
+        surface = tissue_mesh(tissue).transformed(
+            tissue_frame(position_m, plane.normal) @ tissue.T_tissue_mesh
+        )
     return TissueFix(position_m, covariance, surface, tissue.surface_std_m)
 
 
@@ -130,43 +146,15 @@ def tissue_mesh(tissue: Tissue) -> Mesh:
     return read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
 
 
-def dome_mesh(origin_m: Array, outline_m: Array, normal: Array, dome: Dome) -> Mesh:
-    """A closed dome over an outline, shape (n, 3), that lies on the plane through `origin_m`, shape (3,).
-
-    The gauge runs from 0 at the origin to 1 on the outline; rings crowd at the rim, where the dome is steep.
-    """
-    outline_m = outline_m[np.linspace(0, len(outline_m), SIDES, endpoint=False).astype(int)]
-    if _turns_clockwise(outline_m - origin_m, normal):
-        outline_m = outline_m[::-1]
-    gauge = np.sin(np.linspace(0.0, np.pi / 2.0, RINGS + 1)[1:])
-    height_m = dome.height_m * (1.0 - gauge**dome.gauge_exponent).clip(0.0) ** dome.height_exponent
-    rings = origin_m + gauge[:, None, None] * (outline_m - origin_m) + height_m[:, None, None] * normal
-    vertices_m = np.vstack([origin_m + dome.height_m * normal, rings.reshape(-1, 3), origin_m])
-    side = np.arange(SIDES)
-    after = (side + 1) % SIDES
-    last = 1 + (RINGS - 1) * SIDES
-    faces = [
-        np.stack([np.zeros_like(side), 1 + side, 1 + after], -1),
-        np.stack([np.full_like(side, len(vertices_m) - 1), last + after, last + side], -1),
-    ]
-    for ring in range(RINGS - 1):
-        inner, outer = 1 + ring * SIDES, 1 + (ring + 1) * SIDES
-        faces.append(np.stack([inner + side, outer + side, outer + after], -1))
-        faces.append(np.stack([inner + side, outer + after, inner + after], -1))
-    return Mesh(vertices_m, np.concatenate(faces).astype(np.int64))
-
-
-def _surface(
+def _dome(
     position_m: Array, outline: CompletedOutline, camera: Camera, plane: Plane, tissue: Tissue
-) -> Surface:
-    if tissue.mesh is not None:
-        return tissue_mesh(tissue).transformed(tissue_frame(position_m, plane.normal) @ tissue.T_tissue_mesh)
+) -> DomeFix | None:
     if tissue.dome is None:
-        return plane
+        return None
     outline_m = meet_plane(pixel_rays(camera, outline.curve_px), plane)
     if not np.all(np.isfinite(outline_m)) or len(outline_m) < 3:
-        return plane
-    return dome_mesh(position_m, outline_m, plane.normal, tissue.dome)
+        return None
+    return DomeFix.over(outline_m, tissue_frame(position_m, plane.normal), tissue.dome)
 
 
 def _position_covariance(
@@ -187,8 +175,3 @@ def _position_covariance(
     from_foot = position_m - plane.offset_m * plane.normal
     arm2_m2 = float(from_foot @ from_foot) * tissue.plane_tilt_std_rad**2
     return np.asarray(covariance + arm2_m2 * np.outer(along, along))
-
-
-def _turns_clockwise(polygon_m: Array, normal: Array) -> bool:
-    area = np.cross(polygon_m, np.roll(polygon_m, -1, axis=0)).sum(0)
-    return bool(area @ normal < 0.0)

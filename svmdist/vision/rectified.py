@@ -9,6 +9,9 @@ import numpy as np
 from svmdist.samples import Observation, RightView
 from svmdist.transforms import Array
 
+NEAR_M, FAR_M = 0.04, 0.25
+"""The working distance of an endoscope: it bounds the disparities that mean something."""
+
 
 @dataclass(frozen=True, slots=True)
 class RectifiedPair:
