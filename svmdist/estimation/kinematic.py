@@ -5,7 +5,7 @@ As bad as joints and camera-to-base transform are; the standard deviations say h
 
 from __future__ import annotations
 
-from svmdist.estimation.filtering.filter import KinematicErrorFilter
+from svmdist.estimation.filtering.believed import believed_tool
 from svmdist.estimation.filtering.robot_scene import RobotScene
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
@@ -25,10 +25,6 @@ class KinematicEstimator:
         look = self._scene.look(observation)
         if look.belief is None or look.tissue is None or observation.joints is None:
             return look.row
-
-        # A filter that has seen nothing: believed kinematics, and the profile's uncertainty.
-        kalman = KinematicErrorFilter(self._scene.chain, self._scene.profile.kinematic_error)
-        kalman.predict(observation.stamp_ns, look.belief.q, look.belief.T_camera_base)
-        return self._scene.finish(
-            look.row, kalman.tool_pose(), look.tissue, observation.camera, observation.joints
-        )
+        error = self._scene.profile.kinematic_error
+        tool = believed_tool(self._scene.chain, error, look.belief.q, look.belief.T_camera_base)
+        return self._scene.finish(look.row, tool, look.tissue, observation.camera, observation.joints)

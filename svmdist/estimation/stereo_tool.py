@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filtering.filter import KinematicErrorFilter
+from svmdist.estimation.filtering.believed import believed_tool
 from svmdist.estimation.filtering.robot_scene import Belief
 from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.estimation.instrument.shaft_fit import apparent_radius_px
@@ -105,9 +105,7 @@ def believed_pose(
 ) -> ToolPose:
     """The triangulated position with the direction that the robot believes, as sure as the profile says."""
     p_camera_m, J = pair.point(seen.left_px, seen.disparity_px)
-    kalman = KinematicErrorFilter(chain, error)
-    kalman.predict(0, belief.q, belief.T_camera_base)
-    believed = kalman.tool_pose()
+    believed = believed_tool(chain, error, belief.q, belief.T_camera_base)
     T_camera_tool, covariance = believed.T_camera_tool.copy(), np.zeros((6, 6))
     T_camera_tool[:3, 3] = p_camera_m
     variances = np.array([seen.std_px, seen.std_px, seen.disparity_std_px]) ** 2

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filtering.filter import KinematicErrorFilter
+from svmdist.estimation.filtering.believed import believed_tool
 from svmdist.estimation.filtering.robot_scene import belief_of
 from svmdist.estimation.identity.motion import Believed, Gaussian
 from svmdist.estimation.identity.regions import ShaftAxis
@@ -85,7 +85,6 @@ class InstrumentBelief:
         belief = belief_of(observation, self._chain)
         if isinstance(belief, str):
             return None
-        # A filter that has seen nothing: believed kinematics, and the profile's uncertainty.
-        kalman = KinematicErrorFilter(self._chain, self._profile.kinematic_error)
-        kalman.predict(observation.stamp_ns, belief.q, belief.T_camera_base)
-        return ArmBelief(kalman.tool_pose(), self._profile.instrument)
+        error = self._profile.kinematic_error
+        tool = believed_tool(self._chain, error, belief.q, belief.T_camera_base)
+        return ArmBelief(tool, self._profile.instrument)
