@@ -38,13 +38,12 @@ class Line:
     """The points with `normal` · p = `offset`, in the unit of the points that were fitted.
 
     `normal` (2,) has length 1; `covariance` (2, 2) belongs to (turn in rad about `centre`, shift along the
-    normal); `half_length` is how far the points reach from `centre`, (2,), and `count` how many there were.
+    normal); `centre` (2,) is the points' middle, and `count` how many there were.
     """
 
     normal: Array
     offset: float
     centre: Array
-    half_length: float
     covariance: Array
     count: int
 
@@ -188,7 +187,6 @@ def fit_line(
         normal,
         float(normal @ centre),
         centre,
-        float(np.max(np.abs(position))),
         np.diag([turn, shift]),
         len(points),
     )

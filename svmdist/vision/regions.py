@@ -65,14 +65,6 @@ def find_region(mask: Image, rule: AreaGate) -> Region | None:
     )
 
 
-def pixel_centroid(mask: Image) -> Array:
-    """Mean of the coordinates of the set pixels, shape (2,) as x, y: eqs. (1), (2)."""
-    moments = cv2.moments(mask, binaryImage=True)
-    if moments["m00"] == 0:
-        raise ValueError("an empty mask has no centroid")
-    return np.array([moments["m10"], moments["m01"]]) / moments["m00"]
-
-
 def _worth_counting(contours: object, rule: AreaGate) -> list[NDArray[np.int32]]:
     """Drop contours whose bounding box already holds too few pixels: speckled masks have thousands."""
     kept = []
@@ -90,6 +82,7 @@ def _pixel_count(mask: Image, contour: NDArray[np.int32]) -> int:
 
 
 def _pixel_centroid(mask: Image, contours: list[NDArray[np.int32]]) -> Array:
+    """Mean of the coordinates of the set pixels inside the contours, shape (2,) as x, y: eqs. (1), (2)."""
     total, weighted = 0.0, np.zeros(2)
     for contour in contours:
         x, y, _, _ = cv2.boundingRect(contour)

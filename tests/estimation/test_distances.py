@@ -8,7 +8,7 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.distances import measure
-from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.instrument.model import InstrumentModel, wrist_in_tool
 from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.estimation.tissue.dome import DomeFix
 from svmdist.estimation.tissue.fix import TissueFix, see_tissue, tissue_frame
@@ -36,8 +36,7 @@ FLOOR = tissue_frame(np.array([0.0, 0.0, 0.112]), np.array([0.0, 0.0, -1.0]))
 
 
 def tool_pose(covariance: np.ndarray | None = None) -> ToolPose:
-    bent = MODEL.bent_wrist(JOINTS)
-    assert bent is not None
+    bent = wrist_in_tool(CHAIN, Q)
     T = make_transform(rotation_x(2.4) @ rotation_z(0.3), [0.012, -0.006, 0.088])
     return ToolPose(T, np.zeros((6, 6)) if covariance is None else covariance, T[:3, :3] @ bent.shaft)
 
@@ -100,8 +99,7 @@ def test_the_wrist_follows_the_joints() -> None:
     for _ in range(20):
         q = Q.copy()
         q[-3:-1] = rng.uniform(-1.2, 1.2, 2)
-        bent = MODEL.bent_wrist(JointSample(0, CHAIN.joint_names, q))
-        assert bent is not None
+        bent = wrist_in_tool(CHAIN, q)
         assert np.linalg.norm(bent.hinge_m) == pytest.approx(0.0091, abs=1e-12)
         # Insertion moves the whole wrist along the shaft.
         further = q.copy()

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.profile import ColourRegion
-from svmdist.vision.regions import SPECK_FRACTION, find_region, pixel_centroid
+from svmdist.vision.regions import SPECK_FRACTION, find_region
 
 
 def rule(min_area_px: int = 10, components: str = "all", occlusion: str = "none") -> ColourRegion:
@@ -38,20 +38,8 @@ def test_a_region_passes_its_gate_only_if_larger(width, passes):
         assert region.area_px == 55
 
 
-def test_an_empty_mask_has_no_region_and_no_centroid():
-    """No set pixel gives None from find_region, and an error rather than NaN from pixel_centroid."""
+def test_an_empty_mask_has_no_region():
     assert find_region(blank(), rule()) is None
-    with pytest.raises(ValueError, match="no centroid"):
-        pixel_centroid(blank())
-
-
-@settings(deadline=None, max_examples=60)
-@given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.9))
-def test_the_pixel_centroid_is_the_mean_of_the_coordinates(seed, density):
-    """pixel_centroid equals NumPy's mean within 1e-9 px for any mask."""
-    mask = np.where(np.random.default_rng(seed).random((20, 30)) < density, 255, 0).astype(np.uint8)
-    if mask.any():
-        np.testing.assert_allclose(pixel_centroid(mask), mean_of_pixels(mask), atol=1e-9)
 
 
 @settings(deadline=None, max_examples=40)

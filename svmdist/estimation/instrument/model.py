@@ -96,11 +96,6 @@ class InstrumentModel:
         T_tool_tag = inverse(frames[-1] @ self._chain.T_last_tool) @ T_base_link @ self._fiducial.T_link_tag
         return join(body, plate_capsules(self._fiducial).transformed(pose.T_camera_tool @ T_tool_tag))
 
-    def bent_wrist(self, joints: JointSample | None) -> Wrist | None:
-        """The wrist in the tool frame; None without a chain or without its joints."""
-        q = self._joints(joints)
-        return None if self._chain is None or q is None else wrist_in_tool(self._chain, q)
-
     def _joints(self, joints: JointSample | None) -> Array | None:
         if self._chain is None or joints is None:
             return None

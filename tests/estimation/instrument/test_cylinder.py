@@ -86,7 +86,7 @@ def test_covariance_agrees_with_a_thousand_disturbed_lines():
         n, offset = normal[:2] / scale, -normal[2] / scale
         centre = offset * n
         turned = np.array([n[0] - turn * n[1], n[1] + turn * n[0]]) / np.hypot(1.0, turn)
-        return Line(turned, float(turned @ centre) + shift, centre, 0.2, spread, 100)
+        return Line(turned, float(turned @ centre) + shift, centre, spread, 100)
 
     inside = p[:2] / p[2]
     normals = [tangent_normal(p, d, radius_m, side) for side in (1, -1)]

@@ -129,5 +129,3 @@ def test_a_chain_without_a_wrist_says_so() -> None:
     assert wrist_rows(chain) is None
     with pytest.raises(KinematicsError, match="no wrist"):
         wrist_in_tool(chain, np.zeros(9))
-    assert PROFILE.instrument is not None
-    assert InstrumentModel(PROFILE.instrument, chain).bent_wrist(None) is None
