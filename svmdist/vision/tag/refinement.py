@@ -29,8 +29,12 @@ MIN_CONTRAST = 4.0
 """Grey levels between black and white below which there is no pattern to lay."""
 CLUSTER_INFLATION = 6.0
 """Pixels that sample a point, as a renderer without antialiasing or a sensor without a low-pass does, shift an edge
-that is nearly parallel to the rows by up to half a pixel over its whole length, across many cells. Measured
-on such images; where pixels integrate over their area, the factor would be 1.0 to 1.4.
+that is nearly parallel to the rows by up to half a pixel over its whole length, across many cells. How much that
+adds to the clusters' covariance is measured, not derived: on 300 synthetic tags of 40 px, tilted by 11° to 46°, each
+pixel a point sample, without noise, then blurred by 0.8 px. There the squared errors over their variances, per degree
+of freedom, are 4.8 without the factor and 0.98 with it. With a noise of 2 levels the factor is too wide: without it
+they are 2.4, and 1.2 where pixels integrate over their area. On noiseless tags of 65 px it is too narrow, 3.8 with it:
+depth errs by 0.06 mm, of 0.05 mm stated.
 """
 ROBUST = 3.0
 """Huber's threshold in standard deviations: glare and blood are outliers."""
