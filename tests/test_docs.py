@@ -95,6 +95,51 @@ def test_every_command_is_in_the_readme() -> None:
     assert named == commands
 
 
+def _named_in(document: str) -> set[str]:
+    """What a document names in backticks, or as a key or table of an example."""
+    text = (REPOSITORY / "docs" / document).read_text("utf-8")
+    examples = "\n".join(re.findall(r"```toml\n(.*?)```", text, re.DOTALL))
+    in_text = re.findall(r"`\[*([\w. ]+?)\]*`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    tables = re.findall(r"^\[+([\w.]+)\]+$", examples, re.MULTILINE)
+    return {*in_text, *re.findall(r"(\w+) =", examples), *".".join(tables).split(".")}
+
+
+def test_every_column_and_status_is_explained() -> None:
+    """docs/output.md names each column of rows, scores and figures, and each reason, and no other reason."""
+    from svmdist.report.comparison import COMPARE_KEYS
+    from svmdist.report.degradation_grid import GRID_KEYS
+    from svmdist.report.estimates import ESTIMATE_KEYS
+    from svmdist.report.validation import VALIDATION_KEYS
+    from svmdist.samples import Status
+
+    named = _named_in("output.md")
+    assert {*ESTIMATE_KEYS, *VALIDATION_KEYS, *COMPARE_KEYS, *GRID_KEYS, *Status} - named == set()
+    assert {name for name in named if re.match(r"no_|too_few", name)} <= set(Status)
+
+
+def test_every_key_of_a_profile_is_explained() -> None:
+    """docs/profile.md names each key of the tables that somebody writes for a scene of his own."""
+    from svmdist.profile import (
+        Dome,
+        Fiducial,
+        HsvSegmentation,
+        Instrument,
+        Joint,
+        KinematicError,
+        OnnxSegmentation,
+        OtherInstrument,
+        Placement,
+        Profile,
+        Robot,
+        Tissue,
+    )
+
+    tables = (Profile, HsvSegmentation, OnnxSegmentation, Robot, Joint, KinematicError, Instrument, Fiducial)
+    named = _named_in("profile.md")
+    for table in (*tables, Tissue, Dome, OtherInstrument, Placement):
+        assert set(table.model_fields) - named == set(), table.__name__
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(REPOSITORY)))
 def test_named_modules_exist(document: Path) -> None:
     """A path such as `vision/marker/pattern.py` in a document names a module of the package."""

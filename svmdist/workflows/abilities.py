@@ -42,7 +42,10 @@ def method_abilities(summary: RecordingSummary, profile: Profile) -> tuple[Abili
     kinematics = joints + _belief_lacking(summary, profile)
     in_3d = _parts_lacking(profile, "robot", "tissue")
     shaft = () if profile.segmentation.shaft else (f"[segmentation.shaft] in profile {profile.name}",)
+    calibration = () if profile.calibration else (f"a calibration in profile {profile.name} (--calibration)",)
     needs = {
+        "overlay": calibration,
+        "centroid": calibration,
         "fiducial": joints + _parts_lacking(profile, "fiducial", "tissue"),
         "shaft": shaft + _parts_lacking(profile, "instrument") + in_3d,
         "stereo": _lacking(summary, "right_image", "right_camera_info") + in_3d,

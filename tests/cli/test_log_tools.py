@@ -311,7 +311,7 @@ def test_info_tells_what_a_profile_lacks(cli: Cli, synthetic_log: Path) -> None:
     """Methods that a profile has no tables or frames for are named with what is lacking."""
     out = cli("info", synthetic_log, "--profile", "dvrk-psm", "-f", "json").out
     methods = json.loads(out)["methods"]
-    assert methods["overlay"]["served"]
+    assert methods["overlay"]["missing"] == ["a calibration in profile dvrk-psm (--calibration)"]
     assert methods["fiducial"]["missing"][-2:] == [
         "[fiducial] in profile dvrk-psm",
         "[tissue] in profile dvrk-psm",

@@ -1,0 +1,77 @@
+"""docs/guide.md as it stands, on a picture of an instrument that the simulator never drew."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from svmdist.camera import Camera
+from svmdist.samples import CameraSample, ImageSample
+from tests.cli.conftest import Cli
+from tests.conftest import REPOSITORY
+from tests.recording.builders import Entry
+from tests.recording.foreign import ros_messages, write_ros2_mcap
+from tests.shaft_images import PALE_BGR, RED_BGR, ShaftImage, entering_from
+
+START_NS = 1_700_000_000_000_000_000
+GUIDE = (REPOSITORY / "docs" / "guide.md").read_text("utf-8")
+CAMERA = replace(Camera.from_horizontal_fov(1280, 720, np.pi / 2.6), frame_id="endoscope")
+DRAWN = ShaftImage(CAMERA, *entering_from(np.pi + 0.3, CAMERA, 0.085), border="disc", knuckle=False)
+"""A dark shaft with a steel tip from the left, in an endoscope's round picture with black borders."""
+
+
+@pytest.fixture
+def my_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where somebody's ROS 2 recording stands beside the guide's profile."""
+    (profile,) = re.findall(r"```toml\n(.*?)```", GUIDE, re.DOTALL)
+    (tmp_path / "mine.toml").write_text(profile, "utf-8")
+    organ = np.zeros((CAMERA.height_px, CAMERA.width_px, 1), np.uint8)
+    cv2.ellipse(organ, ((640, 370), (420, 320), 15.0), 255, -1)
+    pale, red = (replace(DRAWN, background_bgr=colour).draw(2) for colour in (PALE_BGR, RED_BGR))
+    image_bgr = np.where(organ > 0, red, pale)
+    entries = [
+        Entry("/endoscope/image_raw", ImageSample(START_NS, "endoscope", image_bgr)),
+        Entry("/endoscope/camera_info", CameraSample(START_NS, CAMERA)),
+    ]
+    write_ros2_mcap(tmp_path / "mine.mcap", ros_messages(entries))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_guides_profile_measures(cli: Cli, my_folder: Path) -> None:
+    """The commands run as written; the tool is found within 0.5 mm, and the intervals hold."""
+    for command in re.findall(r"^\$ svmdist (.*)$", GUIDE, re.MULTILINE):
+        outcome = cli(*command.split())
+        assert outcome.code == 0, outcome.err
+    info = cli("info", "mine.mcap", "--profile", "mine.toml").out
+    assert "methods     shaft\n" in info
+    assert "  stereo    no: it lacks a topic for right_image" in info
+    (row,) = csv.DictReader(io.StringIO((my_folder / "mine.csv").read_text("utf-8")))
+    assert (row["status"], row["alarm"]) == ("ok", "0")
+    tool_m = np.array([float(row[f"tool_{axis}_m"]) for axis in "xyz"])
+    assert np.linalg.norm(tool_m - DRAWN.tool_m) < 5e-4
+    # The organ's middle on the plane that the profile states; the drawing has the same plane behind it.
+    tissue_m = 0.11 * np.array([0.5 / CAMERA.K[0, 0], 10.5 / CAMERA.K[1, 1], 1.0])
+    spatial_m = np.linalg.norm(DRAWN.tool_m - tissue_m)
+    assert abs(float(row["spatial_m"]) - spatial_m) < 1.96 * float(row["spatial_std_m"])
+
+
+def test_the_guides_masks_are_the_parts(my_folder: Path) -> None:
+    """The lines of Python run as they stand; each part of the picture is white in its own mask, and only there."""
+    (code,) = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
+    exec(compile(code, "guide.md", "exec"), {})
+    drawn = cv2.imread(str(my_folder / "masks.png"), cv2.IMREAD_GRAYSCALE)
+    assert drawn is not None
+    masks = np.split(drawn, 3, axis=1)
+    hinge_px = CAMERA.project(DRAWN.hinge_m - 0.003 * DRAWN.direction)[0]
+    shaft_px = CAMERA.project(DRAWN.hinge_m - 0.012 * DRAWN.direction)[0]
+    for place_px, white in (((700.0, 450.0), 0), (hinge_px, 1), (shaft_px, 2)):
+        x, y = (round(float(value)) for value in place_px)
+        assert [bool(mask[y, x]) for mask in masks] == [index == white for index in range(3)]
