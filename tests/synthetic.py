@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, forward_kinematics
-from svmdist.profile import Profile, load_profile
+from svmdist.profile import Profile
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import (
     CameraSample,
@@ -29,6 +28,7 @@ from svmdist.samples import (
     TransformsSample,
 )
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
+from tests.shipped import CHAIN, POSTURE, PROFILE
 
 START_NS = 1_700_000_000_000_000_000
 TOOL_DEPTH_M = 0.09
@@ -47,7 +47,7 @@ class SyntheticScene:
 
     def joints_at(self, seconds: float) -> Array:
         """Joint values, shape (n_joints,), at a time: a small figure around the middle of the work space."""
-        q = _middle_posture(self.profile)
+        q = POSTURE.copy()
         names = self.chain.joint_names
         q[names.index("setup_2")] += 0.021 * np.sin(1.9 * seconds)
         q[names.index("setup_3")] += 0.038 * np.sin(2.7 * seconds + 0.4)
@@ -68,15 +68,12 @@ class SyntheticScene:
 
 def make_scene(width_px: int = 640, height_px: int = 480) -> SyntheticScene:
     """Place the base so that the tool's middle pose lies straight before the camera."""
-    profile = load_profile()
-    assert profile.robot is not None
-    chain = chain_of(profile.robot)
     camera = Camera.from_horizontal_fov(width_px, height_px, np.pi / 3)
-    T_base_tool = forward_kinematics(chain, _middle_posture(profile))
+    T_base_tool = forward_kinematics(CHAIN, POSTURE)
     # Half way between the axes, so that the arm's swing covers columns and rows alike.
     R_camera_base = np.diag([1.0, -1.0, -1.0]) @ rotation_z(np.pi / 4)
     T_camera_tool = make_transform(R_camera_base @ T_base_tool[:3, :3], [0.006, 0.002, TOOL_DEPTH_M])
-    return SyntheticScene(profile, camera, chain, T_camera_tool @ inverse(T_base_tool))
+    return SyntheticScene(PROFILE, camera, CHAIN, T_camera_tool @ inverse(T_base_tool))
 
 
 def samples(scene: SyntheticScene, frame_count: int, rate_hz: float = 10.0) -> Iterator[tuple[str, Sample]]:
@@ -130,12 +127,6 @@ def write_log(
             if changed is not None:
                 writer.write(topic, changed)
     return path
-
-
-def _middle_posture(profile: Profile) -> Array:
-    assert profile.robot is not None
-    assert profile.simulation is not None
-    return np.array([profile.simulation.posture[name] for name in chain_of(profile.robot).joint_names])
 
 
 def _disc(image: Image, centre_px: Array, radius_px: float, colour: tuple[int, int, int]) -> None:

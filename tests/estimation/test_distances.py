@@ -14,20 +14,15 @@ from svmdist.estimation.tissue.dome import DomeFix
 from svmdist.estimation.tissue.fix import TissueFix, see_tissue, tissue_frame
 from svmdist.geometry.closest import winding_number
 from svmdist.geometry.surfaces import Plane
-from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics
-from svmdist.profile import Dome, load_profile
+from svmdist.profile import Dome
 from svmdist.samples import Estimate, JointSample, Status
 from svmdist.transforms import inverse, make_transform, rotation_x, rotation_z
 from svmdist.vision.segmentation.segmenter import make_segmenter
 from svmdist.vision.tag.refinement import nudged
+from tests.shipped import CHAIN, POSTURE, PROFILE
 
-PROFILE = load_profile()
-assert PROFILE.robot is not None
-assert PROFILE.simulation is not None
-CHAIN = chain_of(PROFILE.robot)
-Q = np.array([PROFILE.simulation.posture[name] for name in CHAIN.joint_names])
-JOINTS = JointSample(0, CHAIN.joint_names, Q)
+JOINTS = JointSample(0, CHAIN.joint_names, POSTURE)
 MODEL = InstrumentModel.of(PROFILE)
 assert MODEL is not None
 ROW = Estimate(0, Status.OK)
@@ -36,7 +31,7 @@ FLOOR = tissue_frame(np.array([0.0, 0.0, 0.112]), np.array([0.0, 0.0, -1.0]))
 
 
 def tool_pose(covariance: np.ndarray | None = None) -> ToolPose:
-    bent = wrist_in_tool(CHAIN, Q)
+    bent = wrist_in_tool(CHAIN, POSTURE)
     T = make_transform(rotation_x(2.4) @ rotation_z(0.3), [0.012, -0.006, 0.088])
     return ToolPose(T, np.zeros((6, 6)) if covariance is None else covariance, T[:3, :3] @ bent.shaft)
 
@@ -97,7 +92,7 @@ def test_the_wrist_follows_the_joints() -> None:
     """The hinge is 9.1 mm behind the tool, on the shaft's line from the remote centre, however the wrist bends."""
     rng = np.random.default_rng(8)
     for _ in range(20):
-        q = Q.copy()
+        q = POSTURE.copy()
         q[-3:-1] = rng.uniform(-1.2, 1.2, 2)
         bent = wrist_in_tool(CHAIN, q)
         assert np.linalg.norm(bent.hinge_m) == pytest.approx(0.0091, abs=1e-12)

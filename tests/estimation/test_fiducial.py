@@ -10,25 +10,19 @@ from svmdist.camera import Camera
 from svmdist.errors import ProfileError
 from svmdist.estimation.fiducial import FiducialEstimator
 from svmdist.estimation.instrument.tag_pose import find_tag_pose, tool_behind_tag
-from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.jacobian import row_index
-from svmdist.profile import KinematicError, load_profile
+from svmdist.profile import KinematicError
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_y, rotation_z
 from svmdist.vision.tag.detection import TagFinder, pose_candidates, square_corners_m
 from svmdist.vision.tag.pattern import TagPattern
 from svmdist.vision.tag.refinement import TagPose
+from tests.shipped import CHAIN, POSTURE, PROFILE
 
 SIZE_M = 0.007
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 FINDER, PATTERN = TagFinder("36h11", 0), TagPattern("36h11", 0, SIZE_M)
-PROFILE = load_profile()
-assert PROFILE.robot is not None
-assert PROFILE.simulation is not None
-assert PROFILE.fiducial is not None
-CHAIN = chain_of(PROFILE.robot)
-Q = np.array([PROFILE.simulation.posture[name] for name in CHAIN.joint_names])
 SAMPLES = 3
 
 
@@ -139,10 +133,12 @@ def test_the_tool_is_behind_the_tag() -> None:
     fiducial = PROFILE.fiducial
     assert fiducial is not None
     T_camera_base = make_transform(rotation_x(0.4), [0.1, -0.2, 0.3])
-    T_base_link = frame_transforms(CHAIN, Q)[row_index(CHAIN, fiducial.link)]
+    T_base_link = frame_transforms(CHAIN, POSTURE)[row_index(CHAIN, fiducial.link)]
     tag = TagPose(T_camera_base @ T_base_link @ fiducial.T_link_tag, np.zeros((6, 6)), 0.0, 0.8)
-    pose = tool_behind_tag(tag, fiducial, CHAIN, Q, KinematicError())
-    np.testing.assert_allclose(pose.T_camera_tool, T_camera_base @ forward_kinematics(CHAIN, Q), atol=1e-12)
+    pose = tool_behind_tag(tag, fiducial, CHAIN, POSTURE, KinematicError())
+    np.testing.assert_allclose(
+        pose.T_camera_tool, T_camera_base @ forward_kinematics(CHAIN, POSTURE), atol=1e-12
+    )
     assert np.sqrt(np.trace(pose.position_covariance)) == pytest.approx(np.deg2rad(1.0) * 0.0091, rel=1e-9)
 
 
@@ -155,9 +151,9 @@ def observation(joints: bool = True, tag: bool = True) -> tuple[Observation, Arr
     image = np.repeat(grey[..., None], 3, axis=2)
     ys, xs = np.mgrid[:480, :640]
     image[((xs - 150.0) / 110) ** 2 + ((ys - 200.0) / 90) ** 2 <= 1] = (70, 60, 200)
-    T_base_tag = frame_transforms(CHAIN, Q)[row_index(CHAIN, fiducial.link)] @ fiducial.T_link_tag
-    T_camera_tool = T @ inverse(T_base_tag) @ forward_kinematics(CHAIN, Q)
-    sample = JointSample(5, CHAIN.joint_names, Q) if joints else None
+    T_base_tag = frame_transforms(CHAIN, POSTURE)[row_index(CHAIN, fiducial.link)] @ fiducial.T_link_tag
+    T_camera_tool = T @ inverse(T_base_tag) @ forward_kinematics(CHAIN, POSTURE)
+    sample = JointSample(5, CHAIN.joint_names, POSTURE) if joints else None
     return Observation(5, image, CAMERA, sample), T_camera_tool
 
 

@@ -6,26 +6,21 @@ import numpy as np
 import pytest
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics
 from svmdist.kinematics.inverse import position_jacobian, solve_position
-from svmdist.profile import load_profile
+from tests.shipped import CHAIN, POSTURE
 
 FREE = ("yaw", "pitch", "insertion")
 
 
 @pytest.fixture(scope="module")
 def chain() -> DHChain:
-    robot = load_profile().robot
-    assert robot is not None
-    return chain_of(robot)
+    return CHAIN
 
 
 @pytest.fixture(scope="module")
-def posture(chain: DHChain) -> np.ndarray:
-    settings = load_profile().simulation
-    assert settings is not None
-    return np.array([settings.posture[name] for name in chain.joint_names])
+def posture() -> np.ndarray:
+    return POSTURE
 
 
 @pytest.mark.parametrize("convention", ["standard", "modified"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -154,13 +154,7 @@ def write_rosbag2(
     writer = Bag2Writer(folder, version=9, storage_plugin=storage)
     if compressed:
         writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
-    with writer:
-        connections: dict[str, Any] = {}
-        for topic, type_name, fields, log_time_ns in messages:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, type_name, typestore=store)
-            data = store.serialize_cdr(build(store, type_name, fields), type_name)
-            writer.write(connections[topic], log_time_ns, data)
+    _write_all(writer, store, store.serialize_cdr, messages)
     return folder
 
 
@@ -176,14 +170,25 @@ def write_rosbag1(
     if compression is not None:
         writer.set_compression(compression)
     writer.chunk_threshold = 8192
+    _write_all(writer, store, store.serialize_ros1, messages)
+    return path
+
+
+def _write_all(
+    writer: Bag1Writer | Bag2Writer,
+    store: Typestore,
+    serialize: Callable[[Any, str], bytes | memoryview],
+    messages: Sequence[Message],
+) -> None:
+    """Write messages, with a connection for each topic made when its first one comes."""
     with writer:
         connections: dict[str, Any] = {}
         for topic, type_name, fields, log_time_ns in messages:
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, type_name, typestore=store)
-            data = store.serialize_ros1(build(store, type_name, fields), type_name)
-            writer.write(connections[topic], log_time_ns, data)
-    return path
+            writer.write(
+                connections[topic], log_time_ns, serialize(build(store, type_name, fields), type_name)
+            )
 
 
 def foxglove_json(sample: Sample) -> tuple[str, dict[str, Any]] | None:

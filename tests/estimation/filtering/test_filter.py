@@ -11,19 +11,15 @@ from svmdist.camera import Camera
 from svmdist.estimation.filtering.filter import KinematicErrorFilter
 from svmdist.estimation.filtering.observations import ContourObservation, LinkObservation, PointsObservation
 from svmdist.estimation.instrument.cylinder import tangent_normal
-from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.inverse import solve_position
 from svmdist.kinematics.jacobian import row_index
 from svmdist.kinematics.shaft_axis import shaft_of
-from svmdist.profile import load_profile
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_z, transform_points
+from tests.shipped import CHAIN, POSTURE, PROFILE
 
-PROFILE = load_profile()
-assert PROFILE.robot is not None
 assert PROFILE.simulation is not None
 assert PROFILE.instrument is not None
-CHAIN = chain_of(PROFILE.robot)
 SHAFT = shaft_of(CHAIN)
 assert SHAFT is not None
 RADIUS_M = PROFILE.instrument.shaft_radius_m
@@ -60,7 +56,7 @@ def joints_path(seed: int, frame_count: int) -> Array:
         ],
         -1,
     )
-    q = np.tile([PROFILE.simulation.posture[name] for name in CHAIN.joint_names], (frame_count, 1))
+    q = np.tile(POSTURE, (frame_count, 1))
     for name, swing in (("wrist_pitch", 0.3), ("wrist_yaw", 0.4), ("roll", 0.3)):
         q[:, CHAIN.joint_names.index(name)] += swing * np.sin(2.6 * np.pi * s + phase[0])
     p_base_m = transform_points(inverse(T_WORLD_BASE), p_world_m)

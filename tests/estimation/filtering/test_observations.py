@@ -17,9 +17,8 @@ from svmdist.estimation.filtering.observations import (
     SizeObservation,
 )
 from svmdist.estimation.gate import chi_square_bound
-from svmdist.kinematics.chain import chain_of
-from svmdist.profile import load_profile
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_y
+from tests.shipped import CHAIN, POSTURE, PROFILE
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 RADIUS_M = 0.004
@@ -57,15 +56,10 @@ def observations() -> list[LinkObservation]:
 @pytest.mark.parametrize("observation", observations(), ids=lambda observation: observation.name)
 def test_residuals_change_as_their_derivatives_say(observation: LinkObservation) -> None:
     """Through the whole error state of a real chain, to 1e-4 of the largest, and to no correction at all."""
-    profile = load_profile()
-    assert profile.robot is not None
-    assert profile.simulation is not None
-    chain = chain_of(profile.robot)
-    model = ErrorModel(chain, profile.kinematic_error)
-    q = np.array([profile.simulation.posture[name] for name in chain.joint_names])
-    moment = Moment(0, q, np.eye(4))
+    model = ErrorModel(CHAIN, PROFILE.kinematic_error)
+    moment = Moment(0, POSTURE, np.eye(4))
     tool = model.links([None], [moment], model.no_correction(), model.anchor_m(moment))[None][0]
-    moment = Moment(0, q, T_LINK @ inverse(tool.T_camera_link))
+    moment = Moment(0, POSTURE, T_LINK @ inverse(tool.T_camera_link))
     rng = np.random.default_rng(2)
     step = 1e-5 * rng.normal(size=model.size)
 
