@@ -13,7 +13,7 @@ from svmdist.camera import Camera
 from svmdist.estimation.filtering.believed import believed_tool
 from svmdist.estimation.filtering.robot_scene import Belief
 from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.instrument.shaft_fit import apparent_radius_px
+from svmdist.estimation.instrument.shaft_model import apparent_radius_px
 from svmdist.estimation.instrument.shaft_sight import Knuckle
 from svmdist.kinematics.dh import DHChain
 from svmdist.profile import KinematicError

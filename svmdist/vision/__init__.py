@@ -1,1 +1,1 @@
-"""Image processing on plain arrays: segmentation, regions, marker, features, homography, blur."""
+"""Image processing on plain arrays: masks, regions, edges, marks, stereo, degradations."""

@@ -1,7 +1,7 @@
 """The shaft's pose by weighted least squares over everything that an image and the wrist tell of it.
 
-Unknown are the six of the shaft's frame and two of the wrist's bend. The closed form of `cylinder` starts the
-iteration; Gauss-Newton ends it, and the inverse of its normal matrix is the covariance.
+Unknown are the six of the shaft's frame and two of the wrist's bend. `shaft_start` starts the iteration; Gauss-Newton
+ends it, and the inverse of its normal matrix is the covariance.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.cylinder import CylinderAxis, axis_of_cylinder, tangent_normal
+from svmdist.estimation.instrument.cylinder import tangent_normal
 from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.instrument.shaft_model import ShaftModel, apparent_radius_px
 from svmdist.estimation.instrument.shaft_sight import ShaftSight
+from svmdist.estimation.instrument.shaft_start import first_shaft
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector
-from svmdist.vision.edges import straightened
 
 STEPS = 12
 SETTLED = 1e-5
@@ -27,24 +28,6 @@ RIM_MODEL_STD_M = 0.0002
 """A bevel, and glare on it, hide where exactly the dark ends."""
 FREE_RAD, FREE_M = 3.0, 0.1
 """Standard deviations of an angle and of a place of which nothing is known: half a turn, a whole scene."""
-
-
-@dataclass(frozen=True, slots=True)
-class ShaftModel:
-    """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip.
-
-    `T_shaft_tool` is the wrist as the joints bend it, `bend_std_rad` how wrong that may be about each axis
-    across the shaft. `R_camera_shaft` (3, 3) is what the robot believes, None without its base, with
-    `rotation_std_rad`. The dark part ends `neck_m` behind the hinge.
-    """
-
-    T_shaft_tool: Array
-    bend_std_rad: float
-    R_camera_shaft: Array | None
-    rotation_std_rad: float
-    radius_m: float
-    neck_m: float
-    knuckle_radius_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +75,7 @@ def _readings(sight: ShaftSight) -> Iterator[ShaftSight]:
 
 
 def _fit(sight: ShaftSight, model: ShaftModel, camera: Camera) -> ShaftFit | str:
-    start = _start(sight, model, camera)
+    start = first_shaft(sight, model, camera)
     if isinstance(start, str):
         return start
     T, bend, normal_matrix, blocks = _solve(start, sight, model, camera)
@@ -106,70 +89,6 @@ def _fit(sight: ShaftSight, model: ShaftModel, camera: Camera) -> ShaftFit | str
     J = _numeric(lambda x: _difference(_tool(*_moved(T, bend, x), model), T_tool))
     pose = ToolPose(T_tool, J @ covariance @ J.T, T[:3, 2].copy())
     return ShaftFit(pose, T, tuple(block.name for block in blocks))
-
-
-def _start(sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | str:
-    """A first `T_camera_shaft`: from the closed form, or from belief and the knuckle's size."""
-    return (_start_from_sides if len(sight.contours) == 2 else _start_from_belief)(sight, model, camera)
-
-
-def _start_from_sides(sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | str:
-    axis = axis_of_cylinder(sight.contours[0].plane, sight.contours[1].plane, model.radius_m)
-    if axis is None:
-        return "the shaft's sides are too close together"
-    d = _turned_to_tip(axis, sight, model, camera)
-    if d is None:
-        return "nothing tells the shaft's tip from its base"
-    hinge_m = _along_axis(axis.point_m, d, sight, model, camera)
-    if hinge_m is None:
-        return "the shaft's end is not to be seen"
-    return make_transform(_frame_about(d, model.R_camera_shaft), hinge_m)
-
-
-def _start_from_belief(sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | str:
-    knuckle = sight.knuckle
-    if model.R_camera_shaft is None:
-        return "a side of the shaft is not to be seen"
-    if knuckle is None or knuckle.radius_px is None:
-        return "neither both sides of the shaft nor a whole knuckle"
-    ray = _ray(knuckle.centre_px, camera)
-    tool_m = apparent_radius_px(ray, model.knuckle_radius_m, camera) / knuckle.radius_px * ray
-    return make_transform(model.R_camera_shaft, tool_m - model.R_camera_shaft @ model.T_shaft_tool[:3, 3])
-
-
-def _turned_to_tip(axis: CylinderAxis, sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | None:
-    d = axis.direction
-    if sight.towards_tip is not None and sight.middle_px is not None:
-        x, y, _ = _ray(sight.middle_px, camera)
-        flow = np.array([d[0] - x * d[2], d[1] - y * d[2]])
-        return d if flow @ sight.towards_tip > 0 else -d
-    if model.R_camera_shaft is None:
-        return None
-    return d if d @ model.R_camera_shaft[:, 2] > 0 else -d
-
-
-def _along_axis(p_m: Array, d: Array, sight: ShaftSight, model: ShaftModel, camera: Camera) -> Array | None:
-    """The hinge: where the axis passes the landmark's ray, less the landmark's place on the straight tool."""
-    if sight.rim is not None:
-        ray, ahead_m = _ray(sight.rim.pixel, camera), -model.neck_m
-    elif sight.knuckle is not None:
-        ray, ahead_m = _ray(sight.knuckle.centre_px, camera), float(model.T_shaft_tool[2, 3])
-    else:
-        return None
-    ray = ray / np.linalg.norm(ray)
-    cosine = float(ray @ d)
-    if 1.0 - cosine**2 < 1e-4:
-        return None
-    along_m = (cosine * float(ray @ p_m) - float(d @ p_m)) / (1.0 - cosine**2)
-    return np.asarray(p_m + (along_m - ahead_m) * d)
-
-
-def _frame_about(d: Array, R_believed: Array | None) -> Array:
-    """A rotation whose z is `d`, with x as believed, or any."""
-    x = np.eye(3)[int(np.argmin(np.abs(d)))] if R_believed is None else R_believed[:, 0]
-    y = np.cross(d, x)
-    y /= np.linalg.norm(y)
-    return np.stack([np.cross(y, d), y, d], -1)
 
 
 def _solve(
@@ -257,14 +176,3 @@ def _numeric(function: Callable[[Array], Array], step: float = 1e-6) -> Array:
         x[index] = step
         columns.append((function(x) - function(-x)) / (2.0 * step))
     return np.stack(columns, -1)
-
-
-def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> float:
-    """Radius of the disc as large as a small sphere's image: f r / z, and 1 / cos θ longer away from the axis."""
-    stretch = np.sqrt(float(np.linalg.norm(centre_m)) / abs(float(centre_m[2])))
-    return float(camera.K[0, 0] * radius_m / centre_m[2] * stretch)
-
-
-def _ray(pixel: Array, camera: Camera) -> Array:
-    x, y = straightened(camera, pixel[None])[0]
-    return np.array([x, y, 1.0])

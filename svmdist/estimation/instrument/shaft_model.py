@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, ProfileError
 from svmdist.estimation.instrument.model import NECK_PER_RADIUS
-from svmdist.estimation.instrument.shaft_fit import ShaftModel
 from svmdist.kinematics.dh import DHChain, frame_transforms, select_joints
 from svmdist.kinematics.jacobian import joint_axis
 from svmdist.kinematics.wrist import rows_behind_insertion
@@ -16,6 +18,24 @@ from svmdist.transforms import Array, inverse, make_transform
 
 UNKNOWN_BEND_RAD = 0.4
 """Of the wrist about each axis, where no joints tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftModel:
+    """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip.
+
+    `T_shaft_tool` is the wrist as the joints bend it, `bend_std_rad` how wrong that may be about each axis
+    across the shaft. `R_camera_shaft` (3, 3) is what the robot believes, None without its base, with
+    `rotation_std_rad`. The dark part ends `neck_m` behind the hinge.
+    """
+
+    T_shaft_tool: Array
+    bend_std_rad: float
+    R_camera_shaft: Array | None
+    rotation_std_rad: float
+    radius_m: float
+    neck_m: float
+    knuckle_radius_m: float
 
 
 def shaft_model(
@@ -85,3 +105,9 @@ def _joints(observation: Observation, chain: DHChain) -> Array | None:
         return select_joints(chain, observation.joints.names, observation.joints.positions)
     except KinematicsError:
         return None
+
+
+def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> float:
+    """Radius of the disc as large as a small sphere's image: f r / z, and 1 / cos θ longer away from the axis."""
+    stretch = np.sqrt(float(np.linalg.norm(centre_m)) / abs(float(centre_m[2])))
+    return float(camera.K[0, 0] * radius_m / centre_m[2] * stretch)
