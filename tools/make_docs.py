@@ -177,13 +177,15 @@ def make_planar() -> None:
 
 
 def make_3d() -> None:
-    """Remake the tables and the picture of the logs in 3D."""
+    """Remake the tables and the pictures of the logs in 3D."""
     setup = prepare(method="fused")
     duo = open_recording(ROOT / "recordings" / "3d" / "duo.mcap", setup.profile)
     save_scene_picture(duo, setup, SCENE_FRAME, IMAGES / "scene.jpg")
     runs = measure_logs()
     _rewrite(README, table_of_all(runs), MARKS_3D)
-    _rewrite(RESULTS, make_results_3d(runs, score_alarms(), score_between()), MARKS_3D)
+    alarms = score_alarms()
+    save_plot(alarms, IMAGES / "clearance.png")
+    _rewrite(RESULTS, make_results_3d(runs, alarms, score_between()), MARKS_3D)
 
 
 def _rewrite(document: Path, table: str, marks: tuple[str, str] = (BEGIN, END)) -> None:

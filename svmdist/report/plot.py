@@ -1,10 +1,12 @@
-"""The paper's Fig. 6: truth and estimate over time, with the residual below."""
+"""The paper's Fig. 6: truth and estimate over time, the residual and its stated 95 % interval below."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from statistics import NormalDist
 
 import matplotlib as mpl
 import numpy as np
@@ -12,13 +14,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from svmdist.errors import OutputError
+from svmdist.estimation.alarms import AlarmRules
 from svmdist.output_file import whole_file
 from svmdist.report.text import printable
+from svmdist.transforms import Array
+from svmdist.workflows.scoring.distances import DistanceScore, Pairs
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
 
 TRUTH_COLOUR, ESTIMATE_COLOUR = "#c1272d", "#1f5fa8"  # red and blue, as in the paper
+INTERVAL_COLOUR, ALARM_COLOUR = "#b9cfe8", "#e08a1e"
+Z_95 = NormalDist().inv_cdf(0.975)
 MAX_GAP_IN_STEPS = 3.0
 """A curve is broken where frames are missing for longer than this many frame periods."""
 
@@ -26,6 +33,7 @@ MAX_GAP_IN_STEPS = 3.0
 def save_plot(validation: Validation, path: Path, reference: Reference | None = None) -> None:
     """Draw one panel a recording and write the figure in the format of the path's suffix.
 
+    Drawn is the clearance where method and reference tell one, else the spatial distance, else the planar one.
     Raises OutputError for a suffix matplotlib cannot write, for a reference that no recording has, and
     where writing fails.
     """
@@ -33,7 +41,7 @@ def save_plot(validation: Validation, path: Path, reference: Reference | None = 
     if not scores:
         raise OutputError(f"{path}: nothing to draw: no recording was compared with {reference}")
     suffix = plot_format(path)
-    figure = draw(scores)
+    figure = draw(scores, validation.alarm_rules)
     metadata = {"Date": None} if suffix == "svg" else None
     # SVG ids and dates would differ between two runs on the same data.
     with whole_file(path) as target, mpl.rc_context({"svg.hashsalt": "svmdist"}), warnings.catch_warnings():
@@ -51,8 +59,8 @@ def plot_format(path: Path) -> str:
     return suffix
 
 
-def draw(scores: Sequence[Score]) -> Figure:
-    """Draw the panels, two columns wide where there are several."""
+def draw(scores: Sequence[Score], alarms: AlarmRules | None = None) -> Figure:
+    """Draw the panels, two columns wide where there are several, with the alarms' threshold where there is one."""
     columns = 1 if len(scores) == 1 else 2
     rows = -(-len(scores) // columns)
     figure = Figure(figsize=(5.6 * columns, 3.3 * rows), layout="constrained")
@@ -61,7 +69,17 @@ def draw(scores: Sequence[Score]) -> Figure:
         cell = grid[index // columns, index % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.04)
         upper = figure.add_subplot(cell[0])
         lower = figure.add_subplot(cell[1], sharex=upper)
-        _draw_panel(upper, lower, score, with_legend=index == 0)
+        curves = _curves(score)
+        if alarms is not None and curves.distance == "clearance":
+            below_mm = alarms.below_m * 1e3
+            upper.axhline(
+                below_mm,
+                color=ALARM_COLOUR,
+                linewidth=0.9,
+                linestyle="--",
+                label=f"alarm below {below_mm:g} mm",
+            )
+        _draw_panel(upper, lower, curves, with_legend=index == 0)
     return figure
 
 
@@ -72,24 +90,55 @@ def _scores_to_draw(validation: Validation, reference: Reference | None) -> list
     return [score for score in validation.scores if score.reference is reference]
 
 
-def _draw_panel(upper: Axes, lower: Axes, score: Score, *, with_legend: bool) -> None:
-    pairs = score.pairs
+@dataclass(frozen=True, slots=True)
+class _Curves:
+    """What a panel shows: which distance, its pairs, and the line above it."""
+
+    distance: str
+    pairs: Pairs
+    title: str
+    truth_label: str
+
+
+def _curves(score: Score) -> _Curves:
+    """The distance that says most of what was asked: the clearance, the spatial distance, or the planar one."""
+    label = _reference_label(score.reference)
+    for distance, in_3d in (("clearance", score.clearance), ("spatial distance", score.spatial)):
+        if in_3d is not None:
+            return _Curves(distance, in_3d.pairs, _title_3d(score, distance, in_3d), label)
+    return _Curves("distance", score.pairs, _title(score), label)
+
+
+def _draw_panel(upper: Axes, lower: Axes, curves: _Curves, *, with_legend: bool) -> None:
+    pairs = curves.pairs
     seconds = (pairs.stamps_ns - (pairs.stamps_ns[0] if len(pairs.stamps_ns) else 0)) / 1e9
-    truth_mm, estimate_mm = pairs.truth_m * 1e3, pairs.estimate_m * 1e3
-    time, truth, estimate = _with_breaks(seconds, truth_mm, estimate_mm)
-    upper.plot(time, truth, color=TRUTH_COLOUR, linewidth=1.6, label=_reference_label(score.reference))
+    time, truth, estimate, half = _with_breaks(
+        seconds, pairs.truth_m * 1e3, pairs.estimate_m * 1e3, Z_95 * pairs.std_m * 1e3
+    )
+    upper.plot(time, truth, color=TRUTH_COLOUR, linewidth=1.6, label=curves.truth_label)
     upper.plot(
         time, estimate, color=ESTIMATE_COLOUR, linewidth=1.0, marker=".", markersize=3, label="estimate"
     )
+    if np.isfinite(half).any():
+        lower.fill_between(time, -half, half, color=INTERVAL_COLOUR, linewidth=0.0)
+        upper.fill_between(
+            time,
+            estimate - half,
+            estimate + half,
+            color=INTERVAL_COLOUR,
+            linewidth=0.0,
+            label="95 % interval",
+        )
     lower.axhline(0.0, color="0.6", linewidth=0.8)
     lower.plot(time, estimate - truth, color="0.25", linewidth=0.9, marker=".", markersize=2)
-    upper.set_title(_title(score), fontsize=9, loc="left")
-    upper.set_ylabel("distance [mm]", fontsize=8)
+    upper.set_title(curves.title, fontsize=9, loc="left")
+    upper.set_ylabel(f"{curves.distance} [mm]", fontsize=8)
     lower.set_ylabel("error [mm]", fontsize=8)
     lower.set_xlabel("time [s]", fontsize=8)
     for axes in (upper, lower):
         axes.tick_params(labelsize=7)
         axes.grid(color="0.92", linewidth=0.6)
+        axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
     upper.tick_params(labelbottom=False)
     if with_legend:
@@ -97,9 +146,7 @@ def _draw_panel(upper: Axes, lower: Axes, score: Score, *, with_legend: bool) ->
 
 
 def _title(score: Score) -> str:
-    # A dollar sign in a file's name must not start a formula.
-    name = printable(score.recording).replace("$", r"\$")
-    statistics = score.statistics
+    name, statistics = _name(score), score.statistics
     if statistics is None:
         return f"{name}: nothing measured"
     r2 = "–" if statistics.r_squared is None else f"{statistics.r_squared:.4f}"
@@ -110,16 +157,25 @@ def _title(score: Score) -> str:
     )
 
 
+def _title_3d(score: Score, distance: str, of: DistanceScore) -> str:
+    rmse_mm, held = of.statistics.rmse * 1e3, of.interval_coverage
+    interval = "" if held is None else f", {held * 100:.0f} % in the 95 % interval"
+    return f"{_name(score)}, {distance}: RMSE {rmse_mm:.2f} mm{interval}, n {of.statistics.count}"
+
+
+def _name(score: Score) -> str:
+    # A dollar sign in a file's name must not start a formula.
+    return printable(score.recording).replace("$", r"\$")
+
+
 def _reference_label(reference: Reference) -> str:
     return "truth (simulator)" if reference is Reference.GROUND_TRUTH else "truth (DH kinematics)"
 
 
-def _with_breaks(
-    seconds: np.ndarray, truth: np.ndarray, estimate: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _with_breaks(seconds: Array, *curves: Array) -> tuple[Array, ...]:
     """Put a NaN between frames that are far apart, so that no line spans what was not measured."""
     if len(seconds) < 3:
-        return seconds, truth, estimate
+        return seconds, *curves
     steps = np.diff(seconds)
     at = np.flatnonzero(steps > MAX_GAP_IN_STEPS * np.median(steps)) + 1
-    return (np.insert(seconds, at, np.nan), np.insert(truth, at, np.nan), np.insert(estimate, at, np.nan))
+    return tuple(np.insert(values, at, np.nan) for values in (seconds, *curves))

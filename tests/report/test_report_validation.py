@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import OutputError
+from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import bootstrap_intervals, error_statistics
 from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, blur_row
 from svmdist.report.plot import draw, save_plot
@@ -20,7 +21,7 @@ from svmdist.report.validation import VALIDATION_KEYS, score_row, validation_doc
 from svmdist.report.validation_tables import remarks, validation_table
 from svmdist.vision.blur import Blur
 from svmdist.workflows.blur_bench import BlurRow, PrintedRow
-from svmdist.workflows.scoring.distances import Pairs
+from svmdist.workflows.scoring.distances import Pairs, score_pairs
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
@@ -241,6 +242,29 @@ def test_curves_are_broken_where_frames_are_missing():
     residual = lower.get_lines()[1].get_ydata()
     np.testing.assert_allclose(residual, estimate.get_ydata() - truth.get_ydata(), atol=1e-12)
     assert np.nanmax(truth.get_ydata()) == pytest.approx(40.0, abs=0.1)  # 0.04 m in mm
+
+
+def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval():
+    """Clearance before spatial distance before the planar one; the band is 1.96 deviations wide on either side."""
+    planar = score()
+    stated = replace(
+        planar.pairs, std_m=np.full(len(planar.pairs), 1e-3), truth_m=planar.pairs.truth_m - 0.02
+    )
+    shifted = replace(stated, estimate_m=stated.estimate_m - 0.02)
+    clearance, spatial = score_pairs(shifted), score_pairs(stated)
+    rules = AlarmRules(0.005, 0.05)
+    for made, name in (
+        (replace(planar, spatial=spatial, clearance=clearance), "clearance"),
+        (replace(planar, spatial=spatial), "spatial distance"),
+    ):
+        upper, lower = draw([made], rules).axes
+        assert upper.get_ylabel() == f"{name} [mm]"
+        assert f", {name}: RMSE" in upper.get_title(loc="left")
+        (band,) = lower.collections
+        assert np.nanmax(band.get_paths()[0].vertices[:, 1]) == pytest.approx(1.96, abs=1e-3)
+        thresholds = [line for line in upper.get_lines() if line.get_linestyle() == "--"]
+        assert [line.get_ydata()[0] for line in thresholds] == ([5.0] if name == "clearance" else [])
+    assert "100 % in the 95 % interval" not in draw([planar]).axes[0].get_title(loc="left")
 
 
 def test_only_one_reference_is_drawn(tmp_path):
