@@ -98,10 +98,11 @@ def _refuse(message: str, value: object) -> None:
 def _table_one(recordings: list[Recording], setup: Setup, kernels_px: Mapping[Blur, int]) -> Summary:
     from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, BLUR_NOTE, blur_row
     from svmdist.report.table import rich_table
+    from svmdist.report.text import counted
     from svmdist.workflows.blur_bench import blur_bench
 
     measured = blur_bench(recordings, setup, kernels_px)
-    title = f"{measured[0].frame_count} frames of {len(recordings)} recordings"
+    title = f"{measured[0].frame_count} frames of {counted(len(recordings), 'recording')}"
     rows = [blur_row(row) for row in measured]
     return Summary([rich_table(title, BLUR_COLUMNS, rows)], BLUR_KEYS, rows, [BLUR_NOTE])
 

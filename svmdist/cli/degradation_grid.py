@@ -57,10 +57,13 @@ def grid_summary(recordings: list[Recording], setup: Setup, conditions: list[Con
     """Measure, with a progress bar, and make the rows."""
     from svmdist.report.degradation_grid import GRID_KEYS, grid_row, grid_table, recorded_notes
     from svmdist.report.figures import FIGURE_NOTE
+    from svmdist.report.text import counted
     from svmdist.workflows.degradation_grid import degradation_grid
 
     with progress_bar(f"{setup.method}, {len(conditions)} conditions", "measurements") as advance:
         cells = degradation_grid(recordings, setup, conditions, on_progress=advance)
-    title = f"{setup.method} on {cells[0].figures.frame_count} frames of {len(recordings)} recordings"
+    title = (
+        f"{setup.method} on {cells[0].figures.frame_count} frames of {counted(len(recordings), 'recording')}"
+    )
     notes = [FIGURE_NOTE, *recorded_notes(recordings)]
     return Summary([grid_table(title, cells)], GRID_KEYS, [grid_row(cell) for cell in cells], notes)

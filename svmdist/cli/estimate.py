@@ -55,6 +55,7 @@ def estimate_command(
 
     A log of several instruments, which the profile names, gives a row a frame and instrument.
     """
+    from svmdist.estimation.methods import PLANAR_METHODS
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.scoring.alarms import require_clearance
     from svmdist.workflows.setup import prepare
@@ -69,7 +70,8 @@ def estimate_command(
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
     tally: Tally = Counter()
     rows = _started(_rows(recordings, setup, wanted, tally, rules))
-    write_lines(_lines(form, rows, rules is not None, several, terminal_width(output)), output)
+    planar = setup.method in PLANAR_METHODS
+    write_lines(_lines(form, rows, rules is not None, several, terminal_width(output), planar), output)
     _summarise(tally)
     raise typer.Exit(report_health(recordings))
 
@@ -104,7 +106,12 @@ def _started(rows: Iterator[Row]) -> Iterator[Row]:
 
 
 def _lines(
-    form: RowFormat, rows: Iterator[Row], with_alarms: bool, several: bool, width: int | None
+    form: RowFormat,
+    rows: Iterator[Row],
+    with_alarms: bool,
+    several: bool,
+    width: int | None,
+    planar: bool,
 ) -> Iterator[str]:
     from svmdist.report.estimates import (
         ALARM_COLUMNS,
@@ -119,7 +126,7 @@ def _lines(
         case RowFormat.TABLE:
             columns = ESTIMATE_COLUMNS + (INSTRUMENT_COLUMNS if several else ())
             columns += ALARM_COLUMNS if with_alarms else ()
-            return text_lines(columns_within(columns, width), rows)
+            return text_lines(columns_within(columns, width, planar), rows)
         case RowFormat.CSV:
             return csv_lines(ESTIMATE_KEYS, rows)
         case RowFormat.JSON:

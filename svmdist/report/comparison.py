@@ -9,6 +9,7 @@ from rich.table import Table as RichTable
 
 from svmdist.report.figures import FIGURE_COLUMNS, FIGURE_KEYS, figure_cells
 from svmdist.report.table import Cell, Column, rich_table
+from svmdist.report.text import counted
 from svmdist.workflows.compare import MethodScore
 
 COMPARE_KEYS = ("group", "method", *FIGURE_KEYS, "scenario", "degradation", "instrument")
@@ -33,7 +34,7 @@ def compare_tables(scores: Sequence[MethodScore]) -> list[RichTable]:
     tables = []
     for group, members in groupby(scores, lambda score: score.group):
         of = list(members)
-        methods = "1 method" if len(of) == 1 else f"{len(of)} methods"
-        title = f"{group}: {methods} on {of[0].figures.frame_count} frames"
+        frames = counted(of[0].figures.frame_count, "frame")
+        title = f"{group}: {counted(len(of), 'method')} on {frames}"
         tables.append(rich_table(title, COMPARE_COLUMNS, [compare_row(score) for score in of]))
     return tables

@@ -54,12 +54,12 @@ ESTIMATE_KEYS = (
 ALARM_COLUMNS = (
     Column("alarm", "alarm", number(0)),
     Column("closing_speed_m_s", "closing [mm/s]", number(1, 1e3)),
-    Column("time_to_contact_s", "contact in [s]", number(2)),
+    Column("time_to_contact_s", "contact [s]", number(2)),
 )
 """Shown to a person who asked for alarms."""
 
 INSTRUMENT_COLUMNS = (
-    Column("instrument", "instrument", is_text=True),
+    Column("instrument", "instrument", is_text=True, min_width=10),
     Column("instrument_clearance_m", "to other [mm]", number(2, 1e3)),
     Column("instrument_clearance_std_m", "± [mm]", number(2, 1e3)),
 )
@@ -90,10 +90,20 @@ DISPENSABLE = (
 )
 """What a narrow terminal goes without, the first ones first; machines get all of it."""
 
+DISPENSABLE_IN_3D = (
+    *("instrument_clearance_std_m", "distance_m", "spatial_m"),
+    *("closing_speed_m_s", "instrument_clearance_m", "clearance_std_m"),
+)
+DISPENSABLE_IN_THE_PLANE = (
+    *("instrument_clearance_std_m", "instrument_clearance_m"),
+    *("clearance_std_m", "clearance_m", "spatial_m"),
+)
+"""And then, by method: a planar one has nothing in the columns of the others."""
 
-def columns_within(columns: Sequence[Column], width: int | None) -> Sequence[Column]:
+
+def columns_within(columns: Sequence[Column], width: int | None, planar: bool = False) -> Sequence[Column]:
     """The columns that a terminal of some width has room for, as far as they are dispensable; all where it is None."""
-    for key in DISPENSABLE:
+    for key in (*DISPENSABLE, *(DISPENSABLE_IN_THE_PLANE if planar else DISPENSABLE_IN_3D)):
         if width is None or text_width(columns) <= width:
             break
         columns = [column for column in columns if column.key != key]

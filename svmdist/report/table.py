@@ -29,6 +29,8 @@ class Column:
     heading: str
     show: Callable[[Cell], str] = lambda value: "" if value is None else str(value)
     is_text: bool = False
+    min_width: int | None = None
+    """Of a plain table whose rows are not known beforehand; None: 16 for text, 7 for numbers."""
 
 
 def number(digits: int, factor: float = 1.0) -> Callable[[Cell], str]:
@@ -149,7 +151,7 @@ def text_width(columns: Sequence[Column]) -> int:
 
 
 def _text_widths(columns: Sequence[Column]) -> list[int]:
-    return [max(len(column.heading), 16 if column.is_text else 7) for column in columns]
+    return [max(len(column.heading), column.min_width or (16 if column.is_text else 7)) for column in columns]
 
 
 def _text_line(columns: Sequence[Column], cells: Sequence[str], widths: Sequence[int]) -> str:

@@ -12,6 +12,11 @@ def printable(text: str) -> str:
     return "".join("\N{REPLACEMENT CHARACTER}" if _is_unsafe(character) else character for character in text)
 
 
+def counted(count: int, noun: str) -> str:
+    """A count with its noun: `1 recording`, `2 recordings`."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def csv_text(text: str) -> str:
     """Make a text cell that no spreadsheet takes for a formula."""
     text = printable(text)

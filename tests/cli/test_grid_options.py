@@ -32,7 +32,7 @@ def test_grid_on_the_command_line(cli: Cli, log: Path) -> None:
     assert header.split(",") == list(rows[0])
     assert len(lines) == 3
     table = cli(*common, "--severities", "1").out
-    assert "kinematic on 4 frames of 1 recordings" in table
+    assert "kinematic on 4 frames of 1 recording\n" in table
     assert max(map(len, table.split("Errors in mm")[0].splitlines())) <= 100
 
 

@@ -12,7 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.report.estimates import ESTIMATE_COLUMNS, ESTIMATE_KEYS, columns_within, estimate_row
+from svmdist.report.estimates import (
+    ALARM_COLUMNS,
+    ESTIMATE_COLUMNS,
+    ESTIMATE_KEYS,
+    INSTRUMENT_COLUMNS,
+    columns_within,
+    estimate_row,
+)
 from svmdist.report.table import (
     Column,
     csv_lines,
@@ -253,6 +260,15 @@ def test_a_narrow_terminal_goes_without_pixels() -> None:
     assert columns_within(ESTIMATE_COLUMNS, None) == ESTIMATE_COLUMNS
     kept = [column.key for column in columns_within(ESTIMATE_COLUMNS, 80)]
     assert kept == ["time_s", "status", "distance_m", "spatial_m", "clearance_m", "clearance_std_m"]
+    everything = ESTIMATE_COLUMNS + INSTRUMENT_COLUMNS + ALARM_COLUMNS
+    for columns, planar, essential in (
+        (everything, False, {"status", "clearance_m", "instrument", "alarm", "time_to_contact_s"}),
+        (ESTIMATE_COLUMNS + INSTRUMENT_COLUMNS, False, {"clearance_m", "clearance_std_m", "instrument"}),
+        (ESTIMATE_COLUMNS + INSTRUMENT_COLUMNS, True, {"status", "distance_m", "instrument"}),
+    ):
+        narrow = columns_within(columns, 80, planar)
+        assert text_width(narrow) <= 80
+        assert essential <= {column.key for column in narrow}
     wide = columns_within(ESTIMATE_COLUMNS, 150)
     assert text_width(wide) <= 150
     assert wide[0].key == "recording"
