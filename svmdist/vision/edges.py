@@ -74,8 +74,8 @@ def edge_points(
     sigma_px = max(SLOPE_SIGMA_PX, BLUR_SCALE * blur_px)
     at = np.arange(0.5, length_px, 1.0)
     feet_px, across = _feet(start_px, end_px, outward, at)
-    profiles, offsets, inside = _profiles(brightness, feet_px, across, reach_px + 3.0 * sigma_px)
-    slope = profiles @ _slope_filter(len(offsets), sigma_px)
+    profiles, offsets, inside = profiles_across(brightness, feet_px, across, reach_px + 3.0 * sigma_px)
+    slope = profiles @ slope_filter(len(offsets), sigma_px)
     searched = (np.abs(offsets) <= reach_px) & inside
     slope = np.where(searched, slope, -np.inf)
     peak = np.argmax(slope, axis=1)
@@ -106,10 +106,10 @@ def edge_blur_px(
     middles = np.linspace(0.5 * BLUR_STRIPS, length_px - 0.5 * BLUR_STRIPS, BLUR_PLACES)
     at = (middles[:, None] + np.arange(BLUR_STRIPS) - BLUR_STRIPS // 2).ravel()
     feet_px, across = _feet(start_px, end_px, outward, at)
-    profiles, offsets, inside = _profiles(brightness, feet_px, across, reach_px + 3.0 * SLOPE_SIGMA_PX)
+    profiles, offsets, inside = profiles_across(brightness, feet_px, across, reach_px + 3.0 * SLOPE_SIGMA_PX)
     whole = inside.all(1).reshape(BLUR_PLACES, BLUR_STRIPS).all(1)
     mean = profiles.reshape(BLUR_PLACES, BLUR_STRIPS, -1).mean(1)[whole]
-    slope = (mean @ _slope_filter(len(offsets), SLOPE_SIGMA_PX))[:, np.abs(offsets) <= reach_px]
+    slope = (mean @ slope_filter(len(offsets), SLOPE_SIGMA_PX))[:, np.abs(offsets) <= reach_px]
     widths_px = []
     for values in slope:
         peak = int(np.argmax(values))
@@ -219,7 +219,7 @@ def _feet(start_px: Array, end_px: Array, outward: Array, at: Array) -> tuple[Ar
     return start_px + at[:, None] * along, across if across @ outward > 0 else -across
 
 
-def _profiles(
+def profiles_across(
     brightness: Image, feet_px: Array, across: Array, half_px: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Brightness across an edge, shape (n, k), at offsets, shape (k,) in px, and whether each is in the image."""
@@ -242,7 +242,7 @@ def _sampled(brightness: Image, places: Array) -> Array:
     return np.asarray(values, np.float64)
 
 
-def _slope_filter(count: int, sigma_px: float) -> Array:
+def slope_filter(count: int, sigma_px: float) -> Array:
     """Matrix, shape (count, count), that turns profiles into their slopes per px, smoothed."""
     offset = (np.arange(count)[:, None] - np.arange(count)[None, :]) * STEP_PX
     kernel = np.exp(-0.5 * (offset / sigma_px) ** 2) * STEP_PX / (np.sqrt(2.0 * np.pi) * sigma_px)

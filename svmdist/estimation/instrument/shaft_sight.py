@@ -15,6 +15,7 @@ from svmdist.vision.disc import fit_disc
 from svmdist.vision.edges import CORRELATION_PX, edge_blur_px, edge_points, fit_line, straightened
 from svmdist.vision.regions import find_region
 from svmdist.vision.segmentation.exposure import brightest_channel
+from svmdist.vision.shading import shading_shift_px
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
 
 REACH_FRACTION = 0.007
@@ -155,6 +156,9 @@ def _contour(
     points_px = _inside_view(points_px, region.field_of_view)
     if len(points_px) == 0:
         return None
+    across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    across = across if across @ outward > 0.0 else -across
+    points_px = points_px - shading_shift_px(brightness, points_px, across, blur_px) * across
     unit = 1.0 / float(camera.K[0, 0])
     line = fit_line(
         straightened(camera, points_px),
