@@ -18,8 +18,8 @@ from svmdist.transforms import Array, rotation_vector, transform_points
 MIN_DEPTH_M = 1e-3
 POINT_S = 30.0
 """What hides a part of the knuckle is fixed to it: its visible middle stays where it is on the tool."""
-EDGE_S = 2.0
-"""Shading beside an edge changes as the shaft turns in the light."""
+EDGE_S = 30.0
+"""Shading beside an edge changes as the shaft turns in the light: in logs of 8 s hardly."""
 POSE_S = 0.5
 """How a mark's edges fall on the pixels changes with every pixel of motion."""
 
@@ -69,12 +69,15 @@ class PointsObservation:
     pixels: Array
     covariance: Array
     point_std_m: float = 0.0
+    shade_px: float = 0.0
     own: str = "point"
     own_s: float = POINT_S
 
     def spread(self, T_camera_link: Array, by_pose: Array) -> Array:
-        """Derivative by the offset, shape (2n, 3), in units of its deviation."""
-        return -self.point_std_m * by_pose[:, :3] @ T_camera_link[:3, :3]
+        """Derivative by offset and shade, shape (2n, 4), in units of their deviations."""
+        tilt = (self.pixels - self.camera.K[:2, 2]) / self.camera.K[[0, 1], [0, 1]]
+        offset = -self.point_std_m * by_pose[:, :3] @ T_camera_link[:3, :3]
+        return np.column_stack([offset, self.shade_px * tilt.ravel()])
 
     def residual(self, T_camera_link: Array) -> Array:
         """Measured minus projected, shape (k, 2n), for poses of shape (k, 4, 4)."""
@@ -92,7 +95,7 @@ class DisparityObservation:
     """How far apart, in px along x, the two views of a stereo pair show the origin of a link.
 
     `T_right_left` maps the left camera's coordinates to the right one's; the covariance has shape (1, 1) in px².
-    The point may be off as in `PointsObservation`.
+    The point may be off as in `PointsObservation`: the two rays differ in tilt by the disparity over the focal length.
     """
 
     name: str
@@ -103,12 +106,14 @@ class DisparityObservation:
     disparity_px: float
     covariance: Array
     point_std_m: float = 0.0
+    shade_px: float = 0.0
     own: str = "point"
     own_s: float = POINT_S
 
     def spread(self, T_camera_link: Array, by_pose: Array) -> Array:
-        """Derivative by the offset, shape (1, 3), in units of its deviation."""
-        return -self.point_std_m * by_pose[:, :3] @ T_camera_link[:3, :3]
+        """Derivative by offset and shade, shape (1, 4), in units of their deviations."""
+        offset = -self.point_std_m * by_pose[:, :3] @ T_camera_link[:3, :3]
+        return np.column_stack([offset, [[self.shade_px * self.disparity_px / self.left.K[0, 0]]]])
 
     def residual(self, T_camera_link: Array) -> Array:
         """Measured minus predicted, shape (k, 1), for poses of shape (k, 4, 4)."""

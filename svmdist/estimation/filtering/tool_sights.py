@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.estimation.filtering.knuckle_middle import knuckle_middle
 from svmdist.estimation.filtering.observations import (
     ContourObservation,
     DisparityObservation,
@@ -18,7 +19,7 @@ from svmdist.estimation.filtering.observations import (
 )
 from svmdist.estimation.filtering.robot_scene import Belief, Look
 from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.instrument.shaft_sight import see_knuckle, see_shaft
+from svmdist.estimation.instrument.shaft_sight import RADIUS_PER_BLUR, see_knuckle, see_shaft
 from svmdist.estimation.instrument.tag_pose import find_tag_pose
 from svmdist.estimation.locate import locate_instrument
 from svmdist.kinematics.dh import DHChain, frame_transforms
@@ -37,9 +38,14 @@ from svmdist.vision.tag.pattern import TagPattern
 
 REGION_STD_PX = 2.0
 """The centroid of a coloured part of unknown shape against the tool's origin."""
-VISIBLE_MIDDLE = 0.1
+VISIBLE_MIDDLE = 0.03
 """Of a knuckle that jaws and fork hide a part of, the visible middle stands off the true one: over its radius,
-along each axis of the tool, of which it is a fixed point."""
+along each axis of the tool, of which it is a fixed point. They hide 6 % of its disc (`VISIBLE_RADIUS`); all of it on
+one side would move the middle by 0.05."""
+SHADE = 0.12
+"""The limb that is turned from the light is dark, and draws the visible middle to the lit side: over the radius and
+the angle between light and view. By Lambert's law it is √(1 - ρ²) where the limb in shade alone ends the disc at ρ of
+its radius, 0.24 for 0.97; none where jaws and fork end it, or the light is at the camera: half of it."""
 NOISE = 0.02
 """What is left of the centroid's error then, over the radius: pixels, shading, the view's own angle."""
 WHOLE_FRACTION = 0.4
@@ -55,7 +61,8 @@ SIZE_STD = 0.01
 ROW_TOLERANCE_PX = 3.0
 """Rectified images show the knuckle on one row; what is further off is something else."""
 SHARED = 0.5
-"""The share of a tag's variance that lasts: how its edges fall on the pixels changes with motion."""
+"""The share of a tag's variance that lasts, how its edges fall on the pixels changes with motion; and of an edge's:
+shading shifts it for as long as the light falls on it so, turning and noise do not."""
 
 
 class ToolSights:
@@ -81,28 +88,37 @@ class ToolSights:
         self.has_seen_tag |= corners_px is not None
         seen: list[LinkObservation] = []
         if region is not None:
-            seen += self._knuckle(observation, region, pose)
+            seen += self._knuckle(observation, look.masks, region, pose)
             seen += self._size(observation, look.masks, pose)
         if corners_px is not None and look.belief is not None:
             seen += self._tag(observation, look.belief, pose, corners_px)
         seen += self._contours(observation, look.masks, corners_px)
         return region, seen
 
-    def _knuckle(self, observation: Observation, region: Region, pose: ToolPose) -> Iterator[LinkObservation]:
-        """The region's centroid is a sight of a point on the tool, as sure as the region is whole."""
-        std_px = self._centroid_std_px(observation.camera, region, pose)
-        if std_px is None:
+    def _knuckle(
+        self, observation: Observation, masks: Masks, region: Region, pose: ToolPose
+    ) -> Iterator[LinkObservation]:
+        """The knuckle's middle is a sight of a point on the tool, as sure as its region is whole."""
+        whole_std_px = self._centroid_std_px(observation.camera, region, pose)
+        if whole_std_px is None:
             return
         instrument = self._profile.instrument
-        point_std_m = VISIBLE_MIDDLE * instrument.knuckle_radius_m if instrument is not None else 0.0
+        radius_m = instrument.knuckle_radius_m if instrument is not None else 0.0
+        depth_m, radius_px = pose.position_m[2], float(np.sqrt(region.area_px / np.pi))
+        point_std_m, shade_px = VISIBLE_MIDDLE * radius_m, SHADE * radius_px if radius_m > 0.0 else 0.0
+        centre_px, blur_px = knuckle_middle(
+            observation.image_bgr, masks.instrument, region, observation.camera, depth_m, radius_m
+        )
+        std_px = float(np.hypot(whole_std_px, RADIUS_PER_BLUR * blur_px))
         yield PointsObservation(
             "knuckle",
             None,
             observation.camera,
             np.zeros((1, 3)),
-            region.centroid_px[None],
+            centre_px[None],
             std_px**2 * np.eye(2),
             point_std_m,
+            shade_px,
         )
         right = observation.right
         if right is None:
@@ -115,17 +131,20 @@ class ToolSights:
             return
         # What one view shows more of moves its centroid by up to half of it.
         uneven = abs(region.area_px - other.area_px) / (region.area_px + other.area_px)
-        radius_px = float(np.sqrt(region.area_px / np.pi))
         std_px = radius_px * float(np.hypot(DISPARITY_NOISE, max(0.0, uneven - EVEN)))
+        other_px, _ = knuckle_middle(
+            right.image_bgr, masks.instrument, other, right.camera, depth_m, radius_m
+        )
         yield DisparityObservation(
             "disparity",
             None,
             observation.camera,
             right.camera,
             inverse(right.T_left_right),
-            float(region.centroid_px[0] - other.centroid_px[0]),
+            float(centre_px[0] - other_px[0]),
             np.array([[std_px**2]]),
             point_std_m,
+            shade_px,
         )
 
     def _size(self, observation: Observation, masks: Masks, pose: ToolPose) -> Iterator[LinkObservation]:
@@ -209,17 +228,16 @@ class ToolSights:
         for contour in sight.contours:
             _, axes = np.linalg.eigh(contour.plane.covariance)
             across = axes[:, 1:].T
-            # Shading shifts an edge for as long as the light falls on it so: nothing of it is averaged away.
-            systematic = across @ contour.plane.covariance @ across.T
+            covariance = across @ contour.plane.covariance @ across.T
             yield ContourObservation(
                 f"edge {contour.side:+d}",
                 self._shaft.link,
                 contour.plane.normal,
                 across,
-                0.5 * systematic,
+                (1.0 - SHARED) * covariance,
                 self._shaft.p_axis_m,
                 self._shaft.axis,
                 instrument.shaft_radius_m,
                 contour.side,
-                systematic,
+                SHARED * covariance,
             )

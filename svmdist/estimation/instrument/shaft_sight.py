@@ -11,9 +11,15 @@ from svmdist.estimation.instrument.cylinder import TangentPlane, tangent_plane
 from svmdist.profile import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.disc import fit_disc
-from svmdist.vision.edges import CORRELATION_PX, edge_blur_px, edge_points, fit_line, straightened
-from svmdist.vision.regions import find_region
+from svmdist.vision.disc import Disc, fit_disc
+from svmdist.vision.edges import (
+    CORRELATION_PX,
+    edge_blur_px,
+    edge_points,
+    fit_line,
+    straightened,
+)
+from svmdist.vision.regions import Region, find_region
 from svmdist.vision.segmentation.exposure import brightest_channel
 from svmdist.vision.shading import shading_shift_px
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
@@ -127,17 +133,24 @@ def see_knuckle(mask: Image, rule: AreaGate, image_hsv: Image) -> Knuckle | None
     region = find_region(mask, rule)
     if region is None or float(np.median(image_hsv[..., 1][mask > 0])) < MIN_SATURATION:
         return None
-    corners = region.hull.reshape(-1, 2)
-    height, width = mask.shape
-    free = bool(((corners > 1) & (corners < [width - 2, height - 2])).all())
-    radius_px = float(np.sqrt(region.area_px / np.pi))
-    disc = fit_disc(image_hsv, mask, region.centroid_px, radius_px) if free else None
-    if disc is not None and abs(np.log(disc.radius_px / radius_px)) < MAX_LOG_RATIO:
+    disc = knuckle_disc(image_hsv, mask, region)
+    if disc is not None:
         whole_px = disc.radius_px / VISIBLE_RADIUS
         own_px = np.hypot(disc.scatter_px / np.sqrt(DISC_POINTS), RADIUS_PER_BLUR * disc.blur_px)
         std_px = float(np.hypot(RADIUS_STD * whole_px, own_px))
         return Knuckle(region.centroid_px, KNUCKLE_STD * whole_px, whole_px, std_px)
-    return Knuckle(region.centroid_px, 0.5 * radius_px, None, 0.0)
+    return Knuckle(region.centroid_px, 0.5 * float(np.sqrt(region.area_px / np.pi)), None, 0.0)
+
+
+def knuckle_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
+    """The disc of a region of a mask, shape (h, w); None at the border, or where its colour makes another border."""
+    corners = region.hull.reshape(-1, 2)
+    height, width = mask.shape
+    if not bool(((corners > 1) & (corners < [width - 2, height - 2])).all()):
+        return None
+    radius_px = float(np.sqrt(region.area_px / np.pi))
+    disc = fit_disc(image_hsv, mask, region.centroid_px, radius_px)
+    return disc if disc is not None and abs(np.log(disc.radius_px / radius_px)) < MAX_LOG_RATIO else None
 
 
 def _contour(

@@ -86,7 +86,25 @@ def test_a_point_off_the_origin_moves_the_residual_by_the_spread() -> None:
     disparity = DisparityObservation("d", None, CAMERA, CAMERA, T_RIGHT_LEFT, disparity_px, np.eye(1), 1e-4)
     for observation in (point, disparity):
         part = linearise(observation, T_LINK, np.eye(6))
-        np.testing.assert_allclose(part.residual, part.spread @ offset, rtol=2e-2, atol=1e-3)
+        np.testing.assert_allclose(part.residual, part.spread[:, :3] @ offset, rtol=2e-2, atol=1e-3)
+        assert part.spread[:, 3] == pytest.approx(0.0)  # no shade was stated
+
+
+def test_a_shaded_sphere_is_off_as_far_as_its_ray_is_tilted() -> None:
+    """A point drawn outward by 2 px times its ray's tilt: by the spread, and in the disparity by what views differ."""
+    p_left_m = T_LINK[:3, 3]
+    T_right_left = make_transform(np.eye(3), [-0.005, 0.0, 0.0])  # rectified
+    true_px = [CAMERA.project(p_m)[0] for p_m in (p_left_m, p_left_m + T_right_left[:3, 3])]
+    seen_px = [px + 2.0 * (px - CAMERA.K[:2, 2]) / CAMERA.K[0, 0] for px in true_px]
+    point = PointsObservation("p", None, CAMERA, np.zeros((1, 3)), seen_px[0][None], np.eye(2), 0.0, 2.0)
+    disparity_px = float(seen_px[0][0] - seen_px[1][0])
+    disparity = DisparityObservation(
+        "d", None, CAMERA, CAMERA, T_right_left, disparity_px, np.eye(1), 0.0, 2.0
+    )
+    for observation in (point, disparity):
+        part = linearise(observation, T_LINK, np.eye(6))
+        assert np.abs(part.residual).max() > 0.05
+        np.testing.assert_allclose(part.residual, part.spread[:, 3], rtol=1e-2)
 
 
 def test_a_size_is_that_of_a_drawn_sphere() -> None:
