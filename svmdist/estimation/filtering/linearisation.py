@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,3 +60,14 @@ def pose_derivative(observation: LinkObservation, T_camera_link: Array) -> Array
     if not np.all(np.isfinite(residuals)):
         return np.full((residuals.shape[1], 6), np.nan)
     return np.asarray((residuals[0::2] - residuals[1::2]).T / (2.0 * STEP))
+
+
+def block_diagonal(blocks: Sequence[Array]) -> Array:
+    """Square matrices along the diagonal of one."""
+    size = sum(len(block) for block in blocks)
+    joined = np.zeros((size, size))
+    at = 0
+    for block in blocks:
+        joined[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    return joined

@@ -15,6 +15,7 @@ from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.inverse import solve_position
 from svmdist.kinematics.jacobian import row_index
 from svmdist.kinematics.shaft_axis import shaft_of
+from svmdist.simulation.belief import draw_belief
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_z, transform_points
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
@@ -184,3 +185,36 @@ def test_wild_detections_do_not_bend_the_first_frames() -> None:
     result = run(5, 30, wild=range(6, 9))
     assert np.all(result.rejected[6:9] >= 1)
     assert result.error_m[20:].max() < 0.6e-3
+
+
+def test_no_robot_is_too_wrong_to_start() -> None:
+    """Of robots as the simulator draws them all but one in a hundred take the first sight, whatever they believe.
+
+    Some believe their tool behind the camera, where no derivative is to be had, more of them so far off that the
+    derivatives there mislead. They would never see anything.
+    """
+    rng = np.random.default_rng(17)
+    q, refused, behind = joints_path(3, 1)[0], 0, 0
+    for seed in range(200):
+        belief = draw_belief(CHAIN, T_CAMERA_BASE, PROFILE, seed, scale=1.0)
+        kalman = KinematicErrorFilter(CHAIN, PROFILE.kinematic_error)
+        kalman.predict(0, q + belief.joint_offsets, belief.T_camera_base)
+        behind += bool(kalman.tool_pose().position_m[2] < 0.0)
+        refused += not kalman.update(sights(q, rng)[:1])[0].is_accepted
+    assert behind >= 2
+    assert refused <= 2
+
+
+def test_a_tool_believed_behind_the_camera_is_found() -> None:
+    """The first sight brings it before the camera; motion then tells where it is, as from any other belief."""
+    rng = np.random.default_rng(5)
+    kalman = KinematicErrorFilter(CHAIN, PROFILE.kinematic_error)
+    T_believed = make_transform(np.eye(3), [0.01, -0.02, -0.11]) @ T_CAMERA_BASE
+    for frame, q in enumerate(joints_path(6, 30)):
+        kalman.predict(frame * 100_000_000, q, T_believed)
+        if frame == 0:
+            assert kalman.tool_pose().position_m[2] < 0.0
+        kalman.update(sights(q, rng))
+        assert kalman.tool_pose().position_m[2] > 0.02
+    truth_m = (T_CAMERA_BASE @ forward_kinematics(CHAIN, q))[:3, 3]
+    assert np.linalg.norm(kalman.tool_pose().position_m - truth_m) < 0.6e-3
