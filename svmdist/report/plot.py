@@ -26,6 +26,12 @@ from svmdist.workflows.validate import Validation
 TRUTH_COLOUR, ESTIMATE_COLOUR = "#c1272d", "#1f5fa8"  # red and blue, as in the paper
 INTERVAL_COLOUR, ALARM_COLOUR = "#b9cfe8", "#e08a1e"
 Z_95 = NormalDist().inv_cdf(0.975)
+REFERENCE_NAMES = {
+    Reference.GROUND_TRUTH: "simulator",
+    Reference.TF: "transforms of the log",
+    Reference.POSE: "pose topic",
+    Reference.KINEMATICS: "DH kinematics",
+}
 MAX_GAP_IN_STEPS = 3.0
 """A curve is broken where frames are missing for longer than this many frame periods."""
 
@@ -169,7 +175,7 @@ def _name(score: Score) -> str:
 
 
 def _reference_label(reference: Reference) -> str:
-    return "truth (simulator)" if reference is Reference.GROUND_TRUTH else "truth (DH kinematics)"
+    return f"truth ({REFERENCE_NAMES[reference]})"
 
 
 def _with_breaks(seconds: Array, *curves: Array) -> tuple[Array, ...]:

@@ -96,7 +96,7 @@ class RobotScene:
             x_px, y_px = (float(value) for value in camera.project(pose.position_m)[0])
             row = replace(row, tool_x_px=x_px, tool_y_px=y_px)
         if tissue is None:
-            return row
+            return replace(row, detail="no tissue, in this frame or before")
         return measure(row, pose, tissue, self._model, joints, has_plate=has_plate)
 
 
