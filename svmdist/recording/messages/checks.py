@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -75,7 +76,8 @@ def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[floa
     if len(set(names)) != len(names):
         raise DecodeError("joint names repeat")
     check_numbers(positions, "joint positions")
-    return JointSample(stamp_ns, tuple(names), np.array(positions, np.float64))
+    # Every message brings the same names: one string each serves all the samples that are kept.
+    return JointSample(stamp_ns, tuple(map(sys.intern, names)), np.array(positions, np.float64))
 
 
 def checked_camera(
