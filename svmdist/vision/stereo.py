@@ -35,13 +35,14 @@ RIDGE = 1e-3
 class DisparitySurface:
     """Disparity in px as a polynomial of the left image's pixels about `centre_px`, and how well it aligns.
 
-    `residual` is the robust spread of the images' difference along it, in grey levels; `matched_fraction`
-    the share of the region's pixels that semi-global matching found a disparity for.
+    `mismatch_px` is the robust spread of the images' difference along it over the slope of the image (rms, along x): by
+    how much a pixel seems shifted. `matched_fraction` is the share of the region's pixels that semi-global matching
+    found a disparity for.
     """
 
     coefficients: Array
     centre_px: Array
-    residual: float
+    mismatch_px: float
     matched_fraction: float
 
     def at(self, points_px: Array) -> Array:
@@ -105,8 +106,10 @@ def fit_surface(
     centre_px = points_px.mean(0)
     few = slice(None, None, max(1, len(rows) // MAX_START_SAMPLES))
     coefficients = _fit_robustly(_basis(points_px[few], centre_px), disparity_px[rows[few], columns[few]])
-    coefficients, residual = _align(left_grey, right_grey, right_region, points_px, centre_px, coefficients)
-    return DisparitySurface(coefficients, centre_px, residual, matched_fraction)
+    coefficients, mismatch_px = _align(
+        left_grey, right_grey, right_region, points_px, centre_px, coefficients
+    )
+    return DisparitySurface(coefficients, centre_px, mismatch_px, matched_fraction)
 
 
 def _basis(points_px: Array, centre_px: Array) -> Array:
@@ -135,7 +138,10 @@ def _align(
     centre_px: Array,
     coefficients: Array,
 ) -> tuple[Array, float]:
-    """Gauss–Newton on right(u - d(u, v), v) - left(u, v), with a free offset of brightness between the images."""
+    """Gauss–Newton on right(u - d(u, v), v) - left(u, v), with a free offset of brightness between the images.
+
+    Gives the coefficients and the mismatch that they leave, in px.
+    """
     left = cv2.GaussianBlur(left_grey, (0, 0), SMOOTHING_PX).astype(np.float32)
     right = cv2.GaussianBlur(right_grey, (0, 0), SMOOTHING_PX).astype(np.float32)
     slope = (cv2.Sobel(right, cv2.CV_32F, 1, 0, ksize=3) / 8.0).astype(np.float32)
@@ -143,7 +149,7 @@ def _align(
     B = _basis(points_px, centre_px)
     columns, rows = points_px.T
     seen = left[rows.astype(int), columns.astype(int)].astype(np.float64)
-    residual = np.inf
+    residual, slope_rms = np.inf, 1.0
     for _ in range(ALIGN_STEPS):
         where = ((columns - B @ coefficients).astype(np.float32)[None], rows.astype(np.float32)[None])
         value, gradient, visible = (
@@ -156,6 +162,7 @@ def _align(
         error = value - seen
         error -= np.median(error[usable])
         residual = _spread(error[usable])
+        slope_rms = float(np.sqrt(np.mean(gradient[usable] ** 2)))
         weight = usable / (1.0 + (error / (2.0 * residual + 0.5)) ** 2)
         J = gradient[:, None] * B
         weighted = J * weight[:, None]
@@ -164,7 +171,7 @@ def _align(
         coefficients = coefficients + step
         if np.abs(B @ step).max() < 0.005:
             break
-    return coefficients, float(residual)
+    return coefficients, float(residual) / max(slope_rms, 1e-6)
 
 
 def _spread(values: Array) -> float:

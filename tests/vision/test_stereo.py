@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.stereo import fit_surface
+from svmdist.vision.stereo import SMOOTHING_PX, fit_surface
 
 HEIGHT, WIDTH = 240, 320
 
@@ -46,6 +46,22 @@ def test_a_smooth_disparity_is_found_to_a_tenth_of_a_pixel(noise: float) -> None
     points = np.stack([columns, rows], -1).astype(np.float64)
     error = surface.at(points) - _disparity(points[:, 0], points[:, 1])
     assert float(np.sqrt(np.mean(error**2))) < 0.1
+
+
+def test_the_mismatch_is_that_of_the_noise() -> None:
+    """Noise that the alignment's smoothing leaves, over the texture's slope: by so much a pixel seems shifted."""
+    region = np.zeros((HEIGHT, WIDTH), np.uint8)
+    region[30:210, 80:280] = 255
+    for noise in (2.0, 6.0):
+        left, right = _pair(noise, seed=4)
+        surface = fit_surface(left, right, region, np.full_like(region, 255), 10, 60)
+        assert surface is not None
+        # White noise through a Gaussian of σ keeps 1 / (2 √π σ); both views have it, and whole grey levels, of 1/√12.
+        kept = noise / (2.0 * np.sqrt(np.pi) * SMOOTHING_PX)
+        left_over = np.sqrt(2.0) * np.hypot(kept, 1.0 / np.sqrt(12.0))
+        wide_px = np.hypot(6.0, SMOOTHING_PX)
+        slope = 14.0 * (6.0 / wide_px) / (np.sqrt(2.0) * wide_px)
+        assert surface.mismatch_px == pytest.approx(left_over / slope, rel=0.2)
 
 
 def test_a_brighter_right_view_changes_nothing() -> None:

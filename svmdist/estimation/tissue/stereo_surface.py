@@ -14,8 +14,10 @@ from svmdist.transforms import Array
 from svmdist.vision.rectified import FAR_M, NEAR_M, RectifiedPair
 from svmdist.vision.stereo import DEGREE, DisparitySurface, fit_surface
 
-SURFACE_STD_PX = 0.12
-"""What an aligned low-order surface leaves: measured 0.36 mm at 105 mm and a baseline of 5 mm."""
+SURFACE_STD_PX, CLEAN_MISMATCH_PX = 0.12, 0.36
+"""What an aligned low-order surface leaves: measured 0.36 mm at 105 mm and a baseline of 5 mm, where the images differ
+by no more than noise of 2 levels makes them. Blocks of JPEG and noise in the dark shift pixels more, and the surface
+with them, in proportion."""
 GRID_STEP_PX = 5
 INNER_GAUGE = 0.9
 """Beyond it the rim is too steep for a surface of low order."""
@@ -56,7 +58,8 @@ def see_surface(
         return None
     points_m = _cloud(surface, hull, pair, masks[0].shape)
     depth_m = float(np.median(points_m[:, 2]))
-    return StereoSurface(points_m, depth_m / pair.disparity_at(depth_m) * SURFACE_STD_PX)
+    std_px = SURFACE_STD_PX * max(1.0, surface.mismatch_px / CLEAN_MISMATCH_PX)
+    return StereoSurface(points_m, depth_m / pair.disparity_at(depth_m) * std_px)
 
 
 def fit_dome(dome: DomeFix, surface: StereoSurface) -> DomeFix | None:
