@@ -130,8 +130,12 @@ def interval_coverage(
     f, y, s = (np.asarray(values, np.float64) for values in (estimate, truth, std))
     if len(f) == 0:
         return None
-    z = NormalDist().inv_cdf(0.5 + level / 2.0)
-    return float(np.mean(np.abs(f - y) <= z * s))
+    return float(np.mean(np.abs(f - y) <= deviations_at(level) * s))
+
+
+def deviations_at(level: float) -> float:
+    """How many standard deviations a normal interval of a level reaches to either side: 1.96 at 0.95."""
+    return NormalDist().inv_cdf(0.5 + level / 2.0)
 
 
 def coverage(measured: int, frames: int) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 from pydantic import Field, model_validator
 
 from svmdist.profile_robot import Instrument, Robot
@@ -23,6 +25,10 @@ class ArmTopics(StrictModel):
         if self.joints is None and self.pose is None:
             raise ValueError("an instrument is known by its topics: name joints or pose")
         return self
+
+    def are_in(self, topics: Set[str]) -> bool:
+        """Whether a log with these topics has the instrument."""
+        return bool(topics & {self.joints, self.pose})
 
     @property
     def named(self) -> dict[str, str]:

@@ -359,3 +359,18 @@ def test_instruments_that_cannot_be_told_apart_are_refused(tmp_path, old, new, m
     assert old in TEXT
     with pytest.raises(ProfileError, match=message):
         load_text(tmp_path, TEXT.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("topics", "there"),
+    [
+        ({"/PSM2/measured_js"}, True),
+        ({"/PSM2/measured_cp", "/PSM1/measured_js"}, True),
+        ({"/ground_truth/PSM2/distance", "/PSM1/measured_js"}, False),
+        (set(), False),
+    ],
+)
+def test_a_log_has_an_instrument_by_its_joints_or_its_pose(topics: set[str], there: bool) -> None:
+    """Its true distance alone does not make an instrument that could be measured."""
+    (second,) = load_profile().other_instruments
+    assert second.topics.are_in(topics) is there

@@ -52,9 +52,8 @@ def measure(
         tool_axis=as_vector(pose.axis),
         tool_state=ToolState(pose.T_camera_tool, pose.covariance, pose.axis, joints, has_plate),
     )
-    if camera is not None and pose.position_m[2] > 0.0:
-        x_px, y_px = (float(value) for value in camera.project(pose.position_m)[0])
-        row = replace(row, tool_x_px=x_px, tool_y_px=y_px)
+    if camera is not None:
+        row = with_tool(row, pose, camera)
     if model is None:
         return row
     gap = separation(model.posed(pose, joints, has_plate), tissue.surface)
@@ -64,6 +63,14 @@ def measure(
         clearance_std_m=clearance_std_m(gap, pose, tissue),
         clearance_direction=as_vector(gap.direction),
     )
+
+
+def with_tool(row: Estimate, pose: ToolPose, camera: Camera) -> Estimate:
+    """The row with where the tool is in the image; as it is for a tool that is not before the camera."""
+    if not pose.position_m[2] > 0.0:
+        return row
+    x_px, y_px = (float(value) for value in camera.project(pose.position_m)[0])
+    return replace(row, tool_x_px=x_px, tool_y_px=y_px)
 
 
 def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissueFix) -> float:

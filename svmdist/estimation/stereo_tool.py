@@ -56,7 +56,7 @@ def match_knuckle(
     p_camera_m, _ = pair.point(left.centre_px, disparity_px)
     whole_px = left.radius_px or right.radius_px or 2.0 * left.std_px
     if radius_m is not None:
-        whole_px = apparent_radius_px(p_camera_m, radius_m, camera)
+        whole_px = float(apparent_radius_px(p_camera_m, radius_m, camera))
     std_px = left.std_px
     disparity_std_px = float(np.hypot(DISPARITY_NOISE_PX, DISPARITY_STD * whole_px))
     for knuckle in (left, right):

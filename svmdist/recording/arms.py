@@ -27,9 +27,7 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
     """
     infos = source.topics()
     there = {info.topic for info in infos} - {overrides[role] for role in ARM_TOPICS if role in overrides}
-    others = [
-        other for other in profile.other_instruments if there & {other.topics.joints, other.topics.pose}
-    ]
+    others = [other for other in profile.other_instruments if other.topics.are_in(there)]
     first = profile.topics
     of_first = {overrides.get(role) or getattr(first, role) for role in ARM_TOPICS} - {None}
     claims = {profile.instrument_name: of_first} | {

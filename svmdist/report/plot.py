@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import NormalDist
 
 import matplotlib as mpl
 import numpy as np
@@ -15,6 +14,7 @@ from matplotlib.figure import Figure
 
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
+from svmdist.metrics import deviations_at
 from svmdist.output_file import whole_file
 from svmdist.report.text import printable
 from svmdist.transforms import Array
@@ -25,7 +25,6 @@ from svmdist.workflows.validate import Validation
 
 TRUTH_COLOUR, ESTIMATE_COLOUR = "#c1272d", "#1f5fa8"  # red and blue, as in the paper
 INTERVAL_COLOUR, ALARM_COLOUR = "#b9cfe8", "#e08a1e"
-Z_95 = NormalDist().inv_cdf(0.975)
 REFERENCE_NAMES = {
     Reference.GROUND_TRUTH: "simulator",
     Reference.TF: "transforms of the log",
@@ -119,7 +118,7 @@ def _draw_panel(upper: Axes, lower: Axes, curves: _Curves, *, with_legend: bool)
     pairs = curves.pairs
     seconds = (pairs.stamps_ns - (pairs.stamps_ns[0] if len(pairs.stamps_ns) else 0)) / 1e9
     time, truth, estimate, half = _with_breaks(
-        seconds, pairs.truth_m * 1e3, pairs.estimate_m * 1e3, Z_95 * pairs.std_m * 1e3
+        seconds, pairs.truth_m * 1e3, pairs.estimate_m * 1e3, deviations_at(0.95) * pairs.std_m * 1e3
     )
     upper.plot(time, truth, color=TRUTH_COLOUR, linewidth=1.6, label=curves.truth_label)
     upper.plot(

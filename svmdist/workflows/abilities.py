@@ -69,10 +69,12 @@ def _belief_lacking(summary: RecordingSummary, profile: Profile) -> tuple[str, .
 
 
 def instruments_in(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
-    """Names of the instruments that the log has: the profile's own, and the others that have a topic in it."""
+    """Names of the instruments that the log has: the profile's own, and the others whose joints or pose it has."""
     topics = {topic.topic for topic in summary.topics}
-    others = (other.name for other in profile.other_instruments if topics & set(other.topics.named.values()))
-    return (profile.instrument_name, *others)
+    return (
+        profile.instrument_name,
+        *(other.name for other in profile.other_instruments if other.topics.are_in(topics)),
+    )
 
 
 def _lacking(summary: RecordingSummary, *roles: str) -> tuple[str, ...]:

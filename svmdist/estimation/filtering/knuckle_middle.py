@@ -7,20 +7,18 @@ from svmdist.estimation.instrument.shaft_sight import knuckle_disc
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.regions import Region
-from svmdist.vision.segmentation.colour import to_hsv
-from svmdist.vision.segmentation.exposure import levelled
 
 
 def knuckle_middle(
-    image_bgr: Image, mask: Image, region: Region, camera: Camera, depth_m: float, radius_m: float
+    image_hsv: Image, mask: Image, region: Region, camera: Camera, depth_m: float, radius_m: float
 ) -> tuple[Array, float]:
     """The pixel (2,) of the middle of a sphere of `radius_m` at `depth_m`, and the blur of its border in px.
 
-    `mask`, shape (h, w), holds the region. Blur moves a threshold's border to the side of what the colour mixes with,
-    the place of half its strength hardly. Where that is not to be found, or of a tip that is no sphere (`radius_m` 0),
-    it is the region's centroid, of blur 0.
+    The image is one at a fair exposure; `mask`, shape (h, w), holds the region. Blur moves a threshold's border to
+    the side of what the colour mixes with, the place of half its strength hardly. Where that is not to be found, or of
+    a tip that is no sphere (`radius_m` 0), it is the region's centroid, of blur 0.
     """
-    disc = knuckle_disc(to_hsv(levelled(image_bgr)), mask, region) if radius_m > 0.0 else None
+    disc = knuckle_disc(image_hsv, mask, region) if radius_m > 0.0 else None
     if disc is None:
         return region.centroid_px, 0.0
     return without_perspective(disc.centre_px, camera, depth_m, radius_m), disc.blur_px

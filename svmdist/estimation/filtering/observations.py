@@ -13,6 +13,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.cylinder import tangent_normal
+from svmdist.estimation.instrument.shaft_model import apparent_radius_px
 from svmdist.transforms import Array, rotation_vector, transform_points
 
 MIN_DEPTH_M = 1e-3
@@ -157,9 +158,7 @@ class SizeObservation:
         p_m = T_camera_link[:, :3, 3]
         hidden = p_m[:, 2] < MIN_DEPTH_M
         p_m = np.where(hidden[:, None], np.array([0.0, 0.0, 1.0]), p_m)
-        # A circle of the image's plane at first, stretched away from the axis: as in shaft_model.
-        stretch = np.sqrt(np.linalg.norm(p_m, axis=1) / p_m[:, 2])
-        predicted_px = self.camera.K[0, 0] * self.radius_m / p_m[:, 2] * stretch
+        predicted_px = apparent_radius_px(p_m, self.radius_m, self.camera)
         return np.where(hidden, np.inf, self.radius_px - predicted_px)[:, None]
 
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, ProfileError
-from svmdist.estimation.distances import measure
+from svmdist.estimation.distances import measure, with_tool
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.estimation.tissue.dome import DomeFix
-from svmdist.estimation.tissue.fix import TissueFix, TissueSight, require_tissue, see_tissue
+from svmdist.estimation.tissue.fix import TissueFix, TissueSight, require_tissue, see_tissue, with_tissue
 from svmdist.estimation.tissue.memory import TissueMemory
 from svmdist.estimation.tissue.stereo_surface import fit_dome, see_surface
 from svmdist.kinematics.chain import chain_of
@@ -63,7 +63,7 @@ class RobotScene:
         masks = own_masks(self.segmenter, observation.image_bgr, observation.foreign)
         sight = see_tissue(masks, self.profile, observation.camera)
         tissue = self._tissue.add(sight.fix if sight else None, self._dome(observation, sight, masks))
-        row = _with_tissue(Estimate(observation.stamp_ns, Status.NO_TISSUE), sight)
+        row = with_tissue(Estimate(observation.stamp_ns, Status.NO_TISSUE), sight)
         if isinstance(belief, str):
             return Look(replace(row, status=Status.NO_JOINTS, detail=belief), masks, None, tissue)
         return Look(row, masks, belief, tissue)
@@ -92,9 +92,7 @@ class RobotScene:
         has_plate: bool = False,
     ) -> Estimate:
         """The row with the tool's place in the image, and the distances where the tissue is known."""
-        if pose.position_m[2] > 0.0:
-            x_px, y_px = (float(value) for value in camera.project(pose.position_m)[0])
-            row = replace(row, tool_x_px=x_px, tool_y_px=y_px)
+        row = with_tool(row, pose, camera)
         if tissue is None:
             return replace(row, detail="no tissue, in this frame or before")
         return measure(row, pose, tissue, self._model, joints, has_plate=has_plate)
@@ -118,10 +116,3 @@ def belief_of(observation: Observation, chain: DHChain) -> Belief | str:
     except KinematicsError as problem:
         return str(problem)
     return Belief(q, observation.T_camera_base)
-
-
-def _with_tissue(row: Estimate, sight: TissueSight | None) -> Estimate:
-    if sight is None:
-        return row
-    x, y = sight.outline.centroid_px
-    return replace(row, tissue_x_px=float(x), tissue_y_px=float(y), tissue_area_px=sight.region.area_px)

@@ -86,17 +86,19 @@ class ToolSights:
         region = locate_instrument(look.masks, self._profile.segmentation)
         corners_px = self._tag_corners(observation.image_bgr)
         self.has_seen_tag |= corners_px is not None
+        image_bgr = levelled(observation.image_bgr)
         seen: list[LinkObservation] = []
         if region is not None:
-            seen += self._knuckle(observation, look.masks, region, pose)
-            seen += self._size(observation, look.masks, pose)
+            image_hsv = to_hsv(image_bgr)
+            seen += self._knuckle(observation, image_hsv, look.masks, region, pose)
+            seen += self._size(observation, image_hsv, look.masks, pose)
         if corners_px is not None and look.belief is not None:
             seen += self._tag(observation, look.belief, pose, corners_px)
-        seen += self._contours(observation, look.masks, corners_px)
+        seen += self._contours(image_bgr, observation.camera, look.masks, corners_px)
         return region, seen
 
     def _knuckle(
-        self, observation: Observation, masks: Masks, region: Region, pose: ToolPose
+        self, observation: Observation, image_hsv: Image, masks: Masks, region: Region, pose: ToolPose
     ) -> Iterator[LinkObservation]:
         """The knuckle's middle is a sight of a point on the tool, as sure as its region is whole."""
         whole_std_px = self._centroid_std_px(observation.camera, region, pose)
@@ -107,7 +109,7 @@ class ToolSights:
         depth_m, radius_px = pose.position_m[2], float(np.sqrt(region.area_px / np.pi))
         point_std_m, shade_px = VISIBLE_MIDDLE * radius_m, SHADE * radius_px if radius_m > 0.0 else 0.0
         centre_px, blur_px = knuckle_middle(
-            observation.image_bgr, masks.instrument, region, observation.camera, depth_m, radius_m
+            image_hsv, masks.instrument, region, observation.camera, depth_m, radius_m
         )
         std_px = float(np.hypot(whole_std_px, RADIUS_PER_BLUR * blur_px))
         yield PointsObservation(
@@ -133,7 +135,7 @@ class ToolSights:
         uneven = abs(region.area_px - other.area_px) / (region.area_px + other.area_px)
         std_px = radius_px * float(np.hypot(DISPARITY_NOISE, max(0.0, uneven - EVEN)))
         other_px, _ = knuckle_middle(
-            right.image_bgr, masks.instrument, other, right.camera, depth_m, radius_m
+            to_hsv(levelled(right.image_bgr)), masks.instrument, other, right.camera, depth_m, radius_m
         )
         yield DisparityObservation(
             "disparity",
@@ -147,12 +149,13 @@ class ToolSights:
             shade_px,
         )
 
-    def _size(self, observation: Observation, masks: Masks, pose: ToolPose) -> Iterator[LinkObservation]:
+    def _size(
+        self, observation: Observation, image_hsv: Image, masks: Masks, pose: ToolPose
+    ) -> Iterator[LinkObservation]:
         """The whole knuckle's radius: a depth right within some percent, where nothing better tells one yet."""
         instrument = self._profile.instrument
         if instrument is None or np.sqrt(pose.covariance[2, 2]) < SIZE_STD * pose.position_m[2]:
             return
-        image_hsv = to_hsv(levelled(observation.image_bgr))
         knuckle = see_knuckle(masks.instrument, self._profile.segmentation.instrument, image_hsv)
         if knuckle is not None and knuckle.radius_px is not None:
             yield SizeObservation(
@@ -214,7 +217,7 @@ class ToolSights:
             )
 
     def _contours(
-        self, observation: Observation, masks: Masks, corners_px: Array | None
+        self, image_bgr: Image, camera: Camera, masks: Masks, corners_px: Array | None
     ) -> Iterator[LinkObservation]:
         """Both edges of a shaft that is longer than wide; on a stub something else is easily taken for one."""
         rule, instrument = self._profile.segmentation.shaft, self._profile.instrument
@@ -222,7 +225,7 @@ class ToolSights:
             return
         covered = None if corners_px is None else tag_plate(corners_px, masks.shaft.shape)
         region = find_shaft(masks.shaft, rule, covered, masks.black)
-        sight = see_shaft(levelled(observation.image_bgr), region, None, observation.camera)
+        sight = see_shaft(image_bgr, region, None, camera)
         if sight.is_stub:
             return
         for contour in sight.contours:

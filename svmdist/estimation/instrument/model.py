@@ -85,7 +85,7 @@ class InstrumentModel:
 
         `has_plate` adds the plate of the profile's fiducial, where joints tell how its link stands.
         """
-        q = self._joints(joints)
+        q = joints_of(self._chain, joints)
         if self._chain is None or q is None:
             return build_capsules(self._instrument, self._straight_wrist(pose))
         body = build_capsules(self._instrument, moved(wrist_in_tool(self._chain, q), pose.T_camera_tool))
@@ -95,14 +95,6 @@ class InstrumentModel:
         T_base_link = frames[row_index(self._chain, self._fiducial.link)]
         T_tool_tag = inverse(frames[-1] @ self._chain.T_last_tool) @ T_base_link @ self._fiducial.T_link_tag
         return join(body, plate_capsules(self._fiducial).transformed(pose.T_camera_tool @ T_tool_tag))
-
-    def _joints(self, joints: JointSample | None) -> Array | None:
-        if self._chain is None or joints is None:
-            return None
-        try:
-            return select_joints(self._chain, joints.names, joints.positions)
-        except KinematicsError:
-            return None
 
     def _straight_wrist(self, pose: ToolPose) -> Wrist:
         tool_m, axis, length_m = pose.position_m, pose.axis, self._wrist_length_m()
@@ -115,6 +107,16 @@ class InstrumentModel:
             return WRIST_LENGTH_PER_RADIUS * self._instrument.wrist_radius_m
         wrist = wrist_in_tool(self._chain, np.zeros(len(self._chain.joint_names)))
         return float(np.linalg.norm(wrist.hinge_m))
+
+
+def joints_of(chain: DHChain | None, joints: JointSample | None) -> Array | None:
+    """The chain's joints, shape (n_joints,); None without one of both, or where the sample lacks a joint."""
+    if chain is None or joints is None:
+        return None
+    try:
+        return select_joints(chain, joints.names, joints.positions)
+    except KinematicsError:
+        return None
 
 
 def wrist_in_tool(chain: DHChain, q: Array) -> Wrist:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.errors import KinematicsError, ProfileError
-from svmdist.estimation.instrument.model import NECK_PER_RADIUS
-from svmdist.kinematics.dh import DHChain, frame_transforms, select_joints
+from svmdist.errors import ProfileError
+from svmdist.estimation.instrument.model import NECK_PER_RADIUS, joints_of
+from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.kinematics.jacobian import joint_axis
 from svmdist.kinematics.wrist import rows_behind_insertion
 from svmdist.profile import Instrument, KinematicError
@@ -42,7 +42,7 @@ def shaft_model(
     observation: Observation, chain: DHChain, instrument: Instrument, error: KinematicError
 ) -> ShaftModel:
     """What is known before looking: the instrument's sizes, the wrist's bend, and the believed rotation."""
-    q = _joints(observation, chain)
+    q = joints_of(chain, observation.joints)
     roll = roll_row(chain)
     T_base_shaft, T_shaft_tool = shaft_frames(chain, np.zeros(len(chain.joint_names)) if q is None else q)
     R_believed, rotation_std_rad, bend_std_rad = None, np.pi, UNKNOWN_BEND_RAD
@@ -98,16 +98,11 @@ def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
     return T_base_shaft, inverse(T_base_shaft) @ frames[-1] @ chain.T_last_tool
 
 
-def _joints(observation: Observation, chain: DHChain) -> Array | None:
-    if observation.joints is None:
-        return None
-    try:
-        return select_joints(chain, observation.joints.names, observation.joints.positions)
-    except KinematicsError:
-        return None
+def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> Array:
+    """Radius, shape (...), of the disc as large as the image of a small sphere about a centre, shape (..., 3).
 
-
-def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> float:
-    """Radius of the disc as large as a small sphere's image: f r / z, and 1 / cos θ longer away from the axis."""
-    stretch = np.sqrt(float(np.linalg.norm(centre_m)) / abs(float(centre_m[2])))
-    return float(camera.K[0, 0] * radius_m / centre_m[2] * stretch)
+    f r / z, and 1 / cos θ longer away from the axis.
+    """
+    z_m = centre_m[..., 2]
+    stretch = np.sqrt(np.linalg.norm(centre_m, axis=-1) / np.abs(z_m))
+    return np.asarray(camera.K[0, 0] * radius_m / z_m * stretch)

@@ -80,17 +80,20 @@ def see_tissue(masks: Masks, profile: Profile, camera: Camera) -> TissueSight | 
 
 def tissue_row(stamp_ns: int, sight: TissueSight | None) -> Estimate:
     """The row of a 3D method after its first step: what is known of the tissue, or no_tissue."""
+    row = with_tissue(Estimate(stamp_ns, Status.NO_TISSUE), sight)
     if sight is None:
-        return Estimate(stamp_ns, Status.NO_TISSUE)
+        return row
+    if sight.fix is None:
+        return replace(row, detail="the tissue's ray does not meet the profile's plane")
+    return replace(row, status=Status.OK)
+
+
+def with_tissue(row: Estimate, sight: TissueSight | None) -> Estimate:
+    """The row with where the tissue is in the image, where it was seen."""
+    if sight is None:
+        return row
     x_px, y_px = (float(value) for value in sight.outline.centroid_px)
-    return Estimate(
-        stamp_ns,
-        Status.OK if sight.fix is not None else Status.NO_TISSUE,
-        tissue_x_px=x_px,
-        tissue_y_px=y_px,
-        tissue_area_px=sight.region.area_px,
-        detail="" if sight.fix is not None else "the tissue's ray does not meet the profile's plane",
-    )
+    return replace(row, tissue_x_px=x_px, tissue_y_px=y_px, tissue_area_px=sight.region.area_px)
 
 
 def require_tissue(profile: Profile) -> Tissue:

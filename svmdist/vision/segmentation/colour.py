@@ -10,6 +10,7 @@ import numpy as np
 from svmdist.profile import ColourRegion, HsvSegmentation
 from svmdist.samples import Image
 from svmdist.vision.segmentation.exposure import levelled
+from svmdist.vision.segmentation.recent import RecentImages
 
 
 class HsvMasks:
@@ -46,9 +47,13 @@ class HsvSegmenter:
     def __init__(self, rules: HsvSegmentation, level: bool = True) -> None:
         self._rules = rules
         self._level = level
+        self._recent = RecentImages(self._boxes)
 
     def masks(self, image_bgr: Image) -> HsvMasks:
         """The masks of an image, shape (h, w, 3) in BGR."""
+        return self._recent.of(image_bgr)
+
+    def _boxes(self, image_bgr: Image) -> HsvMasks:
         return HsvMasks(levelled(image_bgr) if self._level else image_bgr, self._rules)
 
 

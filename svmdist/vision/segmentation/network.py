@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
@@ -15,14 +14,13 @@ from numpy.typing import NDArray
 from svmdist.errors import ProfileError, did_you_mean
 from svmdist.profile import ClassRegion, OnnxSegmentation
 from svmdist.samples import Image
+from svmdist.vision.segmentation.recent import RecentImages
 
 Labels = NDArray[np.int32]
 Tensor = NDArray[np.generic]
 
 BLACK_LEVEL = 24
 """Of 255, in every channel: video codes black as 16, and noise of a few levels lies on it."""
-RECENT_IMAGES = 2
-"""Both views of a stereo pair stay known, so that whoever asks again for the same image does not run it again."""
 FINITE = float(np.finfo(np.float32).max)
 """OpenCV's convolutions give the largest float in place of infinity and of what is no number."""
 MAX_FILE_BYTES = 2 << 30
@@ -72,19 +70,14 @@ class OnnxSegmenter:
         self._rules = rules
         self._net = _read(rules.model)
         self._output = _output_name(self._net, rules)
-        self._recent: deque[tuple[Image, ClassMasks]] = deque(maxlen=RECENT_IMAGES)
+        self._recent = RecentImages(self._classes)
         tried = self._run(np.zeros((rules.height_px, rules.width_px, 3), np.uint8))
         if tried.ndim == 4 and tried.shape[1] > 1:
             self._require_classes(tried.shape[1])
 
     def masks(self, image_bgr: Image) -> ClassMasks:
         """The masks of an image, shape (h, w, 3) in BGR."""
-        for image, known in self._recent:
-            if image is image_bgr:
-                return known
-        masks = ClassMasks(image_bgr, self.labels(image_bgr), self._rules)
-        self._recent.append((image_bgr, masks))
-        return masks
+        return self._recent.of(image_bgr)
 
     def labels(self, image_bgr: Image) -> Labels:
         """The class of every pixel, shape (h, w), of an image, shape (h, w, 3) in BGR."""
@@ -96,6 +89,9 @@ class OnnxSegmenter:
         return np.asarray(
             cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST_EXACT), np.int32
         )
+
+    def _classes(self, image_bgr: Image) -> ClassMasks:
+        return ClassMasks(image_bgr, self.labels(image_bgr), self._rules)
 
     def _run(self, image_bgr: Image) -> Tensor:
         """The network's output, checked: (1, C, h', w') scores, or (1, 1, h', w') or (1, h', w') labels."""

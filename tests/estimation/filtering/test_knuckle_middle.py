@@ -33,13 +33,13 @@ def test_blur_moves_the_middle_less_than_the_region() -> None:
     mask = colour_mask(to_hsv(image), rule)
     region = find_region(mask, rule)
     assert region is not None
-    middle_px, blur_px = knuckle_middle(image, mask, region, CAMERA, 0.09, 0.00175)
+    middle_px, blur_px = knuckle_middle(to_hsv(image), mask, region, CAMERA, 0.09, 0.00175)
     off_px = np.linalg.norm(region.centroid_px - CENTRE_PX)
     assert off_px > 0.3
     assert np.linalg.norm(middle_px - CENTRE_PX) < off_px / 3.0
     assert blur_px == pytest.approx(2.5, abs=0.8)
     np.testing.assert_array_equal(
-        knuckle_middle(image, mask, region, CAMERA, 0.09, 0.0)[0], region.centroid_px
+        knuckle_middle(to_hsv(image), mask, region, CAMERA, 0.09, 0.0)[0], region.centroid_px
     )
 
 
