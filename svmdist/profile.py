@@ -36,6 +36,7 @@ from svmdist.profile_segmentation import (
     OnnxSegmentation,
     Segmentation,
 )
+from svmdist.settings import Settings
 from svmdist.toml_model import Byte, StrictModel, parse_toml
 
 __all__ = [
@@ -121,6 +122,8 @@ class Profile(StrictModel):
     fiducial: Fiducial | None = None
     tissue: Tissue | None = None
     simulation: Simulation | None = None
+    settings: Settings = Settings()
+    """What detectors and estimators may assume; the defaults serve most logs."""
     instrument_name: str = Field(default="PSM1", min_length=1)
     """What the instrument is called that everything above is about."""
     other_instruments: tuple[OtherInstrument, ...] = ()

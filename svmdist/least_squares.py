@@ -1,0 +1,119 @@
+"""Nonlinear least squares on any state: Gauss–Newton, damped after Levenberg and Marquardt, with robust losses.
+
+The state may be a pose or a correction: the problem linearises it into normal equations, `retract` applies a step of
+its tangent space. Triggs et al. 2000, "Bundle Adjustment: A Modern Synthesis", secs. 2.2 and 4, has the method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from svmdist.transforms import Array
+
+State = TypeVar("State")
+
+
+@dataclass(frozen=True, slots=True)
+class NormalEquations:
+    """A problem about a state: its cost, gradient Jᵀ W r, shape (n,), and information Jᵀ W J, shape (n, n).
+
+    The residual r is measured minus predicted, so that information⁻¹ · gradient is the step towards the minimum.
+    """
+
+    cost: float
+    gradient: Array
+    information: Array
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether a step can be computed from them."""
+        return bool(
+            np.isfinite(self.cost)
+            and np.isfinite(self.gradient).all()
+            and np.isfinite(self.information).all()
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Minimum(Generic[State]):
+    """The state that was reached, the normal equations there, and whether the last step was small enough."""
+
+    state: State
+    equations: NormalEquations
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """When to stop: after `max_steps`, or after a step whose largest element is below `settled`.
+
+    With `damping` above 0 steps are damped in proportion to the information's diagonal, more after a step that raised
+    the cost, which is taken back, and less after one that lowered it. `cost_settled` ends the iteration where a step
+    lowers the cost by less. `step_limit`, shape (n,), bounds the elements of a step.
+    """
+
+    max_steps: int
+    settled: float = 0.0
+    damping: float = 0.0
+    cost_settled: float = 0.0
+    step_limit: Array | None = None
+
+
+def minimise(
+    start: State,
+    linearise: Callable[[State], NormalEquations | None],
+    retract: Callable[[State, Array], State],
+    steps: Steps,
+) -> Minimum[State] | None:
+    """Minimise from a start; None where the problem cannot be linearised at the start itself.
+
+    `linearise` gives None, or what is not finite, for a state where the problem is undefined: a damped iteration
+    turns back from there, an undamped one ends with None.
+    """
+    equations = linearise(start)
+    if equations is None or not equations.is_finite:
+        return None
+    state, damping = start, steps.damping
+    for _ in range(steps.max_steps):
+        step = _step(equations, damping, steps.step_limit)
+        trial_state = retract(state, step)
+        trial = linearise(trial_state)
+        usable = trial is not None and trial.is_finite
+        settled = float(np.abs(step).max()) < steps.settled
+        if trial is not None and usable and (steps.damping == 0.0 or trial.cost <= equations.cost):
+            gain = equations.cost - trial.cost
+            state, equations, damping = trial_state, trial, max(0.1 * damping, 1e-9 * bool(steps.damping))
+            if settled or (steps.damping > 0.0 and gain < steps.cost_settled):
+                return Minimum(state, equations, True)
+        elif steps.damping == 0.0:
+            return None
+        else:
+            if settled:
+                return Minimum(state, equations, True)
+            damping *= 10.0
+    return Minimum(state, equations, False)
+
+
+def _step(equations: NormalEquations, damping: float, limit: Array | None) -> Array:
+    information = equations.information
+    if damping > 0.0:
+        information = information + damping * np.diag(np.diag(information))
+    try:
+        step = np.asarray(np.linalg.solve(information, equations.gradient), np.float64)
+    except np.linalg.LinAlgError:
+        step = np.linalg.lstsq(information, equations.gradient, rcond=None)[0]
+    return step if limit is None else np.clip(step, -limit, limit)
+
+
+def huber_weights(deviation: Array, bound: float) -> Array:
+    """Weights, shape (n,), of residuals over their standard deviations, that count singly beyond a bound (Huber 1964)."""
+    return np.minimum(1.0, bound / np.maximum(np.abs(deviation), 1e-12))
+
+
+def scale_of(values: Array) -> float:
+    """Standard deviation of values about zero, shape (n,), that half of them may spoil: 1.4826 times the median."""
+    return float(1.4826 * np.median(np.abs(values)))

@@ -1,0 +1,82 @@
+"""The minimiser finds known minima, on plain vectors and on rotations, and says where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from svmdist.least_squares import NormalEquations, Steps, huber_weights, minimise, scale_of
+from svmdist.transforms import rotation_of, rotation_vector
+
+
+def _rosenbrock(x):
+    """The valley of Rosenbrock 1960 as residuals: 10 (y - x²) and 1 - x, with its minimum at (1, 1)."""
+    residual = np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+    J = -np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
+    return NormalEquations(float(residual @ residual), J.T @ residual, J.T @ J)
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3], ids=["Gauss-Newton", "Levenberg-Marquardt"])
+def test_rosenbrock(damping):
+    found = minimise(np.array([-1.2, 1.0]), _rosenbrock, np.add, Steps(100, settled=1e-10, damping=damping))
+    assert found is not None
+    assert found.converged
+    np.testing.assert_allclose(found.state, [1.0, 1.0], atol=1e-8)
+
+
+def test_damping_never_raises_the_cost():
+    costs = []
+
+    def watched(x):
+        equations = _rosenbrock(x)
+        costs.append(equations.cost)
+        return equations
+
+    found = minimise(np.array([-1.2, 1.0]), watched, np.add, Steps(100, settled=1e-10, damping=1e-3))
+    assert found is not None
+    assert found.equations.cost == min(costs)
+
+
+def test_a_rotation_is_a_state():
+    """Steps are taken in the tangent space: R ← exp([step]) R reaches the rotation that was measured."""
+    R_true = rotation_of([0.9, -0.4, 1.3])
+
+    def linearise(R):
+        residual = rotation_vector(R_true @ R.T)
+        return NormalEquations(float(residual @ residual), residual, np.eye(3))
+
+    found = minimise(np.eye(3), linearise, lambda R, step: rotation_of(step) @ R, Steps(20, settled=1e-12))
+    assert found is not None
+    np.testing.assert_allclose(found.state, R_true, atol=1e-12)
+
+
+def test_undefined_problems_have_no_minimum():
+    nowhere = Steps(5)
+    assert minimise(0.0, lambda _: None, lambda x, s: x + s[0], nowhere) is None
+    undefined = NormalEquations(np.inf, np.zeros(1), np.eye(1))
+    assert minimise(0.0, lambda _: undefined, lambda x, s: x + s[0], nowhere) is None
+
+
+def test_a_step_limit_holds():
+    steps = []
+
+    def retract(x, step):
+        steps.append(step)
+        return x + step
+
+    def far(x):
+        return NormalEquations(float((5.0 - x[0]) ** 2), 5.0 - x, np.eye(1))
+
+    limits = Steps(20, settled=1e-9, step_limit=np.array([0.5]))
+    found = minimise(np.zeros(1), far, retract, limits)
+    assert found is not None
+    assert found.state[0] == pytest.approx(5.0)
+    assert max(float(np.abs(step).max()) for step in steps) <= 0.5
+
+
+def test_weights_and_scale():
+    np.testing.assert_allclose(huber_weights(np.array([0.0, 1.0, -6.0]), 3.0), [1.0, 1.0, 0.5])
+    sample = np.random.default_rng(0).normal(0.0, 2.0, 20_000)
+    sample[:4000] = 1e6
+    assert scale_of(sample) == pytest.approx(2.0, rel=0.35)
+    assert scale_of(sample[4000:]) == pytest.approx(2.0, rel=0.03)
