@@ -105,12 +105,12 @@ def _step(equations: NormalEquations, damping: float, limit: Array | None) -> Ar
     try:
         step = np.asarray(np.linalg.solve(information, equations.gradient), np.float64)
     except np.linalg.LinAlgError:
-        step = np.linalg.lstsq(information, equations.gradient, rcond=None)[0]
+        step = np.asarray(np.linalg.lstsq(information, equations.gradient, rcond=None)[0], np.float64)
     return step if limit is None else np.clip(step, -limit, limit)
 
 
 def huber_weights(deviation: Array, bound: float) -> Array:
-    """Weights, shape (n,), of residuals over their standard deviations, that count singly beyond a bound (Huber 1964)."""
+    """Weights, shape (n,), of residuals in standard deviations: those beyond the bound count singly (Huber 1964)."""
     return np.minimum(1.0, bound / np.maximum(np.abs(deviation), 1e-12))
 
 
