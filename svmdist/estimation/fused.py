@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from svmdist.estimation.filtering.filter import KinematicErrorFilter
+from svmdist.estimation.filter.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.filtering.robot_scene import RobotScene
 from svmdist.estimation.filtering.tool_sights import ToolSights
 from svmdist.profile import Profile
@@ -33,16 +33,16 @@ class FusedEstimator:
             return look.row
 
         # Predict by the joints, correct by what the image gives.
-        self._filter.predict(observation.stamp_ns, look.belief.q, look.belief.T_camera_base)
+        self._filter.predict(look.belief)
         region, seen = self._sights.see(observation, look, self._filter.tool_pose())
-        verdicts = self._filter.update(seen)
+        gating = self._filter.update(seen)
 
         row = replace(
             look.row,
             tool_area_px=region.area_px if region else None,
-            match_count=len(verdicts),
-            inlier_count=sum(verdict.is_accepted for verdict in verdicts),
-            detail="" if verdicts else "nothing of the tool seen: joints alone",
+            match_count=len(gating),
+            inlier_count=sum(result.is_accepted for result in gating),
+            detail="" if gating else "nothing of the tool seen: joints alone",
         )
         joints = JointSample(
             observation.stamp_ns, self._scene.chain.joint_names, self._filter.corrected_joints()

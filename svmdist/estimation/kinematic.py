@@ -5,7 +5,7 @@ As bad as joints and camera-to-base transform are; the standard deviations say h
 
 from __future__ import annotations
 
-from svmdist.estimation.filtering.believed import believed_tool
+from svmdist.estimation.filter.nominal import nominal_tool
 from svmdist.estimation.filtering.robot_scene import RobotScene
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation
@@ -26,5 +26,5 @@ class KinematicEstimator:
         if look.belief is None or look.tissue is None or observation.joints is None:
             return look.row
         error = self._scene.profile.kinematic_error
-        tool = believed_tool(self._scene.chain, error, look.belief.q, look.belief.T_camera_base)
+        tool = nominal_tool(self._scene.chain, error, look.belief)
         return self._scene.finish(look.row, tool, look.tissue, observation.camera, observation.joints)

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filtering.believed import believed_tool
-from svmdist.estimation.filtering.robot_scene import Belief
+from svmdist.estimation.filter.nominal import nominal_tool
 from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.estimation.instrument.shaft_model import apparent_radius_px
 from svmdist.estimation.instrument.shaft_sight import Knuckle
 from svmdist.kinematics.dh import DHChain
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
 from svmdist.transforms import Array, rotation_of
 from svmdist.vision.rectified import FAR_M, RectifiedPair
@@ -101,11 +101,11 @@ def deepen(pose: ToolPose, seen: SeenTwice, pair: RectifiedPair) -> ToolPose | N
 
 
 def believed_pose(
-    seen: SeenTwice, pair: RectifiedPair, belief: Belief, chain: DHChain, error: KinematicError
+    seen: SeenTwice, pair: RectifiedPair, belief: RobotState, chain: DHChain, error: KinematicError
 ) -> ToolPose:
     """The triangulated position with the direction that the robot believes, as sure as the profile says."""
     p_camera_m, J = pair.point(seen.left_px, seen.disparity_px)
-    believed = believed_tool(chain, error, belief.q, belief.T_camera_base)
+    believed = nominal_tool(chain, error, belief)
     T_camera_tool, covariance = believed.T_camera_tool.copy(), np.zeros((6, 6))
     T_camera_tool[:3, 3] = p_camera_m
     variances = np.array([seen.std_px, seen.std_px, seen.disparity_std_px]) ** 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from svmdist.camera import Camera
-from svmdist.errors import KinematicsError, ProfileError
+from svmdist.errors import ProfileError
 from svmdist.estimation.distances import measure, with_tool
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.pose import ToolPose
@@ -14,20 +14,13 @@ from svmdist.estimation.tissue.fix import TissueFix, TissueSight, require_tissue
 from svmdist.estimation.tissue.memory import TissueMemory
 from svmdist.estimation.tissue.stereo_surface import fit_dome, see_surface
 from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import DHChain, select_joints
+from svmdist.kinematics.dh import DHChain
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
+from svmdist.results import Failure
 from svmdist.samples import Estimate, JointSample, Observation, Status
-from svmdist.transforms import Array
 from svmdist.vision.rectified import rectified_pair
 from svmdist.vision.segmentation.segmenter import Masks, Segmenter, make_segmenter, own_masks
-
-
-@dataclass(frozen=True, slots=True)
-class Belief:
-    """What the robot believes: joints in the chain's order, shape (n,), and `T_camera_base`, shape (4, 4)."""
-
-    q: Array
-    T_camera_base: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +29,7 @@ class Look:
 
     row: Estimate
     masks: Masks
-    belief: Belief | None
+    belief: RobotState | None
     tissue: TissueFix | None
 
 
@@ -105,14 +98,9 @@ def require_chain(profile: Profile) -> DHChain:
     return chain_of(profile.robot)
 
 
-def belief_of(observation: Observation, chain: DHChain) -> Belief | str:
-    """What the robot believes at an image's stamp, or what of it the log lacks."""
-    if observation.joints is None:
-        return "no joints near the image"
-    if observation.T_camera_base is None:
-        return "no transform from the camera to the base"
-    try:
-        q = select_joints(chain, observation.joints.names, observation.joints.positions)
-    except KinematicsError as problem:
-        return str(problem)
-    return Belief(q, observation.T_camera_base)
+def belief_of(observation: Observation, chain: DHChain) -> RobotState | str:
+    """The robot's state at an image's stamp with its camera, or what of it the log lacks."""
+    state = RobotState.of(chain, observation.joints, observation.T_camera_base, observation.stamp_ns)
+    if isinstance(state, Failure):
+        return state.reason
+    return state if state.camera_failure is None else state.camera_failure.reason

@@ -8,22 +8,22 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filtering.knuckle_middle import knuckle_middle
-from svmdist.estimation.filtering.observations import (
-    ContourObservation,
-    DisparityObservation,
-    LinkObservation,
-    PointsObservation,
-    PoseObservation,
-    SizeObservation,
+from svmdist.estimation.filter.measurements import (
+    ContourMeasurement,
+    DisparityMeasurement,
+    LinkMeasurement,
+    PointsMeasurement,
+    PoseMeasurement,
+    SizeMeasurement,
 )
-from svmdist.estimation.filtering.robot_scene import Belief, Look
+from svmdist.estimation.filtering.knuckle_middle import knuckle_middle
+from svmdist.estimation.filtering.robot_scene import Look
 from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.estimation.instrument.shaft_sight import RADIUS_PER_BLUR, see_knuckle, see_shaft
 from svmdist.estimation.instrument.tag_pose import find_tag_pose
 from svmdist.estimation.locate import locate_instrument
-from svmdist.kinematics.dh import DHChain, frame_transforms
-from svmdist.kinematics.jacobian import row_index
+from svmdist.kinematics.dh import DHChain
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import Profile
 from svmdist.samples import Image, Observation
@@ -81,13 +81,13 @@ class ToolSights:
 
     def see(
         self, observation: Observation, look: Look, pose: ToolPose
-    ) -> tuple[Region | None, list[LinkObservation]]:
+    ) -> tuple[Region | None, list[LinkMeasurement]]:
         """The instrument's region and all observations of the tool; `pose` is where it is expected."""
         region = locate_instrument(look.masks, self._profile.segmentation)
         corners_px = self._tag_corners(observation.image_bgr)
         self.has_seen_tag |= corners_px is not None
         image_bgr = levelled(observation.image_bgr)
-        seen: list[LinkObservation] = []
+        seen: list[LinkMeasurement] = []
         if region is not None:
             image_hsv = to_hsv(image_bgr)
             seen += self._knuckle(observation, image_hsv, look.masks, region, pose)
@@ -99,7 +99,7 @@ class ToolSights:
 
     def _knuckle(
         self, observation: Observation, image_hsv: Image, masks: Masks, region: Region, pose: ToolPose
-    ) -> Iterator[LinkObservation]:
+    ) -> Iterator[LinkMeasurement]:
         """The knuckle's middle is a sight of a point on the tool, as sure as its region is whole."""
         whole_std_px = self._centroid_std_px(observation.camera, region, pose)
         if whole_std_px is None:
@@ -107,12 +107,12 @@ class ToolSights:
         instrument = self._profile.instrument
         radius_m = instrument.knuckle_radius_m if instrument is not None else 0.0
         depth_m, radius_px = pose.position_m[2], float(np.sqrt(region.area_px / np.pi))
-        point_std_m, shade_px = VISIBLE_MIDDLE * radius_m, SHADE * radius_px if radius_m > 0.0 else 0.0
+        point_std_m, shading_bias_px = VISIBLE_MIDDLE * radius_m, SHADE * radius_px if radius_m > 0.0 else 0.0
         centre_px, blur_px = knuckle_middle(
             image_hsv, masks.instrument, region, observation.camera, depth_m, radius_m
         )
         std_px = float(np.hypot(whole_std_px, RADIUS_PER_BLUR * blur_px))
-        yield PointsObservation(
+        yield PointsMeasurement(
             "knuckle",
             None,
             observation.camera,
@@ -120,7 +120,7 @@ class ToolSights:
             centre_px[None],
             std_px**2 * np.eye(2),
             point_std_m,
-            shade_px,
+            shading_bias_px,
         )
         right = observation.right
         if right is None:
@@ -137,7 +137,7 @@ class ToolSights:
         other_px, _ = knuckle_middle(
             to_hsv(levelled(right.image_bgr)), masks.instrument, other, right.camera, depth_m, radius_m
         )
-        yield DisparityObservation(
+        yield DisparityMeasurement(
             "disparity",
             None,
             observation.camera,
@@ -146,19 +146,19 @@ class ToolSights:
             float(centre_px[0] - other_px[0]),
             np.array([[std_px**2]]),
             point_std_m,
-            shade_px,
+            shading_bias_px,
         )
 
     def _size(
         self, observation: Observation, image_hsv: Image, masks: Masks, pose: ToolPose
-    ) -> Iterator[LinkObservation]:
+    ) -> Iterator[LinkMeasurement]:
         """The whole knuckle's radius: a depth right within some percent, where nothing better tells one yet."""
         instrument = self._profile.instrument
         if instrument is None or np.sqrt(pose.covariance[2, 2]) < SIZE_STD * pose.position_m[2]:
             return
         knuckle = see_knuckle(masks.instrument, self._profile.segmentation.instrument, image_hsv)
         if knuckle is not None and knuckle.radius_px is not None:
-            yield SizeObservation(
+            yield SizeMeasurement(
                 "size",
                 None,
                 observation.camera,
@@ -193,21 +193,19 @@ class ToolSights:
         return self._finder.corners_px(np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY), np.uint8))
 
     def _tag(
-        self, observation: Observation, belief: Belief, pose: ToolPose, corners_px: Array
-    ) -> Iterator[LinkObservation]:
+        self, observation: Observation, belief: RobotState, pose: ToolPose, corners_px: Array
+    ) -> Iterator[LinkMeasurement]:
         fiducial = self._profile.fiducial
         if fiducial is None or self._pattern is None:
             return
         image_grey: Image = np.asarray(cv2.cvtColor(observation.image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
         # Where the tag is turned to is known from the tool, but for the wrist's joints between them.
-        frames = frame_transforms(self._chain, belief.q)
-        T_base_tag = frames[row_index(self._chain, fiducial.link)] @ fiducial.T_link_tag
-        T_base_tool = frames[-1] @ self._chain.T_last_tool
-        turned = pose.T_camera_tool[:3, :3] @ T_base_tool[:3, :3].T @ T_base_tag[:3, :3]
+        T_base_tag = belief.T_base_link(fiducial.link) @ fiducial.T_link_tag
+        turned = pose.T_camera_tool[:3, :3] @ belief.T_base_tool[:3, :3].T @ T_base_tag[:3, :3]
         std_rad = float(np.sqrt(np.linalg.eigvalsh(pose.covariance[3:, 3:])[-1]))
         tag = find_tag_pose(image_grey, corners_px, observation.camera, self._pattern, turned, std_rad)
         if tag is not None:
-            yield PoseObservation(
+            yield PoseMeasurement(
                 "tag",
                 fiducial.link,
                 fiducial.T_link_tag,
@@ -218,7 +216,7 @@ class ToolSights:
 
     def _contours(
         self, image_bgr: Image, camera: Camera, masks: Masks, corners_px: Array | None
-    ) -> Iterator[LinkObservation]:
+    ) -> Iterator[LinkMeasurement]:
         """Both edges of a shaft that is longer than wide; on a stub something else is easily taken for one."""
         rule, instrument = self._profile.segmentation.shaft, self._profile.instrument
         if rule is None or instrument is None or self._shaft is None or masks.shaft is None:
@@ -232,7 +230,7 @@ class ToolSights:
             _, axes = np.linalg.eigh(contour.plane.covariance)
             across = axes[:, 1:].T
             covariance = across @ contour.plane.covariance @ across.T
-            yield ContourObservation(
+            yield ContourMeasurement(
                 f"edge {contour.side:+d}",
                 self._shaft.link,
                 contour.plane.normal,

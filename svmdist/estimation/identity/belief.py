@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filtering.believed import believed_tool
+from svmdist.estimation.filter.nominal import nominal_tool
 from svmdist.estimation.filtering.robot_scene import belief_of
 from svmdist.estimation.identity.motion import Believed, Gaussian
 from svmdist.estimation.identity.regions import ShaftAxis
@@ -86,5 +86,5 @@ class InstrumentBelief:
         if isinstance(belief, str):
             return None
         error = self._profile.kinematic_error
-        tool = believed_tool(self._chain, error, belief.q, belief.T_camera_base)
+        tool = nominal_tool(self._chain, error, belief)
         return ArmBelief(tool, self._profile.instrument)

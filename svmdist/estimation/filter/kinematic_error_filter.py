@@ -1,7 +1,7 @@
 """An error-state Kalman filter over what kinematics get wrong: the camera-to-base transform, and joint offsets.
 
-`correction` holds the state. What an observation gets wrong again and again (shading beside an edge, a part that
-jaws hide) would pass for knowledge if it were averaged as noise: each kind of observation has a Gauss–Markov error
+`correction` holds the state. What an measurement gets wrong again and again (shading beside an edge, a part that
+jaws hide) would pass for knowledge if it were averaged as noise: each kind of measurement has a Gauss–Markov error
 of its own in the state (Gelb 1974, "Applied Optimal Estimation", sec. 3.8).
 """
 
@@ -12,14 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.estimation.filtering.correction import Correction, ErrorModel, Moment
-from svmdist.estimation.filtering.linearisation import Linearised, block_diagonal
-from svmdist.estimation.filtering.observations import LinkObservation
-from svmdist.estimation.filtering.state import ErrorState
-from svmdist.estimation.filtering.window import WINDOW_SOLVES, Sights, Window, geman_mcclure
+from svmdist.estimation.filter.correction import Correction, ErrorModel
+from svmdist.estimation.filter.linearisation import Linearised, block_diagonal
+from svmdist.estimation.filter.measurements import LinkMeasurement
+from svmdist.estimation.filter.state import ErrorState
+from svmdist.estimation.filter.window import WINDOW_SOLVES, MeasurementsAt, Window, geman_mcclure
 from svmdist.estimation.gate import chi_square_bound
 from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.kinematics.dh import DHChain
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import KinematicError
 from svmdist.transforms import Array
@@ -29,12 +30,12 @@ DEPTHS_M = (0.05, 0.1, 0.2)
 """Where an endoscope's tool may be, about a factor of two apart."""
 DEPTH_UNKNOWN_M = 0.01
 MAX_REJECTIONS = 8
-"""After as many frames in a row without an accepted observation the filter has lost the arm and starts anew."""
+"""After as many frames in a row without an accepted measurement the filter has lost the arm and starts anew."""
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """What became of an observation: its normalised innovation squared, and whether it passed the gate."""
+class GatingResult:
+    """What became of an measurement: its normalised innovation squared, and whether it passed the gate."""
 
     name: str
     nis: float
@@ -46,7 +47,7 @@ class Verdict:
 class _Solved:
     """The most probable change x of the state, with derivatives, noise and gain there, and its squared deviation.
 
-    `nis` is xᵀ P⁻¹ x + rᵀ R⁻¹ r at its minimum: what prior and observations have to give way, together.
+    `nis` is xᵀ P⁻¹ x + rᵀ R⁻¹ r at its minimum: what prior and measurements have to give way, together.
     """
 
     x: Array
@@ -59,7 +60,7 @@ class _Solved:
 class KinematicErrorFilter:
     """Estimates the error of believed kinematics; `predict` once a frame, then `update` with what was seen.
 
-    The state is the error state of `ErrorModel`, then the observations' own errors in units of their deviations.
+    The state is the error state of `ErrorModel`, then the measurements' own errors in units of their deviations.
     """
 
     def __init__(self, chain: DHChain, error: KinematicError) -> None:
@@ -78,32 +79,32 @@ class KinematicErrorFilter:
         """What is added to believed kinematics now."""
         return self._state.correction
 
-    def predict(self, stamp_ns: int, q: Array, T_camera_base: Array) -> None:
-        """Go on to an instant with believed joints, shape (n_joints,), and `T_camera_base`, shape (4, 4)."""
-        before, self._state.moment = self._state.moment, Moment(stamp_ns, q, T_camera_base)
+    def predict(self, robot: RobotState) -> None:
+        """Go on to the robot's state at a new instant; it must know where the camera is."""
+        before, self._state.robot = self._state.robot, robot
         if before is None:
             self._start()
         else:
-            self._state.pass_time(max(0.0, (stamp_ns - before.stamp_ns) / 1e9))
+            self._state.propagate(max(0.0, (robot.stamp_ns - before.stamp_ns) / 1e9))
 
-    def update(self, observations: Sequence[LinkObservation]) -> tuple[Verdict, ...]:
+    def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
         """Take up what the image shows, all at once; tells what passed the gate.
 
         An iterated update: Gauss–Newton on the prior and all accepted residuals (Bell and Cathey 1993).
         """
-        verdicts = tuple(
-            self._judge(*pair) for pair in zip(observations, self._state.see(observations), strict=True)
+        results = tuple(
+            self._gate(*pair) for pair in zip(measurements, self._state.linearise(measurements), strict=True)
         )
-        accepted = [o for o, verdict in zip(observations, verdicts, strict=True) if verdict.is_accepted]
+        accepted = [o for o, result in zip(measurements, results, strict=True) if result.is_accepted]
         if accepted:
             self._rejections = 0
             self._iterate(accepted)
-            self._remember(observations)
-        elif observations:
+            self._keep_in_window(measurements)
+        elif measurements:
             self._rejections += 1
             if self._rejections >= MAX_REJECTIONS:
                 self._start()
-        return verdicts
+        return results
 
     def tool_pose(self) -> ToolPose:
         """The corrected pose of the tool and its covariance."""
@@ -127,37 +128,37 @@ class KinematicErrorFilter:
         self._window = Window(self._model, self._state.anchor_m, prior)
         self._rejections = 0
 
-    def _judge(self, observation: LinkObservation, part: Linearised) -> Verdict:
-        """Whether some state near the present one explains an observation.
+    def _gate(self, measurement: LinkMeasurement, part: Linearised) -> GatingResult:
+        """Whether some state near the present one explains an measurement.
 
         Centimetres off, a camera is far from linear, and a derivative taken there belittles what a state can explain:
         what fails is judged again at the state that it makes the most probable.
         """
         size, nis = len(part.residual), np.inf
         if part.is_finite:
-            H = self._state.whole(observation, part)
-            innovation = part.residual - H[:, self._model.size :] @ self._state.own_mean
+            H = self._state.full_jacobian(measurement, part)
+            innovation = part.residual - H[:, self._model.size :] @ self._state.bias_mean
             nis = float(innovation @ np.linalg.solve(H @ self._state.P @ H.T + part.noise, innovation))
         bound = chi_square_bound(size)
         if nis > bound:
-            solved = self._most_probable([observation])
+            solved = self._most_probable([measurement])
             nis = nis if solved is None else min(nis, solved.nis)
-        return Verdict(observation.name, nis, size, nis <= bound)
+        return GatingResult(measurement.name, nis, size, nis <= bound)
 
-    def _iterate(self, observations: Sequence[LinkObservation]) -> None:
+    def _iterate(self, measurements: Sequence[LinkMeasurement]) -> None:
         """Go to the most probable state; covariance in Joseph's form at the last linearisation."""
-        solved = self._most_probable(observations)
+        solved = self._most_probable(measurements)
         if solved is None:
             return
-        self._state.move(solved.x)
-        self._state.gain(solved.K, solved.H, solved.R)
+        self._state.retract(solved.x)
+        self._state.update_covariance(solved.K, solved.H, solved.R)
 
-    def _most_probable(self, observations: Sequence[LinkObservation]) -> _Solved | None:
-        """The state that observations make the most probable; None where no start leads to one that shows them all."""
-        bound = chi_square_bound(sum(len(observation.covariance) for observation in observations))
+    def _most_probable(self, measurements: Sequence[LinkMeasurement]) -> _Solved | None:
+        """The state that measurements make the most probable; None where no start leads to one that shows them all."""
+        bound = chi_square_bound(sum(len(measurement.covariance) for measurement in measurements))
         best = None
         for start in self._starts():
-            solved = self._descend(observations, start)
+            solved = self._descend(measurements, start)
             if solved is not None and (best is None or solved.nis < best.nis):
                 best = solved
             if best is not None and best.nis <= bound:
@@ -177,17 +178,17 @@ class KinematicErrorFilter:
             for depth_m in DEPTHS_M:
                 yield along * (depth_m - tool.T_camera_link[2, 3]) / variance_m2
 
-    def _descend(self, observations: Sequence[LinkObservation], x: Array) -> _Solved | None:
-        """x ← K (r + H x) until x rests; None where an observation's link leaves the view."""
+    def _descend(self, measurements: Sequence[LinkMeasurement], x: Array) -> _Solved | None:
+        """x ← K (r + H x) until x rests; None where an measurement's link leaves the view."""
         P, size = self._state.P, self._model.size
-        R = block_diagonal([observation.covariance for observation in observations])
+        R = block_diagonal([measurement.covariance for measurement in measurements])
         for _ in range(MAX_ITERATIONS):
-            there = self._state.moved(x)
-            parts = there.see(observations)
+            there = self._state.retracted(x)
+            parts = there.linearise(measurements)
             if not all(part.is_finite for part in parts):
                 return None
-            H = np.concatenate([there.whole(*pair) for pair in zip(observations, parts, strict=True)])
-            residual = np.concatenate([part.residual for part in parts]) - H[:, size:] @ there.own_mean
+            H = np.concatenate([there.full_jacobian(*pair) for pair in zip(measurements, parts, strict=True)])
+            residual = np.concatenate([part.residual for part in parts]) - H[:, size:] @ there.bias_mean
             innovation = residual + H @ x
             # Solved with a unit-free H P: the units of the state differ by orders of magnitude.
             S = H @ P @ H.T + R
@@ -198,14 +199,14 @@ class KinematicErrorFilter:
                 break
         return _Solved(x, H, R, K, float(innovation @ np.linalg.solve(S, innovation)))
 
-    def _remember(self, observations: Sequence[LinkObservation]) -> None:
+    def _keep_in_window(self, measurements: Sequence[LinkMeasurement]) -> None:
         """While the filter is young, keep what it saw, and solve for all of it anew at growing intervals.
 
         The first frames are linearised tens of millimetres off, where a camera is far from linear; a Kalman
         filter can never take back a linearisation, a batch can.
         """
         if len(self._window) < WINDOW_SOLVES[-1]:
-            self._window.add(Sights(self._state.now(), tuple(observations)))
+            self._window.add(MeasurementsAt(self._state.now(), tuple(measurements)))
             if len(self._window) in WINDOW_SOLVES:
                 solved = self._window.solve(self._state.correction)
                 if solved is not None:
@@ -214,24 +215,24 @@ class KinematicErrorFilter:
     def _replay(self, at: Correction) -> None:
         """Filter the window's frames once more, all linearised at the batch's solution.
 
-        The batch takes the observations' own errors for noise; the filter knows that they last.
+        The batch takes the measurements' own errors for noise; the filter knows that they last.
         """
         size = self._model.size
-        self._state.forget_own_errors(self._window.prior_at(at))
+        self._state.reset_bias_states(self._window.prior_at(at))
         # What is to be added to `at`: at first all the way back to no correction.
         to_correction = self._window.step_to_prior(at)
         stamp_ns = self._state.now().stamp_ns
-        for index, (sights, parts) in enumerate(self._window.linearised(at, geman_mcclure)):
+        for index, (frame, parts) in enumerate(self._window.linearised(at, geman_mcclure)):
             if index > 0:
-                self._state.pass_time(max(0.0, (sights.moment.stamp_ns - stamp_ns) / 1e9))
-            stamp_ns = sights.moment.stamp_ns
-            for observation, part, weight in parts:
-                self._state.make_room(observation, part.spread.shape[1])
-                H, R = self._state.whole(observation, part), part.noise / weight
-                x = np.concatenate([to_correction, self._state.own_mean])
+                self._state.propagate(max(0.0, (frame.robot.stamp_ns - stamp_ns) / 1e9))
+            stamp_ns = frame.robot.stamp_ns
+            for measurement, part, weight in parts:
+                self._state.augment_state(measurement, part.bias_jacobian.shape[1])
+                H, R = self._state.full_jacobian(measurement, part), part.noise / weight
+                x = np.concatenate([to_correction, self._state.bias_mean])
                 S = H @ self._state.P @ H.T + R
                 K = np.asarray(np.linalg.solve(S, H @ self._state.P).T, np.float64)
                 x = x + K @ (part.residual - H @ x)
-                self._state.gain(K, H, R)
-                to_correction, self._state.own_mean = x[:size], x[size:]
-        self._state.correction = at.moved(to_correction)
+                self._state.update_covariance(K, H, R)
+                to_correction, self._state.bias_mean = x[:size], x[size:]
+        self._state.correction = at.retracted(to_correction)

@@ -18,17 +18,9 @@ import numpy as np
 from svmdist.errors import KinematicsError, did_you_mean
 from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.kinematics.jacobian import jacobian_of_frames, row_index
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, skew
-
-
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """What the robot believes at a stamp: joints in the chain's order, (n_joints,), and `T_camera_base`, (4, 4)."""
-
-    stamp_ns: int
-    q: Array
-    T_camera_base: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +39,7 @@ class Correction:
     turn: Array
     q_offset: Array
 
-    def moved(self, step: Array) -> Correction:
+    def retracted(self, step: Array) -> Correction:
         """The correction after an error state, shape (n,), was found in it."""
         turn = rotation_of(step[3:6]) @ self.turn
         return Correction(self.shift_m + step[:3], turn, self.q_offset + step[6:])
@@ -87,41 +79,40 @@ class ErrorModel:
         """What is there before anything was seen."""
         return Correction(np.zeros(3), np.eye(3), np.zeros(self.size - 6))
 
-    def anchor_m(self, moment: Moment) -> Array:
+    def anchor_m(self, robot: RobotState) -> Array:
         """The tool's believed place, shape (3,) in the camera frame."""
-        T_base_tool = frame_transforms(self._chain, moment.q)[-1] @ self._chain.T_last_tool
-        return np.asarray((moment.T_camera_base @ T_base_tool)[:3, 3])
+        return np.asarray(robot.T_camera_tool[:3, 3])
 
-    def prior(self, moment: Moment) -> Array:
+    def prior(self, robot: RobotState) -> Array:
         """Covariance of the error state that the profile states, shape (n, n).
 
         A wrong transform may turn about either of its ends, the base or the camera: the shift at the anchor
-        has the spread of the worse one, and no correlation with the turn, which would choose between them.
+        has the bias_jacobian of the worse one, and no correlation with the turn, which would choose between them.
         """
         turn_var = self._error.camera_base_std_rad**2
-        arm = skew(self.anchor_m(moment) - moment.T_camera_base[:3, 3])
+        arm = skew(self.anchor_m(robot) - robot.base_in_camera[:3, 3])
         P = np.zeros((self.size, self.size))
         P[:3, :3] = self._error.camera_base_std_m**2 * np.eye(3) + turn_var * arm @ arm.T
         P[3:6, 3:6] = turn_var * np.eye(3)
         P[6:, 6:] = np.diag(self._joint_std**2)
         return P
 
-    def joints(self, moment: Moment, correction: Correction) -> Array:
+    def joints(self, robot: RobotState, correction: Correction) -> Array:
         """Believed joints with the offsets, shape (n_joints,)."""
-        q = moment.q.copy()
+        q = robot.q.copy()
         q[self._still_count :] += correction.q_offset
         return q
 
     def links(
         self,
         names: Iterable[str | None],
-        moments: Sequence[Moment],
+        robot_states: Sequence[RobotState],
         correction: Correction,
         anchor_m: Array,
     ) -> dict[str | None, list[CorrectedLink]]:
-        """Links under a correction, by name (None: the tool), one for each moment."""
-        q = np.stack([self.joints(moment, correction) for moment in moments])
-        T_camera_base = np.stack([moment.T_camera_base for moment in moments])
+        """Links under a correction, by name (None: the tool), one for each robot."""
+        q = np.stack([self.joints(robot, correction) for robot in robot_states])
+        T_camera_base = np.stack([robot.base_in_camera for robot in robot_states])
         frames = frame_transforms(self._chain, q)
         turned = correction.turn @ T_camera_base[:, :3, :3]
         links = {}
@@ -136,7 +127,7 @@ class ErrorModel:
             T = make_transform(
                 correction.turn @ T_believed[:, :3, :3], anchor_m + correction.shift_m + lever_m
             )
-            derivative = np.zeros((len(moments), 6, self.size))
+            derivative = np.zeros((len(robot_states), 6, self.size))
             derivative[:, :, :6] = np.eye(6)
             derivative[:, :3, 3:6] = -skew(lever_m)
             J = jacobian_of_frames(self._chain, frames, name)[..., self._still_count :]

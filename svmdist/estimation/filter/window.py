@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.estimation.filtering.correction import Correction, ErrorModel, Moment
-from svmdist.estimation.filtering.linearisation import Linearised, linearise
-from svmdist.estimation.filtering.observations import LinkObservation
+from svmdist.estimation.filter.correction import Correction, ErrorModel
+from svmdist.estimation.filter.linearisation import Linearised, linearise
+from svmdist.estimation.filter.measurements import LinkMeasurement
 from svmdist.estimation.gate import chi_square_bound
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.transforms import Array, skew
 
 WINDOW_SOLVES = (1, 2, 3, 5, 8, 12, 20)
@@ -25,11 +26,11 @@ Loss = Callable[[float], tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True)
-class Sights:
-    """What was seen at one moment."""
+class MeasurementsAt:
+    """The measurements of one frame, and the robot's state there."""
 
-    moment: Moment
-    observations: tuple[LinkObservation, ...]
+    robot: RobotState
+    measurements: tuple[LinkMeasurement, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +51,14 @@ class Window:
         self._anchor_m = anchor_m
         self._prior = prior
         self._prior_information = np.asarray(np.linalg.inv(prior + 1e-14 * np.eye(len(prior))), np.float64)
-        self._frames: list[Sights] = []
+        self._frames: list[MeasurementsAt] = []
 
     def __len__(self) -> int:
         return len(self._frames)
 
-    def add(self, sights: Sights) -> None:
+    def add(self, frame: MeasurementsAt) -> None:
         """Keep what one frame showed."""
-        self._frames.append(sights)
+        self._frames.append(frame)
 
     def solve(self, start: Correction) -> Correction | None:
         """The correction that fits prior and frames best, from the start and from other depths.
@@ -85,18 +86,18 @@ class Window:
 
     def linearised(
         self, at: Correction, loss: Loss
-    ) -> Iterator[tuple[Sights, list[tuple[LinkObservation, Linearised, float]]]]:
-        """Every frame's observations about a correction with weights; what is out of sight is left out."""
-        names = {observation.link for sights in self._frames for observation in sights.observations}
-        links = self._model.links(names, [sights.moment for sights in self._frames], at, self._anchor_m)
-        for index, sights in enumerate(self._frames):
+    ) -> Iterator[tuple[MeasurementsAt, list[tuple[LinkMeasurement, Linearised, float]]]]:
+        """Every frame's measurements about a correction with weights; what is out of sight is left out."""
+        names = {measurement.link for frame in self._frames for measurement in frame.measurements}
+        links = self._model.links(names, [frame.robot for frame in self._frames], at, self._anchor_m)
+        for index, frame in enumerate(self._frames):
             parts = []
-            for observation in sights.observations:
-                link = links[observation.link][index]
-                part = linearise(observation, link.T_camera_link, link.derivative)
+            for measurement in frame.measurements:
+                link = links[measurement.link][index]
+                part = linearise(measurement, link.T_camera_link, link.derivative)
                 if part.is_finite:
-                    parts.append((observation, part, loss(_deviation(part))[1]))
-            yield sights, parts
+                    parts.append((measurement, part, loss(_deviation(part))[1]))
+            yield frame, parts
 
     def _descend(self, start: Correction, loss: Loss) -> _Solution:
         damping = 1e-4
@@ -106,7 +107,7 @@ class Window:
                 break
             damped = solution.information + damping * np.diag(np.diag(solution.information))
             step = np.asarray(np.linalg.solve(damped, solution.gradient), np.float64)
-            trial = self._normal(solution.correction.moved(step), loss)
+            trial = self._normal(solution.correction.retracted(step), loss)
             if trial.cost <= solution.cost:
                 gain = solution.cost - trial.cost
                 solution, damping = trial, max(0.1 * damping, 1e-9)
@@ -122,8 +123,8 @@ class Window:
         information = A.T @ self._prior_information @ A
         gradient = -A.T @ self._prior_information @ state
         cost = float(state @ self._prior_information @ state)
-        for sights, parts in self.linearised(at, loss):
-            if len(parts) < len(sights.observations):
+        for frame, parts in self.linearised(at, loss):
+            if len(parts) < len(frame.measurements):
                 cost = np.inf
             for _, part, weight in parts:
                 W = np.linalg.inv(part.covariance)

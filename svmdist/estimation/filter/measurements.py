@@ -1,7 +1,7 @@
 """What an image says about a link of the robot, as a filter takes it: residual, derivatives, covariance.
 
-`covariance` is that of what changes from frame to frame. What stays alike, an observation's own error, is a vector of
-numbers of variance one that lasts for `own_s` seconds; `spread` turns it into the residual's unit.
+`covariance` is that of what changes from frame to frame. What stays alike, an measurement's own error, is a vector of
+numbers of variance one that lasts for `correlation_time_s` seconds; `bias_jacobian` turns it into the residual's unit.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ POSE_S = 0.5
 """How a mark's edges fall on the pixels changes with every pixel of motion."""
 
 
-class LinkObservation(Protocol):
-    """An observation of the frame of the DH row `link`, or of the tool where that is None."""
+class LinkMeasurement(Protocol):
+    """An measurement of the frame of the DH row `link`, or of the tool where that is None."""
 
     @property
     def name(self) -> str:
@@ -41,14 +41,14 @@ class LinkObservation(Protocol):
         """Covariance of the residual's noise, shape (m, m)."""
 
     @property
-    def own(self) -> str:
-        """Observations of one such name have the same error of their own."""
+    def bias_name(self) -> str:
+        """Measurements of one such name share one bias."""
 
     @property
-    def own_s(self) -> float:
+    def correlation_time_s(self) -> float:
         """How long that lasts, in s: the time constant of its fading."""
 
-    def spread(self, T_camera_link: Array, by_pose: Array, /) -> Array:
+    def bias_jacobian(self, T_camera_link: Array, by_pose: Array, /) -> Array:
         """Derivative of the residual by the own error, (m, k), from the pose and the residual's derivative (m, 6)."""
 
     def residual(self, T_camera_link: Array) -> Array:
@@ -56,7 +56,7 @@ class LinkObservation(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class PointsObservation:
+class PointsMeasurement:
     """Points of a link seen at pixels: the coloured region's centroid, or the corners of a tag.
 
     `p_link_m` has shape (n, 3), `pixels` (n, 2), the covariance (2n, 2n) in px², rows x1, y1, x2, … The points may
@@ -70,15 +70,15 @@ class PointsObservation:
     pixels: Array
     covariance: Array
     point_std_m: float = 0.0
-    shade_px: float = 0.0
-    own: str = "point"
-    own_s: float = POINT_S
+    shading_bias_px: float = 0.0
+    bias_name: str = "point"
+    correlation_time_s: float = POINT_S
 
-    def spread(self, T_camera_link: Array, by_pose: Array) -> Array:
+    def bias_jacobian(self, T_camera_link: Array, by_pose: Array) -> Array:
         """Derivative by offset and shade, shape (2n, 4), in units of their deviations."""
         tilt = (self.pixels - self.camera.K[:2, 2]) / self.camera.K[[0, 1], [0, 1]]
         offset = -self.point_std_m * by_pose[:, :3] @ T_camera_link[:3, :3]
-        return np.column_stack([offset, self.shade_px * tilt.ravel()])
+        return np.column_stack([offset, self.shading_bias_px * tilt.ravel()])
 
     def residual(self, T_camera_link: Array) -> Array:
         """Measured minus projected, shape (k, 2n), for poses of shape (k, 4, 4)."""
@@ -92,11 +92,11 @@ class PointsObservation:
 
 
 @dataclass(frozen=True, slots=True)
-class DisparityObservation:
+class DisparityMeasurement:
     """How far apart, in px along x, the two views of a stereo pair show the origin of a link.
 
     `T_right_left` maps the left camera's coordinates to the right one's; the covariance has shape (1, 1) in px².
-    The point may be off as in `PointsObservation`: the two rays differ in tilt by the disparity over the focal length.
+    The point may be off as in `PointsMeasurement`: the two rays differ in tilt by the disparity over the focal length.
     """
 
     name: str
@@ -107,14 +107,14 @@ class DisparityObservation:
     disparity_px: float
     covariance: Array
     point_std_m: float = 0.0
-    shade_px: float = 0.0
-    own: str = "point"
-    own_s: float = POINT_S
+    shading_bias_px: float = 0.0
+    bias_name: str = "point"
+    correlation_time_s: float = POINT_S
 
-    def spread(self, T_camera_link: Array, by_pose: Array) -> Array:
+    def bias_jacobian(self, T_camera_link: Array, by_pose: Array) -> Array:
         """Derivative by offset and shade, shape (1, 4), in units of their deviations."""
         offset = -self.point_std_m * by_pose[:, :3] @ T_camera_link[:3, :3]
-        return np.column_stack([offset, [[self.shade_px * self.disparity_px / self.left.K[0, 0]]]])
+        return np.column_stack([offset, [[self.shading_bias_px * self.disparity_px / self.left.K[0, 0]]]])
 
     def residual(self, T_camera_link: Array) -> Array:
         """Measured minus predicted, shape (k, 1), for poses of shape (k, 4, 4)."""
@@ -129,10 +129,10 @@ class DisparityObservation:
 
 
 @dataclass(frozen=True, slots=True)
-class SizeObservation:
+class SizeMeasurement:
     """The radius in px of the disc that a sphere of `radius_m` about a link's origin shows.
 
-    The covariance has shape (1, 1) in px²; `own_px` is how far the radius is off for good, by what is hidden.
+    The covariance has shape (1, 1) in px²; `bias_std_px` is how far the radius is off for good, by what is hidden.
     """
 
     name: str
@@ -141,17 +141,17 @@ class SizeObservation:
     radius_m: float
     radius_px: float
     covariance: Array
-    own_px: float
-    own_s: float = POINT_S
+    bias_std_px: float
+    correlation_time_s: float = POINT_S
 
     @property
-    def own(self) -> str:
+    def bias_name(self) -> str:
         """A size errs in its own way."""
         return self.name
 
-    def spread(self, _T_camera_link: Array, _by_pose: Array, /) -> Array:
+    def bias_jacobian(self, _T_camera_link: Array, _by_pose: Array, /) -> Array:
         """Derivative by the own error, shape (1, 1)."""
-        return np.array([[self.own_px]])
+        return np.array([[self.bias_std_px]])
 
     def residual(self, T_camera_link: Array) -> Array:
         """Measured minus predicted, shape (k, 1), for poses of shape (k, 4, 4)."""
@@ -163,7 +163,7 @@ class SizeObservation:
 
 
 @dataclass(frozen=True, slots=True)
-class ContourObservation:
+class ContourMeasurement:
     """One edge of the shaft's silhouette: the plane through the camera's centre and the edge touches the shaft.
 
     `normal`, shape (3,), is that plane's unit normal in the camera frame, turned to the shaft's side; `across`, shape
@@ -182,18 +182,18 @@ class ContourObservation:
     axis: Array
     radius_m: float
     side: int
-    systematic: Array
+    bias_covariance: Array
     """Covariance of the own error, shape (2, 2) in rad²: shading stays as long as the light falls on the edge so."""
-    own_s: float = EDGE_S
+    correlation_time_s: float = EDGE_S
 
     @property
-    def own(self) -> str:
+    def bias_name(self) -> str:
         """Each edge errs in its own way."""
         return self.name
 
-    def spread(self, _T_camera_link: Array, _by_pose: Array, /) -> Array:
+    def bias_jacobian(self, _T_camera_link: Array, _by_pose: Array, /) -> Array:
         """Derivative by the own error, shape (2, 2)."""
-        return np.asarray(np.linalg.cholesky(self.systematic))
+        return np.asarray(np.linalg.cholesky(self.bias_covariance))
 
     def residual(self, T_camera_link: Array) -> Array:
         """By what the normal is off the predicted one, shape (k, 2) in rad, for poses of shape (k, 4, 4)."""
@@ -204,32 +204,32 @@ class ContourObservation:
 
 
 @dataclass(frozen=True, slots=True)
-class PoseObservation:
-    """A pose that was measured as a whole: `T_camera_seen` of a frame fixed on a link by `T_link_seen`, (4, 4).
+class PoseMeasurement:
+    """A pose that was measured as a whole: `T_camera_frame` of a frame fixed on a link by `T_link_frame`, (4, 4).
 
-    The covariances, shape (6, 6), are those of (δp, δθ) in the camera frame, as in `ToolPose`; `systematic` is that of
-    the own error.
+    The covariances, shape (6, 6), are those of (δp, δθ) in the camera frame, as in `ToolPose`; `bias_covariance` is
+    that of the bias.
     """
 
     name: str
     link: str | None
-    T_link_seen: Array
-    T_camera_seen: Array
+    T_link_frame: Array
+    T_camera_frame: Array
     covariance: Array
-    systematic: Array
-    own_s: float = POSE_S
+    bias_covariance: Array
+    correlation_time_s: float = POSE_S
 
     @property
-    def own(self) -> str:
+    def bias_name(self) -> str:
         """Each mark errs in its own way."""
         return self.name
 
-    def spread(self, _T_camera_link: Array, _by_pose: Array, /) -> Array:
+    def bias_jacobian(self, _T_camera_link: Array, _by_pose: Array, /) -> Array:
         """Derivative by the own error, shape (6, 6)."""
-        return np.asarray(np.linalg.cholesky(self.systematic))
+        return np.asarray(np.linalg.cholesky(self.bias_covariance))
 
     def residual(self, T_camera_link: Array) -> Array:
         """(δp, δθ) from predicted to measured, shape (k, 6) in m and rad, for poses of shape (k, 4, 4)."""
-        predicted = T_camera_link @ self.T_link_seen
-        turns = self.T_camera_seen[:3, :3] @ np.swapaxes(predicted[:, :3, :3], 1, 2)
-        return np.hstack([self.T_camera_seen[:3, 3] - predicted[:, :3, 3], rotation_vector(turns)])
+        predicted = T_camera_link @ self.T_link_frame
+        turns = self.T_camera_frame[:3, :3] @ np.swapaxes(predicted[:, :3, :3], 1, 2)
+        return np.hstack([self.T_camera_frame[:3, 3] - predicted[:, :3, 3], rotation_vector(turns)])

@@ -8,12 +8,13 @@ from functools import cache
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filtering.filter import KinematicErrorFilter
-from svmdist.estimation.filtering.observations import ContourObservation, LinkObservation, PointsObservation
+from svmdist.estimation.filter.kinematic_error_filter import KinematicErrorFilter
+from svmdist.estimation.filter.measurements import ContourMeasurement, LinkMeasurement, PointsMeasurement
 from svmdist.estimation.instrument.cylinder import tangent_normal
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.inverse import solve_position
 from svmdist.kinematics.jacobian import row_index
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.simulation.belief import draw_belief
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_z, transform_points
@@ -35,7 +36,7 @@ EDGE_STD_RAD = np.array([6e-3, 2.5e-4])
 
 @dataclass(frozen=True)
 class Run:
-    """By frame: error in m, normalised error squared, standard deviation in m, rejected observations."""
+    """By frame: error in m, normalised error squared, standard deviation in m, rejected measurements."""
 
     error_m: Array
     nees: Array
@@ -64,22 +65,22 @@ def joints_path(seed: int, frame_count: int) -> Array:
     return solve_position(CHAIN, q, p_base_m, ["yaw", "pitch", "insertion"], tolerance_m=1e-7)
 
 
-def sights(
+def measure(
     q: Array,
     rng: np.random.Generator,
     shift_px: float = 0.0,
     offset_m: Array = np.zeros(3),  # noqa: B008
     point_std_m: float = 0.0,
-) -> list[LinkObservation]:
+) -> list[LinkMeasurement]:
     """A point of the tool and the shaft's two edges, with noise.
 
-    The pixel may be wrong by a shift; the point may stand off the tool's origin, of which the filter knows the spread.
+    The pixel may be wrong by a shift; the point may stand off the origin by an offset whose deviation the filter knows.
     """
     assert SHAFT is not None
     p_tool_m = transform_points(T_CAMERA_BASE @ forward_kinematics(CHAIN, q), offset_m[None])
     pixel = CAMERA.project(p_tool_m) + POINT_STD_PX * rng.normal(size=(1, 2)) + shift_px
-    seen: list[LinkObservation] = [
-        PointsObservation(
+    seen: list[LinkMeasurement] = [
+        PointsMeasurement(
             "knuckle", None, CAMERA, np.zeros((1, 3)), pixel, np.eye(2) * POINT_STD_PX**2, point_std_m
         )
     ]
@@ -90,7 +91,7 @@ def sights(
         across = np.stack([axis, np.cross(normal, axis)])
         normal = normal + across.T @ (EDGE_STD_RAD * rng.normal(size=2))
         seen.append(
-            ContourObservation(
+            ContourMeasurement(
                 f"edge {side:+d}",
                 SHAFT.link,
                 normal / np.linalg.norm(normal),
@@ -131,16 +132,14 @@ def run(
     kalman = KinematicErrorFilter(CHAIN, PROFILE.kinematic_error)
     rows = []
     for frame, q in enumerate(joints_path(seed, frame_count)):
-        kalman.predict(frame * 100_000_000, q + offsets, T_believed)
-        seen = sights(q, rng, 40.0 if frame in wild else 0.0, offset_m, known_std_m)
-        verdicts = kalman.update([] if frame in dark else seen)
+        kalman.predict(RobotState(CHAIN, frame * 100_000_000, q + offsets, T_believed))
+        seen = measure(q, rng, 40.0 if frame in wild else 0.0, offset_m, known_std_m)
+        results = kalman.update([] if frame in dark else seen)
         pose = kalman.tool_pose()
         error = pose.position_m - (T_CAMERA_BASE @ forward_kinematics(CHAIN, q))[:3, 3]
         nees = error @ np.linalg.solve(pose.position_covariance, error)
         std_m = np.sqrt(np.trace(pose.position_covariance))
-        rows.append(
-            (np.linalg.norm(error), nees, std_m, sum(not verdict.is_accepted for verdict in verdicts))
-        )
+        rows.append((np.linalg.norm(error), nees, std_m, sum(not result.is_accepted for result in results)))
     return Run(*np.array(rows).T)
 
 
@@ -198,9 +197,9 @@ def test_no_robot_is_too_wrong_to_start() -> None:
     for seed in range(200):
         belief = draw_belief(CHAIN, T_CAMERA_BASE, PROFILE, seed, scale=1.0)
         kalman = KinematicErrorFilter(CHAIN, PROFILE.kinematic_error)
-        kalman.predict(0, q + belief.joint_offsets, belief.T_camera_base)
+        kalman.predict(RobotState(CHAIN, 0, q + belief.joint_offsets, belief.T_camera_base))
         behind += bool(kalman.tool_pose().position_m[2] < 0.0)
-        refused += not kalman.update(sights(q, rng)[:1])[0].is_accepted
+        refused += not kalman.update(measure(q, rng)[:1])[0].is_accepted
     assert behind >= 2
     assert refused <= 2
 
@@ -211,10 +210,10 @@ def test_a_tool_believed_behind_the_camera_is_found() -> None:
     kalman = KinematicErrorFilter(CHAIN, PROFILE.kinematic_error)
     T_believed = make_transform(np.eye(3), [0.01, -0.02, -0.11]) @ T_CAMERA_BASE
     for frame, q in enumerate(joints_path(6, 30)):
-        kalman.predict(frame * 100_000_000, q, T_believed)
+        kalman.predict(RobotState(CHAIN, frame * 100_000_000, q, T_believed))
         if frame == 0:
             assert kalman.tool_pose().position_m[2] < 0.0
-        kalman.update(sights(q, rng))
+        kalman.update(measure(q, rng))
         assert kalman.tool_pose().position_m[2] > 0.02
     truth_m = (T_CAMERA_BASE @ forward_kinematics(CHAIN, q))[:3, 3]
     assert np.linalg.norm(kalman.tool_pose().position_m - truth_m) < 0.6e-3

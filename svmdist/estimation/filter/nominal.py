@@ -1,0 +1,21 @@
+"""The tool under nominal (uncorrected) kinematics, as sure as the profile says."""
+
+from __future__ import annotations
+
+from svmdist.estimation.filter.kinematic_error_filter import KinematicErrorFilter
+from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.kinematics.dh import DHChain
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.profile import KinematicError
+
+
+def nominal_tool(chain: DHChain, error: KinematicError, state: RobotState) -> ToolPose:
+    """The tool's nominal pose in the camera frame and its covariance, as the profile states the errors.
+
+    It is what the filter starts from, so that a method that filters and one that does not state the same. The
+    covariance is of first order in the errors, and leaves out that turns shorten a lever: 2 degrees about two axes
+    pull the tool 1.7 mm towards a base 1.4 m away, beside 68 mm of error.
+    """
+    kalman = KinematicErrorFilter(chain, error)
+    kalman.predict(state)
+    return kalman.tool_pose()
