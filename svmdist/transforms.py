@@ -40,12 +40,6 @@ def rotation_x(angle_rad: float) -> Array:
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
-def rotation_y(angle_rad: float) -> Array:
-    """Rotation about y by an angle in rad, shape (3, 3)."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
 def rotation_z(angle_rad: float) -> Array:
     """Rotation about z by an angle in rad, shape (3, 3)."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)

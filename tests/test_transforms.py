@@ -18,12 +18,12 @@ from svmdist.transforms import (
     rotation_of,
     rotation_vector,
     rotation_x,
-    rotation_y,
     rotation_z,
     skew,
     slerp_xyzw,
     transform_points,
 )
+from tests.rotations import rotation_y
 
 quick = settings(deadline=None, max_examples=60)
 angles_rad = st.floats(-2 * np.pi, 2 * np.pi)

@@ -17,14 +17,6 @@ from svmdist.kinematics.jacobian import pose_jacobian
 from svmdist.transforms import Array
 
 
-def position_jacobian(chain: DHChain, q: ArrayLike) -> Array:
-    """Derivative of the tool's position by the joints, shape (..., 3, n_joints), in m per joint unit.
-
-    The upper half of `pose_jacobian`.
-    """
-    return pose_jacobian(chain, q)[..., :3, :]
-
-
 def solve_position(
     chain: DHChain,
     q_start: ArrayLike,
@@ -57,7 +49,7 @@ def solve_position(
         error_m = targets_m - forward_kinematics(chain, q)[:, :3, 3]
         if float(np.max(np.abs(error_m), initial=0.0)) <= tolerance_m:
             break
-        J = position_jacobian(chain, q)[:, :, free]
+        J = pose_jacobian(chain, q)[:, :3, free]
         # dq = J^T (J J^T + λ² I)^-1 e (Nakamura & Hanafusa 1986)
         damped = J @ np.swapaxes(J, 1, 2) + damping**2 * np.eye(3)
         q[:, free] += (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, error_m[:, :, None]))[..., 0]

@@ -14,10 +14,11 @@ from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.jacobian import row_index
 from svmdist.profile import KinematicError
 from svmdist.samples import JointSample, Observation, Status
-from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_y, rotation_z
+from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_z
 from svmdist.vision.tag.detection import TagFinder, pose_candidates, square_corners_m
 from svmdist.vision.tag.pattern import TagPattern
 from svmdist.vision.tag.refinement import TagPose
+from tests.rotations import rotation_y
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
 SIZE_M = 0.007

@@ -8,10 +8,11 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.geometry.rays import pixel_rays
-from svmdist.transforms import Array, make_transform, rotation_vector, rotation_x, rotation_y, rotation_z
+from svmdist.transforms import Array, make_transform, rotation_vector, rotation_x, rotation_z
 from svmdist.vision.tag.detection import DICTIONARIES
 from svmdist.vision.tag.pattern import TagPattern
 from svmdist.vision.tag.refinement import nudged, on_tag, refine_pose
+from tests.rotations import rotation_y
 
 SIZE_M = 0.007
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)

@@ -181,7 +181,7 @@ def _from_printed_kinematics(
     The translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
     """
     T_base_tool = kinematic_track(recording, profile, rules.max_gap_ns)(stamps_ns)
-    displacement_cm = paper.displacement_cm_printed(T_base_tool.values[:, :3, 3])
+    displacement_cm = paper.displacement_cm_as_published(T_base_tool.values[:, :3, 3])
     planar_m = paper.planar_distance_cm(displacement_cm) / 100.0
     unknown_m = np.full(len(stamps_ns), np.nan)
     return SampledDistances(planar_m, unknown_m, unknown_m, T_base_tool.valid)

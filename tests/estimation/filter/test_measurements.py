@@ -18,7 +18,8 @@ from svmdist.estimation.filter.measurements import (
 )
 from svmdist.estimation.gate import chi_square_bound
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_y
+from svmdist.transforms import Array, inverse, make_transform, rotation_of
+from tests.rotations import rotation_y
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
