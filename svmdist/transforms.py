@@ -80,6 +80,27 @@ def skew(v: ArrayLike) -> Array:
     return K
 
 
+def inverse_right_jacobian(vector_rad: ArrayLike) -> Array:
+    """J⁻¹, shape (..., 3, 3), with exp([v]) exp([δ]) = exp([v + J⁻¹ δ]) to first order, for v (..., 3) in rad.
+
+    I + ½ [v] + (1 / θ² - (1 + cos θ) / (2 θ sin θ)) [v]², below a full turn (Solà 2018, "A micro Lie theory", eq. 144).
+    """
+    v = np.asarray(vector_rad, np.float64)
+    K = skew(v)
+    half = 0.5 * np.sqrt((v * v).sum(-1))[..., None, None]
+    small = half < 1e-3  # the difference loses its digits; the series' third term is below 1e-14
+    safe = np.where(small, 1.0, half)
+    factor = np.where(small, 1.0 / 12.0 + half**2 / 180.0, 0.25 * (1.0 - safe / np.tan(safe)) / safe**2)
+    return np.asarray(np.eye(3) + 0.5 * K + factor * (K @ K))
+
+
+def cross(a: Array, b: Array) -> Array:
+    """a x b of vectors, shape (..., 3): NumPy's own takes many times as long for one pair."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+
+
 def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Array:
     """Rotations, shape (..., 3, 3), from quaternions in the order x, y, z, w, shape (..., 4).
 

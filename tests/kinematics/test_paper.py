@@ -41,7 +41,7 @@ def last_link_corrected(theta_rad: float) -> Array:
     return np.array([[c, 0.0, s, 0.0], [s, 0.0, -c, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
-def test_eq_28_as_as_published_maps_everything_to_zero():
+def test_eq_28_as_published_maps_everything_to_zero():
     """The published transform is the zero matrix, so that eq. (31) is zero whatever the joints are."""
     assert camera_base_as_published().shape == (4, 4)
     assert not np.any(camera_base_as_published() @ first_link(0.1, 0.2))
@@ -62,7 +62,7 @@ def test_eq_30_corrected_is_a_standard_dh_row(theta_rad):
 
 
 @pytest.mark.parametrize("theta_rad", ANGLES_RAD)
-def test_eq_30_as_as_published_is_a_reflection(theta_rad):
+def test_eq_30_as_published_is_a_reflection(theta_rad):
     """The published rotation part is orthogonal with determinant -1, the corrected one +1, within 1e-15."""
     published, corrected = last_link_as_published(theta_rad)[:3, :3], last_link_corrected(theta_rad)[:3, :3]
     np.testing.assert_allclose(published @ published.T, np.eye(3), atol=1e-15)
@@ -83,7 +83,7 @@ def test_the_shipped_chain_begins_with_eq_29_and_ends_with_eq_30():
     assert last.alpha_rad == np.pi / 2
 
 
-def test_eqs_33_34_as_as_published_divide_metres_by_a_hundred():
+def test_eqs_33_34_as_published_divide_metres_by_a_hundred():
     """The published displacement is (0.099 - x) / 100, (0.043 - y) / 100, from numbers written out here."""
     found = displacement_cm_as_published(np.array([0.059, 0.013, 0.5]))
     np.testing.assert_allclose(found, [0.0004, 0.0003], rtol=1e-12)

@@ -1,4 +1,4 @@
-"""Observations about a state: residual and derivatives, as filter and batch take them."""
+"""Measurements about a state: residual and derivatives, as filter and batch take them."""
 
 from __future__ import annotations
 
@@ -7,19 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.estimation.filter.measurements import LinkMeasurement
-from svmdist.transforms import Array, rotation_of
-
-STEP = 1e-6
-"""Step of the central differences in m and rad: truncation and rounding are both below 1e-8 px of it."""
-TURNS = rotation_of(np.repeat(np.eye(3), 2, axis=0) * np.tile([STEP, -STEP], 3)[:, None])
+from svmdist.estimation.filter.corrected_links import CorrectedLink
+from svmdist.estimation.filter.measurement import LinkMeasurement
+from svmdist.transforms import Array
 
 
 @dataclass(frozen=True, slots=True)
 class Linearised:
-    """An measurement about a state: residual (m,) = H δ + `bias_jacobian` ξ + noise, of derivatives (m, n) and (m, k).
+    """A measurement about a state: residual (..., m) = H δ + `bias_jacobian` ξ + noise.
 
-    δ is the error state, ξ the measurement's own error; nothing of it is finite where the link cannot be seen.
+    δ is the error state, ξ the measurement's bias, H has shape (..., m, n) and the bias Jacobian (..., m, k). Residual
+    and H are not finite where the link cannot be seen.
     """
 
     residual: Array
@@ -30,36 +28,23 @@ class Linearised:
     @property
     def is_finite(self) -> bool:
         """Whether the link could be seen."""
-        return bool(np.all(np.isfinite(self.residual)) and np.all(np.isfinite(self.H)))
+        return bool(np.isfinite(self.residual).all() and np.isfinite(self.H).all())
 
     @property
     def covariance(self) -> Array:
-        """Of the residual where it is seen once, shape (m, m): noise and own error."""
-        return np.asarray(self.noise + self.bias_jacobian @ self.bias_jacobian.T)
+        """Of the residual where it is seen once, shape (..., m, m): noise and bias."""
+        return np.asarray(self.noise + self.bias_jacobian @ np.swapaxes(self.bias_jacobian, -1, -2))
 
 
-def linearise(measurement: LinkMeasurement, T_camera_link: Array, by_state: Array) -> Linearised:
-    """An measurement about a link's pose, shape (4, 4), of which the state's derivative is (6, n)."""
-    residual = measurement.residual(T_camera_link[None])[0]
-    by_pose = pose_derivative(measurement, T_camera_link)
-    bias_jacobian = measurement.bias_jacobian(T_camera_link, by_pose)
-    return Linearised(residual, -by_pose @ by_state, bias_jacobian, measurement.covariance)
-
-
-def pose_derivative(measurement: LinkMeasurement, T_camera_link: Array) -> Array:
-    """Derivative of the residual by (δp, δθ) of the link's pose in the camera frame, shape (m, 6).
-
-    Central differences: exact to 1e-6 of what they are, and one formula for every kind of measurement.
-    """
-    poses = np.repeat(T_camera_link[None], 12, axis=0)
-    for column in range(3):
-        poses[2 * column, column, 3] += STEP
-        poses[2 * column + 1, column, 3] -= STEP
-    poses[6:, :3, :3] = TURNS @ T_camera_link[:3, :3]
-    residuals = measurement.residual(poses)
-    if not np.all(np.isfinite(residuals)):
-        return np.full((residuals.shape[1], 6), np.nan)
-    return np.asarray((residuals[0::2] - residuals[1::2]).T / (2.0 * STEP))
+def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
+    """A measurement about its link's pose."""
+    by_pose = measurement.linearise(link.T_camera_link)
+    return Linearised(
+        by_pose.residual,
+        -(by_pose.derivative @ link.derivative),
+        measurement.bias_jacobian(link.T_camera_link, by_pose.derivative),
+        measurement.covariance,
+    )
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:

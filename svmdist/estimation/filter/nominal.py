@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from svmdist.estimation.filter.kinematic_error_filter import KinematicErrorFilter
+import numpy as np
+
+from svmdist.estimation.filter.correction import ErrorModel
 from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.kinematics.dh import DHChain
 from svmdist.kinematics.robot_state import RobotState
+from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import KinematicError
 
 
@@ -16,6 +19,13 @@ def nominal_tool(chain: DHChain, error: KinematicError, state: RobotState) -> To
     covariance is of first order in the errors, and leaves out that turns shorten a lever: 2 degrees about two axes
     pull the tool 1.7 mm towards a base 1.4 m away, beside 68 mm of error.
     """
-    kalman = KinematicErrorFilter(chain, error)
-    kalman.predict(state)
-    return kalman.tool_pose()
+    model = ErrorModel(chain, error)
+    links = model.links(model.nominal(state), model.no_correction(), model.anchor_m(state))
+    tool, shaft = links.link(None), shaft_of(chain)
+    axis = (
+        tool.T_camera_link[:3, 0]
+        if shaft is None
+        else links.link(shaft.link).T_camera_link[:3, :3] @ shaft.axis
+    )
+    covariance = tool.derivative @ model.prior(state) @ tool.derivative.T
+    return ToolPose(tool.T_camera_link, covariance, np.asarray(axis))

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from svmdist.estimation.filter.corrected_links import CorrectedLink, NominalFrames
 from svmdist.estimation.filter.correction import Correction, ErrorModel
 from svmdist.estimation.filter.linearisation import Linearised, linearise
-from svmdist.estimation.filter.measurements import LinkMeasurement
+from svmdist.estimation.filter.losses import Loss, geman_mcclure, huber
+from svmdist.estimation.filter.measurement import LinkMeasurement
+from svmdist.estimation.filter.stacks import MeasurementStack, stack
 from svmdist.estimation.gate import chi_square_bound
 from svmdist.kinematics.robot_state import RobotState
+from svmdist.least_squares import Minimum, NormalEquations, Steps, minimise
+from svmdist.settings.filter import FilterSettings
 from svmdist.transforms import Array, skew
 
-WINDOW_SOLVES = (1, 2, 3, 5, 8, 12, 20)
-"""Numbers of frames after which a young filter solves for all of them anew."""
-DEPTH_STARTS_M = (0.0, 0.03, -0.03)
-"""The batch also starts from other depths, the least observable of all at first: a working range's half."""
-DEPTH_START_COUNT = 3
-"""Up to so many frames it does; later the last solution is a start that needs no others."""
-MAX_STEPS = 20
-Loss = Callable[[float], tuple[float, float]]
-"""Of a squared deviation over the gate's bound: cost over the bound, and weight."""
+FIRST_DAMPING = 1e-4
+COST_SETTLED = 1e-3
+"""A step that lowers a sum of squares by less moves nothing that a deviation would notice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,24 +34,41 @@ class MeasurementsAt:
 
 
 @dataclass(frozen=True, slots=True)
-class _Solution:
-    """Normal equations of a window at a correction."""
+class WeightedFrame:
+    """What of a frame is in sight, linearised, with the weights that a robust loss gives."""
 
-    cost: float
-    gradient: Array
+    robot: RobotState
+    measurements: tuple[LinkMeasurement, ...]
+    parts: tuple[Linearised, ...]
+    weights: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Weighed:
+    """A stack about a correction: what of it is visible, (k,), its information, (k, m, m), with noise and bias.
+
+    `deviation`, shape (k,), is the residual's normalised square over the gate's bound.
+    """
+
+    part: Linearised
+    visible: NDArray[np.bool_]
     information: Array
-    correction: Correction
+    deviation: Array
+    bound: float
 
 
 class Window:
     """The first frames of a filter that starts at `anchor_m`, shape (3,), with a prior covariance (n, n)."""
 
-    def __init__(self, model: ErrorModel, anchor_m: Array, prior: Array) -> None:
+    def __init__(self, model: ErrorModel, anchor_m: Array, prior: Array, settings: FilterSettings) -> None:
         self._model = model
         self._anchor_m = anchor_m
         self._prior = prior
+        self._settings = settings
         self._prior_information = np.asarray(np.linalg.inv(prior + 1e-14 * np.eye(len(prior))), np.float64)
         self._frames: list[MeasurementsAt] = []
+        self._stacks: list[MeasurementStack] = []
+        self._nominal: NominalFrames | None = None
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -59,6 +76,7 @@ class Window:
     def add(self, frame: MeasurementsAt) -> None:
         """Keep what one frame showed."""
         self._frames.append(frame)
+        self._nominal = None
 
     def solve(self, start: Correction) -> Correction | None:
         """The correction that fits prior and frames best, from the start and from other depths.
@@ -66,14 +84,16 @@ class Window:
         From afar every residual is beyond the gate, and Huber's loss draws it in; a wild detection it would let pull
         for ever, so that a loss without a pull far out decides.
         """
-        depths_m = DEPTH_STARTS_M if len(self) <= DEPTH_START_COUNT else (0.0,)
-        solutions = [self._descend(start, geman_mcclure)]
-        for depth_m in depths_m:
-            shift_m = start.shift_m + np.array([0.0, 0.0, depth_m])
+        is_young = len(self) <= self._settings.window_depth_offset_frames
+        offsets_m = self._settings.window_depth_offsets_m if is_young else (0.0,)
+        minima = [self._descend(start, geman_mcclure)]
+        for offset_m in offsets_m:
+            shift_m = start.shift_m + np.array([0.0, 0.0, offset_m])
             near = self._descend(Correction(shift_m, start.turn, start.q_offset), huber)
-            solutions.append(self._descend(near.correction, geman_mcclure))
-        best = min(solutions, key=lambda solution: solution.cost)
-        return best.correction if np.isfinite(best.cost) else None
+            if near is not None:
+                minima.append(self._descend(near.state, geman_mcclure))
+        found = [minimum for minimum in minima if minimum is not None]
+        return min(found, key=lambda minimum: minimum.equations.cost).state if found else None
 
     def prior_at(self, at: Correction) -> Array:
         """The prior's covariance in the error state about a correction, shape (n, n)."""
@@ -84,54 +104,72 @@ class Window:
         """The error state about a correction that leads to the prior's mean, shape (n,)."""
         return np.asarray(-np.linalg.solve(_tangent(at), at.vector()))
 
-    def linearised(
-        self, at: Correction, loss: Loss
-    ) -> Iterator[tuple[MeasurementsAt, list[tuple[LinkMeasurement, Linearised, float]]]]:
+    def linearised(self, at: Correction) -> Iterator[WeightedFrame]:
         """Every frame's measurements about a correction with weights; what is out of sight is left out."""
-        names = {measurement.link for frame in self._frames for measurement in frame.measurements}
-        links = self._model.links(names, [frame.robot for frame in self._frames], at, self._anchor_m)
+        found: dict[tuple[int, int], tuple[Linearised, float]] = {}
+        for members, weighed in self._weighed(at):
+            weights = geman_mcclure(weighed.deviation)[1]
+            noise = members.measurement.covariance
+            bias = np.broadcast_to(
+                weighed.part.bias_jacobian, (len(weights), *weighed.part.bias_jacobian.shape[-2:])
+            )
+            for k, (frame, place) in enumerate(zip(members.frames, members.places, strict=True)):
+                if weighed.visible[k]:
+                    part = Linearised(weighed.part.residual[k], weighed.part.H[k], bias[k], noise[k])
+                    found[int(frame), int(place)] = part, float(weights[k])
         for index, frame in enumerate(self._frames):
-            parts = []
-            for measurement in frame.measurements:
-                link = links[measurement.link][index]
-                part = linearise(measurement, link.T_camera_link, link.derivative)
-                if part.is_finite:
-                    parts.append((measurement, part, loss(_deviation(part))[1]))
-            yield frame, parts
+            seen = [place for place in range(len(frame.measurements)) if (index, place) in found]
+            yield WeightedFrame(
+                frame.robot,
+                tuple(frame.measurements[place] for place in seen),
+                tuple(found[index, place][0] for place in seen),
+                tuple(found[index, place][1] for place in seen),
+            )
 
-    def _descend(self, start: Correction, loss: Loss) -> _Solution:
-        damping = 1e-4
-        solution = self._normal(start, loss)
-        for _ in range(MAX_STEPS):
-            if not np.isfinite(solution.cost):
-                break
-            damped = solution.information + damping * np.diag(np.diag(solution.information))
-            step = np.asarray(np.linalg.solve(damped, solution.gradient), np.float64)
-            trial = self._normal(solution.correction.retracted(step), loss)
-            if trial.cost <= solution.cost:
-                gain = solution.cost - trial.cost
-                solution, damping = trial, max(0.1 * damping, 1e-9)
-                if gain < 1e-3:
-                    break
-            else:
-                damping *= 10.0
-        return solution
+    def _descend(self, start: Correction, loss: Loss) -> Minimum[Correction] | None:
+        """The minimum from a start; None where something is out of sight there."""
+        steps = Steps(self._settings.window_max_steps, damping=FIRST_DAMPING, cost_settled=COST_SETTLED)
+        return minimise(start, lambda at: self._normal(at, loss), Correction.retract, steps)
 
-    def _normal(self, at: Correction, loss: Loss) -> _Solution:
-        """Cost, gradient and information of prior and window at a correction."""
+    def _normal(self, at: Correction, loss: Loss) -> NormalEquations | None:
+        """Cost, gradient and information of prior and window at a correction; None where something is not seen."""
         state, A = at.vector(), _tangent(at)
         information = A.T @ self._prior_information @ A
         gradient = -A.T @ self._prior_information @ state
         cost = float(state @ self._prior_information @ state)
-        for frame, parts in self.linearised(at, loss):
-            if len(parts) < len(frame.measurements):
-                cost = np.inf
-            for _, part, weight in parts:
-                W = np.linalg.inv(part.covariance)
-                cost += chi_square_bound(len(part.residual)) * loss(_deviation(part))[0]
-                information += weight * part.H.T @ W @ part.H
-                gradient += weight * part.H.T @ W @ part.residual
-        return _Solution(cost, gradient, information, at)
+        for _, weighed in self._weighed(at):
+            if not weighed.visible.all():
+                return None
+            losses, weights = loss(weighed.deviation)
+            cost += weighed.bound * float(losses.sum())
+            size = weighed.part.H.shape[-1]
+            WH = (weights[:, None, None] * (weighed.information @ weighed.part.H)).reshape(-1, size)
+            information += WH.T @ weighed.part.H.reshape(-1, size)
+            gradient += WH.T @ weighed.part.residual.ravel()
+        return NormalEquations(cost, gradient, information)
+
+    def _weighed(self, at: Correction) -> Iterator[tuple[MeasurementStack, _Weighed]]:
+        """The stacks of measurements about a correction."""
+        if self._nominal is None:
+            self._nominal = self._model.nominal_of_many([frame.robot for frame in self._frames])
+            self._stacks = stack(frame.measurements for frame in self._frames)
+        links = self._model.links(self._nominal, at, self._anchor_m)
+        for members in self._stacks:
+            link = links.link(members.measurement.link)
+            rows = members.frames
+            part = linearise(
+                members.measurement, CorrectedLink(link.T_camera_link[rows], link.derivative[rows])
+            )
+            visible = np.asarray(np.isfinite(part.residual).all(-1))
+            information = members.information
+            if information is None:
+                covariance = part.covariance
+                covariance[~visible] = np.eye(covariance.shape[-1])
+                information = np.asarray(np.linalg.inv(covariance), np.float64)
+            r = np.where(visible[:, None], part.residual, 0.0)[..., None]
+            squares = (np.swapaxes(r, -1, -2) @ information @ r)[..., 0, 0]
+            bound = chi_square_bound(r.shape[-2], self._settings.gate_z)
+            yield members, _Weighed(part, visible, information, squares / bound, bound)
 
 
 def _tangent(at: Correction) -> Array:
@@ -140,21 +178,3 @@ def _tangent(at: Correction) -> Array:
     A = np.eye(len(state))
     A[3:6, 3:6] -= 0.5 * skew(state[3:6])
     return A
-
-
-def huber(deviation: float) -> tuple[float, float]:
-    """Squares within the bound, straight on beyond it (Huber 1964)."""
-    root = float(np.sqrt(deviation))
-    return (deviation, 1.0) if deviation <= 1.0 else (2.0 * root - 1.0, 1.0 / root)
-
-
-def geman_mcclure(deviation: float) -> tuple[float, float]:
-    """Squares near zero, bounded far out (Geman and McClure 1987); half the bound's full height at four bounds."""
-    scaled = 0.25 * deviation
-    return deviation / (1.0 + scaled), 1.0 / (1.0 + scaled) ** 2
-
-
-def _deviation(part: Linearised) -> float:
-    """The residual's normalised square over the gate's bound."""
-    squared = float(part.residual @ np.linalg.solve(part.covariance, part.residual))
-    return squared / chi_square_bound(len(part.residual))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.estimation.filter.corrected_links import CorrectedLink
 from svmdist.estimation.filter.correction import ErrorModel
-from svmdist.estimation.filter.linearisation import linearise, pose_derivative
+from svmdist.estimation.filter.linearisation import linearise
 from svmdist.estimation.filter.measurements import (
     ContourMeasurement,
     DisparityMeasurement,
@@ -16,7 +17,6 @@ from svmdist.estimation.filter.measurements import (
     PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.gate import chi_square_bound
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.transforms import Array, inverse, make_transform, rotation_of
 from tests.rotations import rotation_y
@@ -60,15 +60,14 @@ def test_residuals_change_as_their_derivatives_say(measurement: LinkMeasurement)
     """Through the whole error state of a real chain, to 1e-4 of the largest, and to no correction at all."""
     model = ErrorModel(CHAIN, PROFILE.kinematic_error)
     robot = RobotState(CHAIN, 0, POSTURE, np.eye(4))
-    tool = model.links([None], [robot], model.no_correction(), model.anchor_m(robot))[None][0]
-    robot = RobotState(CHAIN, 0, POSTURE, T_LINK @ inverse(tool.T_camera_link))
+    robot = RobotState(CHAIN, 0, POSTURE, T_LINK @ inverse(robot.T_camera_tool))
     rng = np.random.default_rng(2)
     step = 1e-5 * rng.normal(size=model.size)
 
     def residual_after(scale: float) -> tuple[Array, Array]:
-        correction = model.no_correction().retracted(scale * step)
-        link = model.links([None], [robot], correction, model.anchor_m(robot))[None][0]
-        part = linearise(measurement, link.T_camera_link, link.derivative)
+        correction = model.no_correction().retract(scale * step)
+        links = model.links(model.nominal(robot), correction, model.anchor_m(robot))
+        part = linearise(measurement, links.link(None))
         return part.residual, part.H
 
     here, H = residual_after(0.0)
@@ -87,7 +86,7 @@ def test_a_point_off_the_origin_moves_the_residual_by_the_spread() -> None:
     disparity_px = float(left_px[0, 0] - right_px[0, 0])
     disparity = DisparityMeasurement("d", None, CAMERA, CAMERA, T_RIGHT_LEFT, disparity_px, np.eye(1), 1e-4)
     for measurement in (point, disparity):
-        part = linearise(measurement, T_LINK, np.eye(6))
+        part = linearise(measurement, CorrectedLink(T_LINK, np.eye(6)))
         np.testing.assert_allclose(part.residual, part.bias_jacobian[:, :3] @ offset, rtol=2e-2, atol=1e-3)
         assert part.bias_jacobian[:, 3] == pytest.approx(0.0)  # no shade was stated
 
@@ -104,7 +103,7 @@ def test_a_shaded_sphere_is_off_as_far_as_its_ray_is_tilted() -> None:
         "d", None, CAMERA, CAMERA, T_right_left, disparity_px, np.eye(1), 0.0, 2.0
     )
     for measurement in (point, disparity):
-        part = linearise(measurement, T_LINK, np.eye(6))
+        part = linearise(measurement, CorrectedLink(T_LINK, np.eye(6)))
         assert np.abs(part.residual).max() > 0.05
         np.testing.assert_allclose(part.residual, part.bias_jacobian[:, 3], rtol=1e-2)
 
@@ -123,7 +122,7 @@ def test_a_size_is_that_of_a_drawn_sphere() -> None:
     area_px2 = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
     seen = SizeMeasurement("s", None, CAMERA, radius_m, float(np.sqrt(area_px2 / np.pi)), np.eye(1), 0.2)
     T = make_transform(np.eye(3), centre_m)
-    assert abs(float(seen.residual(T[None])[0, 0])) < 0.02
+    assert abs(float(seen.linearise(T).residual[0])) < 0.02
 
 
 def test_a_measured_pose_has_derivatives_by_its_rotation() -> None:
@@ -137,7 +136,7 @@ def test_a_measured_pose_has_derivatives_by_its_rotation() -> None:
     for turn_rad in (0.0, 1e-7, 2e-3):
         seen = make_transform(rotation_of([turn_rad, 0.0, 0.0]) @ T_seen[:3, :3], T_seen[:3, 3])
         measurement = PoseMeasurement("tag", None, T_link_frame, seen, np.eye(6), np.eye(6))
-        D = pose_derivative(measurement, T_LINK)
+        D = measurement.linearise(T_LINK).derivative
         step = 1e-4 * rng.normal(size=6)
         expected = np.concatenate([-step[:3] - np.cross(step[3:], T_seen[:3, 3] - T_LINK[:3, 3]), -step[3:]])
         np.testing.assert_allclose(D @ step, expected, atol=2e-3 * np.abs(step).max())
@@ -174,10 +173,4 @@ def test_sides_of_a_drawn_shaft(axis: tuple[int, int, int], side: int, edge_px: 
         np.eye(2),
     )
     T = make_transform(np.eye(3), [0.0, 0.0, 0.1])
-    np.testing.assert_allclose(seen.residual(T[None]), 0.0, atol=1e-6)
-
-
-def test_chi_square_bound() -> None:
-    """The gate agrees with the tables at 1 in 1,000 to 2.5 %, on the generous side."""
-    for freedom, value in ((2, 13.816), (6, 22.458), (8, 26.124)):
-        assert chi_square_bound(freedom) == pytest.approx(value, rel=2.5e-2)
+    np.testing.assert_allclose(seen.linearise(T).residual, 0.0, atol=1e-6)
