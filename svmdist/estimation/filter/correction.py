@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.errors import KinematicsError, did_you_mean
-from svmdist.estimation.filter.corrected_links import CorrectedLinks, NominalFrames
+from svmdist.estimation.filter.corrected_links import CorrectedLinks, MovingJoints, NominalFrames
 from svmdist.kinematics.dh import DHChain
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
@@ -57,14 +57,13 @@ class ErrorModel:
                 f"no joint {error.first_moving_joint} to be the first moving one:"
                 f" {did_you_mean(error.first_moving_joint, names)}"
             )
-        self.first_joint = names.index(error.first_moving_joint) if error.first_moving_joint else 0
-        moving = chain.is_revolute[self.first_joint :]
-        self._joint_std = np.where(moving, error.joint_std_rad, error.joint_std_m)
-        drift = np.where(moving, error.drift_rad_per_sqrt_s, error.drift_m_per_sqrt_s)
-        self.drift = np.concatenate(
-            [np.full(3, error.drift_m_per_sqrt_s), np.full(3, error.drift_rad_per_sqrt_s), drift]
-        )
-        self.size = 6 + len(moving)
+        first = names.index(error.first_moving_joint) if error.first_moving_joint else 0
+        self._joints = MovingJoints.of(chain, first)
+        turns, slides = self._joints.turns, self._joints.slides
+        self._joint_std = error.joint_std_rad * turns + error.joint_std_m * slides
+        length, angle = error.drift_m_per_sqrt_s, error.drift_rad_per_sqrt_s
+        self.drift = np.concatenate([[length] * 3, [angle] * 3, angle * turns + length * slides])
+        self.size = 6 + len(turns)
 
     def no_correction(self) -> Correction:
         """What is there before anything was measured."""
@@ -91,12 +90,12 @@ class ErrorModel:
     def joints(self, robot: RobotState, correction: Correction) -> Array:
         """Reported joints with the offsets, shape (n_joints,)."""
         q = robot.q.copy()
-        q[self.first_joint :] += correction.q_offset
+        q[self._joints.first_joint :] += correction.q_offset
         return q
 
     def nominal(self, robot: RobotState) -> NominalFrames:
         """What of a robot's state no correction changes."""
-        return NominalFrames.of(robot, self.first_joint)
+        return NominalFrames.of(robot, self._joints.first_row)
 
     def nominal_of_many(self, robots: Sequence[RobotState]) -> NominalFrames:
         """The same of several states, stacked."""
@@ -105,5 +104,5 @@ class ErrorModel:
     def links(self, nominal: NominalFrames, correction: Correction, anchor_m: Array) -> CorrectedLinks:
         """All links under a correction."""
         return CorrectedLinks(
-            self.chain, nominal, correction.shift_m, correction.turn, correction.q_offset, anchor_m
+            self._joints, nominal, correction.shift_m, correction.turn, correction.q_offset, anchor_m
         )

@@ -34,7 +34,7 @@ class PoseResidual:
         cls, visible: NDArray[np.bool_] | np.bool_, residual: Array, derivative: Array
     ) -> PoseResidual:
         """With what is invisible, shape (...), marked as such."""
-        if np.all(visible):
+        if visible.all():
             return cls(residual, derivative)
         return cls(
             np.where(np.asarray(visible)[..., None], residual, np.inf),

@@ -53,7 +53,7 @@ class PointsMeasurement:
         arm_m = self.p_link_m @ np.swapaxes(T_camera_link[..., :3, :3], -1, -2)
         p_camera_m = arm_m + T_camera_link[..., None, :3, 3]
         visible = p_camera_m[..., 2].min(-1) >= MIN_DEPTH_M
-        if not np.all(visible):
+        if not visible.all():
             p_camera_m = np.where(visible[..., None, None], p_camera_m, AHEAD_M)
         projected, J = self.camera.project_with_derivative(p_camera_m)
         derivative = np.empty((*J.shape[:-1], 6))
@@ -107,7 +107,7 @@ class DisparityMeasurement:
         p_left_m = T_camera_link[..., :3, 3]
         p_right_m = (R_right_left @ p_left_m[..., None])[..., 0] + self.T_right_left[..., :3, 3]
         visible = np.minimum(p_left_m[..., 2], p_right_m[..., 2]) >= MIN_DEPTH_M
-        if not np.all(visible):
+        if not visible.all():
             p_left_m = np.where(visible[..., None], p_left_m, AHEAD_M)
             p_right_m = np.where(visible[..., None], p_right_m, AHEAD_M)
         left_px, J_left = self.left.project_with_derivative(p_left_m)
@@ -163,7 +163,8 @@ class SizeMeasurement:
         """Measured minus predicted, shape (..., 1), about poses (..., 4, 4)."""
         p_m = T_camera_link[..., :3, 3]
         visible = p_m[..., 2] >= MIN_DEPTH_M
-        p_m = np.where(visible[..., None], p_m, AHEAD_M)
+        if not visible.all():
+            p_m = np.where(visible[..., None], p_m, AHEAD_M)
         predicted_px = self._predicted_px(p_m)
         derivative = np.zeros((*predicted_px.shape, 1, 6))
         # Of f r |p|^½ z^(-3/2), by its logarithm.

@@ -36,13 +36,13 @@ def stack(frames: Iterable[tuple[LinkMeasurement, ...]]) -> list[MeasurementStac
 
 
 def _kind(measurement: LinkMeasurement) -> tuple[object, ...]:
-    """What must agree in a stack: the class, the shapes of what is stacked, and everything else."""
+    """What must agree in a stack: the class, the shapes of what is stacked, and all that is no name."""
     key: list[object] = [type(measurement)]
     for field in fields(measurement):
         value = getattr(measurement, field.name)
         if field.name in measurement.STACKED:
             key.append(np.shape(value))
-        else:
+        elif field.name not in ("name", "bias_name"):
             # Strings and numbers are equal by value; a camera is the same one throughout a log.
             key.append(value if isinstance(value, str | int | float | None) else id(value))
     return tuple(key)
