@@ -50,12 +50,12 @@ class DHChain:
     @cached_property
     def lower(self) -> Array:
         """Lower joint limits in rad or m, shape (n_joints,)."""
-        return np.array([row.lower for row in self.rows if row.joint != "fixed"])
+        return _constant([row.lower for row in self.rows if row.joint != "fixed"])
 
     @cached_property
     def upper(self) -> Array:
         """Upper joint limits in rad or m, shape (n_joints,)."""
-        return np.array([row.upper for row in self.rows if row.joint != "fixed"])
+        return _constant([row.upper for row in self.rows if row.joint != "fixed"])
 
     @cached_property
     def moving_rows(self) -> NDArray[np.intp]:
@@ -204,6 +204,12 @@ def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) 
             f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
         )
     return np.asarray(positions, np.float64)[..., order]
+
+
+def _constant(values: list[float]) -> Array:
+    array = np.array(values)
+    array.setflags(write=False)
+    return array
 
 
 def _empty_transforms(shape: tuple[int, ...]) -> Array:

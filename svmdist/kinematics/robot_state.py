@@ -57,8 +57,10 @@ class RobotState:
 
     @cached_property
     def frames(self) -> Array:
-        """Poses of all row frames in the base frame, shape (n_rows, 4, 4)."""
-        return frame_transforms(self.chain, self.q)
+        """Poses of all row frames in the base frame, shape (n_rows, 4, 4), not to be written to."""
+        frames = frame_transforms(self.chain, self.q)
+        frames.setflags(write=False)
+        return frames
 
     @cached_property
     def frames_in_camera(self) -> Array:

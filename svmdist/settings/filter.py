@@ -45,7 +45,7 @@ class FilterSettings(MethodSettings):
     anew."""
 
     window_solves: tuple[Count, ...] = Field(default=(1, 2, 3, 5, 8, 12, 20), min_length=1)
-    """Numbers of frames, rising, after which a young filter solves for all of them anew. Linearisation is off by tens
+    """Numbers of frames after which a young filter solves for all of them anew. Linearisation is off by tens
     of millimetres in the first frames; after 20 it no longer is."""
 
     window_depth_offsets_m: tuple[float, ...] = (0.0, 0.03, -0.03)

@@ -141,4 +141,6 @@ class CorrectedLinks:
         # Joints behind a link do not move it.
         moved_by = int(np.searchsorted(self._joints.chain.moving_rows, row, side="right"))
         derivative[..., 6 + max(0, moved_by - self._joints.first_joint) :] = 0.0
+        T.setflags(write=False)
+        derivative.setflags(write=False)
         return CorrectedLink(T, derivative)

@@ -211,7 +211,7 @@ class KinematicErrorFilter:
         filter can never take back a linearisation, a batch can.
         """
         solves = self._settings.window_solves
-        if len(self._window) < solves[-1]:
+        if len(self._window) < max(solves):
             self._window.add(MeasurementsAt(self._state.robot, tuple(measurements)))
             if len(self._window) in solves:
                 solved = self._window.solve(self._state.correction)

@@ -35,7 +35,7 @@ class MeasurementsAt:
 
 @dataclass(frozen=True, slots=True)
 class WeightedFrame:
-    """What of a frame is in sight, linearised, with the weights that a robust loss gives."""
+    """What of a frame is visible, linearised, with the weights that a robust loss gives."""
 
     robot: RobotState
     measurements: tuple[LinkMeasurement, ...]
@@ -105,7 +105,7 @@ class Window:
         return np.asarray(-np.linalg.solve(_tangent(at), at.vector()))
 
     def linearised(self, at: Correction) -> Iterator[WeightedFrame]:
-        """Every frame's measurements about a correction with weights; what is out of sight is left out."""
+        """Every frame's measurements about a correction with weights; what is not visible is left out."""
         found: dict[tuple[int, int], tuple[Linearised, float]] = {}
         for members, weighed in self._weighed(at):
             weights = geman_mcclure(weighed.deviation)[1]
@@ -118,21 +118,21 @@ class Window:
                     part = Linearised(weighed.part.residual[k], weighed.part.H[k], bias[k], noise[k])
                     found[int(frame), int(place)] = part, float(weights[k])
         for index, frame in enumerate(self._frames):
-            seen = [place for place in range(len(frame.measurements)) if (index, place) in found]
+            visible = [place for place in range(len(frame.measurements)) if (index, place) in found]
             yield WeightedFrame(
                 frame.robot,
-                tuple(frame.measurements[place] for place in seen),
-                tuple(found[index, place][0] for place in seen),
-                tuple(found[index, place][1] for place in seen),
+                tuple(frame.measurements[place] for place in visible),
+                tuple(found[index, place][0] for place in visible),
+                tuple(found[index, place][1] for place in visible),
             )
 
     def _descend(self, start: Correction, loss: Loss) -> Minimum[Correction] | None:
-        """The minimum from a start; None where something is out of sight there."""
+        """The minimum from a start; None where something is not visible there."""
         steps = Steps(self._settings.window_max_steps, damping=FIRST_DAMPING, cost_settled=COST_SETTLED)
         return minimise(start, lambda at: self._normal(at, loss), Correction.retract, steps)
 
     def _normal(self, at: Correction, loss: Loss) -> NormalEquations | None:
-        """Cost, gradient and information of prior and window at a correction; None where something is not seen."""
+        """Cost, gradient and information of prior and window at a correction; None where something is not visible."""
         state, A = at.vector(), _tangent(at)
         information = A.T @ self._prior_information @ A
         gradient = -A.T @ self._prior_information @ state

@@ -108,7 +108,7 @@ def measure(
 
 
 def wrong_kinematics(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Joint offsets and a believed camera-to-base transform, drawn at the profile's scale about the camera."""
+    """Joint offsets and a nominal camera-to-base transform, drawn at the profile's scale about the camera."""
     error = PROFILE.kinematic_error
     is_revolute = np.array([row.joint == "revolute" for row in CHAIN.rows])
     offsets = rng.normal(size=len(CHAIN.rows)) * np.where(is_revolute, error.joint_std_rad, error.joint_std_m)
@@ -125,14 +125,14 @@ def run(
     offset_std_m: float = 0.0,
     known_std_m: float = 0.0,
 ) -> Run:
-    """One filter over a path; the seen point is fixed off the tool's origin, which the filter knows or not."""
+    """One filter over a path; the measured point is fixed off the tool's origin, which the filter knows or not."""
     rng = np.random.default_rng(1000 + seed)
     offset_m = offset_std_m * rng.normal(size=3)
-    offsets, T_believed = wrong_kinematics(rng)
+    offsets, T_nominal = wrong_kinematics(rng)
     kalman = KinematicErrorFilter(CHAIN, PROFILE.kinematic_error)
     rows = []
     for frame, q in enumerate(joints_path(seed, frame_count)):
-        kalman.predict(RobotState(CHAIN, frame * 100_000_000, q + offsets, T_believed))
+        kalman.predict(RobotState(CHAIN, frame * 100_000_000, q + offsets, T_nominal))
         seen = measure(q, rng, 40.0 if frame in wild else 0.0, offset_m, known_std_m)
         results = kalman.update([] if frame in dark else seen)
         pose = kalman.tool_pose()
@@ -187,10 +187,10 @@ def test_wild_detections_do_not_bend_the_first_frames() -> None:
 
 
 def test_no_robot_is_too_wrong_to_start() -> None:
-    """Of robots as the simulator draws them all but one in a hundred take the first sight, whatever they believe.
+    """Of robots as the simulator draws them all but one in a hundred take the first measurement, whatever they report.
 
-    Some believe their tool behind the camera, where no derivative is to be had, more of them so far off that the
-    derivatives there mislead. They would never see anything.
+    Some report their tool behind the camera, where no derivative is to be had, more of them so far off that the
+    derivatives there mislead. They would never accept a measurement.
     """
     rng = np.random.default_rng(17)
     q, refused, behind = joints_path(3, 1)[0], 0, 0
@@ -204,13 +204,13 @@ def test_no_robot_is_too_wrong_to_start() -> None:
     assert refused <= 2
 
 
-def test_a_tool_believed_behind_the_camera_is_found() -> None:
-    """The first sight brings it before the camera; motion then tells where it is, as from any other belief."""
+def test_a_tool_reported_behind_the_camera_is_found() -> None:
+    """The first measurement brings it before the camera; motion then tells where it is, as from any other start."""
     rng = np.random.default_rng(5)
     kalman = KinematicErrorFilter(CHAIN, PROFILE.kinematic_error)
-    T_believed = make_transform(np.eye(3), [0.01, -0.02, -0.11]) @ T_CAMERA_BASE
+    T_nominal = make_transform(np.eye(3), [0.01, -0.02, -0.11]) @ T_CAMERA_BASE
     for frame, q in enumerate(joints_path(6, 30)):
-        kalman.predict(RobotState(CHAIN, frame * 100_000_000, q, T_believed))
+        kalman.predict(RobotState(CHAIN, frame * 100_000_000, q, T_nominal))
         if frame == 0:
             assert kalman.tool_pose().position_m[2] < 0.0
         kalman.update(measure(q, rng))

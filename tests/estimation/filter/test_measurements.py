@@ -1,4 +1,4 @@
-"""Observations against closed forms and drawings: their residuals, their derivatives, and which side is which."""
+"""Measurements against closed forms and drawings: their residuals, their derivatives, and which side is which."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_residuals_change_as_their_derivatives_say(measurement: LinkMeasurement)
     assert np.all(np.isfinite(here))
 
 
-def test_a_point_off_the_origin_moves_the_residual_by_the_spread() -> None:
+def test_a_point_off_the_origin_moves_the_residual_by_its_bias() -> None:
     """A point seen 0.1 mm beside where it is predicted gives the residual that the bias Jacobian tells."""
     offset = np.array([0.3, -1.2, 0.7])
     p_camera_m = (T_LINK @ np.append(1e-4 * offset, 1.0))[:3]
@@ -88,7 +88,7 @@ def test_a_point_off_the_origin_moves_the_residual_by_the_spread() -> None:
     for measurement in (point, disparity):
         part = linearise(measurement, CorrectedLink(T_LINK, np.eye(6)))
         np.testing.assert_allclose(part.residual, part.bias_jacobian[:, :3] @ offset, rtol=2e-2, atol=1e-3)
-        assert part.bias_jacobian[:, 3] == pytest.approx(0.0)  # no shade was stated
+        assert part.bias_jacobian[:, 3] == pytest.approx(0.0)  # no shading bias was stated
 
 
 def test_a_shaded_sphere_is_off_as_far_as_its_ray_is_tilted() -> None:
