@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import KinematicsError
 from svmdist.kinematics.dh_row import Convention, DHRow, JointType, twist
-from svmdist.kinematics.frame_columns import CHUNK, frame_columns
+from svmdist.kinematics.frame_columns import CHUNK, last_frame
 from svmdist.transforms import Array
 
 __all__ = [
@@ -144,32 +144,25 @@ def forward_kinematics(chain: DHChain, q: ArrayLike) -> Array:
     eq. (31), as a matrix product. Raises KinematicsError for a wrong number of joints.
     """
     q = _checked_joints(chain, q)
-    if math.prod(q.shape[:-1]) >= MANY:
-        T = _empty_transforms(q.shape[:-1])
-        flat, joints = T.reshape(-1, 4, 4), q.reshape(-1, q.shape[-1])
-        for at in range(0, len(joints), CHUNK):
-            *_, last = frame_columns(chain.rows, chain.convention, joints[at : at + CHUNK])
-            last.write(flat[at : at + CHUNK])
-    else:
+    if math.prod(q.shape[:-1]) < MANY:
         links = link_transforms(chain, q)
         T = links[..., 0, :, :]
         for index in range(1, len(chain.rows)):
             T = T @ links[..., index, :, :]
+        return np.asarray(T @ chain.T_last_tool)
+    T = np.empty((*q.shape[:-1], 4, 4))
+    T[..., 3, :] = 0.0, 0.0, 0.0, 1.0
+    flat, joints = T.reshape(-1, 4, 4), q.reshape(-1, q.shape[-1])
+    for at in range(0, len(joints), CHUNK):
+        last_frame(chain.rows, chain.convention, joints[at : at + CHUNK]).write(flat[at : at + CHUNK])
     return np.asarray((T.reshape(-1, 4) @ chain.T_last_tool).reshape(T.shape))
 
 
 def frame_transforms(chain: DHChain, q: ArrayLike) -> Array:
-    """Poses of all row frames in the base frame, shape (..., n_rows, 4, 4), for joints (..., n_joints)."""
-    q = _checked_joints(chain, q)
-    if math.prod(q.shape[:-1]) >= MANY:
-        frames = _empty_transforms((*q.shape[:-1], len(chain.rows)))
-        flat, joints = frames.reshape(-1, len(chain.rows), 4, 4), q.reshape(-1, q.shape[-1])
-        for at in range(0, len(joints), CHUNK):
-            for index, frame in enumerate(
-                frame_columns(chain.rows, chain.convention, joints[at : at + CHUNK])
-            ):
-                frame.write(flat[at : at + CHUNK, index])
-        return frames
+    """Poses of all row frames in the base frame, shape (..., n_rows, 4, 4), for joints (..., n_joints).
+
+    Always products of matrices: recordings are made with them, and repeat bit for bit.
+    """
     return running_product(link_transforms(chain, q))
 
 
@@ -210,13 +203,6 @@ def _constant(values: list[float]) -> Array:
     array = np.array(values)
     array.setflags(write=False)
     return array
-
-
-def _empty_transforms(shape: tuple[int, ...]) -> Array:
-    """Transforms, shape (*shape, 4, 4), of which the last row is set."""
-    T = np.empty((*shape, 4, 4))
-    T[..., 3, :] = 0.0, 0.0, 0.0, 1.0
-    return T
 
 
 def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:

@@ -6,7 +6,6 @@ ones of a Denavit–Hartenberg row are left out.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +29,7 @@ class FrameColumns:
     p: Array
 
     def write(self, T: Array) -> None:
-        """Into transforms, shape (n, 4, 4), of which the last rows are there."""
+        """Into transforms, shape (n, 4, 4), whose last rows are filled already."""
         for column, values in enumerate((self.x, self.y, self.z, self.p)):
             T[:, :3, column] = values.T
 
@@ -57,8 +56,8 @@ class FrameColumns:
         return FrameColumns(x, y, self.z, p)
 
 
-def frame_columns(rows: tuple[DHRow, ...], convention: Convention, q: Array) -> Iterator[FrameColumns]:
-    """The frames of all rows, one after the other, for joints of shape (n, n_joints)."""
+def last_frame(rows: tuple[DHRow, ...], convention: Convention, q: Array) -> FrameColumns:
+    """The frame of the last row for joints of shape (n, n_joints)."""
     frame = FrameColumns(X, Y, Z, ORIGIN)
     joints = iter(np.ascontiguousarray(q.T))
     for row in rows:
@@ -67,4 +66,4 @@ def frame_columns(rows: tuple[DHRow, ...], convention: Convention, q: Array) -> 
             frame = frame.turned(row, value).twisted(row)
         else:
             frame = frame.twisted(row).turned(row, value)
-        yield frame
+    return frame
