@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.polygon import polygon_centroid
 from svmdist.simulation.bodies.meshes import Mesh, smooth_normals
 from svmdist.simulation.bodies.relief import Relief
 from svmdist.simulation.bodies.textures import TEXTURE_SPAN_M
@@ -68,15 +69,6 @@ def make_organ(rng: np.random.Generator, relief: Relief | None = None) -> Organ:
     normals = smooth_normals(vertices_m, faces)
     uv = 0.5 + vertices_m[:, :2] / TEXTURE_SPAN_M
     return Organ(Mesh(vertices_m, normals, uv, faces), outline_m, float(height_m), relief is None)
-
-
-def polygon_centroid(polygon_m: Array) -> Array:
-    """Area centroid of a simple polygon, shape (n, 2), by the shoelace formula."""
-    x, y = polygon_m[:, 0], polygon_m[:, 1]
-    next_x, next_y = np.roll(x, -1), np.roll(y, -1)
-    cross = x * next_y - next_x * y
-    moments = np.array([((x + next_x) * cross).sum(), ((y + next_y) * cross).sum()])
-    return np.asarray(moments / (3.0 * cross.sum()))
 
 
 def _outline(angle: Array, rng: np.random.Generator) -> Array:
