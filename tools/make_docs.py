@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from svmdist.estimation.locate import locate_both
-from svmdist.estimation.planar.outline import draw_outline
+from svmdist.estimation.planar.marker_detection import draw_outline
 from svmdist.recording.reader import open_recording
 from svmdist.report.plot import save_plot
 from svmdist.samples import Estimate, Image, Observation

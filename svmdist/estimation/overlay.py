@@ -10,12 +10,10 @@ from dataclasses import replace
 
 from svmdist.estimation.locate import locate_both
 from svmdist.estimation.planar.equations import PlaneMapping, planar_distance_m
-from svmdist.estimation.planar.outline import find_marker, template_features
+from svmdist.estimation.planar.marker_detection import detect_marker, mark, template_features
 from svmdist.estimation.rows import finish, first_rows
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Observation, Status
-from svmdist.vision.marker.features import EDGE_MARGIN_PX
-from svmdist.vision.marker.pattern import paste_marker
 from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter, own_masks
 
 
@@ -40,12 +38,10 @@ class OverlayEstimator:
         row = first_rows(observation.stamp_ns, tissue, instrument)
         if tissue is None or instrument is None:
             return row
-        marked = paste_marker(
-            observation.image_bgr, instrument.centroid_px, self._marker.size_px, EDGE_MARGIN_PX
-        )
+        marked = mark(observation.image_bgr, instrument.centroid_px, self._marker)
 
         # Second phase: features, matches, homography, outline.  Final phase: third contour.
-        found = find_marker(marked, self._template, self._marker, self._rules)
+        found = detect_marker(marked, self._template, self._marker, self._rules)
         row = replace(
             row,
             status=found.status,

@@ -6,6 +6,7 @@ from svmdist.settings.association import AssociationSettings
 from svmdist.settings.distal_marker import DistalMarkerSettings
 from svmdist.settings.exposure import ExposureSettings
 from svmdist.settings.filter import FilterSettings
+from svmdist.settings.marker import MarkerSettings
 from svmdist.settings.outline import OutlineSettings
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.settings.stereo import StereoSettings
@@ -19,6 +20,7 @@ class Settings(StrictModel):
 
     exposure: ExposureSettings = ExposureSettings()
     outline: OutlineSettings = OutlineSettings()
+    marker: MarkerSettings = MarkerSettings()
     shaft: ShaftSettings = ShaftSettings()
     distal_marker: DistalMarkerSettings = DistalMarkerSettings()
     stereo: StereoSettings = StereoSettings()

@@ -131,8 +131,8 @@ def _measure(observation: Observation, estimator: Estimator, setup: Setup, tally
 def _marker_keypoint_count(image_bgr: Image, centre_px: Array, profile: Profile) -> int:
     size_px = profile.marker.size_px
     marked = paste_marker(image_bgr, centre_px, size_px, EDGE_MARGIN_PX)
-    grey = np.asarray(cv2.cvtColor(marked.canvas_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-    points_px = detect_orb(grey, profile.features.feature_count).points_px - np.array(marked.paste_px)
+    grey = np.asarray(cv2.cvtColor(marked.window_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
+    points_px = detect_orb(grey, profile.features.feature_count).points_px - EDGE_MARGIN_PX
     return int(np.count_nonzero(np.all((points_px >= 0) & (points_px < size_px), axis=1)))
 
 

@@ -6,14 +6,25 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.marker.features import DESCRIPTOR_BYTES, Features, detect_orb, hamming, match_features
-from svmdist.vision.marker.patch import (
+from svmdist.vision.marker.features import (
+    DESCRIPTOR_BYTES,
+    EDGE_MARGIN_PX,
+    Features,
+    detect_orb,
+    match_features,
+)
+from tests.vision.marker.patch import (
     HALF_PATCH_PX,
     binary_test,
     intensity_centroid,
     orientation,
     patch_moments,
 )
+
+
+def hamming(a: np.ndarray, b: np.ndarray) -> int:
+    """Number of bits in which two descriptors, shape (32,), differ."""
+    return int(np.unpackbits(a ^ b).sum())
 
 
 def textured_grey(seed: int = 1) -> np.ndarray:
@@ -81,6 +92,32 @@ def test_the_ratio_test_keeps_only_what_is_clearly_nearer():
     np.testing.assert_array_equal(clear.frame_px, [[0.0, 0.0]])
     assert len(match_features(features_of(15), features_of(0, 35), ratio=0.75)) == 0  # 15 against 20
     assert len(match_features(features_of(50), frame, ratio=0.75)) == 0  # 50 against 50
+
+
+def test_matches_are_those_of_opencvs_matcher():
+    """Of two textures of which one is part of the other: the pairs of knnMatch that pass the ratio test, sorted."""
+    image = textured_grey()
+    template, frame = detect_orb(image[40:200, 60:260], 300), detect_orb(image, 500)
+    pairs = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(template.descriptors, frame.descriptors, k=2)
+    kept = [first for first, second in pairs if first.distance < 0.75 * second.distance]
+    kept.sort(key=lambda match: (match.distance, match.queryIdx))
+    assert len(kept) > 20
+    matches = match_features(template, frame, ratio=0.75)
+    np.testing.assert_array_equal(matches.template_px, template.points_px[[m.queryIdx for m in kept]])
+    np.testing.assert_array_equal(matches.frame_px, frame.points_px[[m.trainIdx for m in kept]])
+
+
+@pytest.mark.parametrize("side_px", [63, 75, 76, 110, 158, 240])
+def test_levels_that_are_all_margin_hold_no_keypoint(side_px):
+    """The pyramid stops where no keypoint can be: OpenCV's eight levels give the same features."""
+    image = textured_grey()[:side_px, :side_px]
+    orb = cv2.ORB_create(nfeatures=10_000, edgeThreshold=EDGE_MARGIN_PX, patchSize=EDGE_MARGIN_PX)
+    keypoints, descriptors = orb.detectAndCompute(image, None)
+    features = detect_orb(image, 10_000)
+    assert len(features) == len(keypoints)
+    if len(keypoints):
+        np.testing.assert_array_equal(features.points_px, [keypoint.pt for keypoint in keypoints])
+        np.testing.assert_array_equal(features.descriptors, descriptors)
 
 
 @pytest.mark.parametrize(("template", "frame"), [((), (0, 1)), ((0, 1), ()), ((0, 50), (0,)), ((), ())])
