@@ -27,6 +27,7 @@ class OverlayEstimator:
         self._segmenter = segmenter or make_segmenter(profile.segmentation, level=False)
         self._marker = profile.marker
         self._rules = profile.features
+        self._settings = profile.settings.marker
         self._mapping = mapping
         self._template = template_features(profile.marker, profile.features)
 
@@ -41,7 +42,7 @@ class OverlayEstimator:
         marked = mark(observation.image_bgr, instrument.centroid_px, self._marker)
 
         # Second phase: features, matches, homography, outline.  Final phase: third contour.
-        found = detect_marker(marked, self._template, self._marker, self._rules)
+        found = detect_marker(marked, self._template, self._marker, self._rules, self._settings)
         row = replace(
             row,
             status=found.status,

@@ -10,7 +10,7 @@ from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError, did_you_mean
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.planar.calibration import Calibration, load_calibration
-from svmdist.estimation.planar.equations import PRINTED_MAPPING, Equations, PlaneMapping, degeneracies
+from svmdist.estimation.planar.equations import PUBLISHED_MAPPING, Equations, PlaneMapping, degeneracies
 from svmdist.estimation.tissue.fix import require_tissue
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.reader import Recording
@@ -30,7 +30,7 @@ class Setup:
     def mapping(self) -> PlaneMapping | None:
         """The mapping from pixels to the plane: printed as it stands, or the calibration's; None in 3D."""
         if self.equations == "printed":
-            return PRINTED_MAPPING
+            return PUBLISHED_MAPPING
         return self.calibration.mapping if self.calibration else None
 
     @cached_property
