@@ -89,7 +89,7 @@ def degeneracies(mapping: PlaneMapping, width_px: int, height_px: int) -> list[s
     if mapping.equations == "printed":
         low, high = float(screen_cm_as_published(width_px - 1)), float(screen_cm_as_published(0))
         warnings.append(
-            f"eqs. (3), (4) as published: S runs from {high:+.2f} to {low:+.1f} cm over {width_px} px;"
+            f"eqs. (3), (4) as printed: S runs from {high:+.2f} to {low:+.1f} cm over {width_px} px;"
             " a pixel is 0.0254 cm there, not 0.0245"
         )
     for name, quadratic, size_px in (("(5), (23)", mapping.x, width_px), ("(6), (24)", mapping.y, height_px)):
