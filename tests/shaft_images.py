@@ -14,7 +14,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edges import straightened
+from svmdist.vision.lines import undistorted
 
 RADIUS_M, KNUCKLE_RADIUS_M, END_M, WRIST_M = 0.004, 0.00175, 0.00627, 0.0091
 PALE_BGR, RED_BGR = (170.0, 185.0, 205.0), (70.0, 60.0, 190.0)
@@ -62,7 +62,7 @@ class ShaftImage:
         x = (np.arange(width)[:, None] + offsets).ravel()
         y = (rows[:, None] + offsets).ravel()
         grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-        rays = np.column_stack([straightened(self.camera, grid), np.ones(len(grid))])
+        rays = np.column_stack([undistorted(self.camera, grid), np.ones(len(grid))])
         colour = np.tile(np.array(self.background_bgr), (len(rays), 1))
         depth = np.full(len(rays), np.inf)
         self._cylinder(rays, colour, depth, RADIUS_M, (-0.3, -END_M), (32.0, 30.0, 30.0), self.stripe)

@@ -13,20 +13,13 @@ from numpy.typing import NDArray
 
 from svmdist.profile import AreaGate
 from svmdist.samples import Image
+from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
 from svmdist.vision.field_of_view import field_of_view
 
-RIM_FRACTION = 0.006
-"""The outermost part of the field of view, over the image's width: optics fade there."""
-GAP_FRACTION = 0.03
-"""Bright stripes on the shaft up to this fraction of the image's width are reflections: closed."""
-SPECK_FRACTION = 0.008
-"""Dark lines up to this fraction of the image's width are vessels or gaps: opened."""
+DEFAULT = ShaftSettings()
 MAX_SAMPLES = 120
 """Points of a contour among which its two corners are searched."""
-MIN_SIDE_PX = 6.0
-MAX_TAPER_RAD = 0.6
-"""Between the two sides: a cylinder that points at the camera more than this has no contour lines to measure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +70,11 @@ class ShaftRegion:
 
 
 def find_shaft(
-    shaft: Image, rule: AreaGate, covered: Image | None = None, black: Image | None = None
+    shaft: Image,
+    rule: AreaGate,
+    covered: Image | None = None,
+    black: Image | None = None,
+    settings: ShaftSettings = DEFAULT,
 ) -> ShaftRegion | None:
     """Find the shaft in its mask, shape (h, w); None where none comes in from the border.
 
@@ -89,13 +86,15 @@ def find_shaft(
     view = field_of_view(dark if black is None else np.asarray(dark | black))
     if covered is not None:
         dark = np.asarray(cv2.subtract(dark, covered), np.uint8)
-    rim_px = max(2, round(RIM_FRACTION * width))
+    rim_px = max(2, round(settings.view_border_fraction * width))
     core = cv2.erode(view, _disc(rim_px), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     mask = np.asarray(cv2.bitwise_and(dark, core), np.uint8)
     mask = np.asarray(
-        cv2.morphologyEx(mask, cv2.MORPH_OPEN, _disc(max(1, round(SPECK_FRACTION * width / 2))))
+        cv2.morphologyEx(
+            mask, cv2.MORPH_OPEN, _disc(max(1, round(settings.speck_width_fraction * width / 2)))
+        )
     )
-    closing = _disc(round(GAP_FRACTION * width / 2))
+    closing = _disc(round(settings.glare_width_fraction * width / 2))
     mask = np.asarray(cv2.bitwise_and(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, closing), core), np.uint8)
     if covered is not None:
         mask = np.asarray(cv2.subtract(mask, covered), np.uint8)
@@ -106,7 +105,9 @@ def find_shaft(
             return None
         shape = np.zeros_like(mask)
         cv2.drawContours(shape, [contour], -1, 255, cv2.FILLED)
-        sides = _sides_of(np.asarray(contour.reshape(-1, 2), np.int32), np.asarray(at_border, np.uint8))
+        sides = _sides_of(
+            np.asarray(contour.reshape(-1, 2), np.int32), np.asarray(at_border, np.uint8), settings
+        )
         if sides is not None:
             return ShaftRegion(shape, *sides, _is_free(sides, covered), view)
     return None
@@ -121,21 +122,23 @@ def bright_fraction(region: ShaftRegion, dark: Image) -> float:
     return 1.0 - cv2.countNonZero(cv2.bitwise_and(inside, dark)) / max(cv2.countNonZero(inside), 1)
 
 
-def _sides_of(contour: NDArray[np.int32], at_border: Image) -> tuple[Side, Side, Array | None] | None:
+def _sides_of(
+    contour: NDArray[np.int32], at_border: Image, settings: ShaftSettings
+) -> tuple[Side, Side, Array | None] | None:
     """The two sides of a closed contour, shape (n, 2), and the middle of its distal end."""
-    arcs = _arcs_inside(contour, at_border)
+    arcs = _arcs_inside(contour, at_border, settings.min_side_px)
     if not arcs:
         return None
     arcs.sort(key=len, reverse=True)
     if len(arcs) > 1 and len(arcs[1]) > 0.4 * len(arcs[0]):
         # Through the whole picture: one arc along each side, run in opposite directions.
         first, second = _fitted_side(arcs[0]), _fitted_side(arcs[1][::-1])
-        return (first, second, None) if _are_sides(first, second) else None
-    split = _split(arcs[0])
+        return (first, second, None) if _are_sides(first, second, settings) else None
+    split = _split(arcs[0], settings.min_side_px)
     if split is None:
         return None
     first, second = split
-    if not _are_sides(first, second):
+    if not _are_sides(first, second, settings):
         return None
     return first, second, 0.5 * (first.end_px + second.end_px)
 
@@ -150,7 +153,7 @@ def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> b
     return bool(np.all(np.hypot(x - end_px[0], y - end_px[1]) > radius_px))
 
 
-def _arcs_inside(contour: NDArray[np.int32], at_border: Image) -> list[Array]:
+def _arcs_inside(contour: NDArray[np.int32], at_border: Image, min_side_px: float) -> list[Array]:
     """The stretches of a closed contour away from the border, each an array of shape (n, 2)."""
     inside = at_border[contour[:, 1], contour[:, 0]] == 0
     if inside.all() or not inside.any():
@@ -160,15 +163,15 @@ def _arcs_inside(contour: NDArray[np.int32], at_border: Image) -> list[Array]:
     edges = np.flatnonzero(np.diff(inside.astype(np.int8)))
     starts, ends = edges[0::2] + 1, [*(edges[1::2] + 1), len(contour)]
     arcs = [contour[start:end].astype(np.float64) for start, end in zip(starts, ends, strict=False)]
-    return [arc for arc in arcs if len(arc) >= 2 * MIN_SIDE_PX]
+    return [arc for arc in arcs if len(arc) >= 2 * min_side_px]
 
 
-def _split(arc: Array) -> tuple[Side, Side] | None:
+def _split(arc: Array, min_side_px: float) -> tuple[Side, Side] | None:
     """Cut an arc, shape (n, 2), at the two corners that leave three pieces closest to straight lines."""
     points = arc[np.round(np.linspace(0, len(arc) - 1, min(len(arc), MAX_SAMPLES))).astype(int)]
     count = len(points)
     step_px = len(arc) / count
-    shortest = max(3, int(np.ceil(MIN_SIDE_PX / step_px)))
+    shortest = max(3, int(np.ceil(min_side_px / step_px)))
     if count < 3 * shortest:
         return None
     cost = _line_costs(points)
@@ -200,12 +203,12 @@ def _fitted_side(points: Array) -> Side:
     return Side(start, end)
 
 
-def _are_sides(first: Side, second: Side) -> bool:
+def _are_sides(first: Side, second: Side, settings: ShaftSettings) -> bool:
     """Whether two lines run alike and side by side."""
     lengths = [float(np.linalg.norm(side.end_px - side.start_px)) for side in (first, second)]
-    if min(lengths) < MIN_SIDE_PX:
+    if min(lengths) < settings.min_side_px:
         return False
-    return bool(first.direction @ second.direction > np.cos(MAX_TAPER_RAD))
+    return bool(first.direction @ second.direction > np.cos(settings.max_taper_rad))
 
 
 def _disc(radius_px: int) -> NDArray[np.uint8]:

@@ -14,19 +14,16 @@ import cv2
 import numpy as np
 
 from svmdist.samples import Image
+from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array
 
+DEFAULT = StereoSettings()
 DEGREE = 3
 SCALE_PX = 100.0
-BLOCK_PX = 9
-MIN_MATCHES = 2000
 MAX_SAMPLES = 15_000
 """Pixels used in a fit: beyond some ten thousand, noise is no longer what limits it."""
 MAX_START_SAMPLES = 3000
 """Matches that the alignment starts from: it must begin within a pixel, no better."""
-MARGIN_PX = 7
-"""Matches this close to the region's edge mix two surfaces within one block."""
-SMOOTHING_PX = 1.5
 ALIGN_STEPS = 12
 RIDGE = 1e-3
 
@@ -50,20 +47,22 @@ class DisparitySurface:
         return np.asarray(_basis(points_px, self.centre_px) @ self.coefficients)
 
 
-def match_semi_global(left_grey: Image, right_grey: Image, min_px: int, max_px: int) -> Array:
+def match_semi_global(
+    left_grey: Image, right_grey: Image, min_px: int, max_px: int, block_px: int = DEFAULT.block_px
+) -> Array:
     """Disparity of every left pixel, shape (h, w) in px; NaN where there is none.
 
     `min_px` and `max_px` bound the search; OpenCV searches a multiple of 16.
     """
-    if left_grey.shape[1] < _least_width_px(min_px, max_px):
+    if left_grey.shape[1] < _least_width_px(min_px, max_px, block_px):
         return np.full(left_grey.shape, np.nan)
     count = 16 * int(np.ceil((max_px - min_px) / 16))
     matcher = cv2.StereoSGBM.create(
         minDisparity=min_px,
         numDisparities=count,
-        blockSize=BLOCK_PX,
-        P1=8 * BLOCK_PX**2,
-        P2=64 * BLOCK_PX**2,
+        blockSize=block_px,
+        P1=8 * block_px**2,
+        P2=64 * block_px**2,
         disp12MaxDiff=2,
         uniquenessRatio=3,
         speckleWindowSize=100,
@@ -74,30 +73,39 @@ def match_semi_global(left_grey: Image, right_grey: Image, min_px: int, max_px: 
     return np.where(fixed_point >= 16 * min_px, fixed_point / 16.0, np.nan)
 
 
-def _least_width_px(min_px: int, max_px: int) -> int:
+def _least_width_px(min_px: int, max_px: int, block_px: int) -> int:
     """Width below which OpenCV's matcher has no column with all disparities in it, and fails."""
-    return max(abs(min_px), abs(max_px)) + (max_px - min_px) + 16 + 2 * BLOCK_PX
+    return max(abs(min_px), abs(max_px)) + (max_px - min_px) + 16 + 2 * block_px
 
 
 def fit_surface(
-    left_grey: Image, right_grey: Image, region: Image, right_region: Image, min_px: int, max_px: int
+    left_grey: Image,
+    right_grey: Image,
+    region: Image,
+    right_region: Image,
+    min_px: int,
+    max_px: int,
+    settings: StereoSettings = DEFAULT,
 ) -> DisparitySurface | None:
     """Fit the disparity surface of a region, a mask of shape (h, w); None with too few matches in it.
 
     `right_region` is the same region's mask in the right image: what leaves it there is hidden.
     """
-    core = cv2.erode(region, np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), np.uint8))
+    side_px = 2 * settings.margin_px + 1
+    core = cv2.erode(region, np.ones((side_px, side_px), np.uint8))
     # Matching costs most of all; only the region's rows, and the columns that its matches can lie in, are needed.
     x, y, width, height = cv2.boundingRect(core)
-    least_px = _least_width_px(min_px, max_px)
+    least_px = _least_width_px(min_px, max_px, settings.block_px)
     left_px = max(0, min(x - max(max_px, 0), core.shape[1] - least_px))
     right_px = max(x + width - min(min_px, 0), left_px + least_px)
     window = np.s_[y : y + height, left_px:right_px]
     disparity_px = np.full(core.shape, np.nan)
     if width > 0 and height > 0:
-        disparity_px[window] = match_semi_global(left_grey[window], right_grey[window], min_px, max_px)
+        disparity_px[window] = match_semi_global(
+            left_grey[window], right_grey[window], min_px, max_px, settings.block_px
+        )
     rows, columns = np.nonzero((core > 0) & np.isfinite(disparity_px))
-    if len(rows) < MIN_MATCHES:
+    if len(rows) < settings.min_matches:
         return None
     matched_fraction = len(rows) / max(int(np.count_nonzero(core)), 1)
     step = max(1, len(rows) // MAX_SAMPLES)
@@ -107,7 +115,7 @@ def fit_surface(
     few = slice(None, None, max(1, len(rows) // MAX_START_SAMPLES))
     coefficients = _fit_robustly(_basis(points_px[few], centre_px), disparity_px[rows[few], columns[few]])
     coefficients, mismatch_px = _align(
-        left_grey, right_grey, right_region, points_px, centre_px, coefficients
+        left_grey, right_grey, right_region, points_px, centre_px, coefficients, settings
     )
     return DisparitySurface(coefficients, centre_px, mismatch_px, matched_fraction)
 
@@ -137,15 +145,18 @@ def _align(
     points_px: Array,
     centre_px: Array,
     coefficients: Array,
+    settings: StereoSettings,
 ) -> tuple[Array, float]:
     """Gauss–Newton on right(u - d(u, v), v) - left(u, v), with a free offset of brightness between the images.
 
     Gives the coefficients and the mismatch that they leave, in px.
     """
-    left = cv2.GaussianBlur(left_grey, (0, 0), SMOOTHING_PX).astype(np.float32)
-    right = cv2.GaussianBlur(right_grey, (0, 0), SMOOTHING_PX).astype(np.float32)
+    left = cv2.GaussianBlur(left_grey, (0, 0), settings.smoothing_px).astype(np.float32)
+    right = cv2.GaussianBlur(right_grey, (0, 0), settings.smoothing_px).astype(np.float32)
     slope = (cv2.Sobel(right, cv2.CV_32F, 1, 0, ksize=3) / 8.0).astype(np.float32)
-    inside = cv2.erode(right_region, np.ones((MARGIN_PX, MARGIN_PX), np.uint8)).astype(np.float32)
+    inside = cv2.erode(right_region, np.ones((settings.margin_px, settings.margin_px), np.uint8)).astype(
+        np.float32
+    )
     B = _basis(points_px, centre_px)
     columns, rows = points_px.T
     seen = left[rows.astype(int), columns.astype(int)].astype(np.float64)

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 import trimesh
 
+from svmdist.estimation.detection.stereo_surface import StereoSurface
 from svmdist.estimation.tissue.dome import DomeFix
+from svmdist.estimation.tissue.dome_fit import fit_dome
 from svmdist.estimation.tissue.fix import TissueFix, tissue_frame
 from svmdist.estimation.tissue.memory import MOVED_COUNT, SHAPE_COUNT, TissueMemory
-from svmdist.estimation.tissue.stereo_surface import SMOOTH, StereoSurface, fit_dome
 from svmdist.geometry.separation import separation
 from svmdist.geometry.surfaces import Capsules, Mesh, Plane
 from svmdist.profile import Dome
+from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array, transform_points
 
 RULE = Dome(height_m=0.008, gauge_exponent=2.3, height_exponent=0.62, height_std_m=1.5e-4, apex_std_m=2e-3)
@@ -99,7 +101,7 @@ def test_fitted_shapes_are_as_sure_as_they_say() -> None:
     squares = []
     for _ in range(60):
         truth = DOME.shaped(rng.multivariate_normal(DOME.shape_m, DOME.covariance), DOME.covariance)
-        error_m = smooth @ rng.normal(0.0, SMOOTH * 3.6e-4, basis.shape[1])
+        error_m = smooth @ rng.normal(0.0, StereoSettings().smooth_fraction * 3.6e-4, basis.shape[1])
         found = fit_dome(DOME, cloud(truth, error_m, flat_m))
         assert found is not None
         off = found.shape_m - truth.shape_m

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.stereo import SMOOTHING_PX, fit_surface
+from svmdist.settings.stereo import StereoSettings
+from svmdist.vision.stereo import fit_surface
 
 HEIGHT, WIDTH = 240, 320
 
@@ -52,14 +53,15 @@ def test_the_mismatch_is_that_of_the_noise() -> None:
     """Noise that the alignment's smoothing leaves, over the texture's slope: by so much a pixel seems shifted."""
     region = np.zeros((HEIGHT, WIDTH), np.uint8)
     region[30:210, 80:280] = 255
+    smoothing_px = StereoSettings().smoothing_px
     for noise in (2.0, 6.0):
         left, right = _pair(noise, seed=4)
         surface = fit_surface(left, right, region, np.full_like(region, 255), 10, 60)
         assert surface is not None
         # White noise through a Gaussian of σ keeps 1 / (2 √π σ); both views have it, and whole grey levels, of 1/√12.
-        kept = noise / (2.0 * np.sqrt(np.pi) * SMOOTHING_PX)
+        kept = noise / (2.0 * np.sqrt(np.pi) * smoothing_px)
         left_over = np.sqrt(2.0) * np.hypot(kept, 1.0 / np.sqrt(12.0))
-        wide_px = np.hypot(6.0, SMOOTHING_PX)
+        wide_px = np.hypot(6.0, smoothing_px)
         slope = 14.0 * (6.0 / wide_px) / (np.sqrt(2.0) * wide_px)
         assert surface.mismatch_px == pytest.approx(left_over / slope, rel=0.2)
 

@@ -12,9 +12,9 @@ from typing import Protocol
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.cylinder import tangent_normal
-from svmdist.estimation.instrument.shaft_model import apparent_radius_px
 from svmdist.transforms import Array, rotation_vector, transform_points
+from svmdist.vision.cylinder import tangent_normal
+from svmdist.vision.sphere import apparent_radius_px
 
 MIN_DEPTH_M = 1e-3
 POINT_S = 30.0

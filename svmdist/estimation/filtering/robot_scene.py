@@ -6,19 +6,22 @@ from dataclasses import dataclass, replace
 
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, ProfileError
+from svmdist.estimation.detection.stereo_surface import detect_stereo_surface
 from svmdist.estimation.distances import measure, with_tool
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.estimation.tissue.dome import DomeFix
+from svmdist.estimation.tissue.dome_fit import fit_dome
 from svmdist.estimation.tissue.fix import TissueFix, TissueSight, require_tissue, see_tissue, with_tissue
 from svmdist.estimation.tissue.memory import TissueMemory
-from svmdist.estimation.tissue.stereo_surface import fit_dome, see_surface
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, select_joints
 from svmdist.profile import Profile
+from svmdist.results import Failure
 from svmdist.samples import Estimate, JointSample, Observation, Status
 from svmdist.transforms import Array
 from svmdist.vision.rectified import rectified_pair
+from svmdist.vision.segmentation.colour import to_grey
 from svmdist.vision.segmentation.segmenter import Masks, Segmenter, make_segmenter, own_masks
 
 
@@ -76,11 +79,18 @@ class RobotScene:
         if sight.fix.dome is None or not self._tissue.wants_shape:
             return None
         pair = rectified_pair(observation, right)
-        if isinstance(pair, str):
+        if isinstance(pair, Failure):
             return None
         right_masks = own_masks(self.segmenter, right.image_bgr, right.foreign)
-        surface = see_surface(observation, right, pair, sight.region.hull, (masks.tissue, right_masks.tissue))
-        return None if surface is None else fit_dome(sight.fix.dome, surface)
+        surface = detect_stereo_surface(
+            to_grey(observation.image_bgr),
+            to_grey(right.image_bgr),
+            pair,
+            sight.region.hull,
+            (masks.tissue, right_masks.tissue),
+            self.profile.settings.stereo,
+        )
+        return None if surface is None else fit_dome(sight.fix.dome, surface, self.profile.settings.stereo)
 
     def finish(
         self,

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filtering.knuckle_middle import knuckle_middle
+from svmdist.estimation.detection.distal_marker import detect_distal_marker, marker_centre, marker_disc
+from svmdist.estimation.detection.shaft import detect_shaft
 from svmdist.estimation.filtering.observations import (
     ContourObservation,
     DisparityObservation,
@@ -19,7 +20,6 @@ from svmdist.estimation.filtering.observations import (
 )
 from svmdist.estimation.filtering.robot_scene import Belief, Look
 from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.instrument.shaft_sight import RADIUS_PER_BLUR, see_knuckle, see_shaft
 from svmdist.estimation.instrument.tag_pose import find_tag_pose
 from svmdist.estimation.locate import locate_instrument
 from svmdist.kinematics.dh import DHChain, frame_transforms
@@ -30,36 +30,12 @@ from svmdist.samples import Image, Observation
 from svmdist.transforms import Array, inverse
 from svmdist.vision.regions import Region
 from svmdist.vision.segmentation.colour import to_hsv
-from svmdist.vision.segmentation.exposure import levelled
+from svmdist.vision.segmentation.exposure import brightest_channel, levelled
 from svmdist.vision.segmentation.segmenter import Masks, Segmenter, own_masks
 from svmdist.vision.shaft_segmentation import find_shaft
 from svmdist.vision.tag.detection import TagFinder, tag_plate
 from svmdist.vision.tag.pattern import TagPattern
 
-REGION_STD_PX = 2.0
-"""The centroid of a coloured part of unknown shape against the tool's origin."""
-VISIBLE_MIDDLE = 0.03
-"""Of a knuckle that jaws and fork hide a part of, the visible middle stands off the true one: over its radius,
-along each axis of the tool, of which it is a fixed point. They hide 6 % of its disc (`VISIBLE_RADIUS`); all of it on
-one side would move the middle by 0.05."""
-SHADE = 0.12
-"""The limb that is turned from the light is dark, and draws the visible middle to the lit side: over the radius and
-the angle between light and view. By Lambert's law it is √(1 - ρ²) where the limb in shade alone ends the disc at ρ of
-its radius, 0.24 for 0.97; none where jaws and fork end it, or the light is at the camera: half of it."""
-NOISE = 0.02
-"""What is left of the centroid's error then, over the radius: pixels, shading, the view's own angle."""
-WHOLE_FRACTION = 0.4
-"""A knuckle of which less is seen tells nothing: its centroid is anybody's guess."""
-WHOLE_SPREAD = 0.1
-"""By how much a whole knuckle's area differs from its disc's: jaws that hide some, fork that adds."""
-DISPARITY_NOISE = 0.008
-"""The same in the difference of two views that see the knuckle from 3° apart, over the radius."""
-EVEN = 0.02
-"""By how much the region's areas in both views differ when nothing is wrong, over their sum."""
-SIZE_STD = 0.01
-"""Depth over depth: where it is known this well, the knuckle's size adds nothing to it."""
-ROW_TOLERANCE_PX = 3.0
-"""Rectified images show the knuckle on one row; what is further off is something else."""
 SHARED = 0.5
 """The share of a tag's variance that lasts, how its edges fall on the pixels changes with motion; and of an edge's:
 shading shifts it for as long as the light falls on it so, turning and noise do not."""
@@ -91,7 +67,7 @@ class ToolSights:
         if region is not None:
             image_hsv = to_hsv(image_bgr)
             seen += self._knuckle(observation, image_hsv, look.masks, region, pose)
-            seen += self._size(observation, image_hsv, look.masks, pose)
+            seen += self._size(observation, image_hsv, look.masks, region, pose)
         if corners_px is not None and look.belief is not None:
             seen += self._tag(observation, look.belief, pose, corners_px)
         seen += self._contours(image_bgr, observation.camera, look.masks, corners_px)
@@ -104,14 +80,17 @@ class ToolSights:
         whole_std_px = self._centroid_std_px(observation.camera, region, pose)
         if whole_std_px is None:
             return
+        settings, stereo = self._profile.settings.distal_marker, self._profile.settings.stereo
         instrument = self._profile.instrument
         radius_m = instrument.knuckle_radius_m if instrument is not None else 0.0
         depth_m, radius_px = pose.position_m[2], float(np.sqrt(region.area_px / np.pi))
-        point_std_m, shade_px = VISIBLE_MIDDLE * radius_m, SHADE * radius_px if radius_m > 0.0 else 0.0
-        centre_px, blur_px = knuckle_middle(
-            image_hsv, masks.instrument, region, observation.camera, depth_m, radius_m
+        point_std_m, shade_px = (
+            settings.visible_middle * radius_m,
+            settings.shading_bias * radius_px if radius_m > 0.0 else 0.0,
         )
-        std_px = float(np.hypot(whole_std_px, RADIUS_PER_BLUR * blur_px))
+        disc = marker_disc(image_hsv, masks.instrument, region, settings)
+        centre_px, blur_px = marker_centre(region, disc, observation.camera, depth_m, radius_m)
+        std_px = float(np.hypot(whole_std_px, settings.border_std_per_blur * blur_px))
         yield PointsObservation(
             "knuckle",
             None,
@@ -127,16 +106,17 @@ class ToolSights:
             return
         masks = own_masks(self._segmenter, right.image_bgr, right.foreign)
         other = locate_instrument(masks, self._profile.segmentation)
-        if other is None or abs(other.centroid_px[1] - region.centroid_px[1]) > ROW_TOLERANCE_PX:
+        if other is None or abs(other.centroid_px[1] - region.centroid_px[1]) > stereo.row_tolerance_px:
             return
         if self._centroid_std_px(right.camera, other, pose) is None:
             return
         # What one view shows more of moves its centroid by up to half of it.
         uneven = abs(region.area_px - other.area_px) / (region.area_px + other.area_px)
-        std_px = radius_px * float(np.hypot(DISPARITY_NOISE, max(0.0, uneven - EVEN)))
-        other_px, _ = knuckle_middle(
-            to_hsv(levelled(right.image_bgr)), masks.instrument, other, right.camera, depth_m, radius_m
+        std_px = radius_px * float(
+            np.hypot(stereo.tracked_disparity_noise, max(0.0, uneven - stereo.even_area_fraction))
         )
+        disc = marker_disc(to_hsv(levelled(right.image_bgr)), masks.instrument, other, settings)
+        other_px, _ = marker_centre(other, disc, right.camera, depth_m, radius_m)
         yield DisparityObservation(
             "disparity",
             None,
@@ -150,13 +130,16 @@ class ToolSights:
         )
 
     def _size(
-        self, observation: Observation, image_hsv: Image, masks: Masks, pose: ToolPose
+        self, observation: Observation, image_hsv: Image, masks: Masks, region: Region, pose: ToolPose
     ) -> Iterator[LinkObservation]:
         """The whole knuckle's radius: a depth right within some percent, where nothing better tells one yet."""
-        instrument = self._profile.instrument
-        if instrument is None or np.sqrt(pose.covariance[2, 2]) < SIZE_STD * pose.position_m[2]:
+        settings, instrument = self._profile.settings.distal_marker, self._profile.instrument
+        if (
+            instrument is None
+            or np.sqrt(pose.covariance[2, 2]) < settings.min_relative_depth_std * pose.position_m[2]
+        ):
             return
-        knuckle = see_knuckle(masks.instrument, self._profile.segmentation.instrument, image_hsv)
+        knuckle = detect_distal_marker(image_hsv, masks.instrument, region, settings)
         if knuckle is not None and knuckle.radius_px is not None:
             yield SizeObservation(
                 "size",
@@ -173,19 +156,19 @@ class ToolSights:
         x, y, width, height = cv2.boundingRect(region.hull)
         if x <= 0 or y <= 0 or x + width >= camera.width_px or y + height >= camera.height_px:
             return None
-        instrument = self._profile.instrument
+        settings, instrument = self._profile.settings.distal_marker, self._profile.instrument
         if instrument is None:
-            return REGION_STD_PX
+            return settings.unknown_shape_std_px
         depth_m, depth_std_m = pose.position_m[2], np.sqrt(pose.covariance[2, 2])
         if depth_m <= 0.0 or depth_std_m > 0.05 * depth_m:
-            return REGION_STD_PX
+            return settings.unknown_shape_std_px
         radius_px = camera.K[0, 0] * instrument.knuckle_radius_m / depth_m
         whole = region.area_px / (np.pi * radius_px**2)
-        if whole < WHOLE_FRACTION:
+        if whole < settings.min_visible_fraction:
             return None
         # What is missing, or too much, lies on one side: at worst it moves the centroid by half of it.
-        wrong = max(0.0, abs(1.0 - whole) - WHOLE_SPREAD)
-        return float(radius_px * np.hypot(NOISE, 0.5 * wrong))
+        wrong = max(0.0, abs(1.0 - whole) - settings.whole_area_spread)
+        return float(radius_px * np.hypot(settings.centre_noise, 0.5 * wrong))
 
     def _tag_corners(self, image_bgr: Image) -> Array | None:
         if self._finder is None:
@@ -221,11 +204,12 @@ class ToolSights:
     ) -> Iterator[LinkObservation]:
         """Both edges of a shaft that is longer than wide; on a stub something else is easily taken for one."""
         rule, instrument = self._profile.segmentation.shaft, self._profile.instrument
+        settings = self._profile.settings.shaft
         if rule is None or instrument is None or self._shaft is None or masks.shaft is None:
             return
         covered = None if corners_px is None else tag_plate(corners_px, masks.shaft.shape)
-        region = find_shaft(masks.shaft, rule, covered, masks.black)
-        sight = see_shaft(image_bgr, region, None, camera)
+        region = find_shaft(masks.shaft, rule, covered, masks.black, settings)
+        sight = detect_shaft(brightest_channel(image_bgr), region, camera, settings)
         if sight.is_stub:
             return
         for contour in sight.contours:

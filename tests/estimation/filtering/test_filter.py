@@ -10,13 +10,13 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation.filtering.filter import KinematicErrorFilter
 from svmdist.estimation.filtering.observations import ContourObservation, LinkObservation, PointsObservation
-from svmdist.estimation.instrument.cylinder import tangent_normal
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.inverse import solve_position
 from svmdist.kinematics.jacobian import row_index
 from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.simulation.belief import draw_belief
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_z, transform_points
+from svmdist.vision.cylinder import tangent_normal
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
 assert PROFILE.simulation is not None

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.transforms import Array, skew
-from svmdist.vision.edges import Line
+from svmdist.vision.lines import Line
 
 MIN_SINE = 5e-3
 """Of the angle between the two planes: a radius below 0.25 % of the distance has no measurable width."""

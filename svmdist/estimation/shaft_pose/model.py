@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.camera import Camera
 from svmdist.errors import ProfileError
 from svmdist.estimation.instrument.model import NECK_PER_RADIUS, joints_of
 from svmdist.kinematics.dh import DHChain, frame_transforms
@@ -14,10 +13,10 @@ from svmdist.kinematics.jacobian import joint_axis
 from svmdist.kinematics.wrist import rows_behind_insertion
 from svmdist.profile import Instrument, KinematicError
 from svmdist.samples import Observation
+from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array, inverse, make_transform
 
-UNKNOWN_BEND_RAD = 0.4
-"""Of the wrist about each axis, where no joints tell."""
+DEFAULT = ShaftSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +24,8 @@ class ShaftModel:
     """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip.
 
     `T_shaft_tool` is the wrist as the joints bend it, `bend_std_rad` how wrong that may be about each axis
-    across the shaft. `R_camera_shaft` (3, 3) is what the robot believes, None without its base, with
-    `rotation_std_rad`. The dark part ends `neck_m` behind the hinge.
+    across the shaft. `R_camera_shaft` (3, 3) is that of the nominal kinematics, None without the robot's base,
+    with `rotation_std_rad`. The dark part ends `neck_m` behind the hinge.
     """
 
     T_shaft_tool: Array
@@ -39,15 +38,19 @@ class ShaftModel:
 
 
 def shaft_model(
-    observation: Observation, chain: DHChain, instrument: Instrument, error: KinematicError
+    observation: Observation,
+    chain: DHChain,
+    instrument: Instrument,
+    error: KinematicError,
+    settings: ShaftSettings = DEFAULT,
 ) -> ShaftModel:
-    """What is known before looking: the instrument's sizes, the wrist's bend, and the believed rotation."""
+    """What is known before looking: the instrument's sizes, the wrist's bend, and the nominal rotation."""
     q = joints_of(chain, observation.joints)
     roll = roll_row(chain)
     T_base_shaft, T_shaft_tool = shaft_frames(chain, np.zeros(len(chain.joint_names)) if q is None else q)
-    R_believed, rotation_std_rad, bend_std_rad = None, np.pi, UNKNOWN_BEND_RAD
+    R_nominal, rotation_std_rad, bend_std_rad = None, np.pi, settings.unknown_bend_rad
     if q is not None and observation.T_camera_base is not None:
-        R_believed = np.asarray((observation.T_camera_base @ T_base_shaft)[:3, :3])
+        R_nominal = np.asarray((observation.T_camera_base @ T_base_shaft)[:3, :3])
         moving = [row.name for row in chain.rows]
         first = moving.index(error.first_moving_joint) if error.first_moving_joint in moving else 0
         turning = sum(row.joint == "revolute" for row in chain.rows[first : roll + 1])
@@ -63,7 +66,7 @@ def shaft_model(
     return ShaftModel(
         T_shaft_tool,
         bend_std_rad,
-        R_believed,
+        R_nominal,
         rotation_std_rad,
         instrument.shaft_radius_m,
         instrument.shaft_end_m or NECK_PER_RADIUS * instrument.wrist_radius_m,
@@ -96,13 +99,3 @@ def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
     origin_m = on_axis_m + z * float(z @ (hinge_m - on_axis_m))
     T_base_shaft = make_transform(np.stack([x, np.cross(z, x), z], -1), origin_m)
     return T_base_shaft, inverse(T_base_shaft) @ frames[-1] @ chain.T_last_tool
-
-
-def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> Array:
-    """Radius, shape (...), of the disc as large as the image of a small sphere about a centre, shape (..., 3).
-
-    f r / z, and 1 / cos θ longer away from the axis.
-    """
-    z_m = centre_m[..., 2]
-    stretch = np.sqrt(np.linalg.norm(centre_m, axis=-1) / np.abs(z_m))
-    return np.asarray(camera.K[0, 0] * radius_m / z_m * stretch)

@@ -1,4 +1,4 @@
-"""The knuckle's middle through blur, beside steel and on red, and a sphere's perspective."""
+"""The distal marker's middle through blur, beside steel and on red, and a sphere's perspective."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.filtering.knuckle_middle import knuckle_middle, without_perspective
+from svmdist.estimation.detection.distal_marker import marker_centre, marker_disc
 from svmdist.profile import load_profile
 from svmdist.vision.regions import find_region
 from svmdist.vision.segmentation.colour import colour_mask, to_hsv
+from svmdist.vision.sphere import without_perspective
 
 CAMERA = Camera.from_horizontal_fov(128, 96, 0.2)
 CENTRE_PX = np.array([63.5, 47.5])
 """The image's own middle, where perspective does nothing."""
 
 
-def _knuckle(blur_px: float) -> np.ndarray:
+def _marker(blur_px: float) -> np.ndarray:
     """A cyan disc, its upper half on red tissue, its lower half on pale steel, which mix with it differently."""
     big = np.full((96 * 8, 128 * 8, 3), (60, 60, 190), np.float32)
     big[384:] = (165.0, 163.0, 160.0)
@@ -29,18 +30,17 @@ def _knuckle(blur_px: float) -> np.ndarray:
 def test_blur_moves_the_middle_less_than_the_region() -> None:
     """A threshold's region goes 0.3 px and more to one side; the middle stays within a third of that."""
     rule = load_profile().segmentation.instrument
-    image = _knuckle(2.5)
+    image = _marker(2.5)
     mask = colour_mask(to_hsv(image), rule)
     region = find_region(mask, rule)
     assert region is not None
-    middle_px, blur_px = knuckle_middle(to_hsv(image), mask, region, CAMERA, 0.09, 0.00175)
+    disc = marker_disc(to_hsv(image), mask, region)
+    middle_px, blur_px = marker_centre(region, disc, CAMERA, 0.09, 0.00175)
     off_px = np.linalg.norm(region.centroid_px - CENTRE_PX)
     assert off_px > 0.3
     assert np.linalg.norm(middle_px - CENTRE_PX) < off_px / 3.0
     assert blur_px == pytest.approx(2.5, abs=0.8)
-    np.testing.assert_array_equal(
-        knuckle_middle(to_hsv(image), mask, region, CAMERA, 0.09, 0.0)[0], region.centroid_px
-    )
+    np.testing.assert_array_equal(marker_centre(region, disc, CAMERA, 0.09, 0.0)[0], region.centroid_px)
 
 
 def test_the_middle_of_a_sphere_is_between_its_tangents() -> None:

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from svmdist.estimation.instrument.cylinder import (
+from svmdist.transforms import Array
+from svmdist.vision.cylinder import (
     TangentPlane,
     axis_of_cylinder,
     tangent_normal,
     tangent_plane,
 )
-from svmdist.transforms import Array
-from svmdist.vision.edges import Line
+from svmdist.vision.lines import Line
 
 NONE = np.zeros((3, 3))
 

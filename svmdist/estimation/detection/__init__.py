@@ -1,0 +1,1 @@
+"""Detections in images, each with its covariance, shared by all methods."""
