@@ -7,6 +7,8 @@ is a parabola, so three samples of the slope place it exactly for a Gaussian blu
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -85,18 +87,17 @@ def edge_blur_px(
     whole = inside.all(1).reshape(BLUR_PLACES, BLUR_STRIPS).all(1)
     mean = profiles.reshape(BLUR_PLACES, BLUR_STRIPS, -1).mean(1)[whole]
     slope = (mean @ slope_filter(len(offsets), sigma_px))[:, np.abs(offsets) <= reach_px]
-    widths_px = []
-    for values in slope:
-        peak = int(np.argmax(values))
-        # A ramp of the contrast over the whole reach is the slowest rise that counts.
-        if values[peak] < settings.min_contrast_levels / (2.0 * reach_px):
-            continue
-        low = values < 0.5 * values[peak]
-        below, above = np.flatnonzero(low[:peak]), np.flatnonzero(low[peak:])
-        if len(below) and len(above):
-            widths_px.append((peak + above[0] - below[-1] - 1) * STEP_PX)
-    if not widths_px:
+    rows, columns = np.arange(len(slope)), np.arange(slope.shape[1])
+    peak = np.argmax(slope, axis=1)
+    top = slope[rows, peak]
+    low = slope < 0.5 * top[:, None]
+    before, after = low & (columns < peak[:, None]), low & (columns >= peak[:, None])
+    # A ramp of the contrast over the whole reach is the slowest rise that counts.
+    found = (top >= settings.min_contrast_levels / (2.0 * reach_px)) & before.any(1) & after.any(1)
+    if not found.any():
         return 0.0
+    last_before = slope.shape[1] - 1 - np.argmax(before[:, ::-1], axis=1)
+    widths_px = ((np.argmax(after, axis=1) - last_before - 1) * STEP_PX)[found]
     # A Gaussian's width at half its height is √(8 ln 2) of its deviation.
     edge_sigma_px = float(np.median(widths_px)) / np.sqrt(8.0 * np.log(2.0))
     return float(np.sqrt(max(0.0, edge_sigma_px**2 - sigma_px**2)))
@@ -119,10 +120,18 @@ def profiles_across(
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Brightness across an edge, shape (n, k), at offsets, shape (k,) in px, and whether each is in the image."""
     offsets = np.arange(-half_px, half_px + STEP_PX / 2, STEP_PX)
-    places = feet_px[:, None, :] + offsets[None, :, None] * across
+    x = feet_px[:, 0, None] + offsets * across[0]
+    y = feet_px[:, 1, None] + offsets * across[1]
     height, width = brightness.shape
-    inside = (places >= 0).all(-1) & (places <= [width - 1, height - 1]).all(-1)
-    return _sampled(brightness, places), offsets, np.asarray(inside)
+    left, right, top, bottom = x.min(), x.max(), y.min(), y.max()
+    if left >= 0 and top >= 0 and right <= width - 1 and bottom <= height - 1:
+        inside = np.ones(x.shape, np.bool_)
+    else:
+        inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    # Only what the profiles cross is turned into floats; cubic interpolation reads two pixels beyond.
+    column, row = (int(np.clip(least - 2, 0, size - 1)) for least, size in ((left, width), (top, height)))
+    window = brightness[row : max(int(bottom) + 4, row + 1), column : max(int(right) + 4, column + 1)]
+    return _sampled(window, x, y, column, row), offsets, inside
 
 
 def _min_slope(min_contrast: float, sigma_px: float) -> float:
@@ -130,15 +139,22 @@ def _min_slope(min_contrast: float, sigma_px: float) -> float:
     return float(min_contrast / (np.sqrt(2.0 * np.pi) * 2.0 * sigma_px))
 
 
-def _sampled(brightness: Image, places: Array) -> Array:
-    """Brightness at places, shape (..., 2) in px, with cubic interpolation; the border is repeated."""
-    x, y = places[..., 0].astype(np.float32), places[..., 1].astype(np.float32)
-    values = cv2.remap(brightness.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+def _sampled(window: Image, x: Array, y: Array, column: int, row: int) -> Array:
+    """Brightness at places, shape (n, k) in px, with cubic interpolation; the border is repeated.
+
+    `window` is the part of the image that begins at a column and a row.
+    """
+    # Subtracted in single precision, where the difference is exact: the image's own coordinates decide.
+    places = (x.astype(np.float32) - np.float32(column), y.astype(np.float32) - np.float32(row))
+    values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(values, np.float64)
 
 
+@lru_cache(maxsize=16)
 def slope_filter(count: int, sigma_px: float) -> Array:
     """Matrix, shape (count, count), that turns profiles into their slopes per px, smoothed."""
     offset = (np.arange(count)[:, None] - np.arange(count)[None, :]) * STEP_PX
     kernel = np.exp(-0.5 * (offset / sigma_px) ** 2) * STEP_PX / (np.sqrt(2.0 * np.pi) * sigma_px)
-    return np.asarray(kernel * offset / sigma_px**2)
+    matrix = np.asarray(kernel * offset / sigma_px**2)
+    matrix.flags.writeable = False
+    return matrix
