@@ -101,6 +101,21 @@ def tangent_normal(point_m: Array, direction: Array, radius_m: float, side: int)
     return np.asarray(sine * towards + side * np.sqrt(1.0 - sine**2) * left)
 
 
+def tangent_normal_with_derivatives(
+    point_m: Array, direction: Array, radius_m: float, side: int
+) -> tuple[Array, Array, Array]:
+    """`tangent_normal` of one cylinder, (3,), and its derivatives by the point and by the direction, (3, 3) each.
+
+    The normal obeys n · n = 1, n · d = 0 and n · p = r. With e = n x d the differentials of these give
+    dn = -(n · dd) d + e ((n · dd) (d · p) - n · dp) / (e · p).
+    """
+    normal = tangent_normal(point_m, direction, radius_m, side)
+    e = _cross(normal, direction)
+    beside = e / float(e @ point_m)
+    by_direction = np.outer(float(direction @ point_m) * beside - direction, normal)
+    return normal, -np.outer(beside, normal), by_direction
+
+
 def _cross(a: Array, b: Array) -> Array:
     """a x b of vectors, shape (..., 3): NumPy's own takes many times as long for one pair."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
