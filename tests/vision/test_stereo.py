@@ -86,3 +86,20 @@ def test_nothing_to_match() -> None:
     region = np.zeros((HEIGHT, WIDTH), np.uint8)
     region[100:110, 100:110] = 255
     assert fit_surface(left, right, region, region, 10, 60) is None
+
+
+def test_matching_at_reduced_size_places_the_surface_alike() -> None:
+    """Whether matching is reduced or not, surfaces differ by less than the 0.1 px by which each may be wrong."""
+    left, right = _pair(2.0, seed=6)
+    region = np.zeros((HEIGHT, WIDTH), np.uint8)
+    cv2.ellipse(region, (175, 120), (100, 90), 0, 0, 360, 255, -1)
+    everywhere = np.full_like(region, 255)
+    points = np.array([[120.0, 100.0], [180.0, 120.0], [240.0, 160.0]])
+    found = [
+        fit_surface(left, right, region, everywhere, 10, 60, StereoSettings(matched_disparities=count))
+        for count in (16, 32, 64)
+    ]
+    for surface in found[:-1]:
+        assert surface is not None
+        assert found[-1] is not None
+        np.testing.assert_allclose(surface.at(points), found[-1].at(points), atol=0.1)
