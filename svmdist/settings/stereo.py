@@ -18,7 +18,8 @@ class StereoSettings(MethodSettings):
     min_matches: int = Field(default=2000, ge=100)
     """Pixels of the tissue that must match: fewer are no view of an organ."""
     block_px: int = Field(default=9, ge=3, le=31)
-    """Side of the blocks of semi-global matching, an odd number: wet tissue shows its texture over no less."""
+    """Side of the blocks of semi-global matching, in pixels of the reduced views, an odd number: wet tissue shows its
+    texture over no less."""
     matched_disparities: int = Field(default=32, ge=16, le=512)
     """Both views are reduced by a whole factor until the search spans about so many disparities: matching need only
     place the surface within a pixel or two, from where the alignment goes on at full resolution."""
