@@ -8,17 +8,16 @@ import cv2
 import numpy as np
 
 from svmdist.errors import KinematicsError, ProfileError
+from svmdist.estimation.detection.tag import TagDetector
 from svmdist.estimation.distances import measure
 from svmdist.estimation.instrument.model import InstrumentModel
-from svmdist.estimation.instrument.tag_pose import believed_tag_rotation, find_tag_pose, tool_behind_tag
+from svmdist.estimation.instrument.tool_from_tag import nominal_tag_rotation, tool_from_tag
 from svmdist.estimation.tissue.fix import require_tissue, see_tissue, tissue_row
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import select_joints
 from svmdist.profile import Profile
 from svmdist.samples import Estimate, Image, Observation, Status
 from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
-from svmdist.vision.tag.detection import TagFinder
-from svmdist.vision.tag.pattern import TagPattern
 
 
 class FiducialEstimator:
@@ -38,8 +37,7 @@ class FiducialEstimator:
         self._fiducial = profile.fiducial
         self._chain = chain_of(profile.robot)
         self._model = InstrumentModel.of(profile)
-        self._finder = TagFinder(self._fiducial.family, self._fiducial.id)
-        self._pattern = TagPattern(self._fiducial.family, self._fiducial.id, self._fiducial.size_m)
+        self._detector = TagDetector(self._fiducial, profile.settings.tag)
 
     def estimate(self, observation: Observation) -> Estimate:
         """Measure one frame; a frame that cannot be measured says why."""
@@ -51,8 +49,8 @@ class FiducialEstimator:
 
         # The tag: corners, then both poses that they allow, and the one of them that is true.
         image_grey: Image = np.asarray(cv2.cvtColor(observation.image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-        corners_px = self._finder.corners_px(image_grey)
-        if corners_px is None:
+        detection = self._detector.detect(image_grey, observation.camera)
+        if detection is None:
             return replace(row, status=Status.NO_FIDUCIAL)
         if observation.joints is None:
             return replace(row, status=Status.NO_JOINTS)
@@ -60,13 +58,13 @@ class FiducialEstimator:
             q = select_joints(self._chain, observation.joints.names, observation.joints.positions)
         except KinematicsError as problem:
             return replace(row, status=Status.NO_JOINTS, detail=str(problem))
-        believed = believed_tag_rotation(observation.T_camera_base, self._fiducial, self._chain, q)
-        tag = find_tag_pose(image_grey, corners_px, observation.camera, self._pattern, believed)
+        nominal = nominal_tag_rotation(observation.T_camera_base, self._fiducial, self._chain, q)
+        tag = self._detector.pose(image_grey, detection, observation.camera, nominal)
         if tag is None:
             return replace(row, status=Status.AMBIGUOUS_POSE)
 
         # Through mounting and wrist to the tool, and the distances from there.
-        pose = tool_behind_tag(tag, self._fiducial, self._chain, q, self._profile.kinematic_error)
+        pose = tool_from_tag(tag, self._fiducial, self._chain, q, self._profile.kinematic_error)
         return measure(
             row, pose, sight.fix, self._model, observation.joints, observation.camera, has_plate=True
         )

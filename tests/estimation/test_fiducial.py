@@ -8,21 +8,21 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
+from svmdist.estimation.detection.tag import TagDetector
 from svmdist.estimation.fiducial import FiducialEstimator
-from svmdist.estimation.instrument.tag_pose import find_tag_pose, tool_behind_tag
+from svmdist.estimation.instrument.tool_from_tag import tool_from_tag
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.jacobian import row_index
-from svmdist.profile import KinematicError
+from svmdist.profile import Fiducial, KinematicError
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_y, rotation_z
-from svmdist.vision.tag.detection import TagFinder, pose_candidates, square_corners_m
-from svmdist.vision.tag.pattern import TagPattern
+from svmdist.vision.tag.detection import pose_candidates, square_corners_m
 from svmdist.vision.tag.refinement import TagPose
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
 SIZE_M = 0.007
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
-FINDER, PATTERN = TagFinder("36h11", 0), TagPattern("36h11", 0, SIZE_M)
+DETECTOR = TagDetector(Fiducial(family="36h11", id=0, size_m=SIZE_M, link="roll", position_m=(0.0, 0.0, 0.0)))
 SAMPLES = 3
 
 
@@ -57,9 +57,9 @@ def draw(T_camera_tag: Array, noise: float, seed: int, ground: int = 110) -> np.
 
 
 def found_pose(image: np.ndarray, believed: Array | None = None) -> TagPose:
-    corners = FINDER.corners_px(image)
-    assert corners is not None
-    pose = find_tag_pose(image, corners, CAMERA, PATTERN, believed)
+    detection = DETECTOR.detect(image, CAMERA)
+    assert detection is not None
+    pose = DETECTOR.pose(image, detection, CAMERA, believed)
     assert pose is not None
     return pose
 
@@ -100,13 +100,13 @@ def test_belief_decides_where_the_image_cannot() -> None:
     for seed in range(12):
         T = tilted(rng, (0.3, 0.5), 0.24)
         image = draw(T, 6.0, seed)
-        corners = FINDER.corners_px(image)
-        if corners is None:
+        detection = DETECTOR.detect(image, CAMERA)
+        if detection is None:
             continue
-        if find_tag_pose(image, corners, CAMERA, PATTERN, None) is None:
+        if DETECTOR.pose(image, detection, CAMERA) is None:
             undecided += 1
         believed = rotation_x(0.05) @ T[:3, :3]
-        pose = find_tag_pose(image, corners, CAMERA, PATTERN, believed)
+        pose = DETECTOR.pose(image, detection, CAMERA, believed)
         if pose is not None:
             assert np.linalg.norm(pose.T_camera_tag[:3, :3] - T[:3, :3]) < 0.4
     assert undecided > 0
@@ -118,11 +118,11 @@ def test_a_sure_belief_finds_the_same_pose() -> None:
     for seed in range(3):
         T = tilted(rng, (0.3, 0.6), 0.09)
         image = draw(T, 2.0, seed)
-        corners = FINDER.corners_px(image)
-        assert corners is not None
+        detection = DETECTOR.detect(image, CAMERA)
+        assert detection is not None
         whole = found_pose(image)
         for believed in (rotation_x(0.015) @ T[:3, :3], rotation_x(1.0) @ T[:3, :3]):
-            sure = find_tag_pose(image, corners, CAMERA, PATTERN, believed, 0.01)
+            sure = DETECTOR.pose(image, detection, CAMERA, believed, 0.01)
             assert sure is not None
             np.testing.assert_allclose(sure.T_camera_tag[:3, 3], whole.T_camera_tag[:3, 3], atol=2e-5)
             np.testing.assert_allclose(sure.T_camera_tag[:3, :3], whole.T_camera_tag[:3, :3], atol=2e-3)
@@ -135,7 +135,7 @@ def test_the_tool_is_behind_the_tag() -> None:
     T_camera_base = make_transform(rotation_x(0.4), [0.1, -0.2, 0.3])
     T_base_link = frame_transforms(CHAIN, POSTURE)[row_index(CHAIN, fiducial.link)]
     tag = TagPose(T_camera_base @ T_base_link @ fiducial.T_link_tag, np.zeros((6, 6)), 0.0, 0.8)
-    pose = tool_behind_tag(tag, fiducial, CHAIN, POSTURE, KinematicError())
+    pose = tool_from_tag(tag, fiducial, CHAIN, POSTURE, KinematicError())
     np.testing.assert_allclose(
         pose.T_camera_tool, T_camera_base @ forward_kinematics(CHAIN, POSTURE), atol=1e-12
     )

@@ -10,6 +10,7 @@ from svmdist.camera import Camera
 from svmdist.geometry.rays import pixel_rays
 from svmdist.transforms import Array, make_transform, rotation_vector, rotation_x, rotation_y, rotation_z
 from svmdist.vision.tag.detection import DICTIONARIES
+from svmdist.vision.tag.overlay import TagPixels
 from svmdist.vision.tag.pattern import TagPattern
 from svmdist.vision.tag.refinement import nudged, on_tag, refine_pose
 
@@ -77,7 +78,8 @@ def test_the_covariance_is_what_the_errors_are(
         T = facing_pose(rng)
         brightness, rays = seen(T, rng, noise, samples_per_side)
         start = nudged(T, np.concatenate([rng.normal(0.0, 1e-4, 3), rng.normal(0.0, 5e-3, 3)]))
-        found = refine_pose(brightness, rays, start, PATTERN, float(CAMERA.K[0, 0]))
+        pixels = TagPixels(brightness, np.ascontiguousarray(rays.T), float(CAMERA.K[0, 0]))
+        found = refine_pose(pixels, start, PATTERN)
         assert found is not None
         turn = rotation_vector(T[:3, :3] @ found.T_camera_tag[:3, :3].T)
         error = np.concatenate([T[:3, 3] - found.T_camera_tag[:3, 3], turn])

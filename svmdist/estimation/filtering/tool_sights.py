@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.estimation.detection.tag import TagDetection, TagDetector
 from svmdist.estimation.filtering.knuckle_middle import knuckle_middle
 from svmdist.estimation.filtering.observations import (
     ContourObservation,
@@ -20,7 +21,6 @@ from svmdist.estimation.filtering.observations import (
 from svmdist.estimation.filtering.robot_scene import Belief, Look
 from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.estimation.instrument.shaft_sight import RADIUS_PER_BLUR, see_knuckle, see_shaft
-from svmdist.estimation.instrument.tag_pose import find_tag_pose
 from svmdist.estimation.locate import locate_instrument
 from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.kinematics.jacobian import row_index
@@ -33,8 +33,7 @@ from svmdist.vision.segmentation.colour import to_hsv
 from svmdist.vision.segmentation.exposure import levelled
 from svmdist.vision.segmentation.segmenter import Masks, Segmenter, own_masks
 from svmdist.vision.shaft_segmentation import find_shaft
-from svmdist.vision.tag.detection import TagFinder, tag_plate
-from svmdist.vision.tag.pattern import TagPattern
+from svmdist.vision.tag.detection import tag_plate
 
 REGION_STD_PX = 2.0
 """The centroid of a coloured part of unknown shape against the tool's origin."""
@@ -74,8 +73,7 @@ class ToolSights:
         self._segmenter = segmenter
         self._shaft = shaft_of(chain)
         tag = profile.fiducial
-        self._finder = TagFinder(tag.family, tag.id) if tag else None
-        self._pattern = TagPattern(tag.family, tag.id, tag.size_m) if tag else None
+        self._detector = TagDetector(tag, profile.settings.tag) if tag else None
         self.has_seen_tag = False
         """Whether any frame so far showed the tag: then its plate is on the instrument."""
 
@@ -84,16 +82,17 @@ class ToolSights:
     ) -> tuple[Region | None, list[LinkObservation]]:
         """The instrument's region and all observations of the tool; `pose` is where it is expected."""
         region = locate_instrument(look.masks, self._profile.segmentation)
-        corners_px = self._tag_corners(observation.image_bgr)
-        self.has_seen_tag |= corners_px is not None
+        tag = self._detect_tag(observation)
+        corners_px = None if tag is None else tag.corners_px
+        self.has_seen_tag |= tag is not None
         image_bgr = levelled(observation.image_bgr)
         seen: list[LinkObservation] = []
         if region is not None:
             image_hsv = to_hsv(image_bgr)
             seen += self._knuckle(observation, image_hsv, look.masks, region, pose)
             seen += self._size(observation, image_hsv, look.masks, pose)
-        if corners_px is not None and look.belief is not None:
-            seen += self._tag(observation, look.belief, pose, corners_px)
+        if tag is not None and look.belief is not None:
+            seen += self._tag(observation, look.belief, pose, tag)
         seen += self._contours(image_bgr, observation.camera, look.masks, corners_px)
         return region, seen
 
@@ -187,16 +186,17 @@ class ToolSights:
         wrong = max(0.0, abs(1.0 - whole) - WHOLE_SPREAD)
         return float(radius_px * np.hypot(NOISE, 0.5 * wrong))
 
-    def _tag_corners(self, image_bgr: Image) -> Array | None:
-        if self._finder is None:
+    def _detect_tag(self, observation: Observation) -> TagDetection | None:
+        if self._detector is None:
             return None
-        return self._finder.corners_px(np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY), np.uint8))
+        image_grey: Image = np.asarray(cv2.cvtColor(observation.image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
+        return self._detector.detect(image_grey, observation.camera)
 
     def _tag(
-        self, observation: Observation, belief: Belief, pose: ToolPose, corners_px: Array
+        self, observation: Observation, belief: Belief, pose: ToolPose, detection: TagDetection
     ) -> Iterator[LinkObservation]:
         fiducial = self._profile.fiducial
-        if fiducial is None or self._pattern is None:
+        if fiducial is None or self._detector is None:
             return
         image_grey: Image = np.asarray(cv2.cvtColor(observation.image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
         # Where the tag is turned to is known from the tool, but for the wrist's joints between them.
@@ -205,7 +205,7 @@ class ToolSights:
         T_base_tool = frames[-1] @ self._chain.T_last_tool
         turned = pose.T_camera_tool[:3, :3] @ T_base_tool[:3, :3].T @ T_base_tag[:3, :3]
         std_rad = float(np.sqrt(np.linalg.eigvalsh(pose.covariance[3:, 3:])[-1]))
-        tag = find_tag_pose(image_grey, corners_px, observation.camera, self._pattern, turned, std_rad)
+        tag = self._detector.pose(image_grey, detection, observation.camera, turned, std_rad)
         if tag is not None:
             yield PoseObservation(
                 "tag",
