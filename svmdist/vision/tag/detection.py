@@ -50,7 +50,7 @@ class TagFinder:
             x0, y0, x1, y1 = self._window(image_grey, near)
             corners_px = self._search(image_grey[y0:y1, x0:x1]) if min(x1 - x0, y1 - y0) > 0 else None
             if corners_px is not None:
-                return np.asarray(corners_px + (x0, y0))
+                return np.asarray(corners_px + np.array([x0, y0], np.float64), np.float64)
         return self._search(image_grey)
 
     def _window(self, image_grey: Image, near: Box) -> tuple[int, int, int, int]:
