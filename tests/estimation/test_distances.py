@@ -12,7 +12,7 @@ from svmdist.estimation.instrument.model import InstrumentModel, wrist_in_tool
 from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.estimation.tissue.dome import DomeFix
 from svmdist.estimation.tissue.fix import TissueFix, see_tissue, tissue_frame
-from svmdist.geometry.closest import winding_number
+from svmdist.geometry.inside import winding_number
 from svmdist.geometry.surfaces import Plane
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import Dome

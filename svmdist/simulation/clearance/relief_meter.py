@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.geometry.closest import point_to_triangle
+from svmdist.geometry.patches import Indices
 from svmdist.simulation.bodies.meshes import Mesh
-from svmdist.simulation.clearance.surface_tree import Indices, SurfaceTree
+from svmdist.simulation.clearance.surface_tree import SurfaceTree
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array, inverse, transform_points
 
