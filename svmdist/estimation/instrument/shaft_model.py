@@ -8,7 +8,8 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
-from svmdist.estimation.instrument.model import NECK_PER_RADIUS, joints_of
+from svmdist.estimation.instrument.model import NECK_PER_RADIUS
+from svmdist.estimation.instrument.wrist import joints_of
 from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.kinematics.jacobian import joint_axis
 from svmdist.kinematics.wrist import rows_behind_insertion

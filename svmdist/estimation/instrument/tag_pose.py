@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.model import wrist_in_tool
 from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.instrument.wrist import wrist_in_tool
 from svmdist.geometry.rays import pixel_rays
 from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.kinematics.jacobian import joint_axis, row_index
