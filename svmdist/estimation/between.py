@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from svmdist.estimation.distances import as_vector
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.pose import ToolPose
 from svmdist.geometry.separation import Separation, capsule_separation
+from svmdist.geometry.surfaces import Capsules
 from svmdist.samples import Estimate
 
 
@@ -28,26 +30,37 @@ def with_clearance_between(
         else None
         for row, model, pose in zip(rows, models, poses, strict=True)
     ]
-    filled = []
-    for i, row in enumerate(rows):
-        gaps: list[tuple[Separation, ToolPose]] = []
-        for j in range(len(rows)):
-            body, other, other_pose = bodies[i], bodies[j], poses[j]
-            if i != j and body is not None and other is not None and other_pose is not None:
-                gaps.append((capsule_separation(body, other), other_pose))
-        pose = poses[i]
-        if gaps and pose is not None:
-            gap, other_pose = min(gaps, key=lambda found: found[0].distance_m)
-            told = replace(
-                row,
-                instrument_clearance_m=gap.distance_m,
-                instrument_clearance_std_m=between_std_m(gap, pose, other_pose),
-                instrument_clearance_direction=as_vector(gap.direction),
-            )
-            filled.append(told)
-        else:
-            filled.append(row)
-    return filled
+    gaps = _gaps(bodies)
+    return [_with_nearest(row, poses, i, gaps) for i, row in enumerate(rows)]
+
+
+def _gaps(bodies: Sequence[Capsules | None]) -> dict[tuple[int, int], Separation]:
+    """The separation of each two bodies, and the same as seen from the other one."""
+    gaps = {}
+    for (i, body), (j, other) in combinations(enumerate(bodies), 2):
+        if body is not None and other is not None:
+            gaps[i, j] = capsule_separation(body, other)
+            gaps[j, i] = gaps[i, j].reversed()
+    return gaps
+
+
+def _with_nearest(
+    row: Estimate, poses: Sequence[ToolPose | None], i: int, gaps: dict[tuple[int, int], Separation]
+) -> Estimate:
+    """The row of instrument `i` with its smallest separation, where it has one."""
+    others = [j for j in range(len(poses)) if (i, j) in gaps]
+    if not others:
+        return row
+    nearest = min(others, key=lambda j: gaps[i, j].distance_m)
+    gap, pose, other_pose = gaps[i, nearest], poses[i], poses[nearest]
+    if pose is None or other_pose is None:  # what has a body has a pose
+        return row
+    return replace(
+        row,
+        instrument_clearance_m=gap.distance_m,
+        instrument_clearance_std_m=between_std_m(gap, pose, other_pose),
+        instrument_clearance_direction=as_vector(gap.direction),
+    )
 
 
 def between_std_m(gap: Separation, pose: ToolPose, other: ToolPose) -> float:

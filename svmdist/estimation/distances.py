@@ -13,7 +13,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.tissue.fix import TissueFix
+from svmdist.estimation.tissue.fix import TissuePose
 from svmdist.geometry.separation import Separation, separation
 from svmdist.samples import Estimate, JointSample, Status, ToolState, Vector
 from svmdist.transforms import Array
@@ -22,7 +22,7 @@ from svmdist.transforms import Array
 def measure(
     row: Estimate,
     pose: ToolPose,
-    tissue: TissueFix,
+    tissue: TissuePose,
     model: InstrumentModel | None = None,
     joints: JointSample | None = None,
     camera: Camera | None = None,
@@ -73,7 +73,7 @@ def with_tool(row: Estimate, pose: ToolPose, camera: Camera) -> Estimate:
     return replace(row, tool_x_px=x_px, tool_y_px=y_px)
 
 
-def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissueFix) -> float:
+def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissuePose) -> float:
     """Standard deviation of a separation.
 
     The closest points are extremal, so to first order a small motion changes the distance only through

@@ -7,7 +7,7 @@ through zero without a jump, and its derivative along `direction` is -1 on both 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,7 +37,7 @@ class Separation:
 
     `direction` is a unit vector from instrument to tissue: moving the instrument along it lessens the distance.
     The points, shape (3,), satisfy `on_tissue_m = on_instrument_m + distance_m * direction`. `capsule` is
-    the index of the nearest one.
+    the index of the nearest one, `other_capsule` that of the other instrument's, where it is no tissue.
     """
 
     distance_m: float
@@ -45,6 +45,7 @@ class Separation:
     on_instrument_m: Array
     on_tissue_m: Array
     capsule: int
+    other_capsule: int | None = None
 
     def transformed(self, T_other_this: Array) -> Separation:
         """The same separation in another frame, by a transform of shape (4, 4)."""
@@ -52,7 +53,20 @@ class Separation:
             T_other_this, [self.on_instrument_m, self.on_tissue_m]
         )
         direction = T_other_this[:3, :3] @ self.direction
-        return Separation(self.distance_m, direction, on_instrument_m, on_tissue_m, self.capsule)
+        return replace(self, direction=direction, on_instrument_m=on_instrument_m, on_tissue_m=on_tissue_m)
+
+    def reversed(self) -> Separation:
+        """The separation of two instruments as the other one has it."""
+        if self.other_capsule is None:
+            raise ValueError("tissue is no instrument: its separation has one side only")
+        return Separation(
+            self.distance_m,
+            -self.direction,
+            self.on_tissue_m,
+            self.on_instrument_m,
+            self.other_capsule,
+            self.capsule,
+        )
 
 
 def separation(capsules: Capsules, surface: Surface) -> Separation:
@@ -81,7 +95,7 @@ def capsule_separation(instrument: Capsules, other: Capsules) -> Separation:
         direction = _unit_or_any(
             np.cross(instrument.end_m[i] - instrument.start_m[i], other.end_m[j] - other.start_m[j])
         )
-    return _outside(instrument, int(i), first, direction, float(gap[at]))
+    return replace(_outside(instrument, int(i), first, direction, float(gap[at])), other_capsule=int(j))
 
 
 def _to_plane(capsules: Capsules, plane: Plane) -> Separation:

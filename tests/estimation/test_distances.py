@@ -8,10 +8,11 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.distances import measure
-from svmdist.estimation.instrument.model import InstrumentModel, wrist_in_tool
+from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.tissue.dome import DomeFix
-from svmdist.estimation.tissue.fix import TissueFix, see_tissue, tissue_frame
+from svmdist.estimation.instrument.wrist import wrist_in_tool
+from svmdist.estimation.tissue.dome import DomeModel
+from svmdist.estimation.tissue.fix import TissuePose, see_tissue, tissue_frame
 from svmdist.geometry.inside import winding_number
 from svmdist.geometry.surfaces import Plane
 from svmdist.kinematics.dh import forward_kinematics
@@ -36,9 +37,9 @@ def tool_pose(covariance: np.ndarray | None = None) -> ToolPose:
     return ToolPose(T, np.zeros((6, 6)) if covariance is None else covariance, T[:3, :3] @ bent.shaft)
 
 
-def fix(covariance: np.ndarray | None = None) -> TissueFix:
+def fix(covariance: np.ndarray | None = None) -> TissuePose:
     floor = Plane(np.array([0.0, 0.0, -1.0]), -0.112)
-    return TissueFix(
+    return TissuePose(
         np.array([0.0, 0.001, 0.112]), np.zeros((3, 3)) if covariance is None else covariance, floor
     )
 
@@ -58,7 +59,7 @@ def test_stated_deviations_cover_the_truth() -> None:
         T = nudged(true.T_camera_tool, A @ rng.normal(size=6))
         shift = B @ rng.normal(size=3)
         moved = Plane(surface.normal, surface.offset_m + float(shift @ surface.normal))
-        tissue = TissueFix(fix().position_m + shift, B @ B.T, moved)
+        tissue = TissuePose(fix().position_m + shift, B @ B.T, moved)
         found = measure(ROW, ToolPose(T, A @ A.T, true.axis), tissue, MODEL, JOINTS)
         values = np.array([found.distance_m, found.spatial_m, found.clearance_m])
         stds = np.array([found.distance_std_m, found.spatial_std_m, found.clearance_std_m])
@@ -115,7 +116,7 @@ def test_a_dome_is_closed_and_as_high_as_told() -> None:
     angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     outline = np.stack([0.028 * np.cos(angle), 0.022 * np.sin(angle), np.full(360, 0.112)], -1)
     for ring in (outline, outline[::-1]):
-        mesh = DomeFix.over(ring, FLOOR, Dome(height_m=0.008)).mesh()
+        mesh = DomeModel.over(ring, FLOOR, Dome(height_m=0.008)).mesh()
         points = np.array([[0.0, 0.0, 0.108], [0.0, 0.0, 0.1035], [0.0, 0.0, 0.113], [0.02, 0.0, 0.111]])
         np.testing.assert_allclose(winding_number(points, mesh.triangles_m), [1, 0, 0, 1], atol=1e-9)
         assert mesh.vertices_m[:, 2].min() == pytest.approx(0.104, abs=1e-12)
@@ -146,5 +147,5 @@ def test_the_tissue_is_found_where_it_lies() -> None:
 def test_a_dome_stands_on_an_outline_of_any_number_of_corners(count: int) -> None:
     angles = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     ring = np.stack([0.02 * np.cos(angles), 0.02 * np.sin(angles), np.full(count, 0.112)], -1)
-    mesh = DomeFix.over(ring, FLOOR, Dome(height_m=0.008)).mesh()
+    mesh = DomeModel.over(ring, FLOOR, Dome(height_m=0.008)).mesh()
     assert mesh.vertices_m[:, 2].min() == pytest.approx(0.104)

@@ -10,7 +10,7 @@ import pytest
 from svmdist.errors import ProfileError
 from svmdist.estimation.fused import FusedEstimator
 from svmdist.estimation.kinematic import KinematicEstimator
-from svmdist.estimation.tissue.fix import TissueFix
+from svmdist.estimation.tissue.fix import TissuePose
 from svmdist.estimation.tissue.memory import MOVED_COUNT, TissueMemory
 from svmdist.geometry.surfaces import Plane
 from svmdist.profile import Profile
@@ -112,9 +112,9 @@ def test_a_profile_must_have_chain_and_tissue(
             method(profile.model_copy(update={key: None}))
 
 
-def fix_at(x_m: float) -> TissueFix:
+def fix_at(x_m: float) -> TissuePose:
     plane = Plane(np.array([0.0, 0.0, -1.0]), -0.1)
-    return TissueFix(np.array([x_m, 0.0, 0.1]), 1e-8 * np.eye(3), plane)
+    return TissuePose(np.array([x_m, 0.0, 0.1]), 1e-8 * np.eye(3), plane)
 
 
 def test_tissue_is_remembered_and_wild_fixes_are_not() -> None:

@@ -205,6 +205,16 @@ def test_many_capsules_against_many_agree_with_every_pair_in_turn() -> None:
         expected = (every - a.radius_m[:, None] - b.radius_m[None]).min()
         assert found.distance_m == pytest.approx(expected, abs=EXACT)
         assert_consistent(found)
+        back, other = found.reversed(), capsule_separation(b, a)
+        assert_consistent(back)
+        assert (back.capsule, back.distance_m) == (other.capsule, pytest.approx(other.distance_m, abs=EXACT))
+        np.testing.assert_allclose(back.direction, other.direction, atol=1e-7)
+        np.testing.assert_allclose(back.on_instrument_m, other.on_instrument_m, atol=1e-7)
+
+
+def test_a_separation_from_tissue_has_no_other_side() -> None:
+    with pytest.raises(ValueError, match="no instrument"):
+        separation(capsule([0, 0, 2], [0, 0, 3], 0.1), box([1, 1, 1])).reversed()
 
 
 def test_the_nearest_point_of_a_large_cloud_is_found() -> None:

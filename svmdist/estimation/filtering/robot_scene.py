@@ -9,8 +9,8 @@ from svmdist.errors import KinematicsError, ProfileError
 from svmdist.estimation.distances import measure, with_tool
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.tissue.dome import DomeFix
-from svmdist.estimation.tissue.fix import TissueFix, TissueSight, require_tissue, see_tissue, with_tissue
+from svmdist.estimation.tissue.dome import DomeModel
+from svmdist.estimation.tissue.fix import TissuePose, TissueSight, require_tissue, see_tissue, with_tissue
 from svmdist.estimation.tissue.memory import TissueMemory
 from svmdist.estimation.tissue.stereo_surface import fit_dome, see_surface
 from svmdist.kinematics.chain import chain_of
@@ -37,7 +37,7 @@ class Look:
     row: Estimate
     masks: Masks
     belief: Belief | None
-    tissue: TissueFix | None
+    tissue: TissuePose | None
 
 
 class RobotScene:
@@ -68,7 +68,7 @@ class RobotScene:
             return Look(replace(row, status=Status.NO_JOINTS, detail=belief), masks, None, tissue)
         return Look(row, masks, belief, tissue)
 
-    def _dome(self, observation: Observation, sight: TissueSight | None, masks: Masks) -> DomeFix | None:
+    def _dome(self, observation: Observation, sight: TissueSight | None, masks: Masks) -> DomeModel | None:
         """The dome as both views show it, where another look at it is wanted."""
         right = observation.right
         if not self._sees_shape or right is None or sight is None or sight.fix is None:
@@ -86,7 +86,7 @@ class RobotScene:
         self,
         row: Estimate,
         pose: ToolPose,
-        tissue: TissueFix | None,
+        tissue: TissuePose | None,
         camera: Camera,
         joints: JointSample,
         has_plate: bool = False,

@@ -12,7 +12,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
-from svmdist.estimation.tissue.dome import DomeFix
+from svmdist.estimation.tissue.dome import DomeModel
 from svmdist.geometry.mesh_files import read_closed_mesh
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Mesh, Plane, Surface
@@ -29,7 +29,7 @@ ACROSS = 0.99
 
 
 @dataclass(frozen=True, slots=True)
-class TissueFix:
+class TissuePose:
     """The tissue's origin in the camera frame, shape (3,) in m, with covariance (3, 3), and its surface there.
 
     `surface_std_m` is how far the surface may stand off the real one, beside the origin's error and what a `dome`,
@@ -40,9 +40,9 @@ class TissueFix:
     covariance: Array
     surface: Surface
     surface_std_m: float = 0.0
-    dome: DomeFix | None = None
+    dome: DomeModel | None = None
 
-    def with_dome(self, dome: DomeFix) -> TissueFix:
+    def with_dome(self, dome: DomeModel) -> TissuePose:
         """The same place under a dome of another shape."""
         return replace(self, surface=dome.mesh(), dome=dome)
 
@@ -61,7 +61,7 @@ class TissueSight:
 
     region: Region
     outline: CompletedOutline
-    fix: TissueFix | None
+    fix: TissuePose | None
 
 
 def see_tissue(masks: Masks, profile: Profile, camera: Camera) -> TissueSight | None:
@@ -108,7 +108,7 @@ def require_tissue(profile: Profile) -> Tissue:
     return profile.tissue
 
 
-def fix_tissue(outline: CompletedOutline, camera: Camera, tissue: Tissue) -> TissueFix | None:
+def fix_tissue(outline: CompletedOutline, camera: Camera, tissue: Tissue) -> TissuePose | None:
     """Place tissue and surface by an outline; None where its centroid's ray does not meet the plane."""
     plane = tissue_plane(tissue)
     position_m = meet_plane(pixel_rays(camera, outline.centroid_px), plane)[0]
@@ -117,13 +117,13 @@ def fix_tissue(outline: CompletedOutline, camera: Camera, tissue: Tissue) -> Tis
     covariance = _position_covariance(position_m, outline, camera, plane, tissue)
     dome = _dome(position_m, outline, camera, plane, tissue)
     if dome is not None:
-        return TissueFix(position_m, covariance, dome.mesh(), tissue.surface_std_m, dome)
+        return TissuePose(position_m, covariance, dome.mesh(), tissue.surface_std_m, dome)
     surface: Surface = plane
     if tissue.mesh is not None:
         surface = tissue_mesh(tissue).transformed(
             tissue_frame(position_m, plane.normal) @ tissue.T_tissue_mesh
         )
-    return TissueFix(position_m, covariance, surface, tissue.surface_std_m)
+    return TissuePose(position_m, covariance, surface, tissue.surface_std_m)
 
 
 def tissue_plane(tissue: Tissue) -> Plane:
@@ -151,13 +151,13 @@ def tissue_mesh(tissue: Tissue) -> Mesh:
 
 def _dome(
     position_m: Array, outline: CompletedOutline, camera: Camera, plane: Plane, tissue: Tissue
-) -> DomeFix | None:
+) -> DomeModel | None:
     if tissue.dome is None:
         return None
     outline_m = meet_plane(pixel_rays(camera, outline.curve_px), plane)
     if not np.all(np.isfinite(outline_m)) or len(outline_m) < 3:
         return None
-    return DomeFix.over(outline_m, tissue_frame(position_m, plane.normal), tissue.dome)
+    return DomeModel.over(outline_m, tissue_frame(position_m, plane.normal), tissue.dome)
 
 
 def _position_covariance(

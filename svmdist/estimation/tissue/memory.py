@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from svmdist.estimation.gate import chi_square_bound
-from svmdist.estimation.tissue.dome import DomeFix
-from svmdist.estimation.tissue.fix import TissueFix
+from svmdist.estimation.tissue.dome import DomeModel
+from svmdist.estimation.tissue.fix import TissuePose
 from svmdist.transforms import Array
 
 MOVED_COUNT = 5
@@ -64,7 +64,7 @@ class LastingMean:
 class TissueMemory:
     """The tissue's place, which a wild fix does not enter, and the shape of its dome, where frames show it."""
 
-    best: TissueFix | None = None
+    best: TissuePose | None = None
     _place: LastingMean = field(default_factory=lambda: LastingMean(2))
     _shape: LastingMean = field(default_factory=lambda: LastingMean(3))
     _strange: int = 0
@@ -75,7 +75,7 @@ class TissueMemory:
         """Whether another view of the shape is worth its time."""
         return self._frames < SHAPE_COUNT or self._frames % SHAPE_COUNT == 0
 
-    def add(self, fix: TissueFix | None, dome: DomeFix | None = None) -> TissueFix | None:
+    def add(self, fix: TissuePose | None, dome: DomeModel | None = None) -> TissuePose | None:
         """Take up a frame's fix, if it has one, and its dome as stereo saw it; gives the tissue as it is known then."""
         if fix is None:
             return self.now()
@@ -94,7 +94,7 @@ class TissueMemory:
             self.best = fix
         return self.now()
 
-    def now(self) -> TissueFix | None:
+    def now(self) -> TissuePose | None:
         """The tissue as it is known; None before the first fix."""
         place = self._place.now()
         if self.best is None or place is None:
@@ -104,7 +104,7 @@ class TissueMemory:
         shape = self._shape.now()
         return known if shape is None or known.dome is None else known.with_dome(known.dome.shaped(*shape))
 
-    def _agrees(self, fix: TissueFix) -> bool:
+    def _agrees(self, fix: TissuePose) -> bool:
         place = self._place.now()
         if place is None:
             return True

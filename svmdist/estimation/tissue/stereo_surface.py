@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.estimation.tissue.dome import DomeFix
+from svmdist.estimation.tissue.dome import DomeModel
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array
 from svmdist.vision.rectified import FAR_M, NEAR_M, RectifiedPair
@@ -62,15 +62,15 @@ def see_surface(
     return StereoSurface(points_m, depth_m / pair.disparity_at(depth_m) * std_px)
 
 
-def fit_dome(dome: DomeFix, surface: StereoSurface) -> DomeFix | None:
+def fit_dome(dome: DomeModel, surface: StereoSurface) -> DomeModel | None:
     """The dome with apex and height as the surface shows them; None where it shows something else.
 
     The most probable shape given the dome's own and the points' heights (Gauss–Newton, Cauchy's weights). The
     points' errors are those of few coefficients: they count as `FREEDOM` independent heights, however many they are,
     of which the `SMOOTH` part looks like another shape.
     """
-    points_m = dome.on_floor(surface.points_m)
-    inner = dome.gauge(points_m[:, :2], np.zeros(2)) < INNER_GAUGE
+    points_m = dome.to_tissue_frame(surface.points_m)
+    inner = dome.normalised_radius(points_m[:, :2], np.zeros(2)) < INNER_GAUGE
     flat_m, height_m = points_m[inner, :2], points_m[inner, 2]
     if len(flat_m) < MIN_POINTS or not np.all(np.diag(dome.covariance) > 0.0):
         return None
