@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from svmdist.kinematics.dh import forward_kinematics, link_transforms
 from svmdist.profile import Profile
 from svmdist.samples import DistanceSample, JointSample, PoseSample, Sample, TransformSample
 from svmdist.simulation.belief import Belief
+from svmdist.simulation.clearance.blocks import Blocks
 from svmdist.simulation.clearance.meters import ClearanceMeter
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array
@@ -56,8 +58,11 @@ class Arm:
     def true_distances(self, tool: TransformSample, index: int) -> tuple[str, DistanceSample]:
         """How far the tool is from the tissue."""
         between = tool.T_parent_child[:3, 3] - self.scene.T_camera_tissue[:3, 3]
-        clearance_m = self.meter.clearance_m(self.q[index])
-        return self.topics.ground_truth_distance, distances(tool.stamp_ns, between, clearance_m)
+        return self.topics.ground_truth_distance, distances(tool.stamp_ns, between, self._clearances_m[index])
+
+    @cached_property
+    def _clearances_m(self) -> Blocks:
+        return Blocks(self.meter.clearances_m, self.q)
 
     def believed_transforms(self, stamp_ns: int, index: int) -> tuple[TransformSample, ...]:
         """The camera-to-base transform, then the whole chain as the reported joints place it."""

@@ -16,7 +16,7 @@ import numpy as np
 from svmdist.camera import R_OPENGL_OPENCV, Camera
 from svmdist.errors import SimulationError, did_you_mean
 from svmdist.samples import Image
-from svmdist.simulation.bodies.meshes import Mesh
+from svmdist.simulation.bodies.meshes import DrawnMesh
 from svmdist.simulation.bullet import BulletClient, quiet_stdout
 from svmdist.simulation.scene import Scene, make_floor
 from svmdist.simulation.urdf import LinkVisual, urdf_of
@@ -165,7 +165,7 @@ class Renderer:
             self._paint(plate, scene.plate.texture, folder / f"{name}.png")
         return _Arm(scene, robot, tuple(joints[joint] for joint in scene.chain.joint_names), plate)
 
-    def _body(self, mesh: Mesh, path: Path, colour_rgba: tuple[float, float, float, float]) -> int:
+    def _body(self, mesh: DrawnMesh, path: Path, colour_rgba: tuple[float, float, float, float]) -> int:
         pb = self._client.pb
         shape = self._client.call(
             "createVisualShape", pb.GEOM_MESH, fileName=str(mesh.write_obj(path)), rgbaColor=colour_rgba

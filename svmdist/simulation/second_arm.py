@@ -94,7 +94,7 @@ class _Path:
         with BetweenMeter(self._scene, self._other) as meter:
             for lift_m in LIFTS_M:
                 path = self._solve(q, float(lift_m))
-                if all(meter.clearance_m(q[i], path[i]) >= CLEARANCE_M for i in checked):
+                if (meter.clearances_m(q[checked], path[checked]) >= CLEARANCE_M).all():
                     return path
         raise SimulationError(
             f"a second instrument cannot keep {CLEARANCE_M * 1e3:g} mm away from the first one on this path"

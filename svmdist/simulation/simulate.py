@@ -20,6 +20,7 @@ from svmdist.samples import (
 )
 from svmdist.simulation.arm import Arm, ArmTopicNames, distances
 from svmdist.simulation.belief import draw_belief
+from svmdist.simulation.clearance.blocks import Blocks
 from svmdist.simulation.clearance.meters import BetweenMeter, ClearanceMeter
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
@@ -111,7 +112,10 @@ def simulate(
             for index, other in enumerate(_plan_others(first, scenario, extras, progress), start=1)
         ]
         arms = (first, *others)
-        between = [stack.enter_context(BetweenMeter(scene, other.scene)) for other in others]
+        between_m = [
+            Blocks(stack.enter_context(BetweenMeter(scene, other.scene)).clearances_m, first.q, other.q)
+            for other in others
+        ]
         view = stack.enter_context(Renderer(scene, renderer, [other.scene for other in others]))
         with_image, with_joints = np.isin(stamps, images), np.isin(stamps, joints)
         next_camera_info_ns = START_NS
@@ -128,11 +132,10 @@ def simulate(
             yield topics.ground_truth_tf, _true_transforms(scene, profile, tools)
             for arm, tool in zip(arms, tools, strict=True):
                 yield arm.true_distances(tool, index)
-            for other, tool, gauge in zip(others, tools[1:], between, strict=True):
+            for other, tool, clearances_m in zip(others, tools[1:], between_m, strict=True):
                 offset_m = tools[0].T_parent_child[:3, 3] - tool.T_parent_child[:3, 3]
-                clearance_m = gauge.clearance_m(first.q[index], other.q[index])
                 topic = between_topic(profile.instrument_name, other.profile.instrument_name)
-                yield topic, distances(stamp, offset_m, clearance_m)
+                yield topic, distances(stamp, offset_m, clearances_m[index])
             if with_image[index]:
                 yield topics.tf, _believed_transforms(arms, extras, stamp, index)
                 T_retractor = trajectory.T_world_retractor

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.profile import Instrument
-from svmdist.simulation.bodies.meshes import Mesh, bar, loft, revolve, sphere
+from svmdist.simulation.bodies.meshes import DrawnMesh, bar, loft, revolve, sphere
 from svmdist.transforms import make_transform, rotation_x, rotation_z
 
 SHAFT_RGBA = (0.13, 0.13, 0.145, 1.0)
@@ -26,7 +26,7 @@ class Part:
 
     name: str
     link: str
-    mesh: Mesh
+    mesh: DrawnMesh
     colour_rgba: tuple[float, float, float, float]
 
 
@@ -82,7 +82,7 @@ def make_parts(instrument: Instrument, links: tuple[str, ...], wrist_length_m: f
     )
 
 
-def _jaw(instrument: Instrument) -> Mesh:
+def _jaw(instrument: Instrument) -> DrawnMesh:
     """A blade along +x from inside the knuckle to a rounded tip; thin across the hinge, wider along it."""
     length_m, radius_m = instrument.jaw_length_m, instrument.jaw_radius_m
     x = np.array([0.06, 0.4, 0.8, 0.93, 0.98, 1.0]) * length_m

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.simulation.bodies.meshes import Mesh, smooth_normals
+from svmdist.simulation.bodies.meshes import DrawnMesh, smooth_normals
 from svmdist.simulation.bodies.relief import Relief
 from svmdist.simulation.bodies.textures import TEXTURE_SPAN_M
 from svmdist.transforms import Array
@@ -33,7 +33,7 @@ class Organ:
     The mesh is open at the floor. The height is that of the smooth dome; an organ with relief is not convex.
     """
 
-    mesh: Mesh
+    mesh: DrawnMesh
     outline_m: Array
     height_m: float
     is_convex: bool = True
@@ -67,7 +67,7 @@ def make_organ(rng: np.random.Generator, relief: Relief | None = None) -> Organ:
     faces = _fan_and_rings(ring_count, side_count)
     normals = smooth_normals(vertices_m, faces)
     uv = 0.5 + vertices_m[:, :2] / TEXTURE_SPAN_M
-    return Organ(Mesh(vertices_m, normals, uv, faces), outline_m, float(height_m), relief is None)
+    return Organ(DrawnMesh(vertices_m, faces, normals, uv), outline_m, float(height_m), relief is None)
 
 
 def polygon_centroid(polygon_m: Array) -> Array:
