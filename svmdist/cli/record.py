@@ -76,7 +76,7 @@ def record_command(
             metavar="SCALE",
             min=0.0,
             max=20.0,
-            help="What the robot believes wrongly, drawn by seed: 1 is 1° and 1 mm in the joints, "
+            help="Error of the robot's nominal kinematics, drawn by seed: 1 is 1° and 1 mm in the joints, "
             "2° and 5 mm from camera to base.",
         ),
     ] = 0.0,
@@ -111,6 +111,17 @@ def record_command(
         ),
     ] = None,
     renderer: Annotated[Renderer, typer.Option("--renderer", help="Software or OpenGL.")] = Renderer.TINY,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs",
+            "-j",
+            metavar="N",
+            min=1,
+            help="Processes that draw images. The file is the same for any number. Default: all usable cores.",
+            show_default=False,
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -122,7 +133,7 @@ def record_command(
 ) -> None:
     """Simulate the robot and write a recording.
 
-    The recording holds images, joint states, the transforms the robot believes, and ground truth.
+    The recording holds images, joint states, the robot's nominal transforms, and ground truth.
     """
     from svmdist.profile import load_profile
     from svmdist.simulation.extras import Extras
@@ -145,6 +156,7 @@ def record_command(
             ),
             force=force,
             jpeg_quality=jpeg,
+            jobs=jobs,
             on_progress=advance,
         )
     size_mb = result.size_bytes / 1e6

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from svmdist.estimation.filtering.believed import believed_tool
 from svmdist.kinematics.dh import forward_kinematics
-from svmdist.simulation.belief import draw_belief
+from svmdist.simulation.nominal import draw_nominal_kinematics
 from svmdist.simulation.scene import make_scene
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
@@ -23,7 +23,7 @@ def test_the_stated_ellipsoid_holds_the_tool() -> None:
     truth_m = (T_camera_base @ forward_kinematics(CHAIN, POSTURE))[:3, 3]
     nees, within = [], []
     for seed in range(SEEDS):
-        belief = draw_belief(CHAIN, T_camera_base, PROFILE, seed, scale=1.0)
+        belief = draw_nominal_kinematics(CHAIN, T_camera_base, PROFILE, seed, scale=1.0)
         joints = POSTURE + belief.joint_offsets
         stated = believed_tool(CHAIN, PROFILE.kinematic_error, joints, belief.T_camera_base)
         error_m, covariance = truth_m - stated.position_m, stated.position_covariance

@@ -104,6 +104,11 @@ class ClearanceMeter(_Meter):
             smallest = min(smallest, self._distance_mm(body, self._tissue, SEARCH_RADIUS_M * SCALE))
         return float(smallest / SCALE)
 
+    def forget(self) -> None:
+        """Forget the last pose, so that what is measured next does not depend on it, not even in the last bit."""
+        if self._relief is not None:
+            self._relief.forget()
+
 
 class BetweenMeter(_Meter):
     """Measures the clearance between the instruments of two scenes that share a world."""

@@ -75,6 +75,10 @@ class ReliefMeter:
         )
         return -depth_m if depth_m > 0.0 else best_m
 
+    def forget(self) -> None:
+        """Forget where the last pose was nearest, which is no more than a bound for the next one."""
+        self._nearest = None
+
 
 class OrganSurface:
     """The organ's triangles in the tissue frame, for signed distances of points and of parts."""

@@ -15,7 +15,7 @@ from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.inverse import solve_position
 from svmdist.kinematics.jacobian import row_index
 from svmdist.kinematics.shaft_axis import shaft_of
-from svmdist.simulation.belief import draw_belief
+from svmdist.simulation.nominal import draw_nominal_kinematics
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_z, transform_points
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
@@ -196,7 +196,7 @@ def test_no_robot_is_too_wrong_to_start() -> None:
     rng = np.random.default_rng(17)
     q, refused, behind = joints_path(3, 1)[0], 0, 0
     for seed in range(200):
-        belief = draw_belief(CHAIN, T_CAMERA_BASE, PROFILE, seed, scale=1.0)
+        belief = draw_nominal_kinematics(CHAIN, T_CAMERA_BASE, PROFILE, seed, scale=1.0)
         kalman = KinematicErrorFilter(CHAIN, PROFILE.kinematic_error)
         kalman.predict(0, q + belief.joint_offsets, belief.T_camera_base)
         behind += bool(kalman.tool_pose().position_m[2] < 0.0)

@@ -1,4 +1,4 @@
-"""What the robot believes about itself: its joints as the encoders report them, and where its base stands.
+"""The nominal kinematics of a simulated robot: the joints that its encoders report, and where it takes its base to be.
 
 Cables stretch and set-up joints are read by potentiometers: a da Vinci research kit places its tool
 centimetres off in the camera's frame, while its motion is repeatable to fractions of a millimetre. Both
@@ -20,39 +20,40 @@ _ENCODER_STREAM, _JOINT_STREAM, _CAMERA_BASE_STREAM = 10, 12, 13
 
 
 @dataclass(frozen=True)
-class Belief:
-    """What is added to the true joints, in rad or m, shape (n_joints,), and the believed `T_camera_base`."""
+class NominalKinematics:
+    """What is added to the true joints, in rad or m, shape (n_joints,), and the nominal `T_camera_base`, (4, 4)."""
 
     joint_offsets: Array
     T_camera_base: Array
 
 
-def draw_belief(
+def draw_nominal_kinematics(
     chain: DHChain,
     T_camera_base: Array,
     profile: Profile,
     seed: int,
     scale: float = 0.0,
     arm: tuple[int, ...] = (),
-) -> Belief:
-    """Draw what the robot of a seed believes; `scale` multiplies the profile's kinematic error.
+) -> NominalKinematics:
+    """Draw the nominal kinematics of a seed; `scale` multiplies the profile's kinematic error.
 
-    The same seed draws the same directions at every scale; `arm` is empty for the first arm, and numbers any
-    further one, which errs on its own. The rotation of `T_camera_base` is off by
+    The same seed draws the same directions at every scale. `arm` is empty for the first arm and holds the number
+    of any further one, which has errors of its own. The rotation of `T_camera_base` is off by
     a turn about the base's origin, its translation by a shift, both in the camera's axes. Joints that hold
-    still while the robot works are not off: what is wrong about them is a part of `T_camera_base`.
+    still while the robot works have no error: theirs is a part of the error of `T_camera_base`.
     """
     offsets = _encoder_offsets(chain, profile.simulation, [seed, _ENCODER_STREAM, *arm])
     if scale == 0.0:
-        return Belief(offsets, T_camera_base)
+        return NominalKinematics(offsets, T_camera_base)
     error = profile.kinematic_error
     rng = np.random.default_rng([seed, _CAMERA_BASE_STREAM, *arm])
     turn_rad = scale * rng.normal(0.0, error.camera_base_std_rad, 3)
     shift_m = scale * rng.normal(0.0, error.camera_base_std_m, 3)
-    T_believed = make_transform(
+    T_nominal = make_transform(
         cv2.Rodrigues(turn_rad)[0] @ T_camera_base[:3, :3], T_camera_base[:3, 3] + shift_m
     )
-    return Belief(offsets + scale * _joint_offsets(chain, error, [seed, _JOINT_STREAM, *arm]), T_believed)
+    joint_offsets = scale * _joint_offsets(chain, error, [seed, _JOINT_STREAM, *arm])
+    return NominalKinematics(offsets + joint_offsets, T_nominal)
 
 
 def _encoder_offsets(chain: DHChain, settings: Simulation | None, seeds: list[int]) -> Array:
