@@ -10,9 +10,10 @@ from svmdist.simulation.scene import Scene
 
 
 def test_parts_are_convex(scene: Scene) -> None:
-    """No vertex lies before the plane of a triangle, within 1 µm: Bullet's convex hulls are the meshes.
+    """No vertex lies before the plane of a triangle, within 5 µm: Bullet's convex hulls are the meshes.
 
-    The bridge has a waist of 0.1 mm. It lies behind the jaws and the fork, which are nearer to the tissue.
+    The jaws need the 5 µm, for a slight waist. The bridge has one of 0.1 mm; it lies behind the jaws
+    and the fork, which are nearer to the tissue.
     """
     for part in scene.parts:
         a, b, c = (part.mesh.vertices_m[part.mesh.faces[:, corner]] for corner in range(3))
@@ -20,7 +21,7 @@ def test_parts_are_convex(scene: Scene) -> None:
         areas = np.linalg.norm(normals, axis=1)
         normals, a = normals[areas > 1e-12] / areas[areas > 1e-12, None], a[areas > 1e-12]
         before_m = (part.mesh.vertices_m @ normals.T - np.einsum("ij,ij->i", a, normals)).max()
-        assert before_m < (1.1e-4 if part.name == "bridge" else 1e-6), part.name
+        assert before_m < (1.1e-4 if part.name == "bridge" else 5e-6), part.name
 
 
 def test_the_coloured_part_is_a_sphere_about_the_tools_origin(profile: Profile) -> None:
