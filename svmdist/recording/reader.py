@@ -14,6 +14,7 @@ from svmdist.errors import RecordingError, did_you_mean
 from svmdist.profile import Limits, Profile
 from svmdist.recording.arms import LoggedArm, find_arms
 from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
+from svmdist.recording.encoded import EVERYTHING, Decoded, EncodedObservation, Needs
 from svmdist.recording.health import Health, LossKind
 from svmdist.recording.names import plain, plain_list
 from svmdist.recording.observing import Observer
@@ -136,7 +137,7 @@ class Recording:
     def observations(self) -> Iterator[Observation | Rejection]:
         """Yield what an estimator may see of every image, in file order; memory does not grow with the log.
 
-        Joints and the believed camera-to-base transform are interpolated to the image's stamp between samples
+        Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples
         at most 0.1 s apart. The right image is the one within half a millisecond, where the cameras form a
         stereo pair. Each is None where the log has none. Raises RecordingError at once where the log has no
         images or no camera.
@@ -144,12 +145,34 @@ class Recording:
         found = self.observations_of(self.instruments[:1])
         return (item if isinstance(item, Rejection) else item[0] for item in found)
 
-    def observations_of(self, names: Sequence[str]) -> Iterator[tuple[Observation, ...] | Rejection]:
-        """Yield for every image what estimators may see of each instrument; each image is decoded once."""
+    def observations_of(
+        self, names: Sequence[str], needs: Needs = EVERYTHING
+    ) -> Iterator[tuple[Observation, ...] | Rejection]:
+        """Yield for every image what estimators may see of each instrument; each image is decoded once.
+
+        What `needs` leaves out is None in the observations.
+        """
+        return (self.record_losses(one.decode()) for one in self.encoded_observations(names, needs))
+
+    def encoded_observations(
+        self, names: Sequence[str], needs: Needs = EVERYTHING
+    ) -> Iterator[EncodedObservation]:
+        """Yield the same as `observations_of`, not decoded yet, for a caller that decodes in threads.
+
+        One thread at a time goes through the iterator, any thread decodes, and `record_losses` takes the results.
+        What is not decoded yet is held by the caller, who bounds how many. Frames of a video are decoded here,
+        for they refer to each other.
+        """
         arms = [self._arm(name) for name in names]
         return self._observer.observations(
-            self._choice.require(Role.IMAGE), self.camera, lambda: self.right_camera, arms
+            self._choice.require(Role.IMAGE), self.camera, lambda: self.right_camera, arms, needs
         )
+
+    def record_losses(self, decoded: Decoded) -> tuple[Observation, ...] | Rejection:
+        """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back."""
+        for loss in decoded.losses:
+            self.health.add(loss, decoded.place)
+        return decoded.found
 
     def joint_track(self) -> JointTrack:
         """Read all joint states."""
@@ -159,7 +182,7 @@ class Recording:
             if not isinstance(sample, JointSample):
                 continue
             if samples and sample.names != samples[0].names:
-                self._messages.lose(LossKind.MESSAGE, OTHER_JOINTS, raw)
+                self._messages.record_loss(LossKind.MESSAGE, OTHER_JOINTS, raw)
                 continue
             samples.append(sample)
         if not samples:
