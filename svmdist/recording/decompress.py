@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import lz4.frame
 import zstandard
 
 from svmdist.profile import Limits
@@ -82,6 +81,8 @@ def _expand_zstd(data: memoryview, size_bytes: int, limits: Limits) -> memoryvie
 
 
 def _expand_lz4(data: memoryview, size_bytes: int) -> memoryview:
+    import lz4.frame  # here, for few logs have it
+
     decompressor = lz4.frame.LZ4FrameDecompressor()
     expanded = bytearray()
     pending = data

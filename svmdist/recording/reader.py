@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -247,6 +246,8 @@ class Recording:
 
     def sha256(self) -> str:
         """Hash the file, or the files of a folder in the order of their names, as hexadecimal digits."""
+        import hashlib
+
         digest = hashlib.sha256()
         for file in self._files():
             try:

@@ -23,7 +23,6 @@ from svmdist.recording.sources import RawMessage, Source, TopicInfo, merge_topic
 
 METADATA_FILE = "metadata.yaml"
 MAX_METADATA_BYTES = 1 << 20
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 STORED_FILE = re.compile(r"^\s*-\s*['\"]?([^'\"\n]+\.(?:mcap|db3)(?:\.zstd)?)['\"]?\s*$", re.MULTILINE)
 STORAGE = re.compile(r"^\s*storage_identifier:\s*['\"]?([^'\"\s]+)", re.MULTILINE)
 COMPRESSION_MODE = re.compile(r"^\s*compression_mode:\s*['\"]?(\w*)", re.MULTILINE)
@@ -138,16 +137,6 @@ def declared_counts(text: str) -> dict[str, int]:
         if name is not None and count is not None:
             counts[name] = count
     return counts
-
-
-def is_message_compressed(source: Source) -> bool:
-    """Tell whether the messages of a single file were compressed one by one, as only the folder knows."""
-    topics = {info.topic for info in source.topics() if info.message_encoding == "cdr"}
-    if not topics:
-        return False
-    first = next(iter(source.messages(topics)), None)
-    # CDR begins with a zero byte, so these four cannot be a message.
-    return first is not None and bytes(first.data[:4]) == ZSTD_MAGIC
 
 
 def _read_metadata(folder: Path) -> str:
