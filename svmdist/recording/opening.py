@@ -8,11 +8,10 @@ from svmdist.errors import RecordingError
 from svmdist.profile import Limits
 from svmdist.recording.mcap_file.framing import MAGIC as MCAP_MAGIC
 from svmdist.recording.mcap_file.source import McapSource
-from svmdist.recording.sources import Source
+from svmdist.recording.rosbag import METADATA_FILE
+from svmdist.recording.sources import ZSTD_MAGIC, Source, is_message_compressed
 
-METADATA_FILE = "metadata.yaml"
 ROSBAG_MAGIC = b"#ROSBAG V2.0\n"
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 SQLITE_MAGIC = b"SQLite format 3\x00"
 
 LOOKS_LIKE = {
@@ -82,13 +81,3 @@ def _open_file(path: Path, start: bytes, limits: Limits) -> Source:
         )
     found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), None)
     raise RecordingError(f"{path}: is {found or 'no recording'}; expected {WHAT_IS_EXPECTED}")
-
-
-def is_message_compressed(source: Source) -> bool:
-    """Tell whether the messages of a single file were compressed one by one, as only the folder of a bag knows."""
-    topics = {info.topic for info in source.topics() if info.message_encoding == "cdr"}
-    if not topics:
-        return False
-    first = next(iter(source.messages(topics)), None)
-    # CDR begins with a zero byte, so these four cannot be a message.
-    return first is not None and bytes(first.data[:4]) == ZSTD_MAGIC

@@ -27,7 +27,8 @@ sys.stderr.write("loaded: " + " ".join(name for name in {unused!r} if name in sy
 def test_estimating_loads_no_layout_and_no_other_format(tmp_path: Path, form: str) -> None:
     """Rows are written as they come; the log is MCAP with zstd."""
     log = write_scene(tmp_path / "a.mcap", scene(1))
-    code = SAY_LOADED.format(arguments=["estimate", str(log), "--format", form, "--equations", "printed"], unused=UNUSED)
+    arguments = ["estimate", str(log), "--format", form, "--equations", "printed"]
+    code = SAY_LOADED.format(arguments=arguments, unused=UNUSED)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.splitlines()[-1] == "loaded: "
     assert "corrupt" in done.stdout or "no_" in done.stdout
