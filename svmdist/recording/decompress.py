@@ -1,4 +1,4 @@
-"""Expanding chunks: streaming, capped at the declared size, exact prefixes for chunks that are cut off."""
+"""Expanding chunks: streaming, capped at the declared size, exact prefixes for truncated chunks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def decompress(compression: str, data: memoryview, size_bytes: int, limits: Limi
 
 
 def decompress_prefix(compression: str, data: memoryview, size_bytes: int, limits: Limits) -> memoryview:
-    """Expand as much of a cut chunk as its first bytes tell: an exact prefix of what was compressed."""
+    """Expand as much of a truncated chunk as its first bytes tell: an exact prefix of what was compressed."""
     return _expand(compression, data, size_bytes, limits)
 
 

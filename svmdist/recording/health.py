@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import count
 
-from svmdist.recording.names import plain
+from svmdist.recording.names import sanitize
 
 MAX_LISTED_LOSSES = 1000
 """A file with a million broken chunks must not fill the memory with reports about them."""
@@ -39,9 +39,9 @@ class Loss:
 
     def __str__(self) -> str:
         place = "" if self.byte_offset is None else f" at byte {self.byte_offset}"
-        topic = "" if self.topic is None else f" on {plain(self.topic)}"
+        topic = "" if self.topic is None else f" on {sanitize(self.topic)}"
         separator = ", " if self.kind is LossKind.TRUNCATED and place else ": "
-        return f"{self.kind}{place}{topic}{separator}{plain(self.detail)}"
+        return f"{self.kind}{place}{topic}{separator}{sanitize(self.detail)}"
 
 
 @dataclass

@@ -1,6 +1,6 @@
 """Images and what belongs to them, in one streaming pass with a bounded look-ahead.
 
-That is the joints and the believed camera pose of every arm at the image's stamp, and the other image of a stereo
+That is the joints and the nominal camera pose of every arm at the image's stamp, and the other image of a stereo
 pair.
 """
 

@@ -15,7 +15,7 @@ from svmdist.recording.arms import LoggedArm, find_arms
 from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
 from svmdist.recording.encoded import EVERYTHING, Decoded, EncodedObservation, Needs
 from svmdist.recording.health import Health, LossKind
-from svmdist.recording.names import plain, plain_list
+from svmdist.recording.names import sanitize, sanitize_list
 from svmdist.recording.observing import Observer
 from svmdist.recording.opening import open_source
 from svmdist.recording.sources import RawMessage, Source, TopicInfo
@@ -81,7 +81,7 @@ class Recording:
             if arm.name == name:
                 return arm
         known = did_you_mean(name, self.instruments)
-        raise RecordingError(f"{self.path.name}: no topic of an instrument {plain(name)}: {known}")
+        raise RecordingError(f"{self.path.name}: no topic of an instrument {sanitize(name)}: {known}")
 
     @property
     def path(self) -> Path:
@@ -117,7 +117,7 @@ class Recording:
         topic = self._choice.require(Role.CAMERA_INFO)
         camera = self._first_camera(topic)
         if camera is None:
-            raise RecordingError(f"{self.path.name}: no usable camera calibration on {plain(topic)}")
+            raise RecordingError(f"{self.path.name}: no usable camera calibration on {sanitize(topic)}")
         return camera
 
     @cached_property
@@ -185,21 +185,21 @@ class Recording:
                 continue
             samples.append(sample)
         if not samples:
-            raise RecordingError(f"{self.path.name}: no usable joint states on {plain(topic)}")
+            raise RecordingError(f"{self.path.name}: no usable joint states on {sanitize(topic)}")
         stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
         order = sort_stamps(stamps_ns)
         positions = np.array([sample.positions for sample in samples])
         return JointTrack(stamps_ns[order], samples[0].names, positions[order])
 
     def transform_track(self, parent: str, child: str, *, ground_truth: bool = False) -> TransformTrack:
-        """Read `T_parent_child` over time, composed along the tree of the believed or the true transforms.
+        """Read `T_parent_child` over time, composed along the tree of the nominal or the true transforms.
 
         Raises RecordingError where the log has no transforms, or none that link the two frames.
         """
         return self.transform_tree(ground_truth=ground_truth).track(parent, child)
 
     def transform_tree(self, *, ground_truth: bool = False) -> TransformTree:
-        """Read all transforms, those that the robot believes or those that are true."""
+        """Read all transforms, the nominal ones or the true ones."""
         if ground_truth:
             static: tuple[str, ...] = ()
             moving: str | None = self._choice.require(Role.GROUND_TRUTH_TF)
@@ -219,8 +219,8 @@ class Recording:
         samples = [sample for _, sample in self._messages.samples(topic) if isinstance(sample, PoseSample)]
         frames = sorted({sample.frame_id for sample in samples})
         if len(frames) != 1:
-            found = f"poses in several frames: {plain_list(frames)}" if frames else "no usable poses"
-            raise RecordingError(f"{self.path.name}: {found} on {plain(topic)}")
+            found = f"poses in several frames: {sanitize_list(frames)}" if frames else "no usable poses"
+            raise RecordingError(f"{self.path.name}: {found} on {sanitize(topic)}")
         stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
         order = sort_stamps(stamps_ns)
         return PoseTrack(frames[0], stamps_ns[order], np.array([s.T_frame_pose for s in samples])[order])

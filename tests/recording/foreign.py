@@ -132,18 +132,18 @@ def write_ros2_mcap(path: Path, messages: Sequence[Message], *, with_msg: bool =
                 definition, _ = store.generate_msgdef(type_name, ros_version=2)
                 name = type_name if with_msg else type_name.replace("/msg/", "/")
                 schemas[type_name] = writer.register_msgdef(name, definition)
-            writer.write_message(topic, schemas[type_name], plain(fields), log_time_ns, log_time_ns)
+            writer.write_message(topic, schemas[type_name], sanitize(fields), log_time_ns, log_time_ns)
         writer.finish()
     return path
 
 
-def plain(value: Any) -> Any:
+def sanitize(value: Any) -> Any:
     """Arrays as bytes or lists, as mcap-ros2-support wants them."""
     if isinstance(value, np.ndarray):
         return value.tobytes() if value.dtype == np.uint8 else value.tolist()
     if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    return [plain(item) for item in value] if isinstance(value, list) else value
+        return {key: sanitize(item) for key, item in value.items()}
+    return [sanitize(item) for item in value] if isinstance(value, list) else value
 
 
 def write_rosbag2(

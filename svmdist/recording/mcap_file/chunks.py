@@ -6,7 +6,7 @@ import zlib
 
 from svmdist.profile import Limits
 from svmdist.recording.decompress import DecompressionError, decompress, decompress_prefix
-from svmdist.recording.mcap_file.bodies import ChunkBody, MalformedRecordError, parse_chunk
+from svmdist.recording.mcap_file.record_parsers import ChunkBody, MalformedRecordError, parse_chunk
 
 
 class ChunkError(ValueError):
@@ -25,10 +25,10 @@ def expand_chunk(body: bytes, limits: Limits) -> memoryview:
     return _expand_whole(chunk, limits)
 
 
-def expand_cut_chunk(body: bytes, limits: Limits, *, may_be_prefix: bool) -> memoryview:
+def expand_truncated_chunk(body: bytes, limits: Limits, *, may_be_prefix: bool) -> memoryview:
     """Expand what is there of a chunk that the file ends in; ChunkError when nothing of it can be trusted.
 
-    Where all of its data are there, the CRC decides. Where they are not, and the file was cut rather
+    Where all of its data are there, the CRC decides. Where they are not, and the file was truncated rather
     than corrupted (`may_be_prefix`), the prefix is what was written.
     """
     chunk = _parse(body)

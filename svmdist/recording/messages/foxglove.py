@@ -75,7 +75,7 @@ def stamp_of(message: Any, log_time_ns: int) -> int:
 
 
 def to_compressed_image(message: Any, log_time_ns: int, limits: Limits) -> EncodedImage:
-    """Take over a foxglove.CompressedImage; its `format` is not believed, the data say what they are."""
+    """Take over a foxglove.CompressedImage; its `format` is ignored, for the data say what they are."""
     data = message.data
     return EncodedImage(stamp_of(message, log_time_ns), message.frame_id, lambda: decode_still(data, limits))
 

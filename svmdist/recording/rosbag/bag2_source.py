@@ -17,7 +17,7 @@ from svmdist.profile import Limits
 from svmdist.recording.decompress import DecompressionError, decompress_message
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.mcap_file.source import McapSource
-from svmdist.recording.names import plain
+from svmdist.recording.names import sanitize
 from svmdist.recording.rosbag import METADATA_FILE
 from svmdist.recording.rosbag.bag2_metadata import BagMetadata, MetadataError, read_metadata
 from svmdist.recording.rosbag.sqlite_source import SqliteSource
@@ -38,11 +38,11 @@ class Rosbag2Source:
         )
         if packed:
             raise RecordingError(
-                f"{path}: its files are compressed as a whole; expand them first: zstd -d {plain(packed[0])}"
+                f"{path}: its files are compressed as a whole; expand them first: zstd -d {sanitize(packed[0])}"
             )
         files = storage_files(path)
         if not files:
-            found = f"; its storage is {plain(metadata.storage)}" if metadata.storage else ""
+            found = f"; its storage is {sanitize(metadata.storage)}" if metadata.storage else ""
             raise RecordingError(f"{path}: a rosbag2 folder without any .mcap or .db3 file{found}")
         missing = sorted({Path(name).name for name in metadata.files} - {file.name for file in files})
         if missing:

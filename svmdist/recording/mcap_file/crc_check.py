@@ -1,4 +1,4 @@
-"""Whether the CRC of the data section vouches for what stands outside of chunks."""
+"""The CRC check of the data section, which covers what stands outside of chunks."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class DataSectionCheck:
             file.seek(0)
             stream = FrameStream(file, size_bytes, self._limits)
             stream.read(len(MAGIC))
-            while (frame := stream.next_frame()) is not None and frame.opcode != 0 and not frame.is_cut:
+            while (frame := stream.next_frame()) is not None and frame.opcode != 0 and not frame.is_truncated:
                 if frame.opcode == Opcode.DATA_END and frame.body is not None and len(frame.body) >= 4:
                     declared = int.from_bytes(frame.body[:4], "little")
                     return None if declared == 0 else declared == frame.crc_before
                 if frame.opcode == Opcode.FOOTER:
                     break
-        # A file with an end but without a data end is broken; one without an end was cut.
+        # A file with an end but without a data end is broken; one without an end was truncated.
         return False if ends_well else None

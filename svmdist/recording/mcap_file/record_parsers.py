@@ -1,4 +1,4 @@
-"""The inner layer of MCAP: bodies of records, read strictly, without trusting a length they contain."""
+"""The inner layer of MCAP: parsers of single records, which read strictly and trust no length."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def parse_channel(body: memoryview) -> ChannelBody:
 
 
 def parse_chunk(body: bytes) -> ChunkBody:
-    """Read a chunk record; the data may be cut, the fields before it may not."""
+    """Read a chunk record; the data may be truncated, the fields before it may not."""
     if len(body) < CHUNK_HEAD.size:
         raise MalformedRecordError("a chunk's head is incomplete")
     _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(body)
