@@ -17,12 +17,16 @@ class ChunkError(ValueError):
         self.is_misframed = is_misframed
 
 
-def expand_chunk(body: bytes, limits: Limits) -> memoryview:
-    """Expand a chunk and verify its CRC; ChunkError says why it cannot be used."""
+def expand_chunk(body: bytes, limits: Limits) -> tuple[memoryview, int]:
+    """Expand a chunk and verify its CRC; ChunkError says why it cannot be used.
+
+    The number tells how many bytes of the body are known fields: what is behind them may be fields of a newer
+    version of MCAP, or other records where the length of this one is wrong.
+    """
     chunk = _parse(body)
     if len(chunk.data) < chunk.data_length:
         raise ChunkError("its data are longer than its record", is_misframed=True)
-    return _expand_whole(chunk, limits)
+    return _expand_whole(chunk, limits), chunk.data_start + chunk.data_length
 
 
 def expand_truncated_chunk(body: bytes, limits: Limits, *, may_be_prefix: bool) -> memoryview:

@@ -81,13 +81,15 @@ class Container:
                 yield Record(frame.opcode, memoryview(frame.body or b""), frame.offset)
             elif frame.opcode == Opcode.CHUNK and frame.body is not None:
                 try:
-                    data = expand_chunk(frame.body, self._limits)
+                    data, length = expand_chunk(frame.body, self._limits)
                 except ChunkError as problem:
                     self.content.record_loss(LossKind.CHUNK, f"dropped: {problem}", frame.offset)
                     if problem.is_misframed:
                         self._resume(file, size_bytes, stream, frame, or_go_on=True)
                     continue
                 yield from self.content.read_chunk(data, frame.offset)
+                if length < frame.length:
+                    self._return_to_end(file, size_bytes, stream, frame, length)
             else:
                 yield from self._outside_chunks(frame, size_bytes)
         self.content.report_lost_messages()
@@ -156,6 +158,22 @@ class Container:
             self.content.record_loss(LossKind.CHUNK, f"dropped: {problem}", frame.offset)
             return
         yield from self.content.read_chunk(data, frame.offset, is_prefix=True)
+
+    def _return_to_end(
+        self, file: BinaryIO, size_bytes: int, stream: FrameStream, frame: Frame, length: int
+    ) -> None:
+        """Go back to the end of a chunk whose record is too long, where an index whose CRC is right says so."""
+        summary = read_trusted_summary(file, size_bytes, self._limits)
+        inside = summary is not None and any(
+            frame.offset < place < frame.end for place in summary.chunk_offsets
+        )
+        if not inside:
+            stream.jump(stream.position)  # looking for a summary has moved the file
+            return
+        self._is_aligned = False
+        stream.jump(frame.offset + HEAD.size + length)
+        detail = f"a chunk of impossible length {frame.length}; reading goes on at byte {stream.position}"
+        self.content.record_loss(LossKind.STRUCTURE, detail, frame.offset)
 
     def _resume(
         self, file: BinaryIO, size_bytes: int, stream: FrameStream, frame: Frame, *, or_go_on: bool = False

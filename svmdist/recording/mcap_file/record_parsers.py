@@ -116,6 +116,7 @@ class ChunkBody:
     uncompressed_size: int
     uncompressed_crc: int
     compression: str
+    data_start: int
     data_length: int
     data: memoryview
 
@@ -149,7 +150,7 @@ def parse_chunk(body: bytes) -> ChunkBody:
     name = body[CHUNK_HEAD.size : CHUNK_HEAD.size + name_length]
     data_length = int.from_bytes(body[data_start - 8 : data_start], "little")
     data = memoryview(body)[data_start : data_start + min(data_length, len(body))]
-    return ChunkBody(size, crc, name.decode("utf-8", "replace"), data_length, data)
+    return ChunkBody(size, crc, name.decode("utf-8", "replace"), data_start, data_length, data)
 
 
 def is_attachment_intact(body: memoryview) -> bool:
