@@ -20,6 +20,12 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         config.option.numprocesses = 0
 
 
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """The parameter's name in place of what a file holds: bytes and several lines may change with the clock."""
+    is_content = isinstance(val, bytes) or (isinstance(val, str) and not val.isprintable())
+    return argname if is_content else None
+
+
 @pytest.fixture(scope="session")
 def synthetic_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log of 40 frames drawn with OpenCV, with exact geometry."""

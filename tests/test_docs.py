@@ -10,7 +10,9 @@ import pytest
 from tests.conftest import REPOSITORY
 
 DOCUMENTS = sorted(
-    [*REPOSITORY.glob("*.md"), *REPOSITORY.glob("docs/**/*.md"), *REPOSITORY.glob("*/README.md")]
+    path
+    for pattern in ("*.md", "docs/**/*.md", "[!.]*/README.md")  # a run leaves .pytest_cache/README.md behind
+    for path in REPOSITORY.glob(pattern)
 )
 
 

@@ -18,7 +18,9 @@ def _cut_short(error: BaseException) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("before", [None, "what was there\n"])
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("in the middle")])
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), RuntimeError("in the middle")], ids=["interrupt", "error"]
+)
 def test_a_write_that_ends_early_changes_nothing(
     tmp_path: Path, before: str | None, error: BaseException
 ) -> None:

@@ -56,7 +56,9 @@ def test_markup_in_a_name_is_text(name):
 
 
 @pytest.mark.parametrize(
-    "code", ["\x1b[31m", "\x07", "\x9b", "\u202e", "\u2028", "\r", "\n", "\x00", "\ud800"]
+    "code",
+    ["\x1b[31m", "\x07", "\x9b", "\u202e", "\u2028", "\r", "\n", "\x00", "\ud800"],
+    ids=["ESC", "BEL", "CSI", "RLO", "LS", "CR", "LF", "NUL", "surrogate"],
 )
 def test_characters_that_drive_a_terminal_are_replaced(code):
     """ESC, bell, line breaks and bidirectional overrides never reach a terminal, the letters around them do."""
@@ -81,7 +83,11 @@ def test_any_name_keeps_its_place_in_a_csv(name):
     assert csv_text(name).lstrip("'").endswith(printable(name).lstrip("'"))
 
 
-@pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)", "=cmd|' /C calc'!A0", "\t=1", "\r=1"])
+@pytest.mark.parametrize(
+    "name",
+    ["=1+1", "+1", "-1", "@SUM(A1)", "=cmd|' /C calc'!A0", "\t=1", "\r=1"],
+    ids=["equals", "plus", "minus", "at", "command", "tab", "CR"],
+)
 def test_formulas_are_defused_in_csv(name):
     """Text that a spreadsheet would run begins with an apostrophe or a harmless character instead."""
     cell = read_csv(csv_lines(KEYS, [{"name": name}]))[1][0]

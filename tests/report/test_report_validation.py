@@ -104,7 +104,9 @@ def test_the_document_has_the_fields_of_its_schema():
 
 
 @pytest.mark.parametrize(
-    "made", [validation("a", constant=True), validation("a", count=3), validation("a", count=0)]
+    "made",
+    [validation("a", constant=True), validation("a", count=3), validation("a", count=0)],
+    ids=["still", "few", "none"],
 )
 def test_undefined_figures_are_null(made):
     """A still truth, few pairs and no pairs leave R², intervals or all figures out; NaN never reaches JSON."""
@@ -133,7 +135,7 @@ def test_the_overall_score_is_the_one_against_the_strongest_reference():
     assert validation_document(Validation(both, (), ()))["overall"] is None
 
 
-@pytest.mark.parametrize("name", ["[red]x", "[/nope]", "a\x1b[31mb"])
+@pytest.mark.parametrize("name", ["[red]x", "[/nope]", "a\x1b[31mb"], ids=["colour", "no tag", "ESC"])
 def test_names_in_the_table_are_text(name):
     """A recording's name can neither colour, nor crash, nor drive the terminal."""
     shown = render(validation_table(validation(name)))
@@ -206,7 +208,11 @@ def test_a_folder_that_does_not_exist_is_an_output_error(tmp_path):
         save_plot(validation("sweep.mcap"), tmp_path / "no folder" / "plot.png")
 
 
-@pytest.mark.parametrize("name", ["[red]x", "a$b$c", "$\\frac{", "a\x1bb", "a_b^100%", "測定.mcap"])
+@pytest.mark.parametrize(
+    "name",
+    ["[red]x", "a$b$c", "$\\frac{", "a\x1bb", "a_b^100%", "測定.mcap"],
+    ids=["markup", "formula", "broken formula", "ESC", "sub and superscript", "Japanese"],
+)
 def test_names_in_plot_titles_are_text(tmp_path, name):
     """No name starts a formula, breaks the drawing or carries a control character into the file."""
     path = tmp_path / "plot.svg"
