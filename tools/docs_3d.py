@@ -14,7 +14,7 @@ from svmdist.estimation.methods import SPATIAL_METHODS
 from svmdist.recording.reader import Recording, open_recording
 from svmdist.workflows.estimate import estimate_instruments
 from svmdist.workflows.replay import Figures, Run, pooled_figures, replay
-from svmdist.workflows.scoring.distances import Distance, DistanceScore, pair, score_pairs
+from svmdist.workflows.scoring.distances import Distance, DistanceScore, Readings, score_pairs
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.setup import prepare
@@ -30,8 +30,7 @@ HEADER = (
 BETWEEN = ("PSM1", "PSM2")
 CLEARANCE_BETWEEN = Distance(
     "clearance between instruments",
-    lambda row: row.instrument_clearance_m,
-    lambda row: row.instrument_clearance_std_m,
+    lambda row: (row.instrument_clearance_m, row.instrument_clearance_std_m),
     lambda truth: truth.clearance_m,
 )
 ALL = "### All methods in 3D, both logs and all instruments\n"
@@ -69,7 +68,7 @@ def score_between() -> DistanceScore:
     stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
     topics = {"ground_truth_distance": f"/ground_truth/{'/'.join(BETWEEN)}/distance"}
     truth = open_recording(path, setup.profile, topics=topics).distance_track().at(stamps_ns)
-    score = score_pairs(pair(CLEARANCE_BETWEEN, rows, truth, stamps_ns))
+    score = score_pairs(Readings(rows, (CLEARANCE_BETWEEN,)).pairs(CLEARANCE_BETWEEN, truth))
     assert score is not None
     return score
 

@@ -36,12 +36,15 @@ if TYPE_CHECKING:
 KernelOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--kernel", metavar="BLUR=PX", help="Kernel of one blur, odd; may be repeated.", show_default=False
+        "--kernel",
+        metavar="BLUR=PX",
+        help="Kernel size of one blur, an odd number; may be repeated.",
+        show_default=False,
     ),
 ]
 GridOption = Annotated[
     bool,
-    typer.Option("--grid", help="Instead of Table I: error and coverage by degradation and severity 1 to 5."),
+    typer.Option("--grid", help="Instead of Table I: error and coverage for each degradation and severity."),
 ]
 
 
@@ -60,15 +63,15 @@ def blur_bench_command(
 ) -> None:
     """Measure features and error under blur.
 
-    Table I of the paper, reproducible; with --grid, error and coverage of a method under every degradation and
-    severity. Without FILE, on every log in recordings/.
+    This reproduces Table I of the paper. With --grid it gives the error and coverage of one method under every
+    degradation and severity. Without FILE, every log in recordings/ is measured.
     """
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.setup import prepare
 
     require_output(output, files or ())
     if grid:
-        _refuse("--kernel is for Table I: it has no place beside --grid", kernel)
+        _refuse("--kernel is for Table I: it cannot be used with --grid", kernel)
         conditions = grid_conditions_of(degradations, severities)
     else:
         for option, value in (
@@ -76,7 +79,7 @@ def blur_bench_command(
             ("--degradations", degradations),
             ("--severities", severities),
         ):
-            _refuse(f"{option} is for --grid: Table I is the paper's, of its own method", value)
+            _refuse(f"{option} is for --grid: Table I is always measured with the paper's method", value)
         kernels_px = _kernels(kernel or [])
     setup = prepare(profile, (method or Method.OVERLAY).value, "corrected", calibration)
     recordings = [

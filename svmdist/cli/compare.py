@@ -38,7 +38,7 @@ def compare_command(
         typer.Option(
             "--degrade",
             metavar="NAME=SEVERITY",
-            help="Also on the images degraded like this, as in smoke=3; may be repeated, each for itself.",
+            help="Also measure the images degraded like this, as in smoke=3. May be repeated: one at a time.",
             show_default=False,
         ),
     ] = None,
@@ -50,11 +50,11 @@ def compare_command(
 ) -> None:
     """Measure with all methods side by side.
 
-    One pass over the images of each recording; per scenario and degradation, and over all. Without FILE, on every
-    log in recordings/.
+    Each image is read once for all methods. The metrics are given per scenario and degradation, and over all frames.
+    Without FILE, every log in recordings/ is measured.
     """
     from svmdist.recording.reader import open_recording
-    from svmdist.report.comparison import COMPARE_KEYS, compare_row, compare_tables
+    from svmdist.report.comparison import compare_keys, compare_row, compare_tables
     from svmdist.report.figures import FIGURE_NOTE
     from svmdist.vision.degradations import require_degradation
     from svmdist.workflows.compare import compare
@@ -78,5 +78,5 @@ def compare_command(
     with progress_bar("comparing", "measurements") as advance:
         scores = compare(recordings, setups, conditions, on_progress=advance)
     rows = [compare_row(score) for score in scores]
-    write_summary(Summary(compare_tables(scores), COMPARE_KEYS, rows, [FIGURE_NOTE]), form, output)
+    write_summary(Summary(compare_tables(scores), compare_keys(), rows, [FIGURE_NOTE]), form, output)
     raise typer.Exit(report_health(recordings))

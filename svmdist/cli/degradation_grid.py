@@ -1,4 +1,4 @@
-"""`svmdist blur-bench --grid`: a method under every degradation and severity."""
+"""`svmdist blur-bench --grid`: one method under every degradation and severity."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ DegradationsOption = Annotated[
     typer.Option(
         "--degradations",
         metavar="NAME,...",
-        help="With --grid: some of defocus, motion_blur, noise, low_light, specular, smoke, jpeg. Default: all.",
+        help="With --grid: only these of defocus, motion_blur, noise, low_light, specular, smoke, jpeg. Default: all.",
         show_default=False,
     ),
 ]
@@ -36,7 +36,7 @@ SeveritiesOption = Annotated[
     typer.Option(
         "--severities",
         metavar="N,...",
-        help="With --grid: some of 1 to 5. Default: all.",
+        help="With --grid: only these of 1 to 5. Default: all.",
         show_default=False,
     ),
 ]
@@ -54,8 +54,8 @@ def grid_conditions_of(degradations: str | None, severities: str | None) -> list
 
 
 def grid_summary(recordings: list[Recording], setup: Setup, conditions: list[Condition]) -> Summary:
-    """Measure, with a progress bar, and make the rows."""
-    from svmdist.report.degradation_grid import GRID_KEYS, grid_row, grid_table, recorded_notes
+    """Measure with a progress bar, and make tables and rows."""
+    from svmdist.report.degradation_grid import grid_keys, grid_row, grid_table, recorded_notes
     from svmdist.report.figures import FIGURE_NOTE
     from svmdist.report.text import counted
     from svmdist.workflows.degradation_grid import degradation_grid
@@ -66,4 +66,4 @@ def grid_summary(recordings: list[Recording], setup: Setup, conditions: list[Con
         f"{setup.method} on {cells[0].figures.frame_count} frames of {counted(len(recordings), 'recording')}"
     )
     notes = [FIGURE_NOTE, *recorded_notes(recordings)]
-    return Summary([grid_table(title, cells)], GRID_KEYS, [grid_row(cell) for cell in cells], notes)
+    return Summary([grid_table(title, cells)], grid_keys(), [grid_row(cell) for cell in cells], notes)

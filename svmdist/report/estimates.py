@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from svmdist.estimation.alarms import AlarmState
 from svmdist.report.table import Cell, Column, Row, number, text_width
-from svmdist.samples import Estimate
+from svmdist.samples import Estimate, Vector
 
 ESTIMATE_KEYS = (
     "recording",
@@ -88,7 +88,7 @@ DISPENSABLE = (
     *("keypoint_count", "match_count", "inlier_count", "tool_area_px", "tissue_area_px"),
     *("tissue_x_px", "tissue_y_px", "tool_x_px", "tool_y_px", "recording"),
 )
-"""What a narrow terminal goes without, the first ones first; machines get all of it."""
+"""Columns that a narrow terminal leaves out, in this order. CSV and JSON have all columns."""
 
 DISPENSABLE_IN_3D = (
     *("instrument_clearance_std_m", "distance_m", "spatial_m"),
@@ -98,11 +98,11 @@ DISPENSABLE_IN_THE_PLANE = (
     *("instrument_clearance_std_m", "instrument_clearance_m"),
     *("clearance_std_m", "clearance_m", "spatial_m"),
 )
-"""And then, by method: a planar one has nothing in the columns of the others."""
+"""Columns that are left out next, by method: a planar method has no values in the columns of the 3D methods."""
 
 
 def columns_within(columns: Sequence[Column], width: int | None, planar: bool = False) -> Sequence[Column]:
-    """The columns that a terminal of some width has room for, as far as they are dispensable; all where it is None."""
+    """The columns that fit a terminal of `width` characters, without those that are dispensable; all for None."""
     for key in (*DISPENSABLE, *(DISPENSABLE_IN_THE_PLANE if planar else DISPENSABLE_IN_3D)):
         if width is None or text_width(columns) <= width:
             break
@@ -119,31 +119,33 @@ def estimate_row(
     alarm: AlarmState | None = None,
 ) -> Row:
     """One row; `time_s` counts from the recording's first image and is for a person only."""
-    row: dict[str, Cell] = {
-        key: getattr(estimate, key) for key in ESTIMATE_KEYS if hasattr(estimate, key) and key != "status"
-    }
-    for names, vector in (
-        (("tool_x_m", "tool_y_m", "tool_z_m"), estimate.tool_position_m),
-        (("axis_x", "axis_y", "axis_z"), estimate.tool_axis),
-        (("direction_x", "direction_y", "direction_z"), estimate.clearance_direction),
-        (
-            ("instrument_direction_x", "instrument_direction_y", "instrument_direction_z"),
-            estimate.instrument_clearance_direction,
-        ),
-    ):
-        row |= dict(zip(names, vector or (None, None, None), strict=True))
-    row |= {
-        "detail": estimate.detail or None,
+    alarm = alarm or AlarmState()
+    return {
+        **_fields(estimate),
         "recording": recording,
-        "status": str(estimate.status),
         "method": method,
         "equations": equations,
         "time_s": (estimate.stamp_ns - start_ns) / 1e9,
-    }
-    alarm = alarm or AlarmState()
-    row |= {
         "alarm": None if alarm.alarm is None else int(alarm.alarm),
         "closing_speed_m_s": alarm.closing_speed_m_s,
         "time_to_contact_s": alarm.time_to_contact_s,
     }
-    return row
+
+
+def _fields(estimate: Estimate) -> dict[str, Cell]:
+    """What an estimate holds, by columns: the one place that knows its fields."""
+    return {
+        **{key: getattr(estimate, key) for key in ESTIMATE_KEYS if hasattr(estimate, key)},
+        **_xyz("tool_{}_m", estimate.tool_position_m),
+        **_xyz("axis_{}", estimate.tool_axis),
+        **_xyz("direction_{}", estimate.clearance_direction),
+        **_xyz("instrument_direction_{}", estimate.instrument_clearance_direction),
+        "status": str(estimate.status),
+        "detail": estimate.detail or None,
+    }
+
+
+def _xyz(key: str, vector: Vector | None) -> dict[str, Cell]:
+    """Three columns of a vector; None where there is none."""
+    x, y, z = vector or (None, None, None)
+    return {key.format("x"): x, key.format("y"): y, key.format("z"): z}

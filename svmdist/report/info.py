@@ -87,8 +87,8 @@ def info_lines(summary: RecordingSummary, profile: Profile, width: int | None = 
     yield f"roles       {printable(roles) or 'none of the topics is one that svmdist reads'}\n"
     yield f"instruments {printable(', '.join(instruments_in(summary, profile)))}\n"
     for ability in abilities(summary, profile):
-        verdict = "yes" if ability.served else f"no: it lacks {'; '.join(ability.missing)}"
-        yield f"{ability.name:<11} {printable(verdict)}\n"
+        answer = "yes" if ability.served else f"no: it lacks {'; '.join(ability.missing)}"
+        yield f"{ability.name:<11} {printable(answer)}\n"
     methods = method_abilities(summary, profile)
     yield f"methods     {', '.join(each.name for each in methods if each.served) or 'none'}\n"
     for each in methods:

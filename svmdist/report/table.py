@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from rich import box
 from rich.console import Console
@@ -16,6 +16,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from svmdist.report.text import csv_text, printable
+from svmdist.workflows.scoring.metric import Metric
 
 Cell = str | int | float | None
 Row = Mapping[str, Cell]
@@ -46,6 +47,14 @@ def number(digits: int, factor: float = 1.0) -> Callable[[Cell], str]:
 def percent(digits: int) -> Callable[[Cell], str]:
     """Show a fraction as a percentage."""
     return number(digits, 100.0)
+
+
+def metric_column(metric: Metric[Any], heading: str = "") -> Column:
+    """The column of a metric for a person, in the unit that a person is shown; a heading replaces its own."""
+    unit, heading = metric.unit, heading or metric.title
+    if unit.digits is None:
+        return Column(metric.key, heading)
+    return Column(metric.key, heading, number(unit.digits, unit.factor))
 
 
 def rich_table(title: str, columns: Sequence[Column], rows: Iterable[Row]) -> RichTable:

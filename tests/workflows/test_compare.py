@@ -14,7 +14,7 @@ from svmdist.metrics import interval_coverage
 from svmdist.profile import load_profile
 from svmdist.recording.reader import open_recording
 from svmdist.recording.writer import RecordingWriter
-from svmdist.report.comparison import COMPARE_KEYS, compare_row, compare_tables
+from svmdist.report.comparison import compare_keys, compare_row, compare_tables
 from svmdist.report.table import render
 from svmdist.samples import ImageSample
 from svmdist.simulation.extras import Extras
@@ -94,7 +94,7 @@ def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
         "all": 16,
     }
     rows = [compare_row(score) for score in scores]
-    assert all(set(row) == set(COMPARE_KEYS) for row in rows)
+    assert all(set(row) == set(compare_keys()) for row in rows)
     assert [(row["scenario"], row["degradation"]) for row in rows][:2] == [
         ("sweep", ""),
         ("sweep", "smoke=3"),
