@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Flag, StrEnum, auto
-from typing import Generic, Protocol, TypeVar
+from functools import partial
+from operator import attrgetter
+from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -15,30 +17,6 @@ Value = str | int | float | None
 Scored_contra = TypeVar("Scored_contra", contravariant=True)
 Whole = TypeVar("Whole")
 Part = TypeVar("Part")
-
-
-class Scored(Protocol):
-    """What the score of `validate` and the figures of a replay have in common; a distance is None where unknown."""
-
-    @property
-    def frame_count(self) -> int:
-        """Number of frames."""
-
-    @property
-    def coverage(self) -> float:
-        """Measured frames by frames."""
-
-    @property
-    def planar(self) -> DistanceScore | None:
-        """The planar distance."""
-
-    @property
-    def spatial(self) -> DistanceScore | None:
-        """The distance in 3D."""
-
-    @property
-    def clearance(self) -> DistanceScore | None:
-        """The smallest distance of the surfaces."""
 
 
 class Better(StrEnum):
@@ -122,35 +100,30 @@ class Metric(Generic[Scored_contra]):
 def of_part(metrics: Iterable[Metric[Part]], part_of: Callable[[Whole], Part | None]) -> list[Metric[Whole]]:
     """Metrics of a part as metrics of the whole: None where it does not have the part."""
 
-    def lifted(metric: Metric[Part]) -> Metric[Whole]:
-        def of(whole: Whole) -> Value:
-            part = part_of(whole)
-            return None if part is None else metric.of(part)
+    def of(metric: Metric[Part], whole: Whole) -> Value:
+        part = part_of(whole)
+        return None if part is None else metric.of(part)
 
-        return replace(metric, of=of)  # type: ignore[arg-type, return-value]  # replace() keeps the type argument
-
-    return [lifted(metric) for metric in metrics]
+    lifted: list[Metric[Any]] = [replace(metric, of=partial(of, metric)) for metric in metrics]
+    return lifted
 
 
-def of_distance(metrics: Iterable[Metric[DistanceScore]], distance: str) -> list[Metric[Scored]]:
-    """Metrics of a distance as those of the planar, the spatial or the clearance part of a score."""
-    metrics = [replace(metric, group=distance) for metric in metrics]
-    if distance != "planar":
-        metrics = [
+def of_distance(metrics: Iterable[Metric[DistanceScore]], distance: str) -> list[Metric[Any]]:
+    """Metrics of a distance as metrics of scores and figures, whose field of that name holds the distance's score."""
+    if distance == "planar":
+        named = [replace(metric, group=distance) for metric in metrics]
+    else:
+        named = [
             replace(
                 metric,
                 key=f"{distance}_{metric.key}",
                 outputs=metric.outputs_in_3d,
                 tolerance=metric.tolerance_in_3d,
+                group=distance,
             )
             for metric in metrics
         ]
-
-    def part_of(scored: Scored) -> DistanceScore | None:
-        part: DistanceScore | None = getattr(scored, distance)
-        return part
-
-    return of_part(metrics, part_of)
+    return of_part(named, attrgetter(distance))
 
 
 def within(metrics: Iterable[Metric[Whole]], output: Output) -> list[Metric[Whole]]:

@@ -5,19 +5,17 @@ A new metric is one entry in one of the tuples below. Give it `is_late=True`: co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Protocol
+from operator import attrgetter
 
 from svmdist.alarm_metrics import AlarmStatistics
 from svmdist.estimation.lag import LagEstimate
 from svmdist.metrics import ErrorStatistics, Interval
+from svmdist.workflows.replay import Figures
 from svmdist.workflows.scoring.distances import DistanceScore
 from svmdist.workflows.scoring.metric import (
     Better,
     Metric,
     Output,
-    Part,
-    Scored,
     Tolerance,
     Unit,
     of_distance,
@@ -50,22 +48,10 @@ ALARM_TOLERANCE = Tolerance(absolute=0.005)
 KUENSCH = "moving-block bootstrap, Künsch 1989"
 
 
-class Replayed(Scored, Protocol):
-    """The figures of a replay."""
-
-    @property
-    def measured_count(self) -> int:
-        """Number of measured frames."""
-
-    @property
-    def ms_per_frame(self) -> float:
-        """Time of the method alone."""
-
-
 # fmt: off
-FRAME_COUNT: Metric[Scored] = Metric(
+FRAME_COUNT: Metric[Score | Figures] = Metric(
     "frame_count", COUNT, lambda s: s.frame_count, "Number of frames.", outputs=SCORES | FIGURES)
-COVERAGE: Metric[Scored] = Metric(
+COVERAGE: Metric[Score | Figures] = Metric(
     "coverage", SHARE, lambda s: s.coverage, "Share of the frames that were measured.",
     HIGHER, "cov. %", SCORE_TABLE | REPLAY, COVERAGE_TOLERANCE)
 
@@ -171,7 +157,7 @@ ALARMS: tuple[Metric[AlarmStatistics], ...] = (
 """How alarms did, with `--alarm-below`. Recall is stored with the share of false alarms: alarming always has a
 recall of 1."""
 
-REPLAYS: tuple[Metric[Replayed], ...] = (
+REPLAYS: tuple[Metric[Figures], ...] = (
     FRAME_COUNT,
     Metric("measured_count", COUNT, lambda f: f.measured_count, "Measured frames.", HIGHER, outputs=FIGURES),
     COVERAGE,
@@ -188,15 +174,15 @@ def score_metrics() -> list[Metric[Score]]:
         *COUNTS,
         *of_distance(ERRORS, "planar"),
         *FRAMES,
-        *_of_score(RMSE_BOUNDS, lambda score: score.rmse_interval_m),
-        *_of_score(R_SQUARED_BOUNDS, lambda score: score.r_squared_interval),
+        *of_part(RMSE_BOUNDS, attrgetter("rmse_interval_m")),
+        *of_part(R_SQUARED_BOUNDS, attrgetter("r_squared_interval")),
         *MARKS,
-        *_of_score(LAG, lambda score: score.lag),
-        *_of_score(UNCORRECTED, lambda score: score.uncorrected),
+        *of_part(LAG, attrgetter("lag")),
+        *of_part(UNCORRECTED, attrgetter("uncorrected")),
         *of_distance(INTERVALS, "planar"),
         *of_distance(distance_metrics(), "spatial"),
         *of_distance(distance_metrics(), "clearance"),
-        *_of_score(ALARMS, lambda score: score.alarms),
+        *of_part(ALARMS, attrgetter("alarms")),
     ]
 
 
@@ -205,7 +191,7 @@ def distance_metrics() -> tuple[Metric[DistanceScore], ...]:
     return ERRORS + INTERVALS
 
 
-def figure_metrics() -> list[Metric[Replayed]]:
+def figure_metrics() -> list[Metric[Figures]]:
     """All metrics of the figures of a replay, in the order of their columns."""
     distances = (of_distance(distance_metrics(), distance) for distance in ("planar", "spatial", "clearance"))
     return [*REPLAYS, *(metric for metrics in distances for metric in metrics)]
@@ -214,9 +200,3 @@ def figure_metrics() -> list[Metric[Replayed]]:
 def stored_metrics() -> list[Metric[Score]]:
     """The metrics that a baseline stores."""
     return [metric for metric in score_metrics() if metric.tolerance is not None]
-
-
-def _of_score(
-    metrics: Iterable[Metric[Part]], part_of: Callable[[Score], Part | None]
-) -> list[Metric[Score]]:
-    return of_part(metrics, part_of)
