@@ -77,20 +77,12 @@ def alarm_table(validation: Validation) -> RichTable:
     assert rules is not None
     metrics = within(score_metrics(), Output.ALARM_TABLE)
     metrics.sort(key=lambda metric: ["unsafe", "alarm_recall", metric.key].index(metric.key))
-    return _table(
-        f"alarms: clearance below {rules.below_m * 1e3:g} mm with P ≥ {rules.confidence:g}; shares in %, leads in s",
-        [_NAME, *map(metric_column, metrics)],
-        [
-            {"recording": score.recording, **cells(metrics, score)}
-            for score in validation.scores
-            if score.alarms
-        ],
-        [
-            {"recording": score.recording, **cells(metrics, score)}
-            for score in validation.overall
-            if score.alarms
-        ],
+    rows, overall = (
+        [{"recording": score.recording, **cells(metrics, score)} for score in scores if score.alarms]
+        for scores in (validation.scores, validation.overall)
     )
+    title = f"alarms: clearance below {rules.below_m * 1e3:g} mm with P ≥ {rules.confidence:g}; shares in %, leads in s"
+    return _table(title, [_NAME, *map(metric_column, metrics)], rows, overall)
 
 
 def _distance_rows(scores: Iterable[Score], metrics: list[Metric[DistanceScore]]) -> Iterator[Row]:
