@@ -6,6 +6,7 @@ Pixel coordinates follow OpenCV: the centre of the top-left pixel is (0, 0).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,20 +50,38 @@ class Camera:
         P = np.hstack([K, np.zeros((3, 1))])
         return cls(width_px, height_px, K, np.zeros(5), np.eye(3), P, frame_id)
 
+    @cached_property
+    def _distortion(self) -> tuple[float, ...] | None:
+        """k1, k2, p1, p2, k3; None where all are zero."""
+        coefficients = tuple(float(value) for value in (*self.D, *[0.0] * 5)[:5])
+        return coefficients if any(coefficients) else None
+
     def project(self, p_camera_m: ArrayLike) -> Array:
         """Project points of the camera frame, shape (n, 3) in m and in front of it, to px, shape (n, 2).
 
         Distortion follows OpenCV's model with up to five coefficients.
         """
         p = np.atleast_2d(np.asarray(p_camera_m, np.float64))
-        x, y = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
-        k1, k2, p1, p2, k3 = np.concatenate([self.D, np.zeros(5)])[:5]
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        x_distorted = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        y_distorted = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        homogeneous = np.stack([x_distorted, y_distorted, np.ones_like(x)], -1) @ self.K.T
-        return np.asarray(homogeneous[:, :2])
+        xy = p[:, :2] / p[:, 2:]
+        if self._distortion is not None:
+            xy = _distorted(xy, self._distortion)
+        return np.asarray(xy @ self.K[:2, :2].T + self.K[:2, 2])
+
+    def project_with_derivative(self, p_camera_m: Array) -> tuple[Array, Array]:
+        """The pixels of points, shape (..., 3) in m, as (..., 2), and their derivative by the points, (..., 2, 3)."""
+        z = p_camera_m[..., 2:]
+        xy = p_camera_m[..., :2] / z
+        A = self.K[:2, :2]
+        slope = np.empty((*xy.shape, 3))
+        if self._distortion is None:
+            pixels = xy @ A.T
+            np.divide(A, z[..., None], out=slope[..., :2])
+            slope[..., 2] = -pixels / z
+        else:
+            pixels = _distorted(xy, self._distortion) @ A.T
+            slope[..., :2] = A @ _distortion_slope(xy, self._distortion) / z[..., None]
+            slope[..., 2] = -(slope[..., :2] @ xy[..., None])[..., 0]
+        return pixels + self.K[:2, 2], slope
 
     def same_optics(self, other: Camera, tolerance_px: float = 1e-6) -> bool:
         """Tell whether size, intrinsics and distortion agree within a tolerance in px."""
@@ -74,6 +93,35 @@ class Camera:
             and bool(np.allclose(self.K, other.K, rtol=0.0, atol=tolerance_px))
             and bool(np.allclose(distortion, other_distortion, rtol=0.0, atol=1e-9))
         )
+
+
+def _distorted(xy: Array, coefficients: tuple[float, ...]) -> Array:
+    """Points of the plane z = 1, shape (..., 2), where the lens shows them."""
+    k1, k2, p1, p2, k3 = coefficients
+    x, y = xy[..., 0], xy[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        -1,
+    )
+
+
+def _distortion_slope(xy: Array, coefficients: tuple[float, ...]) -> Array:
+    """Derivative of `_distorted` by the point, shape (..., 2, 2)."""
+    k1, k2, p1, p2, k3 = coefficients
+    x, y = xy[..., 0], xy[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    twice = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))  # derivative of `radial` by x, over x
+    slope = np.empty((*xy.shape, 2))
+    slope[..., 0, 0] = radial + twice * x * x + 2 * p1 * y + 6 * p2 * x
+    slope[..., 1, 1] = radial + twice * y * y + 6 * p1 * y + 2 * p2 * x
+    slope[..., 0, 1] = slope[..., 1, 0] = twice * x * y + 2 * p1 * x + 2 * p2 * y
+    return slope
 
 
 def stereo_transform(left: Camera, right: Camera) -> Array | None:

@@ -1,4 +1,4 @@
-"""Files that a command writes: a name belongs to a whole file, whatever happens while it is written."""
+"""Atomic writes: an output file gets its name when it is complete, and never before."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from svmdist.errors import OutputError
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Give the path to write to, beside `path`; it takes that name when the block ends, and is removed where it fails.
+def atomic_file(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside `path`. It is renamed to `path` when the block ends, and removed when it fails.
 
-    So an interrupt, an error or a full disk leaves what stood under the name before. A device, a pipe, and a file in a
-    folder that takes no other file, are written in place. Raises OutputError where the file cannot be written.
+    An interrupt, an error or a full disk leaves the earlier file as it was. A device, a pipe, and a file in a folder
+    that accepts no new files are written in place. Raises OutputError where the file cannot be written.
     """
     target = path.resolve()  # a link stays a link
     beside = target.with_name(f".{target.name}.{os.getpid()}.part")
@@ -36,7 +36,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         raise OutputError(f"{path}: cannot write: {problem.strerror or problem}") from None
 
 
-def write_whole(path: Path, lines: Iterable[str]) -> None:
-    """Write text as it comes, in UTF-8 and with the line ends that it has; raises OutputError where that fails."""
-    with whole_file(path) as target, target.open("w", encoding="utf-8", newline="") as file:
+def write_atomically(path: Path, lines: Iterable[str]) -> None:
+    """Write text atomically, in UTF-8 and with its own line ends; raises OutputError where that fails."""
+    with atomic_file(path) as target, target.open("w", encoding="utf-8", newline="") as file:
         file.writelines(lines)

@@ -7,7 +7,6 @@ stands here, so that another scene needs another profile and no other code.
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 
 from pydantic import Field, model_validator
@@ -71,6 +70,7 @@ __all__ = [
     "shipped_profiles",
 ]
 
+SHIPPED = Path(__file__).with_name("profiles")
 DEFAULT_PROFILE = "psm13"
 
 
@@ -208,11 +208,10 @@ def _require_joint(key: str, name: str, names: list[str]) -> None:
 
 def shipped_profiles() -> tuple[str, ...]:
     """Names of the profiles inside the package."""
-    folder = resources.files("svmdist.profiles")
     return tuple(
         sorted(
             entry.name.removesuffix(".toml")
-            for entry in folder.iterdir()
+            for entry in SHIPPED.iterdir()
             if entry.name.endswith(".toml") and not entry.name.endswith(".calibration.toml")
         )
     )
@@ -230,7 +229,7 @@ def profile_path(name_or_path: str | Path) -> Path:
     """Find the file of a profile: a shipped name, else a path."""
     text = str(name_or_path)
     if text in shipped_profiles():
-        return Path(str(resources.files("svmdist.profiles") / f"{text}.toml"))
+        return SHIPPED / f"{text}.toml"
     path = Path(text)
     if not path.suffix and not path.exists():
         raise ProfileError(

@@ -116,7 +116,7 @@ class Fiducial(StrictModel):
     """A tag on a plate that a link of the instrument carries.
 
     The tag's frame is OpenCV's: origin in the middle of the black square, x to the right and y up as one
-    reads the tag, z out of the plate towards who reads it.
+    reads the tag, z out of the plate towards the reader.
     """
 
     family: Literal["16h5", "25h9", "36h10", "36h11"] = "36h11"
@@ -148,7 +148,7 @@ class Fiducial(StrictModel):
 
 
 class Dome(StrictModel):
-    """A dome over the tissue's outline: height h (1 - g^a)^b at gauge g, 0 at the apex and 1 on the outline.
+    """A dome over the tissue's outline: height h (1 - g^a)^b at normalised radius g, 0 at the apex, 1 on the outline.
 
     The defaults make half an ellipsoid. The outline itself comes from the image, the apex stands over its middle.
     What the standard deviations leave open, `fused` finds where it has both cameras.

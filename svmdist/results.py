@@ -1,8 +1,18 @@
-"""What a step of a method gives in place of a result where there is none."""
+"""What methods give: the result of a frame, grouped, and the reason where a step has none.
+
+Results travel as objects; `report/` alone flattens them to columns.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from svmdist.samples import JointSample, Rejection, Status, Vector
+from svmdist.transforms import Array
+
+Pixel = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -10,3 +20,125 @@ class Failure:
     """Why something could not be found or computed, in words for a person."""
 
     reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class ToolPose:
+    """`T_camera_tool`, shape (4, 4), and the covariance of its error, shape (6, 6).
+
+    The error is (δp, δθ), both in the camera frame: p_true = p + δp in m, R_true = exp([δθ]) R in rad. The
+    tool's x axis points along the jaws; `axis` is the shaft's direction, from the base to the tip, a unit
+    vector of shape (3,) in the camera frame.
+    """
+
+    T_camera_tool: Array
+    covariance: Array
+    axis: Array
+
+    @property
+    def position_m(self) -> Array:
+        """The tool's origin in the camera frame, shape (3,)."""
+        return np.asarray(self.T_camera_tool[:3, 3])
+
+    @property
+    def position_covariance(self) -> Array:
+        """Covariance of the position, shape (3, 3), in m²."""
+        return np.asarray(self.covariance[:3, :3])
+
+
+@dataclass(frozen=True, slots=True)
+class ToolEstimate:
+    """The instrument as a method in 3D found it: the tool's pose, and the joints that bend its wrist.
+
+    `joints` is None where they are not known. `has_plate` says that the fiducial's plate was seen on the instrument.
+    """
+
+    pose: ToolPose
+    joints: JointSample | None = None
+    has_plate: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Distance:
+    """A distance in m, with its standard deviation where the method states one.
+
+    `direction`, a unit vector of the camera frame, points along the shortest separation, away from the instrument.
+    """
+
+    value_m: float
+    std_m: float | None = None
+    direction: Vector | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Distances:
+    """The distances of one instrument in one frame; None where the method does not tell one.
+
+    `planar` is the paper's distance in the camera's xy plane, `spatial` the same in 3D, `clearance` the smallest
+    distance between the surfaces of instrument and tissue, `to_instrument` that to the nearest other instrument.
+    """
+
+    planar: Distance | None = None
+    spatial: Distance | None = None
+    clearance: Distance | None = None
+    to_instrument: Distance | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ImageFindings:
+    """What was found in the image: places in px, areas in pixel counts, counts of features or measurements.
+
+    A field is None where the method did not get that far.
+    """
+
+    tool_px: Pixel | None = None
+    tissue_px: Pixel | None = None
+    tool_area_px: int | None = None
+    tissue_area_px: int | None = None
+    keypoint_count: int | None = None
+    match_count: int | None = None
+    inlier_count: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FrameResult:
+    """The outcome of one frame for one instrument: its distances, or the status that says why there are none."""
+
+    stamp_ns: int
+    status: Status
+    image: ImageFindings = ImageFindings()
+    tool: ToolEstimate | None = None
+    distances: Distances = Distances()
+    detail: str = ""
+    instrument: str = ""
+
+    @property
+    def measured(self) -> bool:
+        """Whether this frame has a distance."""
+        return self.status is Status.OK
+
+    def rejected(self, status: Status, detail: str = "") -> FrameResult:
+        """The same without a distance, for a reason."""
+        return replace(self, status=status, detail=detail)
+
+    def with_image(self, **found: object) -> FrameResult:
+        """The same with more of what was found in the image."""
+        return replace(self, image=replace(self.image, **found))  # type: ignore[arg-type]
+
+    @staticmethod
+    def of_rejection(rejection: Rejection, instrument: str = "") -> FrameResult:
+        """The result of a frame that could not be read."""
+        return FrameResult(
+            rejection.stamp_ns, rejection.status, detail=rejection.detail, instrument=instrument
+        )
+
+
+def as_pixel(point_px: Array) -> Pixel:
+    """Two floats from a point of shape (2,)."""
+    return float(point_px[0]), float(point_px[1])
+
+
+def as_vector(values: Array) -> Vector:
+    """Three floats from an array of shape (3,)."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z

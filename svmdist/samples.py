@@ -1,4 +1,4 @@
-"""What flows through svmdist: samples read from a recording, observations, and estimates.
+"""What is read from a recording: samples, and observations made of them.
 
 An `Observation` holds what a real robot would give. It has no field for ground truth, so that no
 estimator can peek; truth travels on its own, as `DistanceSample` and `TransformSample`.
@@ -6,7 +6,7 @@ estimator can peek; truth travels on its own, as `DistanceSample` and `Transform
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -91,15 +91,11 @@ Sample = ImageSample | JointSample | TransformsSample | PoseSample | CameraSampl
 
 @dataclass(frozen=True, slots=True)
 class RightView:
-    """The right image of a stereo pair, its camera, and where that stands: `T_left_right`, shape (4, 4).
-
-    `foreign` is as in `Observation`.
-    """
+    """The right image of a stereo pair, its camera, and where that stands: `T_left_right`, shape (4, 4)."""
 
     image_bgr: Image
     camera: Camera
     T_left_right: Array
-    foreign: Image | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,9 +103,7 @@ class Observation:
     """What an estimator may see of one instant: the image, its camera, and what the robot reports.
 
     `joints` are interpolated to the image's stamp; `T_camera_base`, shape (4, 4), is what the robot
-    believes. Each of them, and the right view, is None where the log has none near the image.
-    `foreign`, shape (h, w), marks the pixels that have an instrument's colours and belong to another one, or
-    to nobody knows whom; None where there is one instrument only.
+    reports. Each of them, and the right view, is None where the log has none near the image.
     """
 
     stamp_ns: int
@@ -118,7 +112,6 @@ class Observation:
     joints: JointSample | None = None
     right: RightView | None = None
     T_camera_base: Array | None = None
-    foreign: Image | None = None
 
 
 class Status(StrEnum):
@@ -146,65 +139,3 @@ class Rejection:
     stamp_ns: int
     status: Status
     detail: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class ToolState:
-    """The instrument as a 3D method found it: `T_camera_tool`, (4, 4), with a covariance of (δp, δθ), (6, 6).
-
-    `axis` is the shaft's direction, shape (3,); `joints` bend the wrist, None where they are not known. `has_plate`
-    says that a fiducial's plate was seen on it.
-    """
-
-    T_camera_tool: Array
-    covariance: Array
-    axis: Array
-    joints: JointSample | None
-    has_plate: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """The outcome of one frame: a distance, or the reason why there is none.
-
-    `distance_m` is the planar distance, `spatial_m` the same in 3D, `clearance_m` the smallest distance
-    between the surfaces; each has a standard deviation where the method can tell one. The tool's position
-    in m, its axis and the direction of the shortest separation, from instrument to tissue (unit vectors),
-    are in the camera frame. Positions in the image are in px, areas are pixel counts. A field is None
-    where the method did not get that far.
-
-    `instrument` names what was measured. `instrument_clearance_m` is the smallest distance to the surface of another
-    instrument, with its deviation and its direction, towards the other one; `tool_state` is what it is computed from.
-    """
-
-    stamp_ns: int
-    status: Status
-    distance_m: float | None = None
-    tool_x_px: float | None = None
-    tool_y_px: float | None = None
-    tissue_x_px: float | None = None
-    tissue_y_px: float | None = None
-    tool_area_px: int | None = None
-    tissue_area_px: int | None = None
-    keypoint_count: int | None = None
-    match_count: int | None = None
-    inlier_count: int | None = None
-    detail: str = ""
-    spatial_m: float | None = None
-    clearance_m: float | None = None
-    distance_std_m: float | None = None
-    spatial_std_m: float | None = None
-    clearance_std_m: float | None = None
-    tool_position_m: Vector | None = None
-    tool_axis: Vector | None = None
-    clearance_direction: Vector | None = None
-    instrument: str = ""
-    instrument_clearance_m: float | None = None
-    instrument_clearance_std_m: float | None = None
-    instrument_clearance_direction: Vector | None = None
-    tool_state: ToolState | None = field(default=None, repr=False, compare=False)
-
-    @property
-    def measured(self) -> bool:
-        """Whether this frame has a distance."""
-        return self.status is Status.OK

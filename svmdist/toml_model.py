@@ -27,7 +27,7 @@ Model = TypeVar("Model", bound="StrictModel")
 class StrictModel(BaseModel):
     """Base of everything read from TOML: frozen, and an unknown key is an error."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 def _parse_angle(value: Any) -> Any:

@@ -107,11 +107,14 @@ class TransformTrack:
         if self.is_static:
             always = np.ones(len(at_ns), np.bool_)
             return Sampled(np.repeat(self.T_parent_child[:1], len(at_ns), axis=0), always)
-        valid = bracket(self.stamps_ns, at_ns, max_gap_ns).valid
+        where = bracket(self.stamps_ns, at_ns, max_gap_ns)
         values = np.full((len(at_ns), 4, 4), np.nan)
-        if valid.any():
-            values[valid] = interpolate_transforms(self.stamps_ns, self.T_parent_child, at_ns[valid])
-        return Sampled(values, valid)
+        between = where.valid & (where.left != where.right)
+        met = where.valid & ~between  # by a sample, which is given back to the last bit
+        values[met] = self.T_parent_child[where.left[met]]
+        if between.any():
+            values[between] = interpolate_transforms(self.stamps_ns, self.T_parent_child, at_ns[between])
+        return Sampled(values, where.valid)
 
 
 @dataclass(frozen=True)

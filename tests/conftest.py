@@ -5,10 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from tests.synthetic import write_log
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+# The same examples in every run, whatever an earlier one found; `--hypothesis-profile=default` draws new ones.
+settings.register_profile("repeatable", derandomize=True)
+settings.load_profile("repeatable")
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -18,6 +23,12 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
     is_one_file = len(files) == 1 and files.pop().endswith(".py")
     if is_one_file or config.option.benchmark_enable or config.option.usepdb:
         config.option.numprocesses = 0
+
+
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """The parameter's name in place of what a file holds: bytes and several lines may change with the clock."""
+    is_content = isinstance(val, bytes) or (isinstance(val, str) and not val.isprintable())
+    return argname if is_content else None
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""Images of a dark shaft with a steel tip and a coloured knuckle, ray by ray from exact geometry.
+"""Images of a dark shaft with a steel tip and a coloured distal marker, ray by ray from exact geometry.
 
 Nothing of the simulation is in them: a cylinder, a thinner one and a sphere are intersected with the rays of
 the pixels' parts, over a flat background, in the frame of whatever endoscope.
@@ -14,7 +14,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edges import straightened
+from svmdist.vision.lines import undistorted
 
 RADIUS_M, KNUCKLE_RADIUS_M, END_M, WRIST_M = 0.004, 0.00175, 0.00627, 0.0091
 PALE_BGR, RED_BGR = (170.0, 185.0, 205.0), (70.0, 60.0, 190.0)
@@ -33,7 +33,7 @@ class ShaftImage:
     background_bgr: tuple[float, float, float] = PALE_BGR
     stripe: bool = False
     glints: int = 0
-    knuckle: bool = True
+    marker: bool = True
     gradient: float = 0.0
     vignette: float = 0.0
     blur_px: float = 0.8
@@ -62,12 +62,12 @@ class ShaftImage:
         x = (np.arange(width)[:, None] + offsets).ravel()
         y = (rows[:, None] + offsets).ravel()
         grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-        rays = np.column_stack([straightened(self.camera, grid), np.ones(len(grid))])
+        rays = np.column_stack([undistorted(self.camera, grid), np.ones(len(grid))])
         colour = np.tile(np.array(self.background_bgr), (len(rays), 1))
         depth = np.full(len(rays), np.inf)
         self._cylinder(rays, colour, depth, RADIUS_M, (-0.3, -END_M), (32.0, 30.0, 30.0), self.stripe)
         self._cylinder(rays, colour, depth, 0.0027, (-END_M, 0.0), (150.0, 150.0, 148.0), False)
-        if self.knuckle:
+        if self.marker:
             self._sphere(rays, colour, depth)
         if self.gradient or self.vignette:
             # Light falls off along the image's diagonal; the scene is lit so, the shaft with it.

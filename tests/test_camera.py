@@ -76,3 +76,18 @@ def test_the_tolerance_is_in_pixels():
     for off_px, alike in ((0.009, True), (0.011, False)):
         other = replace(CAMERA, K=CAMERA.K + np.diag([off_px, 0, 0]))
         assert CAMERA.same_optics(other, tolerance_px=0.01) is alike
+
+
+@pytest.mark.parametrize("distortion", [[], [-0.3, 0.12, 2e-3, -1e-3, -0.02]])
+@pytest.mark.parametrize("skew_px", [0.0, 3.0])
+def test_the_projections_derivative(distortion, skew_px):
+    """Against central differences to 1e-8 of some 2e4 px/m, for stacks of points; the pixels are those of `project`."""
+    K = CAMERA.K + skew_px * np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    camera = replace(CAMERA, K=K, D=np.array(distortion))
+    p_m = np.array([0.0, 0.0, 0.1]) + np.random.default_rng(2).uniform(-0.03, 0.03, (2, 5, 3))
+    pixels, J = camera.project_with_derivative(p_m)
+    np.testing.assert_allclose(pixels.reshape(-1, 2), camera.project(p_m.reshape(-1, 3)), atol=1e-10)
+    for column in range(3):
+        step = 1e-7 * np.eye(3)[column]
+        ahead, back = (camera.project((p_m + sign * step).reshape(-1, 3)) for sign in (1.0, -1.0))
+        np.testing.assert_allclose(J[..., column].reshape(-1, 2), (ahead - back) / 2e-7, atol=2e-4)

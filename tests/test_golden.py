@@ -13,7 +13,7 @@ from svmdist.estimation.lag import estimate_lag
 from svmdist.estimation.planar.calibration import load_calibration
 from svmdist.profile import load_profile, profile_path
 from svmdist.recording.reader import Recording, open_recording
-from svmdist.samples import Estimate
+from svmdist.results import FrameResult
 from svmdist.workflows.baseline import find_regressions, load_baseline
 from svmdist.workflows.calibrate import calibrate
 from svmdist.workflows.estimate import estimate
@@ -143,20 +143,22 @@ def test_only_the_calibration_log_is_marked_as_fitted_on(validation: Validation)
 
 
 @pytest.fixture(scope="module", params=["sweep", "random"])
-def measured(request: pytest.FixtureRequest, golden: Path, setup: Setup) -> tuple[Recording, list[Estimate]]:
+def measured(
+    request: pytest.FixtureRequest, golden: Path, setup: Setup
+) -> tuple[Recording, list[FrameResult]]:
     """A golden log of much motion, and its measured rows."""
     recording = open_recording(golden / f"{request.param}.mcap", setup.profile)
-    return recording, [row for row in estimate(recording, setup.estimator_for(recording)) if row.measured]
+    return recording, [row for row in estimate(recording, setup) if row.measured]
 
 
 @pytest.mark.parametrize("lag_s", [-2.5, -0.3137, 0.012, 2.5])
 def test_an_injected_lag_is_recovered(
-    measured: tuple[Recording, list[Estimate]], setup: Setup, lag_s: float
+    measured: tuple[Recording, list[FrameResult]], setup: Setup, lag_s: float
 ) -> None:
     """Image stamps moved against the kinematic clock are found to 1 ms on the golden sweep and random logs."""
     recording, rows = measured
     stamps_ns = np.array([row.stamp_ns for row in rows], np.int64) + round(lag_s * 1e9)
-    seen_px = np.array([(row.tool_x_px, row.tool_y_px) for row in rows], np.float64)
+    seen_px = np.array([row.image.tool_px for row in rows], np.float64)
     track = tool_track(recording, setup.profile, Reference.KINEMATICS)
     found = estimate_lag(stamps_ns, seen_px, predictor(track, recording.camera))
     assert found.told

@@ -4,31 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.association.associate import Association
+from svmdist.estimation.detection.scene import Scene
 from svmdist.recording.reader import Recording, open_recording
-from svmdist.samples import Estimate, Rejection
+from svmdist.samples import Rejection
 from svmdist.workflows.baseline import load_baseline
-from svmdist.workflows.estimate import Team
+from svmdist.workflows.replay import MultiInstrumentEstimator
 from svmdist.workflows.setup import Setup, prepare
+from tests.measuring import flat
 
 STRIDE = 8
 """Every eighth frame is measured, at 1.25 Hz: enough for a target; the baseline has all of them."""
 SETTLED_S = 2.0
 
 
-def rows_of(recording: Recording, setup: Setup) -> Iterator[Estimate]:
+def rows_of(recording: Recording, setup: Setup) -> Iterator[Any]:
     """The rows of every eighth frame, one an instrument."""
-    team = Team(recording, setup)
+    arms = [Arm(setup.profile.for_instrument(name)) for name in recording.instruments]
+    association, estimator = Association(arms), MultiInstrumentEstimator(setup, arms)
     for index, found in enumerate(recording.observations_of(recording.instruments)):
         if index % STRIDE == 0:
             assert not isinstance(found, Rejection)
-            yield from team.measure(found)
+            scene = Scene(found[0], setup.profile, setup.segmenter)
+            yield from map(flat, estimator.estimate(association.frames(scene, found)).results)
 
 
-def errors_m(recording: Recording, rows: list[Estimate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def errors_m(recording: Recording, rows: list[Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """One instrument's errors of spatial distance and clearance, and its true clearance, shape (n,) each."""
     truth = recording.for_instrument(rows[0].instrument).distance_track()
     at = truth.at(np.array([row.stamp_ns for row in rows], np.int64))

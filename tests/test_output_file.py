@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.errors import OutputError
-from svmdist.output_file import whole_file, write_whole
+from svmdist.output_file import atomic_file, write_atomically
 
 
 def _cut_short(error: BaseException) -> Iterator[str]:
@@ -18,7 +18,9 @@ def _cut_short(error: BaseException) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("before", [None, "what was there\n"])
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("in the middle")])
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), RuntimeError("in the middle")], ids=["interrupt", "error"]
+)
 def test_a_write_that_ends_early_changes_nothing(
     tmp_path: Path, before: str | None, error: BaseException
 ) -> None:
@@ -27,7 +29,7 @@ def test_a_write_that_ends_early_changes_nothing(
     if before is not None:
         path.write_text(before)
     with pytest.raises(type(error)):
-        write_whole(path, _cut_short(error))
+        write_atomically(path, _cut_short(error))
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == (
         [("rows.csv", before)] if before else []
     )
@@ -42,7 +44,7 @@ def test_the_name_appears_with_the_last_line(tmp_path: Path) -> None:
         assert not path.exists()
         yield "last\n"
 
-    write_whole(path, lines())
+    write_atomically(path, lines())
     assert path.read_bytes() == "é\r\nlast\n".encode()
     assert list(tmp_path.iterdir()) == [path]
 
@@ -53,7 +55,7 @@ def test_links_and_permissions_stay(tmp_path: Path) -> None:
     real.write_text("old")
     real.chmod(0o640)
     link.symlink_to(real)
-    write_whole(link, ["new"])
+    write_atomically(link, ["new"])
     assert link.is_symlink()
     assert (real.read_text(), real.stat().st_mode & 0o777) == ("new", 0o640)
 
@@ -63,7 +65,7 @@ def test_a_pipe_is_written_in_place(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    write_whole(pipe, ["through\n"])
+    write_atomically(pipe, ["through\n"])
     assert os.read(reader, 100) == b"through\n"
     os.close(reader)
     assert pipe.is_fifo()
@@ -74,6 +76,6 @@ def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
     path = tmp_path / "nowhere" / "rows.csv"
     with (
         pytest.raises(OutputError, match=r"nowhere/rows\.csv: cannot write: No such file"),
-        whole_file(path) as target,
+        atomic_file(path) as target,
     ):
         target.write_text("x")

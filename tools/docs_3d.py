@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.methods import SPATIAL_METHODS
 from svmdist.recording.reader import Recording, open_recording
-from svmdist.workflows.estimate import estimate_instruments
-from svmdist.workflows.replay import Figures, Run, pooled_figures, replay
-from svmdist.workflows.scoring.distances import Distance, DistanceScore, pair, score_pairs
+from svmdist.workflows.conditions import CLEAN
+from svmdist.workflows.estimate import estimate
+from svmdist.workflows.runs import Figures, Run, measure_runs, pooled_figures
+from svmdist.workflows.scoring.distances import Distance, DistanceScore, Readings, score_pairs
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.setup import prepare
@@ -30,8 +29,7 @@ HEADER = (
 BETWEEN = ("PSM1", "PSM2")
 CLEARANCE_BETWEEN = Distance(
     "clearance between instruments",
-    lambda row: row.instrument_clearance_m,
-    lambda row: row.instrument_clearance_std_m,
+    lambda found: found.to_instrument,
     lambda truth: truth.clearance_m,
 )
 ALL = "### All methods in 3D, both logs and all instruments\n"
@@ -39,10 +37,9 @@ ALL = "### All methods in 3D, both logs and all instruments\n"
 
 def measure_logs() -> list[Run]:
     """Every method in 3D on the golden logs, one run a method, log and instrument, timed by one core's work."""
-    cv2.setNumThreads(1)
     setups = [prepare(method=method) for method in SPATIAL_METHODS]
     recordings = [open_recording(RECORDINGS / f"{name}.mcap", setups[0].profile) for name in LOGS]
-    return list(replay(recordings, setups, clock=time.process_time))
+    return list(measure_runs(recordings, setups, (CLEAN,), jobs=1))
 
 
 def score_alarms() -> Validation:
@@ -63,13 +60,13 @@ def score_between() -> DistanceScore:
     path = RECORDINGS / "duo.mcap"
     rows = [
         row
-        for row in estimate_instruments(open_recording(path, setup.profile), setup)
+        for row in estimate(open_recording(path, setup.profile), setup)
         if row.instrument == BETWEEN[0] and row.measured
     ]
     stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
     topics = {"ground_truth_distance": f"/ground_truth/{'/'.join(BETWEEN)}/distance"}
     truth = open_recording(path, setup.profile, topics=topics).distance_track().at(stamps_ns)
-    score = score_pairs(pair(CLEARANCE_BETWEEN, rows, truth, stamps_ns))
+    score = score_pairs(Readings(rows, (CLEARANCE_BETWEEN,)).pairs(CLEARANCE_BETWEEN, truth))
     assert score is not None
     return score
 

@@ -14,15 +14,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from svmdist.estimation.locate import locate_both
-from svmdist.estimation.planar.outline import draw_outline
+from svmdist.estimation.frame import Frame
+from svmdist.estimation.planar.marker_detection import draw_outline
 from svmdist.recording.reader import open_recording
 from svmdist.report.plot import save_plot
-from svmdist.samples import Estimate, Image, Observation
+from svmdist.results import FrameResult
+from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.marker.homography import square_corners
 from svmdist.vision.marker.pattern import marker_pattern
 from svmdist.workflows.blur_bench import blur_bench
+from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.setup import Setup, prepare
@@ -70,14 +72,13 @@ def _markdown_row(score: Score) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def annotate(observation: Observation, row: Estimate, setup: Setup) -> Image:
+def annotate(frame: Frame, result: FrameResult, setup: Setup) -> Image:
     """Draw what the estimator saw: tissue and instrument, the marker's outline, the line that is measured."""
-    picture = observation.image_bgr.copy()
-    tissue, instrument = locate_both(setup.segmenter.masks(picture), setup.profile.segmentation)
-    assert tissue is not None
+    picture = frame.left.context.bgr_as_recorded.copy()
+    _, instrument = frame.tool.regions_as_recorded
     assert instrument is not None
-    tool_px = np.array([row.tool_x_px, row.tool_y_px], np.float64)
-    tissue_px = np.array([row.tissue_x_px, row.tissue_y_px], np.float64)
+    tool_px = np.array(result.image.tool_px, np.float64)
+    tissue_px = np.array(result.image.tissue_px, np.float64)
     size_px = setup.profile.marker.size_px
     corners_px = square_corners(size_px) - (size_px - 1) / 2.0 + tool_px
     _blend_marker(picture, corners_px, setup)
@@ -86,7 +87,9 @@ def annotate(observation: Observation, row: Estimate, setup: Setup) -> Image:
     start, end = np.round(tissue_px).astype(int).tolist(), np.round(tool_px).astype(int).tolist()
     cv2.line(picture, start, end, (255, 255, 255), 2, cv2.LINE_AA)
     cv2.drawMarker(picture, start, (255, 255, 255), cv2.MARKER_CROSS, 14, 2, cv2.LINE_AA)
-    text = f"{(row.distance_m or 0.0) * 1e3:.1f} mm"
+    planar = result.distances.planar
+    assert planar is not None
+    text = f"{planar.value_m * 1e3:.1f} mm"
     middle = ((np.array(start) + end) // 2 + [10, -10]).tolist()
     for colour, width in (((30, 30, 30), 5), ((255, 255, 255), 2)):
         cv2.putText(picture, text, middle, cv2.FONT_HERSHEY_SIMPLEX, 0.7, colour, width, cv2.LINE_AA)
@@ -105,10 +108,9 @@ def _blend_marker(picture: Image, corners_px: Array, setup: Setup) -> None:
 def make_frame_picture(setup: Setup, path: Path, index: int = 30) -> None:
     """Save one annotated frame of the sweep log."""
     recording = open_recording(ROOT / "recordings" / "sweep.mcap", setup.profile)
-    estimator = setup.estimator_for(recording)
-    for number, observation in enumerate(recording.observations()):
-        if number == index and isinstance(observation, Observation):
-            cv2.imwrite(str(path), annotate(observation, estimator.estimate(observation), setup))
+    for number, (replayed,) in enumerate(replay(recording, [setup])):
+        if number == index and replayed.frames:
+            cv2.imwrite(str(path), annotate(replayed.frames[0], replayed.results[0], setup))
             return
     raise SystemExit(f"the sweep log has no frame {index}")
 

@@ -17,16 +17,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from svmdist.camera import Camera
-from svmdist.estimation.between import with_clearance_between
-from svmdist.estimation.instrument.model import InstrumentModel
-from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.tissue.fix import see_tissue
+from svmdist.estimation.frame import Frame
 from svmdist.geometry.separation import Separation, capsule_separation, separation
 from svmdist.geometry.surfaces import Capsules
 from svmdist.recording.reader import Recording
-from svmdist.samples import Estimate, Image, Observation, Rejection
+from svmdist.results import Distance, FrameResult
+from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.workflows.estimate import Team
+from svmdist.workflows.replay import replay
 from svmdist.workflows.setup import Setup
 
 Align = Literal["left", "center", "right"]
@@ -41,52 +39,42 @@ PIXELS_PER_PIXEL = 2
 
 
 @dataclass(frozen=True)
-class Sight:
-    """One instrument in one frame: its row, the model's capsules, and where the tissue is nearest.
+class Shown:
+    """One instrument in one frame: its result, the model's capsules, and where the tissue is nearest.
 
     Behind the first `bare_count` capsules come the rods of the tag's plate.
     """
 
-    row: Estimate
+    result: FrameResult
     body: Capsules
     bare_count: int
     gap: Separation
 
 
-def see(recording: Recording, setup: Setup, index: int) -> tuple[Image, Camera, list[Sight]]:
+def shown_in(recording: Recording, setup: Setup, index: int) -> tuple[Image, Camera, list[Shown]]:
     """Estimate up to the frame of an index, and take what the picture shows of it."""
-    team = Team(recording, setup)
-    profiles = [setup.profile.for_instrument(name) for name in team.names]
-    models = [InstrumentModel.of(profile) for profile in profiles]
-    for number, found in enumerate(recording.observations_of(recording.instruments)):
-        if isinstance(found, Rejection):
-            continue
-        seen = team.tell_apart(found)
-        rows = [
-            estimator.estimate(observation)
-            for estimator, observation in zip(team.estimators, seen, strict=True)
-        ]
-        if number == index:
-            rows = with_clearance_between(rows, models)
-            sights = [_sight(setup, *each) for each in zip(rows, models, seen, strict=True)]
-            return found[0].image_bgr, found[0].camera, sights
+    for number, (replayed,) in enumerate(replay(recording, [setup])):
+        if number == index and replayed.frames:
+            left = replayed.frames[0].left
+            shown = [_shown(*each) for each in zip(replayed.results, replayed.frames, strict=True)]
+            return left.context.bgr_as_recorded, left.camera, shown
     raise SystemExit(f"{recording.name} has no frame {index}")
 
 
-def _sight(setup: Setup, row: Estimate, model: InstrumentModel | None, observation: Observation) -> Sight:
-    state = row.tool_state
-    assert state is not None
+def _shown(result: FrameResult, frame: Frame) -> Shown:
+    tool, model, tissue = result.tool, frame.arm.body, frame.scene.tissue
+    assert tool is not None
     assert model is not None
-    pose = ToolPose(state.T_camera_tool, state.covariance, state.axis)
-    body = model.posed(pose, state.joints, state.has_plate)
-    bare_count = len(model.posed(pose, state.joints))
-    tissue = see_tissue(setup.segmenter.masks(observation.image_bgr), setup.profile, observation.camera)
     assert tissue is not None
-    assert tissue.fix is not None
-    return Sight(row, body, bare_count, separation(body, tissue.fix.surface))
+    assert tissue.pose is not None
+    body = model.posed(tool.pose, tool.joints, tool.has_plate)
+    bare_count = len(model.posed(tool.pose, tool.joints))
+    return Shown(result, body, bare_count, separation(body, tissue.pose.surface))
 
 
-def draw_scene(image_bgr: Image, camera: Camera, names: Sequence[str], sights: Sequence[Sight]) -> Figure:
+def draw_scene(
+    image_bgr: Image, camera: Camera, names: Sequence[str], instruments: Sequence[Shown]
+) -> Figure:
     """Draw models, axes and separations over the image; two pixels for each of the image's."""
     height_px, width_px = image_bgr.shape[:2]
     dpi = 160
@@ -94,21 +82,20 @@ def draw_scene(image_bgr: Image, camera: Camera, names: Sequence[str], sights: S
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.imshow(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2RGB), interpolation="bicubic")
     axes.set_axis_off()
-    for name, sight, colour in zip(names, sights, COLOURS, strict=True):
-        _draw_model(axes, camera, sight, colour, (height_px, width_px))
-        _draw_axis(axes, camera, name, sight, colour)
-    for sight, colour in zip(sights, COLOURS, strict=True):
-        _draw_gap(axes, camera, sight.gap, colour)
-    first, second = sights
+    for name, shown, colour in zip(names, instruments, COLOURS, strict=True):
+        _draw_model(axes, camera, shown, colour, (height_px, width_px))
+        _draw_axis(axes, camera, name, shown, colour)
+    for shown, colour in zip(instruments, COLOURS, strict=True):
+        _draw_gap(axes, camera, shown.gap, colour)
+    first, second = instruments
     between = capsule_separation(first.body, second.body)
     _draw_gap(axes, camera, between, BETWEEN_COLOUR)
-    row = first.row
     told = [
         *(
-            (f"{name} to tissue", sight.row.clearance_m, sight.row.clearance_std_m)
-            for name, sight in zip(names, sights, strict=True)
+            (f"{name} to tissue", shown.result.distances.clearance)
+            for name, shown in zip(names, instruments, strict=True)
         ),
-        (" to ".join(names), row.instrument_clearance_m, row.instrument_clearance_std_m),
+        (" to ".join(names), first.result.distances.to_instrument),
     ]
     _draw_panel(axes, told)
     axes.set_xlim(-0.5, width_px - 0.5)
@@ -116,14 +103,14 @@ def draw_scene(image_bgr: Image, camera: Camera, names: Sequence[str], sights: S
     return figure
 
 
-def _draw_model(axes: Axes, camera: Camera, sight: Sight, colour: str, shape: tuple[int, int]) -> None:
+def _draw_model(axes: Axes, camera: Camera, shown: Shown, colour: str, shape: tuple[int, int]) -> None:
     """The union of the capsules' silhouettes, the plate as a whole, found on a finer grid than the image's."""
-    fine, body = 4, sight.body
+    fine, body = 4, shown.body
     outlines = [
         _silhouette_px(camera, start, end, float(radius_m))
         for start, end, radius_m in zip(body.start_m, body.end_m, body.radius_m, strict=True)
     ]
-    parts, plate = outlines[: sight.bare_count], outlines[sight.bare_count :]
+    parts, plate = outlines[: shown.bare_count], outlines[shown.bare_count :]
     mask = np.zeros((shape[0] * fine, shape[1] * fine), np.uint8)
     for part in [*parts, np.concatenate(plate)] if plate else parts:
         hull = cv2.convexHull(part.astype(np.float32))
@@ -146,9 +133,10 @@ def _silhouette_px(camera: Camera, start: Array, end: Array, radius_m: float) ->
     return camera.project(np.vstack([start + radius_m * sphere, end + radius_m * sphere]))
 
 
-def _draw_axis(axes: Axes, camera: Camera, name: str, sight: Sight, colour: str) -> None:
-    row = sight.row
-    tool, along = np.array(row.tool_position_m), np.array(row.tool_axis)
+def _draw_axis(axes: Axes, camera: Camera, name: str, shown: Shown, colour: str) -> None:
+    assert shown.result.tool is not None
+    pose = shown.result.tool.pose
+    tool, along = pose.position_m, pose.axis
     points = camera.project(np.stack([tool - AXIS_M * along, tool]))
     axes.plot(*points.T, color=colour, linewidth=1.6, linestyle=(0, (6, 3)))
     axes.plot(
@@ -165,14 +153,13 @@ def _draw_gap(axes: Axes, camera: Camera, gap: Separation, colour: str) -> None:
     axes.plot(*ends.T, linestyle="", marker="o", markersize=5, color=colour, markeredgecolor="black")
 
 
-def _draw_panel(axes: Axes, told: Sequence[tuple[str, float | None, float | None]]) -> None:
+def _draw_panel(axes: Axes, told: Sequence[tuple[str, Distance | None]]) -> None:
     """Every separation's value and 95 % interval, in the colour of its line."""
     _label(axes, np.array([14, 20]), "shortest separations and their 95 % intervals", "#ffffff")
-    for line, ((name, distance_m, std_m), colour) in enumerate(
-        zip(told, (*COLOURS, BETWEEN_COLOUR), strict=True)
-    ):
-        assert distance_m is not None
-        assert std_m is not None
+    for line, ((name, distance), colour) in enumerate(zip(told, (*COLOURS, BETWEEN_COLOUR), strict=True)):
+        assert distance is not None
+        assert distance.std_m is not None
+        distance_m, std_m = distance.value_m, distance.std_m
         low_mm, high_mm = (1e3 * (distance_m + side * Z95 * std_m) for side in (-1.0, 1.0))
         cells: tuple[tuple[int, str, Align], ...] = (
             (14, name, "left"),
@@ -199,5 +186,7 @@ def _label(axes: Axes, at_px: Array, text: str, colour: str, align: Align = "lef
 
 def save_scene_picture(recording: Recording, setup: Setup, index: int, path: Path) -> None:
     """Save the picture of one frame."""
-    image_bgr, camera, sights = see(recording, setup, index)
-    draw_scene(image_bgr, camera, recording.instruments, sights).savefig(path, pil_kwargs={"quality": 90})
+    image_bgr, camera, instruments = shown_in(recording, setup, index)
+    draw_scene(image_bgr, camera, recording.instruments, instruments).savefig(
+        path, pil_kwargs={"quality": 90}
+    )

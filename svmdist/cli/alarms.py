@@ -17,7 +17,7 @@ AlarmBelowOption = Annotated[
     typer.Option(
         "--alarm-below",
         metavar="LENGTH",
-        help="Alarm frames whose clearance is below this, as in 5mm; for methods that tell a clearance.",
+        help="Raise an alarm where the clearance is below this, as in 5mm. For methods that estimate a clearance.",
         show_default=False,
     ),
 ]
@@ -26,7 +26,8 @@ AlarmConfidenceOption = Annotated[
     typer.Option(
         "--alarm-confidence",
         metavar="P",
-        help="Probability of being below from which on it is an alarm. Default: 0.05, unless 95 % sure.",
+        help="Alarm where the clearance is below the threshold with at least this probability."
+        " Default 0.05: alarm unless the frame is safe with 95 % probability.",
         min=0.0,
         max=1.0,
         show_default=False,
@@ -37,7 +38,7 @@ AlarmConfidenceOption = Annotated[
 def alarm_rules(below: str | None, confidence: float | None, method: str) -> AlarmRules | None:
     """The rules that the options ask for, None without a threshold; raises UsageError.
 
-    Refused are a confidence without a threshold, and a method that tells no clearance.
+    A confidence without a threshold is refused, and so is a method that estimates no clearance.
     """
     if below is None:
         if confidence is not None:

@@ -17,6 +17,7 @@ from svmdist.cli.degradation_grid import (
 )
 from svmdist.cli.options import (
     CalibrationOption,
+    JobsOption,
     Method,
     OptionalFiles,
     OutputOption,
@@ -36,12 +37,17 @@ if TYPE_CHECKING:
 KernelOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--kernel", metavar="BLUR=PX", help="Kernel of one blur, odd; may be repeated.", show_default=False
+        "--kernel",
+        metavar="BLUR=PX",
+        help="Kernel size of one blur, an odd number; may be repeated.",
+        show_default=False,
     ),
 ]
 GridOption = Annotated[
     bool,
-    typer.Option("--grid", help="Instead of Table I: error and coverage by degradation and severity 1 to 5."),
+    typer.Option(
+        "--grid", help="Give error and coverage for each degradation and severity, instead of Table I."
+    ),
 ]
 
 
@@ -57,18 +63,19 @@ def blur_bench_command(
     topic: TopicOption = None,
     form: TableFormatOption = TableFormat.TABLE,
     output: OutputOption = None,
+    jobs: JobsOption = None,
 ) -> None:
     """Measure features and error under blur.
 
-    Table I of the paper, reproducible; with --grid, error and coverage of a method under every degradation and
-    severity. Without FILE, on every log in recordings/.
+    This reproduces Table I of the paper. With --grid it gives the error and coverage of one method under every
+    degradation and severity. Without FILE, every log in recordings/ is measured.
     """
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.setup import prepare
 
     require_output(output, files or ())
     if grid:
-        _refuse("--kernel is for Table I: it has no place beside --grid", kernel)
+        _refuse("--kernel is for Table I: it cannot be used with --grid", kernel)
         conditions = grid_conditions_of(degradations, severities)
     else:
         for option, value in (
@@ -76,14 +83,16 @@ def blur_bench_command(
             ("--degradations", degradations),
             ("--severities", severities),
         ):
-            _refuse(f"{option} is for --grid: Table I is the paper's, of its own method", value)
+            _refuse(f"{option} is for --grid: Table I is always measured with the paper's method", value)
         kernels_px = _kernels(kernel or [])
     setup = prepare(profile, (method or Method.OVERLAY).value, "corrected", calibration)
     recordings = [
         open_recording(path, setup.profile, topics=topics_of(topic)) for path in files_or_golden(files)
     ]
     summary = (
-        grid_summary(recordings, setup, conditions) if grid else _table_one(recordings, setup, kernels_px)
+        grid_summary(recordings, setup, conditions, jobs)
+        if grid
+        else _table_one(recordings, setup, kernels_px, jobs)
     )
     write_summary(summary, form, output)
     raise typer.Exit(report_health(recordings))
@@ -95,13 +104,15 @@ def _refuse(message: str, value: object) -> None:
         raise UsageError(message)
 
 
-def _table_one(recordings: list[Recording], setup: Setup, kernels_px: Mapping[Blur, int]) -> Summary:
+def _table_one(
+    recordings: list[Recording], setup: Setup, kernels_px: Mapping[Blur, int], jobs: int | None
+) -> Summary:
     from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, BLUR_NOTE, blur_row
     from svmdist.report.table import rich_table
     from svmdist.report.text import counted
     from svmdist.workflows.blur_bench import blur_bench
 
-    measured = blur_bench(recordings, setup, kernels_px)
+    measured = blur_bench(recordings, setup, kernels_px, jobs)
     title = f"{measured[0].frame_count} frames of {counted(len(recordings), 'recording')}"
     rows = [blur_row(row) for row in measured]
     return Summary([rich_table(title, BLUR_COLUMNS, rows)], BLUR_KEYS, rows, [BLUR_NOTE])

@@ -21,7 +21,7 @@ def calibrate_command(
         ),
     ],
     method: Annotated[
-        PlanarMethod, typer.Option("--method", help="The planar method that is to use the mapping.")
+        PlanarMethod, typer.Option("--method", help="The planar method that will use the mapping.")
     ] = PlanarMethod.OVERLAY,
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
@@ -29,7 +29,7 @@ def calibrate_command(
 ) -> None:
     """Fit the mapping from pixels to the plane.
 
-    Refits eqs. (5) and (6), one quadratic per axis, to recordings with ground truth.
+    This fits eqs. (5) and (6) of the paper, one quadratic polynomial per axis, to recordings with ground truth.
     """
     from svmdist.estimation.planar.calibration import save_calibration
     from svmdist.profile import load_profile

@@ -10,6 +10,7 @@ from svmdist.cli.console import Summary, files_or_golden, report_health, require
 from svmdist.cli.degradations import parse_degradations
 from svmdist.cli.options import (
     CalibrationOption,
+    JobsOption,
     Method,
     OptionalFiles,
     OutputOption,
@@ -38,7 +39,7 @@ def compare_command(
         typer.Option(
             "--degrade",
             metavar="NAME=SEVERITY",
-            help="Also on the images degraded like this, as in smoke=3; may be repeated, each for itself.",
+            help="Also measure with the images degraded, as in smoke=3. May be repeated; each is applied alone.",
             show_default=False,
         ),
     ] = None,
@@ -47,18 +48,19 @@ def compare_command(
     topic: TopicOption = None,
     form: TableFormatOption = TableFormat.TABLE,
     output: OutputOption = None,
+    jobs: JobsOption = None,
 ) -> None:
     """Measure with all methods side by side.
 
-    One pass over the images of each recording; per scenario and degradation, and over all. Without FILE, on every
-    log in recordings/.
+    Each image is read once for all methods. The metrics are given per scenario and degradation, and over all frames.
+    Without FILE, every log in recordings/ is measured.
     """
     from svmdist.recording.reader import open_recording
-    from svmdist.report.comparison import COMPARE_KEYS, compare_row, compare_tables
+    from svmdist.report.comparison import compare_keys, compare_row, compare_tables
     from svmdist.report.figures import FIGURE_NOTE
     from svmdist.vision.degradations import require_degradation
     from svmdist.workflows.compare import compare
-    from svmdist.workflows.replay import CLEAN, Condition
+    from svmdist.workflows.conditions import CLEAN, Condition
     from svmdist.workflows.setup import prepare
 
     require_output(output, files or ())
@@ -76,7 +78,7 @@ def compare_command(
         open_recording(path, setups[0].profile, topics=topics_of(topic)) for path in files_or_golden(files)
     ]
     with progress_bar("comparing", "measurements") as advance:
-        scores = compare(recordings, setups, conditions, on_progress=advance)
+        scores = compare(recordings, setups, conditions, jobs=jobs, on_progress=advance)
     rows = [compare_row(score) for score in scores]
-    write_summary(Summary(compare_tables(scores), COMPARE_KEYS, rows, [FIGURE_NOTE]), form, output)
+    write_summary(Summary(compare_tables(scores), compare_keys(), rows, [FIGURE_NOTE]), form, output)
     raise typer.Exit(report_health(recordings))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from svmdist.cli.options import TableFormat
 from svmdist.errors import OutputError, UsageError
-from svmdist.output_file import write_whole
+from svmdist.output_file import write_atomically
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,7 +49,7 @@ def error_console() -> Console:
 
 
 def write_lines(lines: Iterable[str], output: Path | None) -> None:
-    """Write lines to stdout as they come, or to a file that is there when it is whole; raises OutputError."""
+    """Write lines to stdout as they come, or atomically to a file; raises OutputError."""
     if output is None:
         try:
             for line in lines:
@@ -60,7 +60,7 @@ def write_lines(lines: Iterable[str], output: Path | None) -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             raise SystemExit(ExitCode.CLEAN) from None
         return
-    write_whole(output, lines)
+    write_atomically(output, lines)
 
 
 def write_tables(tables: Sequence[Table], notes: Sequence[str], output: Path | None) -> None:
@@ -142,7 +142,7 @@ class HasHealth(Protocol):
 
 
 def report_health(recordings: Iterable[HasHealth]) -> ExitCode:
-    """Say what was lost while reading, once a recording; the exit code tells whether anything was."""
+    """Say what was lost while reading, once for each recording; the exit code tells whether anything was."""
     code = ExitCode.CLEAN
     for recording in recordings:
         if not recording.health.is_clean:

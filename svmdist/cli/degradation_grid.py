@@ -1,4 +1,4 @@
-"""`svmdist blur-bench --grid`: a method under every degradation and severity."""
+"""`svmdist blur-bench --grid`: one method under every degradation and severity."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from svmdist.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from svmdist.recording.reader import Recording
-    from svmdist.workflows.replay import Condition
+    from svmdist.workflows.conditions import Condition
     from svmdist.workflows.setup import Setup
 
 GridMethodOption = Annotated[
@@ -36,7 +36,7 @@ SeveritiesOption = Annotated[
     typer.Option(
         "--severities",
         metavar="N,...",
-        help="With --grid: some of 1 to 5. Default: all.",
+        help="With --grid: some of the severities 1 to 5. Default: all.",
         show_default=False,
     ),
 ]
@@ -53,17 +53,19 @@ def grid_conditions_of(degradations: str | None, severities: str | None) -> list
     )
 
 
-def grid_summary(recordings: list[Recording], setup: Setup, conditions: list[Condition]) -> Summary:
-    """Measure, with a progress bar, and make the rows."""
-    from svmdist.report.degradation_grid import GRID_KEYS, grid_row, grid_table, recorded_notes
+def grid_summary(
+    recordings: list[Recording], setup: Setup, conditions: list[Condition], jobs: int | None
+) -> Summary:
+    """Measure with a progress bar, and make tables and rows."""
+    from svmdist.report.degradation_grid import grid_keys, grid_row, grid_table, recorded_notes
     from svmdist.report.figures import FIGURE_NOTE
     from svmdist.report.text import counted
     from svmdist.workflows.degradation_grid import degradation_grid
 
     with progress_bar(f"{setup.method}, {len(conditions)} conditions", "measurements") as advance:
-        cells = degradation_grid(recordings, setup, conditions, on_progress=advance)
+        cells = degradation_grid(recordings, setup, conditions, jobs=jobs, on_progress=advance)
     title = (
         f"{setup.method} on {cells[0].figures.frame_count} frames of {counted(len(recordings), 'recording')}"
     )
     notes = [FIGURE_NOTE, *recorded_notes(recordings)]
-    return Summary([grid_table(title, cells)], GRID_KEYS, [grid_row(cell) for cell in cells], notes)
+    return Summary([grid_table(title, cells)], grid_keys(), [grid_row(cell) for cell in cells], notes)

@@ -1,4 +1,4 @@
-"""Degradations on the command line: `NAME=SEVERITY`, and lists of names and of severities."""
+"""Degradations on the command line: `NAME=SEVERITY`, lists of names and lists of severities."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from svmdist.errors import UsageError
 
 
 def parse_degradations(option: str, values: list[str] | None) -> tuple[tuple[str, int], ...]:
-    """Parse NAME=SEVERITY values; raises UsageError. Whether the name exists is checked where it is used."""
+    """Parse NAME=SEVERITY values; raises UsageError. Name and range are checked where they are used."""
     parsed = []
     for value in values or []:
         name, _, severity = value.partition("=")
@@ -17,18 +17,18 @@ def parse_degradations(option: str, values: list[str] | None) -> tuple[tuple[str
 
 
 def parse_names(option: str, text: str) -> list[str]:
-    """Parse a list with commas between; raises UsageError for an empty one."""
+    """Parse names that are separated by commas; raises UsageError for an empty name."""
     names = [name.strip() for name in text.split(",")]
     if not all(names):
-        raise UsageError(f"{option} {text}: expected names with commas between, as in smoke,noise")
+        raise UsageError(f"{option} {text}: expected names separated by commas, as in smoke,noise")
     return names
 
 
 def parse_severities(option: str, text: str) -> list[int]:
-    """Parse whole numbers with commas between; raises UsageError. Their range is checked where they are used."""
+    """Parse whole numbers separated by commas; raises UsageError. Their range is checked where they are used."""
     numbers = [number.strip() for number in text.split(",")]
     if not all(number.isdecimal() for number in numbers):
         raise UsageError(
-            f"{option} {text}: expected whole numbers from 1 to 5 with commas between, as in 1,3,5"
+            f"{option} {text}: expected whole numbers from 1 to 5, separated by commas, as in 1,3,5"
         )
     return [int(number) for number in numbers]

@@ -17,6 +17,7 @@ from svmdist.cli.options import (
     EquationsOption,
     Files,
     InstrumentOption,
+    JobsOption,
     Method,
     MethodOption,
     OutputOption,
@@ -50,10 +51,11 @@ def estimate_command(
     alarm_below: AlarmBelowOption = None,
     alarm_confidence: AlarmConfidenceOption = None,
     instrument: InstrumentOption = None,
+    jobs: JobsOption = None,
 ) -> None:
     """Estimate the distance in every frame.
 
-    A log of several instruments, which the profile names, gives a row a frame and instrument.
+    There is one row per frame, and per instrument where the log has several that the profile names.
     """
     from svmdist.estimation.methods import PLANAR_METHODS
     from svmdist.recording.reader import open_recording
@@ -69,7 +71,7 @@ def estimate_command(
     wanted = instruments_of(instrument, setup.profile)
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
     tally: Tally = Counter()
-    rows = _started(_rows(recordings, setup, wanted, tally, rules))
+    rows = _started(_rows(recordings, setup, wanted, tally, rules, jobs))
     planar = setup.method in PLANAR_METHODS
     write_lines(_lines(form, rows, rules is not None, several, terminal_width(output), planar), output)
     _summarise(tally)
@@ -82,17 +84,18 @@ def _rows(
     wanted: tuple[str, ...] | None,
     tally: Tally,
     rules: AlarmRules | None,
+    jobs: int | None,
 ) -> Iterator[Row]:
     from svmdist.estimation.alarms import AlarmWatch
     from svmdist.report.estimates import estimate_row
-    from svmdist.workflows.estimate import estimate_instruments
+    from svmdist.workflows.estimate import estimate
 
     for recording in recordings:
         for warning in setup.degeneracies(recording.camera):
             say(f"svmdist: warning: {warning}")
         start_ns: int | None = None
         watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
-        for row in estimate_instruments(recording, setup, wanted):
+        for row in estimate(recording, setup, wanted, jobs):
             start_ns = row.stamp_ns if start_ns is None else start_ns
             tally[str(row.status), row.detail] += 1
             alarm = watches[row.instrument].watch(row) if watches else None

@@ -32,14 +32,14 @@ def fk_command(
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
     form: Annotated[
-        PoseFormat, typer.Option("--format", "-f", help="Form of the data; tum is what evo reads.")
+        PoseFormat, typer.Option("--format", "-f", help="Format of the data; tum is the format of evo.")
     ] = PoseFormat.CSV,
     output: OutputOption = None,
 ) -> None:
-    """Print the tool pose of every joint state.
+    """Print the tool's pose for every joint state.
 
-    Forward kinematics by the profile's chain, in its base frame. Where the log has a pose topic, the
-    errors against it are said on stderr.
+    The pose is the forward kinematics of the profile's chain, in its base frame. Where the log has a pose topic,
+    the errors against it are printed on stderr.
     """
     from svmdist.profile import load_profile
     from svmdist.recording.reader import open_recording

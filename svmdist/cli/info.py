@@ -19,7 +19,7 @@ from svmdist.cli.options import (
 
 
 def info_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to look into.", show_default=False)],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to inspect.", show_default=False)],
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
     form: TableFormatOption = TableFormat.TABLE,
@@ -27,7 +27,7 @@ def info_command(
 ) -> None:
     """Show topics, rates, cameras, frames and health.
 
-    And which commands and methods the recording can serve, or what they lack.
+    It also lists the commands and methods that the recording can serve, and what is missing for the others.
     """
     import json
 

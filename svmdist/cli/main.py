@@ -56,7 +56,7 @@ def _plain_choices() -> Iterator[None]:
 app = typer.Typer(
     name="svmdist",
     cls=Commands,
-    help="Distance between a surgical instrument and tissue, from recorded logs, and how good it is.",
+    help="Estimate the distance between surgical instruments and tissue from recorded logs, and score the estimates.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,

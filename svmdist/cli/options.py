@@ -59,12 +59,14 @@ class RowFormat(StrEnum):
 
 Files = Annotated[
     list[Path],
-    typer.Argument(metavar="FILE", help="Recordings: MCAP, ROS 1 bags, rosbag2 folders.", show_default=False),
+    typer.Argument(
+        metavar="FILE", help="Recordings: MCAP files, ROS 1 bags or rosbag2 folders.", show_default=False
+    ),
 ]
 OptionalFiles = Annotated[
     list[Path] | None,
     typer.Argument(
-        metavar="FILE", help="Recordings; without any, every .mcap in recordings/.", show_default=False
+        metavar="FILE", help="Recordings. Default: every .mcap file in recordings/.", show_default=False
     ),
 ]
 TopicOption = Annotated[
@@ -72,7 +74,7 @@ TopicOption = Annotated[
     typer.Option(
         "--topic",
         metavar="ROLE=TOPIC",
-        help="Topic for a role, over the profile's; may be repeated. Roles: image, camera_info, right_image,"
+        help="Topic for a role, instead of the profile's; may be repeated. Roles: image, camera_info, right_image,"
         " right_camera_info, joints, pose, tf, ground_truth_tf, ground_truth_distance.",
         show_default=False,
     ),
@@ -82,7 +84,7 @@ InstrumentOption = Annotated[
     typer.Option(
         "--instrument",
         metavar="NAME",
-        help="Measure this instrument of a log with several; may be repeated. Default: all.",
+        help="Measure only this instrument of a log with several; may be repeated. Default: all.",
         show_default=False,
     ),
 ]
@@ -90,34 +92,55 @@ MethodOption = Annotated[
     Method,
     typer.Option(
         "--method",
-        help="overlay: the paper's virtual marker, in the plane; centroid: the same without marker."
-        " The others measure in 3D: by tag, shaft, two cameras, kinematics, or all of them fused.",
+        help="Planar: overlay (the paper's virtual marker) and centroid (the same without the marker)."
+        " In 3D: fiducial (tag), shaft, stereo (two cameras), kinematic, and fused (all of them).",
     ),
 ]
 EquationsOption = Annotated[
     EquationsChoice,
-    typer.Option("--equations", help="corrected, or printed: the paper's formulas to the letter."),
+    typer.Option(
+        "--equations", help="Reading of the paper's formulas: corrected, or printed, that is as published."
+    ),
 ]
 ProfileOption = Annotated[
-    str, typer.Option("--profile", metavar="NAME|FILE", help="Scene profile: one that ships, or a TOML file.")
+    str,
+    typer.Option(
+        "--profile", metavar="NAME|FILE", help="Scene profile: the name of one that ships, or a TOML file."
+    ),
 ]
 CalibrationOption = Annotated[
     Path | None,
     typer.Option(
         "--calibration",
         metavar="FILE",
-        help="Calibration; default: the one that ships with the profile.",
+        help="Calibration file. Default: the one that ships with the profile.",
         show_default=False,
     ),
 ]
 OutputOption = Annotated[
     Path | None,
     typer.Option(
-        "--output", "-o", metavar="FILE", help="Write the data here instead of to stdout.", show_default=False
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="Write the data to this file instead of stdout.",
+        show_default=False,
     ),
 ]
-TableFormatOption = Annotated[TableFormat, typer.Option("--format", "-f", help="Form of the data.")]
-RowFormatOption = Annotated[RowFormat, typer.Option("--format", "-f", help="Form of the data.")]
+JobsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs",
+        "-j",
+        metavar="N",
+        min=1,
+        max=256,
+        help="Frames or conditions to work on at a time. The results are the same. Default: the usable cores.",
+        show_default=False,
+    ),
+]
+TableFormatOption = Annotated[TableFormat, typer.Option("--format", "-f", help="Format of the data.")]
+RowFormatOption = Annotated[RowFormat, typer.Option("--format", "-f", help="Format of the data.")]
 
 
 def topics_of(options: list[str] | None) -> dict[str, str]:

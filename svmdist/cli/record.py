@@ -34,11 +34,20 @@ class Renderer(StrEnum):
 
 def record_command(
     scenario: Annotated[
-        ScenarioName, typer.Option("--scenario", help="What the instrument does.")
+        ScenarioName, typer.Option("--scenario", help="Motion of the instrument.")
     ] = ScenarioName.SWEEP,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Same seed, same content.")] = 1,
+    seed: Annotated[
+        int,
+        typer.Option(
+            "--seed",
+            metavar="N",
+            min=0,
+            help="Seed of everything random; the same seed gives the same content.",
+        ),
+    ] = 1,
     duration: Annotated[
-        float, typer.Option("--duration", metavar="SECONDS", min=0.2, max=3600.0, help="Length.")
+        float,
+        typer.Option("--duration", metavar="SECONDS", min=0.2, max=3600.0, help="Duration of the recording."),
     ] = 8.0,
     rate: Annotated[
         float, typer.Option("--rate", metavar="HZ", min=0.5, max=60.0, help="Images per second.")
@@ -50,7 +59,7 @@ def record_command(
             metavar="LEVELS",
             min=0.0,
             max=50.0,
-            help="Sensor noise, standard deviation in 8-bit levels.",
+            help="Standard deviation of the sensor noise, in 8-bit levels.",
         ),
     ] = 0.0,
     stereo: Annotated[
@@ -66,7 +75,7 @@ def record_command(
             metavar="N",
             min=1,
             max=2,
-            help="2 adds the profile's second instrument, whose picture crosses the first one's at times.",
+            help="Number of instruments. 2 adds the profile's second one, which crosses the first one in the image.",
         ),
     ] = 1,
     kinematic_error: Annotated[
@@ -76,7 +85,7 @@ def record_command(
             metavar="SCALE",
             min=0.0,
             max=20.0,
-            help="What the robot believes wrongly, drawn by seed: 1 is 1° and 1 mm in the joints, "
+            help="Error of the robot's nominal kinematics, drawn by seed: 1 is 1° and 1 mm in the joints, "
             "2° and 5 mm from camera to base.",
         ),
     ] = 0.0,
@@ -85,7 +94,7 @@ def record_command(
         typer.Option(
             "--relief",
             metavar="LENGTH",
-            help="Bumps, folds and raised vessels on the tissue, this high at most, with its unit: 0.5mm.",
+            help="Largest height of bumps, folds and raised vessels on the tissue, as in 0.5mm. Default: none.",
             show_default=False,
         ),
     ] = None,
@@ -94,7 +103,7 @@ def record_command(
         typer.Option(
             "--degrade",
             metavar="NAME=SEVERITY",
-            help="Spoil the images, severity 1 to 5: defocus, motion_blur, noise, low_light, specular, smoke, "
+            help="Degrade the images, severity 1 to 5: defocus, motion_blur, noise, low_light, specular, smoke, "
             "jpeg; may be repeated.",
             show_default=False,
         ),
@@ -106,15 +115,33 @@ def record_command(
             metavar="QUALITY",
             min=1,
             max=100,
-            help="Store images as JPEG, as endoscopes' recorders do; without it as PNG, which loses nothing.",
+            help="Store images as JPEG, as the recorders of endoscopes do. Default: PNG, without loss.",
             show_default=False,
         ),
     ] = None,
-    renderer: Annotated[Renderer, typer.Option("--renderer", help="Software or OpenGL.")] = Renderer.TINY,
+    renderer: Annotated[
+        Renderer,
+        typer.Option("--renderer", help="tiny: software, the same result everywhere; egl: OpenGL, faster."),
+    ] = Renderer.TINY,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs",
+            "-j",
+            metavar="N",
+            min=1,
+            help="Number of processes that render. The file is the same for any number. Default: all usable cores.",
+            show_default=False,
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="FILE.mcap", help="Default: SCENARIO-SEED.mcap.", show_default=False
+            "--output",
+            "-o",
+            metavar="FILE.mcap",
+            help="Recording to write. Default: SCENARIO-SEED.mcap.",
+            show_default=False,
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
@@ -122,7 +149,7 @@ def record_command(
 ) -> None:
     """Simulate the robot and write a recording.
 
-    The recording holds images, joint states, the transforms the robot believes, and ground truth.
+    The recording holds images, joint states, the robot's nominal transforms, and ground truth.
     """
     from svmdist.profile import load_profile
     from svmdist.simulation.extras import Extras
@@ -145,6 +172,7 @@ def record_command(
             ),
             force=force,
             jpeg_quality=jpeg,
+            jobs=jobs,
             on_progress=advance,
         )
     size_mb = result.size_bytes / 1e6

@@ -24,6 +24,7 @@ from svmdist.cli.options import (
     EquationsChoice,
     EquationsOption,
     InstrumentOption,
+    JobsOption,
     Method,
     MethodOption,
     OptionalFiles,
@@ -46,19 +47,24 @@ PlotOption = Annotated[
     typer.Option(
         "--save-plot",
         metavar="FIG",
-        help="Draw truth, estimate and error (png, svg, pdf).",
+        help="Plot truth, estimate and error to this file (png, svg, pdf).",
         show_default=False,
     ),
 ]
 BaselineOption = Annotated[
     Path | None,
     typer.Option(
-        "--baseline", metavar="FILE", help="Exit 4 when a figure is worse than stored.", show_default=False
+        "--baseline",
+        metavar="FILE",
+        help="Exit with code 4 if a metric is worse than in this file.",
+        show_default=False,
     ),
 ]
 WriteBaselineOption = Annotated[
     Path | None,
-    typer.Option("--write-baseline", metavar="FILE", help="Store the figures.", show_default=False),
+    typer.Option(
+        "--write-baseline", metavar="FILE", help="Store the metrics in this file.", show_default=False
+    ),
 ]
 
 
@@ -67,7 +73,7 @@ LagOption = Annotated[
     typer.Option(
         "--lag",
         metavar="auto|SECONDS",
-        help="Offset of the image stamps, positive when they are late; auto estimates it.",
+        help="Lag of the image stamps, positive where they are late; auto estimates it.",
     ),
 ]
 
@@ -86,7 +92,7 @@ TruthOption = Annotated[
     typer.Option(
         "--truth",
         metavar="|".join(TruthChoice),
-        help="Reference to compare with; may be repeated. Default: all the log has.",
+        help="Reference to compare with; may be repeated. Default: every reference that the log has.",
         show_default=False,
     ),
 ]
@@ -95,7 +101,7 @@ TruthTfOption = Annotated[
     typer.Option(
         "--truth-tf",
         metavar="PARENT:CHILD",
-        help="Transform to take as the truth of tool or tissue, as camera:tool; twice for both.",
+        help="Transform that is the truth of the tool or the tissue, as in camera:tool; may be given twice.",
         show_default=False,
     ),
 ]
@@ -130,12 +136,14 @@ def validate_command(
     alarm_below: AlarmBelowOption = None,
     alarm_confidence: AlarmConfidenceOption = None,
     instrument: InstrumentOption = None,
+    jobs: JobsOption = None,
 ) -> None:
     """Score estimates against the truth.
 
-    Without FILE, on every log in recordings/. Each recording is compared with DH kinematics of its joint
+    Without FILE, every log in recordings/ is scored. Each recording is compared with the DH kinematics of its joint
     states, as in the paper, and with the simulator's ground truth. With --alarm-below, alarms are scored against
-    the true clearance: recall, precision, share of safe frames alarmed, false alarms per minute, lead time.
+    the true clearance: recall, precision, share of the safe frames that are alarmed, false alarms per minute and
+    lead time.
     """
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.baseline import (
@@ -164,9 +172,8 @@ def validate_command(
     references = tuple(Reference(choice.value) for choice in dict.fromkeys(truth)) if truth else None
     rules = truth_rules(tuple(truth_tf or ()), setup.profile, references, round(max_gap * 1e9))
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in paths]
-    result = validate(
-        recordings, setup, rules, _parse_lag(lag), alarms, instruments_of(instrument, setup.profile)
-    )
+    wanted = instruments_of(instrument, setup.profile)
+    result = validate(recordings, setup, rules, _parse_lag(lag), alarms, wanted, jobs)
     _write(result, form, output)
     if save_plot:
         from svmdist.report.plot import save_plot as draw_to
@@ -203,7 +210,7 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
     import json
 
     from svmdist.report.table import csv_lines
-    from svmdist.report.validation import VALIDATION_KEYS, score_row, validation_document
+    from svmdist.report.validation import score_keys, score_row, validation_document
     from svmdist.report.validation_tables import remarks, validation_tables
 
     for note in result.notes:
@@ -214,7 +221,7 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
             write_tables(tables, remarks(result), output)
         case TableFormat.CSV:
             scores = (*result.scores, *result.overall)
-            write_lines(csv_lines(VALIDATION_KEYS, (score_row(score) for score in scores)), output)
+            write_lines(csv_lines(score_keys(), (score_row(score) for score in scores)), output)
         case TableFormat.JSON:
             write_lines(
                 [json.dumps(validation_document(result), indent=1, ensure_ascii=False) + "\n"], output

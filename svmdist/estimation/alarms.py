@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.samples import Estimate
+from svmdist.results import FrameResult
 
 MIN_SLOPE_ROWS = 3
 MIN_CLOSING_M_S = 1e-3
@@ -46,17 +46,18 @@ class AlarmWatch:
         self._rules = rules
         self._recent: deque[tuple[int, float]] = deque()
 
-    def watch(self, row: Estimate) -> AlarmState:
+    def watch(self, row: FrameResult) -> AlarmState:
         """Judge one row."""
-        if not row.measured or row.clearance_m is None:
+        clearance = row.distances.clearance
+        if not row.measured or clearance is None:
             return AlarmState()
-        probability = probability_below(self._rules.below_m, row.clearance_m, row.clearance_std_m or 0.0)
-        speed_m_s = self._closing_speed_m_s(row.stamp_ns, row.clearance_m)
+        probability = probability_below(self._rules.below_m, clearance.value_m, clearance.std_m or 0.0)
+        speed_m_s = self._closing_speed_m_s(row.stamp_ns, clearance.value_m)
         contact_s = None
-        if row.clearance_m <= 0.0:
+        if clearance.value_m <= 0.0:
             contact_s = 0.0
         elif speed_m_s is not None and speed_m_s > MIN_CLOSING_M_S:
-            contact_s = row.clearance_m / speed_m_s
+            contact_s = clearance.value_m / speed_m_s
         return AlarmState(probability >= self._rules.confidence, speed_m_s, contact_s)
 
     def _closing_speed_m_s(self, stamp_ns: int, clearance_m: float) -> float | None:

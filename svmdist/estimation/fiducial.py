@@ -2,71 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import cv2
-import numpy as np
-
-from svmdist.errors import KinematicsError, ProfileError
-from svmdist.estimation.distances import measure
-from svmdist.estimation.instrument.model import InstrumentModel
-from svmdist.estimation.instrument.tag_pose import believed_tag_rotation, find_tag_pose, tool_behind_tag
-from svmdist.estimation.tissue.fix import require_tissue, see_tissue, tissue_row
-from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import select_joints
-from svmdist.profile import Profile
-from svmdist.samples import Estimate, Image, Observation, Status
-from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
-from svmdist.vision.tag.detection import TagFinder
-from svmdist.vision.tag.pattern import TagPattern
+from svmdist.errors import ProfileError
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.distances import measured
+from svmdist.estimation.first_step import with_tissue
+from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.instrument.tool_from_tag import tool_from_tag
+from svmdist.estimation.tissue.pose import require_tissue
+from svmdist.results import Failure, FrameResult, ToolEstimate
+from svmdist.samples import Status
 
 
 class FiducialEstimator:
-    """`--method fiducial`: one observation in, one estimate out; keeps nothing between frames."""
+    """`--method fiducial`. Keeps no state between frames."""
 
     name = "fiducial"
+    keeps_state = False
+    needs = Needs(scene=("tissue", "tags"), tool=("tag",))
 
-    def __init__(self, profile: Profile, segmenter: Segmenter | None = None) -> None:
+    def __init__(self, arm: Arm) -> None:
+        profile = arm.profile
         if profile.fiducial is None or profile.robot is None:
             raise ProfileError(
                 f"profile {profile.name} has no {'[fiducial]' if profile.robot else '[robot]'}: the method"
                 " fiducial needs the tag, the link that carries it, and the chain from there to the tool"
             )
         require_tissue(profile)
-        self._profile = profile
-        self._segmenter = segmenter or make_segmenter(profile.segmentation)
         self._fiducial = profile.fiducial
-        self._chain = chain_of(profile.robot)
-        self._model = InstrumentModel.of(profile)
-        self._finder = TagFinder(self._fiducial.family, self._fiducial.id)
-        self._pattern = TagPattern(self._fiducial.family, self._fiducial.id, self._fiducial.size_m)
+        self._error = profile.kinematic_error
 
-    def estimate(self, observation: Observation) -> Estimate:
+    def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; a frame that cannot be measured says why."""
         # The tissue, on the plane that it lies on.
-        sight = see_tissue(self._segmenter.masks(observation.image_bgr), self._profile, observation.camera)
-        row = tissue_row(observation.stamp_ns, sight)
-        if sight is None or sight.fix is None:
-            return row
+        result, tissue = with_tissue(frame), frame.scene.tissue
+        if tissue is None or tissue.pose is None:
+            return result
 
         # The tag: corners, then both poses that they allow, and the one of them that is true.
-        image_grey: Image = np.asarray(cv2.cvtColor(observation.image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-        corners_px = self._finder.corners_px(image_grey)
-        if corners_px is None:
-            return replace(row, status=Status.NO_FIDUCIAL)
-        if observation.joints is None:
-            return replace(row, status=Status.NO_JOINTS)
-        try:
-            q = select_joints(self._chain, observation.joints.names, observation.joints.positions)
-        except KinematicsError as problem:
-            return replace(row, status=Status.NO_JOINTS, detail=str(problem))
-        believed = believed_tag_rotation(observation.T_camera_base, self._fiducial, self._chain, q)
-        tag = find_tag_pose(image_grey, corners_px, observation.camera, self._pattern, believed)
+        if frame.tool.tag_corners_px is None:
+            return result.rejected(Status.NO_FIDUCIAL)
+        if isinstance(frame.robot, Failure):
+            return result.rejected(Status.NO_JOINTS, frame.robot.reason)
+        tag = frame.tool.tag
         if tag is None:
-            return replace(row, status=Status.AMBIGUOUS_POSE)
+            return result.rejected(Status.AMBIGUOUS_POSE)
 
         # Through mounting and wrist to the tool, and the distances from there.
-        pose = tool_behind_tag(tag, self._fiducial, self._chain, q, self._profile.kinematic_error)
-        return measure(
-            row, pose, sight.fix, self._model, observation.joints, observation.camera, has_plate=True
-        )
+        pose = tool_from_tag(tag, self._fiducial, frame.robot, self._error)
+        return measured(result, frame, ToolEstimate(pose, frame.joints, has_plate=True), tissue.pose)

@@ -1,51 +1,70 @@
-"""Kinematics corrected by what the camera sees: a Kalman filter over the error of what the robot believes.
+"""Kinematics corrected by what the camera sees: a Kalman filter over the errors of nominal kinematics.
 
-Between sights the joints carry the pose, with the error last found: occlusion and rejected frames cost
-certainty, not rows.
+Between detections the joints carry the pose, with the error last found: occlusion and rejected frames cost
+certainty, not results.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from svmdist.estimation.filtering.filter import KinematicErrorFilter
-from svmdist.estimation.filtering.robot_scene import RobotScene
-from svmdist.estimation.filtering.tool_sights import ToolSights
-from svmdist.profile import Profile
-from svmdist.samples import Estimate, JointSample, Observation
-from svmdist.vision.segmentation.segmenter import Segmenter
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.distances import measured, with_tool
+from svmdist.estimation.filter.kinematic_error_filter import KinematicErrorFilter
+from svmdist.estimation.first_step import tracked_tissue, with_tissue
+from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.measurements import measurements
+from svmdist.estimation.tissue.pose import require_tissue
+from svmdist.estimation.tissue.tracking import TissueTracker
+from svmdist.results import Failure, FrameResult, ToolEstimate
+from svmdist.samples import JointSample, Status
 
 
 class FusedEstimator:
-    """`--method fused`: keeps the filter, and the tissue's place and shape, between frames."""
+    """`--method fused`: keeps the filter, and the tissue's pose and shape, between frames."""
 
     name = "fused"
+    keeps_state = True
+    needs = Needs(
+        scene=("tissue", "tags"),
+        tool=("distal_marker", "right_distal_marker", "shaft"),
+        right_view=True,
+    )
 
-    def __init__(self, profile: Profile, segmenter: Segmenter | None = None) -> None:
-        self._scene = RobotScene(profile, segmenter, sees_shape=True)
-        self._sights = ToolSights(profile, self._scene.chain, self._scene.segmenter)
-        self._filter = KinematicErrorFilter(self._scene.chain, profile.kinematic_error)
+    def __init__(self, arm: Arm) -> None:
+        require_tissue(arm.profile)
+        settings = arm.profile.settings
+        self._chain = arm.required_chain
+        self._tissue = TissueTracker(settings.tissue)
+        self._filter = KinematicErrorFilter(self._chain, arm.profile.kinematic_error, settings.filter)
+        self._has_plate = False
 
-    def estimate(self, observation: Observation) -> Estimate:
-        """Measure one frame; a row needs joints and a tissue seen before, and nothing of this image."""
-        look = self._scene.look(observation)
-        if look.belief is None:
-            return look.row
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; a result needs joints and a tissue seen before, and nothing of this image."""
+        tissue, result = tracked_tissue(frame, self._tissue, with_shape=True), with_tissue(frame)
+        robot = frame.robot_in_camera
+        if isinstance(robot, Failure):
+            return result.rejected(Status.NO_JOINTS, robot.reason)
 
-        # Predict by the joints, correct by what the image gives.
-        self._filter.predict(observation.stamp_ns, look.belief.q, look.belief.T_camera_base)
-        region, seen = self._sights.see(observation, look, self._filter.tool_pose())
-        verdicts = self._filter.update(seen)
+        # Predict by the joints, correct by what the images show.
+        self._filter.predict(robot)
+        seen = measurements(frame, robot, self._filter.tool_pose())
+        gating = self._filter.update(seen)
 
-        row = replace(
-            look.row,
+        # The tool with the error found, and the distances from there.
+        self._has_plate |= frame.tool.tag_corners_px is not None
+        region = frame.tool.region
+        result = replace(
+            result, detail="" if gating else "nothing of the tool detected: joints alone"
+        ).with_image(
             tool_area_px=region.area_px if region else None,
-            match_count=len(verdicts),
-            inlier_count=sum(verdict.is_accepted for verdict in verdicts),
-            detail="" if verdicts else "nothing of the tool seen: joints alone",
+            match_count=len(gating),
+            inlier_count=sum(judged.is_accepted for judged in gating),
         )
-        joints = JointSample(
-            observation.stamp_ns, self._scene.chain.joint_names, self._filter.corrected_joints()
-        )
-        pose, camera = self._filter.tool_pose(), observation.camera
-        return self._scene.finish(row, pose, look.tissue, camera, joints, self._sights.has_seen_tag)
+        joints = JointSample(frame.stamp_ns, self._chain.joint_names, self._filter.corrected_joints())
+        tool = ToolEstimate(self._filter.tool_pose(), joints, self._has_plate)
+        if tissue is None:
+            return with_tool(result, frame, tool).rejected(
+                Status.NO_TISSUE, "no tissue, in this frame or before"
+            )
+        return measured(result, frame, tool, tissue)

@@ -1,14 +1,28 @@
-"""The gate for residuals: what a normal distribution lets pass."""
+"""The gate for residuals: what a normal distribution lets pass, and what became of a measurement there."""
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from dataclasses import dataclass
+from functools import lru_cache
 
-GATE_Z = 3.09
-"""Normal quantile of the gate: an observation less likely than 1 in 1,000 is rejected."""
+from svmdist.settings.filter import FilterSettings
+
+GATE_Z = FilterSettings().gate_z
 
 
-def chi_square_bound(freedom: int, z: float = GATE_Z) -> float:
+@dataclass(frozen=True, slots=True)
+class GatingResult:
+    """A measurement at the gate: its normalised innovation squared, of so many degrees of freedom."""
+
+    name: str
+    nis: float
+    degrees_of_freedom: int
+    is_accepted: bool
+
+
+@lru_cache(maxsize=256)
+def chi_square_bound(degrees_of_freedom: int, z: float = GATE_Z) -> float:
     """Quantile of the chi-square distribution at the normal quantile z (Wilson and Hilferty 1931)."""
-    c = 2.0 / (9.0 * freedom)
-    return float(freedom * (1.0 - c + z * np.sqrt(c)) ** 3)
+    c = 2.0 / (9.0 * degrees_of_freedom)
+    return degrees_of_freedom * (1.0 - c + z * math.sqrt(c)) ** 3

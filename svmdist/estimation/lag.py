@@ -22,7 +22,7 @@ Predict = Callable[[NDArray[np.int64]], tuple[Array, NDArray[np.bool_]]]
 
 @dataclass(frozen=True, slots=True)
 class LagRules:
-    """How a lag is searched for and when it is believed."""
+    """How a lag is searched for, and when it is accepted."""
 
     max_lag_s: float = 3.0
     coarse_step_s: float = 0.01
@@ -67,10 +67,10 @@ def estimate_lag(
     rules = rules or LagRules()
     if len(stamps_ns) < rules.min_pairs:
         return _untold(f"{len(stamps_ns)} measured frames; {rules.min_pairs} are needed")
-    still = float(np.sqrt(np.mean(np.var(seen_px, axis=0))))
-    if still < rules.min_motion_px:
+    motion_px = float(np.sqrt(np.mean(np.var(seen_px, axis=0))))
+    if motion_px < rules.min_motion_px:
         return _untold(
-            f"the tool moves by {still:.1f} px in the image; {rules.min_motion_px:g} px are needed"
+            f"the tool moves by {motion_px:.1f} px in the image; {rules.min_motion_px:g} px are needed"
         )
     objective = _Objective(stamps_ns, seen_px, predict, rules)
     lags_s = np.arange(-rules.max_lag_s, rules.max_lag_s + rules.coarse_step_s / 2, rules.coarse_step_s)

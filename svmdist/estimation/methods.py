@@ -2,63 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol
 
 from svmdist.errors import UsageError, did_you_mean
-from svmdist.estimation.centroid import CentroidEstimator
-from svmdist.estimation.fiducial import FiducialEstimator
-from svmdist.estimation.fused import FusedEstimator
-from svmdist.estimation.kinematic import KinematicEstimator
-from svmdist.estimation.overlay import OverlayEstimator
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.planar.equations import PlaneMapping
-from svmdist.estimation.shaft import ShaftEstimator
-from svmdist.estimation.stereo import StereoEstimator
-from svmdist.profile import Profile
-from svmdist.samples import Estimate, Observation
-from svmdist.vision.segmentation.segmenter import Segmenter
+from svmdist.results import FrameResult
 
 
 class Estimator(Protocol):
-    """What every method is: a name, and one observation to one estimate."""
+    """What every method is: a name, the detections that it takes, and one frame to one result."""
 
     @property
     def name(self) -> str:
         """The method's name on the command line and in results."""
 
-    def estimate(self, observation: Observation) -> Estimate:
+    @property
+    def needs(self) -> Needs:
+        """Detections that it always asks for, so that they may be computed ahead."""
+
+    @property
+    def keeps_state(self) -> bool:
+        """Whether a result depends on earlier frames; without state, frames may be measured in any order."""
+
+    def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame. A frame that cannot be measured is an outcome, not an exception."""
 
 
-PLANAR_METHODS: dict[str, Callable[[Profile, PlaneMapping, Segmenter | None], Estimator]] = {
-    "overlay": OverlayEstimator,
-    "centroid": CentroidEstimator,
-}
+PLANAR_METHODS = ("overlay", "centroid")
 """Methods of the paper's plane: they need the mapping from pixels to it."""
 
-SPATIAL_METHODS: dict[str, Callable[[Profile, Segmenter | None], Estimator]] = {
-    "fiducial": FiducialEstimator,
-    "shaft": ShaftEstimator,
-    "stereo": StereoEstimator,
-    "kinematic": KinematicEstimator,
-    "fused": FusedEstimator,
-}
+SPATIAL_METHODS = ("fiducial", "shaft", "stereo", "kinematic", "fused")
 """Methods that measure in 3D."""
 
 METHODS = (*PLANAR_METHODS, *SPATIAL_METHODS)
 
 
-def make_estimator(
-    method: str, profile: Profile, mapping: PlaneMapping | None = None, segmenter: Segmenter | None = None
-) -> Estimator:
+def make_estimator(method: str, arm: Arm, mapping: PlaneMapping | None = None) -> Estimator:
     """Make the estimator of that name; raises UsageError that lists the names.
 
-    A planar method needs a mapping; a 3D one takes none. Estimators that share a segmenter share its work on an image.
+    A planar method needs a mapping; one in 3D takes none. Only the modules of the method are imported.
     """
-    if method in SPATIAL_METHODS:
-        return SPATIAL_METHODS[method](profile, segmenter)
-    if method not in PLANAR_METHODS:
+    if method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
-    if mapping is None:
+    if method in PLANAR_METHODS and mapping is None:
         raise UsageError(f"method {method} is planar: it needs a calibration")
-    return PLANAR_METHODS[method](profile, mapping, segmenter)
+    return _made(method, arm, mapping)
+
+
+def _made(method: str, arm: Arm, mapping: PlaneMapping | None) -> Estimator:  # noqa: PLR0911
+    match method, mapping:
+        case "overlay", PlaneMapping():
+            from svmdist.estimation.planar.overlay import OverlayEstimator
+
+            return OverlayEstimator(arm.profile, mapping)
+        case "centroid", PlaneMapping():
+            from svmdist.estimation.planar.centroid import CentroidEstimator
+
+            return CentroidEstimator(mapping)
+        case "fiducial", _:
+            from svmdist.estimation.fiducial import FiducialEstimator
+
+            return FiducialEstimator(arm)
+        case "shaft", _:
+            from svmdist.estimation.shaft import ShaftEstimator
+
+            return ShaftEstimator(arm)
+        case "stereo", _:
+            from svmdist.estimation.stereo import StereoEstimator
+
+            return StereoEstimator(arm)
+        case "kinematic", _:
+            from svmdist.estimation.kinematic import KinematicEstimator
+
+            return KinematicEstimator(arm)
+        case _:
+            from svmdist.estimation.fused import FusedEstimator
+
+            return FusedEstimator(arm)

@@ -1,107 +1,51 @@
-"""Markerless, one camera: the shaft's silhouette gives its axis in 3D, rim and knuckle the place along it."""
+"""Markerless, one camera: the shaft's silhouette gives its axis in 3D, rim and distal marker the place along it."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import cv2
 import numpy as np
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.distances import measure
-from svmdist.estimation.instrument.model import InstrumentModel
-from svmdist.estimation.instrument.shaft_fit import ShaftFit, fit_shaft
-from svmdist.estimation.instrument.shaft_model import shaft_model
-from svmdist.estimation.instrument.shaft_sight import see_knuckle, see_shaft
-from svmdist.estimation.tissue.fix import require_tissue, see_tissue, tissue_row
-from svmdist.kinematics.chain import chain_of
-from svmdist.profile import Profile
-from svmdist.samples import Estimate, Image, Observation, Status
-from svmdist.vision.segmentation.colour import to_hsv
-from svmdist.vision.segmentation.exposure import levelled
-from svmdist.vision.segmentation.segmenter import Masks, Segmenter, make_segmenter, own_masks
-from svmdist.vision.shaft_segmentation import ShaftRegion, bright_fraction, find_shaft
-from svmdist.vision.tag.detection import TagFinder, tag_plate
-
-MAX_STD_M = 0.004
-"""A position less certain than this along any direction is no measurement."""
-PRINTED = 0.1
-"""Bright part of a dark stub above which it is the print of a tag: half of its cells are white, of a shaft few."""
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.distances import measured
+from svmdist.estimation.first_step import with_tissue
+from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.tissue.pose import require_tissue
+from svmdist.results import Failure, FrameResult, ToolEstimate
+from svmdist.samples import Status
 
 
 class ShaftEstimator:
-    """`--method shaft`: one observation in, one estimate out; keeps only whether it saw the tag's plate."""
+    """`--method shaft`. Keeps between frames whether it saw the tag's plate, and nothing else."""
 
     name = "shaft"
+    keeps_state = True
+    needs = Needs(scene=("tissue", "tags"), tool=("shaft_fit",))
 
-    def __init__(self, profile: Profile, segmenter: Segmenter | None = None) -> None:
-        rule = profile.segmentation.shaft
-        if rule is None or profile.robot is None or profile.instrument is None:
+    def __init__(self, arm: Arm) -> None:
+        profile = arm.profile
+        if profile.segmentation.shaft is None or profile.robot is None or profile.instrument is None:
             raise ProfileError(
                 f"profile {profile.name} cannot serve the method shaft: it needs [segmentation.shaft], [robot] and"
                 " [instrument]"
             )
         require_tissue(profile)
-        self._profile = profile
-        self._segmenter = segmenter or make_segmenter(profile.segmentation)
-        self._rule = rule
-        self._instrument = profile.instrument
-        self._chain = chain_of(profile.robot)
-        self._model = InstrumentModel.of(profile)
-        tag = profile.fiducial
-        self._finder = TagFinder(tag.family, tag.id) if tag is not None else None
-        self.has_seen_tag = False
+        self._max_std_m = profile.settings.shaft.max_position_std_m
+        self._has_plate = False
 
-    def estimate(self, observation: Observation) -> Estimate:
+    def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; a frame that cannot be measured says why."""
-        camera = observation.camera
         # The tissue, on the plane that it lies on.
-        sight = see_tissue(self._segmenter.masks(observation.image_bgr), self._profile, camera)
-        row = tissue_row(observation.stamp_ns, sight)
-        if sight is None or sight.fix is None:
-            return row
+        result, tissue = with_tissue(frame), frame.scene.tissue
+        if tissue is None or tissue.pose is None:
+            return result
 
-        # The tool's pose, and the distances from there.
-        fit = self.find_tool(observation)
-        if isinstance(fit, str):
-            return replace(row, status=Status.NO_INSTRUMENT, detail=fit)
+        # The shaft's edges and end, the distal marker, and the pose that fits them through the wrist.
+        self._has_plate |= frame.tool.tag_corners_px is not None
+        fit = frame.tool.shaft_fit
+        if isinstance(fit, Failure):
+            return result.rejected(Status.NO_INSTRUMENT, fit.reason)
         std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
-        if not std_m <= MAX_STD_M:
+        if not std_m <= self._max_std_m:
             detail = f"the position is uncertain by {std_m * 1e3:.1f} mm"
-            return replace(row, status=Status.NO_INSTRUMENT, detail=detail)
-        return measure(row, fit.pose, sight.fix, self._model, observation.joints, camera, self.has_seen_tag)
-
-    def find_tool(self, observation: Observation) -> ShaftFit | str:
-        """The tool's pose in one frame, or why there is none, in words."""
-        # The shaft's contour lines and end, and the coloured knuckle, in the image.
-        image_bgr = levelled(observation.image_bgr)
-        masks = own_masks(self._segmenter, observation.image_bgr, observation.foreign)
-        region = self._find_shaft(image_bgr, masks)
-        knuckle = see_knuckle(masks.instrument, self._profile.segmentation.instrument, to_hsv(image_bgr))
-        seen = see_shaft(image_bgr, region, knuckle, observation.camera)
-
-        # The pose that fits them, through the wrist.
-        model = shaft_model(observation, self._chain, self._instrument, self._profile.kinematic_error)
-        return fit_shaft(seen, model, observation.camera)
-
-    def _find_shaft(self, image_bgr: Image, masks: Masks) -> ShaftRegion | None:
-        if masks.shaft is None:
-            return None
-        covered = self._covered(image_bgr)
-        region = find_shaft(masks.shaft, self._rule, covered, masks.black)
-        if region is None or self._finder is None or covered is not None or not region.is_stub:
-            return region
-        # The border may cut the plate, whose black print is then as wide as the shaft and ends where it does.
-        return None if bright_fraction(region, masks.shaft) > PRINTED else region
-
-    def _covered(self, image_bgr: Image) -> Image | None:
-        """Mask of the plate that the profile mounts on the shaft, where the tag on it is found."""
-        if self._finder is None:
-            return None
-        corners_px = self._finder.corners_px(
-            np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-        )
-        if corners_px is None:
-            return None
-        self.has_seen_tag = True
-        return tag_plate(corners_px, image_bgr.shape[:2])
+            return result.rejected(Status.NO_INSTRUMENT, detail)
+        return measured(result, frame, ToolEstimate(fit.pose, frame.joints, self._has_plate), tissue.pose)

@@ -7,39 +7,34 @@ Both conventions are here because logs use both: *standard* (Denavit & Hartenber
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from typing import Literal
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import KinematicsError
+from svmdist.kinematics.dh_row import Convention, DHRow, JointType, twist
+from svmdist.kinematics.frame_columns import CHUNK, last_frame
 from svmdist.transforms import Array
 
-JointType = Literal["revolute", "prismatic", "fixed"]
-Convention = Literal["standard", "modified"]
+__all__ = [
+    "Convention",
+    "DHChain",
+    "DHRow",
+    "JointType",
+    "forward_kinematics",
+    "frame_transforms",
+    "link_transforms",
+    "running_product",
+    "select_joints",
+]
+MANY = 128
+"""From so many joint vectors on, arrays of one number of all of them are faster than stacks of matrices."""
 
 
-@dataclass(frozen=True, slots=True)
-class DHRow:
-    """One row of a DH table: lengths in m, angles in rad, limits in the joint's own unit.
-
-    The joint variable adds to `theta_rad` (revolute) or to `d_m` (prismatic), so that the value printed
-    in a table is the offset at joint value zero.
-    """
-
-    name: str
-    joint: JointType
-    a_m: float = 0.0
-    alpha_rad: float = 0.0
-    d_m: float = 0.0
-    theta_rad: float = 0.0
-    lower: float = -np.pi
-    upper: float = np.pi
-    aliases: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DHChain:
     """A serial chain from a base frame to a tool frame, with a constant transform behind the last row."""
 
@@ -47,45 +42,100 @@ class DHChain:
     convention: Convention = "standard"
     T_last_tool: Array = field(default_factory=lambda: np.eye(4))
 
-    @property
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """The names of the joints that move, base first."""
         return tuple(row.name for row in self.rows if row.joint != "fixed")
 
-    @property
+    @cached_property
     def lower(self) -> Array:
         """Lower joint limits in rad or m, shape (n_joints,)."""
-        return np.array([row.lower for row in self.rows if row.joint != "fixed"])
+        return _constant([row.lower for row in self.rows if row.joint != "fixed"])
 
-    @property
+    @cached_property
     def upper(self) -> Array:
         """Upper joint limits in rad or m, shape (n_joints,)."""
-        return np.array([row.upper for row in self.rows if row.joint != "fixed"])
+        return _constant([row.upper for row in self.rows if row.joint != "fixed"])
+
+    @cached_property
+    def moving_rows(self) -> NDArray[np.intp]:
+        """Indices of the rows with a joint, base first, shape (n_joints,)."""
+        return np.array([i for i, row in enumerate(self.rows) if row.joint != "fixed"], np.intp)
+
+    @cached_property
+    def is_revolute(self) -> NDArray[np.bool_]:
+        """Which joints turn, shape (n_joints,); the others slide."""
+        return np.array([row.joint == "revolute" for row in self.rows if row.joint != "fixed"], np.bool_)
+
+    @cached_property
+    def row_indices(self) -> dict[str, int]:
+        """The place of each row in the table by its name."""
+        return {row.name: index for index, row in reversed(list(enumerate(self.rows)))}
+
+    @cached_property
+    def terms(self) -> LinkTerms:
+        """What is constant in the rows' transforms."""
+        return LinkTerms.of(self.rows, self.convention)
 
 
-def link_transforms(chain: DHChain, q: ArrayLike) -> Array:
-    """Transforms of each row from its predecessor, shape (..., n_rows, 4, 4), for joints (..., n_joints).
+@dataclass(frozen=True, slots=True)
+class LinkTerms:
+    """The transforms of all rows as sums: `constant` + cos θ `cosine` + sin θ `sine` + d `shift`, (n_rows, 4, 4) each.
 
-    Standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d).
+    θ and d, shape (n_rows,), are those at joint value zero. `into_theta` and `into_d`, shape (n_joints, n_rows), add
+    the joints to them.
+    """
+
+    constant: Array
+    cosine: Array
+    sine: Array
+    shift: Array
+    theta_rad: Array
+    d_m: Array
+    into_theta: Array
+    into_d: Array
+
+    @classmethod
+    def of(cls, rows: tuple[DHRow, ...], convention: Convention) -> LinkTerms:
+        """Take the rows apart."""
+        a = np.array([row.a_m for row in rows])
+        ca, sa = np.array([twist(row) for row in rows]).reshape(-1, 2).T
+        constant, cosine, sine, shift = np.zeros((4, len(rows), 4, 4))
+        constant[:, 3, 3] = 1.0
+        if convention == "standard":
+            cosine[:, 0, 0], cosine[:, 0, 3], cosine[:, 1, 1], cosine[:, 1, 2] = 1.0, a, ca, -sa
+            sine[:, 0, 1], sine[:, 0, 2], sine[:, 1, 0], sine[:, 1, 3] = -ca, sa, 1.0, a
+            constant[:, 2, 1], constant[:, 2, 2] = sa, ca
+            shift[:, 2, 3] = 1.0
+        else:
+            cosine[:, 0, 0], cosine[:, 1, 1], cosine[:, 2, 1] = 1.0, ca, sa
+            sine[:, 0, 1], sine[:, 1, 0], sine[:, 2, 0] = -1.0, ca, sa
+            constant[:, 0, 3], constant[:, 1, 2], constant[:, 2, 2] = a, -sa, ca
+            shift[:, 1, 3], shift[:, 2, 3] = -sa, ca
+        into_theta, into_d = (
+            np.array([row.joint == joint for row in rows], np.float64)
+            * np.eye(len(rows))[[i for i, row in enumerate(rows) if row.joint != "fixed"]]
+            for joint in ("revolute", "prismatic")
+        )
+        theta, d = np.array([row.theta_rad for row in rows]), np.array([row.d_m for row in rows])
+        return cls(constant, cosine, sine, shift, theta, d, into_theta, into_d)
+
+
+def link_transforms(chain: DHChain, q: ArrayLike, first: int = 0) -> Array:
+    """Transforms of the rows from `first` on from their predecessors, shape (..., n_rows - first, 4, 4).
+
+    The joints, shape (..., n_joints), are those of the whole chain. Standard: Rot_z(θ) Trans_z(d) Trans_x(a)
+    Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d). Raises KinematicsError for a wrong number of joints.
     """
     q = _checked_joints(chain, q)
-    theta, d = _joint_variables(chain, q)
-    a = np.array([row.a_m for row in chain.rows])
-    alpha = np.array([row.alpha_rad for row in chain.rows])
-    # cos(π/2) is 6e-17 in floating point; a twist of a quarter turn is meant exactly.
-    ca, sa = _snap(np.cos(alpha)), _snap(np.sin(alpha))
-    ct, st = np.cos(theta), np.sin(theta)
-    T = np.zeros((*theta.shape, 4, 4))
-    T[..., 3, 3] = 1.0
-    if chain.convention == "standard":
-        T[..., 0, 0], T[..., 0, 1], T[..., 0, 2], T[..., 0, 3] = ct, -st * ca, st * sa, a * ct
-        T[..., 1, 0], T[..., 1, 1], T[..., 1, 2], T[..., 1, 3] = st, ct * ca, -ct * sa, a * st
-        T[..., 2, 1], T[..., 2, 2], T[..., 2, 3] = sa, ca, d
-    else:
-        T[..., 0, 0], T[..., 0, 1], T[..., 0, 3] = ct, -st, a
-        T[..., 1, 0], T[..., 1, 1], T[..., 1, 2], T[..., 1, 3] = st * ca, ct * ca, -sa, -d * sa
-        T[..., 2, 0], T[..., 2, 1], T[..., 2, 2], T[..., 2, 3] = st * sa, ct * sa, ca, d * ca
-    return T
+    terms = chain.terms
+    theta = (terms.theta_rad[first:] + q @ terms.into_theta[:, first:])[..., None, None]
+    d = (terms.d_m[first:] + q @ terms.into_d[:, first:])[..., None, None]
+    T = np.cos(theta) * terms.cosine[first:]
+    T += np.sin(theta) * terms.sine[first:]
+    T += d * terms.shift[first:]
+    T += terms.constant[first:]
+    return np.asarray(T)
 
 
 def forward_kinematics(chain: DHChain, q: ArrayLike) -> Array:
@@ -93,21 +143,38 @@ def forward_kinematics(chain: DHChain, q: ArrayLike) -> Array:
 
     eq. (31), as a matrix product. Raises KinematicsError for a wrong number of joints.
     """
-    links = link_transforms(chain, q)
-    T = links[..., 0, :, :]
-    for index in range(1, len(chain.rows)):
-        T = T @ links[..., index, :, :]
-    return np.asarray(T @ chain.T_last_tool)
+    q = _checked_joints(chain, q)
+    if math.prod(q.shape[:-1]) < MANY:
+        links = link_transforms(chain, q)
+        T = links[..., 0, :, :]
+        for index in range(1, len(chain.rows)):
+            T = T @ links[..., index, :, :]
+        return np.asarray(T @ chain.T_last_tool)
+    T = np.empty((*q.shape[:-1], 4, 4))
+    T[..., 3, :] = 0.0, 0.0, 0.0, 1.0
+    flat, joints = T.reshape(-1, 4, 4), q.reshape(-1, q.shape[-1])
+    for at in range(0, len(joints), CHUNK):
+        last_frame(chain.rows, chain.convention, joints[at : at + CHUNK]).write(flat[at : at + CHUNK])
+    return np.asarray((T.reshape(-1, 4) @ chain.T_last_tool).reshape(T.shape))
 
 
 def frame_transforms(chain: DHChain, q: ArrayLike) -> Array:
-    """Poses of all row frames in the base frame, shape (..., n_rows, 4, 4), for joints (..., n_joints)."""
-    links = link_transforms(chain, q)
-    frames = np.empty_like(links)
-    frames[..., 0, :, :] = links[..., 0, :, :]
-    for index in range(1, len(chain.rows)):
-        frames[..., index, :, :] = frames[..., index - 1, :, :] @ links[..., index, :, :]
-    return frames
+    """Poses of all row frames in the base frame, shape (..., n_rows, 4, 4), for joints (..., n_joints).
+
+    Always products of matrices: recordings are made with them, and repeat bit for bit.
+    """
+    return running_product(link_transforms(chain, q))
+
+
+def running_product(links: Array) -> Array:
+    """Products of the first, the first two, … transforms, shape (..., n, 4, 4): frames by their links; in place."""
+    if links.ndim == 3:
+        for index in range(1, len(links)):
+            links[index] = links[index - 1].dot(links[index])
+        return links
+    for index in range(1, links.shape[-3]):
+        links[..., index, :, :] = links[..., index - 1, :, :] @ links[..., index, :, :]
+    return links
 
 
 def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) -> Array:
@@ -132,29 +199,15 @@ def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) 
     return np.asarray(positions, np.float64)[..., order]
 
 
+def _constant(values: list[float]) -> Array:
+    array = np.array(values)
+    array.setflags(write=False)
+    return array
+
+
 def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:
     q = np.asarray(q, np.float64)
     count = len(chain.joint_names)
     if q.ndim == 0 or q.shape[-1] != count:
         raise KinematicsError(f"expected {count} joint values on the last axis, found shape {q.shape}")
     return q
-
-
-def _joint_variables(chain: DHChain, q: Array) -> tuple[Array, Array]:
-    """θ and d of every row, both of shape (..., n_rows)."""
-    shape = (*q.shape[:-1], len(chain.rows))
-    theta = np.broadcast_to([row.theta_rad for row in chain.rows], shape).copy()
-    d = np.broadcast_to([row.d_m for row in chain.rows], shape).copy()
-    column = 0
-    for index, row in enumerate(chain.rows):
-        if row.joint == "revolute":
-            theta[..., index] += q[..., column]
-        elif row.joint == "prismatic":
-            d[..., index] += q[..., column]
-        column += row.joint != "fixed"
-    return theta, d
-
-
-def _snap(values: Array) -> Array:
-    nearest = np.round(values)
-    return np.where(np.abs(values - nearest) < 1e-15, nearest, values)

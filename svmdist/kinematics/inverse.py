@@ -12,17 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.dh import DHChain, forward_kinematics
-from svmdist.kinematics.jacobian import pose_jacobian
+from svmdist.kinematics.dh import DHChain, frame_transforms
+from svmdist.kinematics.jacobian import jacobian_of_frames
 from svmdist.transforms import Array
-
-
-def position_jacobian(chain: DHChain, q: ArrayLike) -> Array:
-    """Derivative of the tool's position by the joints, shape (..., 3, n_joints), in m per joint unit.
-
-    The upper half of `pose_jacobian`.
-    """
-    return pose_jacobian(chain, q)[..., :3, :]
 
 
 def solve_position(
@@ -54,10 +46,11 @@ def solve_position(
         raise KinematicsError(f"the chain has no joint {', '.join(missing)}; it has {chain.joint_names}")
     free = [chain.joint_names.index(name) for name in free_joints]
     for _ in range(max_iterations):
-        error_m = targets_m - forward_kinematics(chain, q)[:, :3, 3]
+        frames = frame_transforms(chain, q)
+        error_m = targets_m - (frames[:, -1] @ chain.T_last_tool)[:, :3, 3]
         if float(np.max(np.abs(error_m), initial=0.0)) <= tolerance_m:
             break
-        J = position_jacobian(chain, q)[:, :, free]
+        J = jacobian_of_frames(chain, frames)[:, :3, free]
         # dq = J^T (J J^T + λ² I)^-1 e (Nakamura & Hanafusa 1986)
         damped = J @ np.swapaxes(J, 1, 2) + damping**2 * np.eye(3)
         q[:, free] += (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, error_m[:, :, None]))[..., 0]

@@ -55,4 +55,6 @@ def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]
 
 def row_index(chain: DHChain, name: str) -> int:
     """Place of a row in the table; raises ValueError for a name it lacks."""
-    return [row.name for row in chain.rows].index(name)
+    if name not in chain.row_indices:
+        raise ValueError(f"the chain has no row {name}; it has {', '.join(chain.row_indices)}")
+    return chain.row_indices[name]

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.messages.checks import DecodeError, EncodedImage
-from svmdist.recording.messages.decoding import Decoder
+from svmdist.recording.messages.checks import DecodeError, EncodedImage, RawTransforms
+from svmdist.recording.messages.decoding import Decoder, Message
 from svmdist.recording.sources import RawMessage, Source
 from svmdist.samples import Sample
 
@@ -30,18 +30,18 @@ class DecodedMessages:
         """Decode the messages of some topics; one that cannot be decoded is a loss."""
         decoder = Decoder(self.limits)
         for raw in self.source.messages(frozenset(topics)):
-            sample = self.decode(decoder, raw)
-            if sample is not None:
-                yield raw, sample
+            message = self.read(decoder, raw)
+            if message is not None:
+                yield raw, message.to_sample() if isinstance(message, RawTransforms) else message
 
-    def decode(self, decoder: Decoder, raw: RawMessage) -> Sample | EncodedImage | None:
-        """Decode a message; None, and a loss, where it cannot be."""
+    def read(self, decoder: Decoder, raw: RawMessage) -> Message | None:
+        """Read and check a message; None, and a loss, where it cannot be used."""
         try:
-            return decoder.decode(raw)
+            return decoder.read(raw)
         except DecodeError as problem:
-            self.lose(LossKind.MESSAGE, str(problem), raw)
+            self.record_loss(LossKind.MESSAGE, str(problem), raw)
             return None
 
-    def lose(self, kind: LossKind, detail: str, raw: RawMessage) -> None:
+    def record_loss(self, kind: LossKind, detail: str, raw: RawMessage) -> None:
         """Count a message as lost."""
         self.health.add(Loss(kind, detail, raw.offset, raw.topic))

@@ -1,8 +1,7 @@
-"""Expanding chunks: streaming, capped at the declared size, exact prefixes for chunks that are cut off."""
+"""Expanding chunks: streaming, capped at the declared size, exact prefixes for truncated chunks."""
 
 from __future__ import annotations
 
-import lz4.frame
 import zstandard
 
 from svmdist.profile import Limits
@@ -28,7 +27,7 @@ def decompress(compression: str, data: memoryview, size_bytes: int, limits: Limi
 
 
 def decompress_prefix(compression: str, data: memoryview, size_bytes: int, limits: Limits) -> memoryview:
-    """Expand as much of a cut chunk as its first bytes tell: an exact prefix of what was compressed."""
+    """Expand as much of a truncated chunk as its first bytes tell: an exact prefix of what was compressed."""
     return _expand(compression, data, size_bytes, limits)
 
 
@@ -82,6 +81,8 @@ def _expand_zstd(data: memoryview, size_bytes: int, limits: Limits) -> memoryvie
 
 
 def _expand_lz4(data: memoryview, size_bytes: int) -> memoryview:
+    import lz4.frame  # here, for few logs have it
+
     decompressor = lz4.frame.LZ4FrameDecompressor()
     expanded = bytearray()
     pending = data

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import count
 
-from svmdist.recording.names import plain
+from svmdist.recording.names import sanitize
 
 MAX_LISTED_LOSSES = 1000
 """A file with a million broken chunks must not fill the memory with reports about them."""
@@ -37,9 +39,9 @@ class Loss:
 
     def __str__(self) -> str:
         place = "" if self.byte_offset is None else f" at byte {self.byte_offset}"
-        topic = "" if self.topic is None else f" on {plain(self.topic)}"
+        topic = "" if self.topic is None else f" on {sanitize(self.topic)}"
         separator = ", " if self.kind is LossKind.TRUNCATED and place else ": "
-        return f"{self.kind}{place}{topic}{separator}{plain(self.detail)}"
+        return f"{self.kind}{place}{topic}{separator}{sanitize(self.detail)}"
 
 
 @dataclass
@@ -47,26 +49,33 @@ class Health:
     """The losses of one recording, filled while it is read.
 
     Reading a file twice finds the same losses again; each is kept once. Before a pass over the whole
-    file has ended, the report is incomplete.
+    file has ended, the report is incomplete. Losses are listed in the order of `place`, so that images that
+    are decoded late, by other threads, are listed as if they had been decoded at once.
     """
 
     unlisted_count: int = 0
     """Losses found beyond the listed ones; a lower bound of distinct ones, and 0 only where there are none."""
-    _losses: dict[Loss, None] = field(default_factory=dict)
+    _losses: dict[Loss, int] = field(default_factory=dict)
+    _places: Iterator[int] = field(default_factory=count)
 
-    def add(self, loss: Loss) -> None:
-        """Report a loss; one that is known already changes nothing."""
-        if loss in self._losses:
+    def next_place(self) -> int:
+        """Reserve a place in the order of losses, for a loss that may be found later."""
+        return next(self._places)
+
+    def add(self, loss: Loss, place: int | None = None) -> None:
+        """Report a loss, at a place that was reserved or at the next one; one that is known is listed once."""
+        place = self.next_place() if place is None else place
+        known = self._losses.get(loss)
+        if known is None and len(self._losses) >= MAX_LISTED_LOSSES:
+            self.unlisted_count = 1
             return
-        if len(self._losses) >= MAX_LISTED_LOSSES:
-            self.unlisted_count = 1 if self.unlisted_count == 0 else self.unlisted_count
-            return
-        self._losses[loss] = None
+        self._losses[loss] = place if known is None else min(place, known)
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """The losses in the order in which they were found."""
-        return tuple(self._losses)
+        """The losses in the order of their places."""
+        found = dict(self._losses)
+        return tuple(sorted(found, key=lambda loss: found[loss]))
 
     @property
     def is_clean(self) -> bool:
@@ -75,7 +84,7 @@ class Health:
 
     def describe(self, max_lines: int = 10) -> tuple[str, ...]:
         """Say what was lost in a few lines for a person."""
-        lines = [str(loss) for loss in self._losses]
+        lines = [str(loss) for loss in self.losses]
         hidden = len(lines) - max_lines
         if hidden > 0 or self.unlisted_count:
             more = f"{max(hidden, 0)} more" if not self.unlisted_count else "many more"

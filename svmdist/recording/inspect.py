@@ -1,4 +1,4 @@
-"""What is in a recording: statistics of every topic, in one pass, for a person who has never seen it."""
+"""What is in a recording: statistics of every topic, in one pass."""
 
 from __future__ import annotations
 

@@ -8,10 +8,10 @@ MAX_NAME_LENGTH = 300
 MAX_LISTED_NAMES = 40
 
 
-def plain(name: str) -> str:
+def sanitize(name: str) -> str:
     r"""Write a name with its control characters escaped, shortened where it is endless.
 
-    >>> plain("/left\x1b[31m")
+    >>> sanitize("/left\x1b[31m")
     '/left\\x1b[31m'
     """
     shown = name if len(name) <= MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]}..."
@@ -20,8 +20,8 @@ def plain(name: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in shown)
 
 
-def plain_list(names: Iterable[str]) -> str:
+def sanitize_list(names: Iterable[str]) -> str:
     """List names, the first forty of them."""
-    listed = [plain(name) for name in names]
+    listed = [sanitize(name) for name in names]
     more = [f"and {len(listed) - MAX_LISTED_NAMES} more"] if len(listed) > MAX_LISTED_NAMES else []
     return ", ".join(listed[:MAX_LISTED_NAMES] + more)

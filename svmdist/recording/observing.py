@@ -1,38 +1,37 @@
-"""Images of a log and what belongs to each: joints, the right image, the believed camera pose."""
+"""Images of a log and what belongs to each: joints, the right image, the nominal camera pose."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.recording.arms import LoggedArm
 from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
+from svmdist.recording.encoded import (
+    EncodedObservation,
+    Needs,
+    RightCamera,
+    decode_image,
+    decode_in_order,
+)
 from svmdist.recording.health import Loss, LossKind
-from svmdist.recording.messages.checks import DecodeError, EncodedImage, broken_image
+from svmdist.recording.messages.checks import DecodeError, EncodedImage, RawTransforms, broken_image
 from svmdist.recording.messages.decoding import Decoder
-from svmdist.recording.messages.images import ImageError
 from svmdist.recording.pairing import (
     ArmBuffer,
     Item,
     LoggedImage,
     LoggedJoints,
     LoggedTransforms,
+    Matched,
     Matcher,
     RightImage,
 )
 from svmdist.recording.sources import RawMessage
 from svmdist.recording.topics import Role, TopicChoice
 from svmdist.recording.transform_buffer import TransformBuffer
-from svmdist.samples import (
-    ImageSample,
-    JointSample,
-    Observation,
-    Rejection,
-    RightView,
-    Status,
-    TransformsSample,
-)
-from svmdist.transforms import Array
+from svmdist.samples import ImageSample, JointSample, Rejection
 
 
 class Observer:
@@ -44,8 +43,13 @@ class Observer:
 
     def images(self, topic: str) -> Iterator[ImageSample | Rejection]:
         """Yield every image of a topic in file order, decoded; a Rejection stands for one that cannot be."""
-        items = self.items(topic)
-        return (self._pixels(logged, topic) for logged in items if isinstance(logged, LoggedImage))
+        for logged in self.items(topic):
+            if isinstance(logged, LoggedImage):
+                losses: list[Loss] = []
+                image = decode_image(logged, topic, losses)
+                for loss in losses:
+                    self._messages.health.add(loss)
+                yield image
 
     def observations(
         self,
@@ -53,34 +57,27 @@ class Observer:
         camera: Camera,
         right_camera: Callable[[], Camera | None],
         arms: Sequence[LoggedArm],
-    ) -> Iterator[tuple[Observation, ...] | Rejection]:
+        needs: Needs,
+    ) -> Iterator[EncodedObservation]:
         """Yield what belongs to every image of a topic, in file order, for each of the arms.
 
         The right camera is asked for only where the log has right images: it takes another pass over the log.
         """
         joint_topics = [arm.choice.find(Role.JOINTS) for arm in arms]
-        right = self._right_eye(image_topic, camera, right_camera)
-        right_topic = None if right is None else right[0]
+        right = self._right_camera(image_topic, camera, right_camera) if needs.right else None
         buffers = [
-            ArmBuffer(TransformBuffer(arm.frames.camera, arm.frames.base), has_joints=topic is not None)
+            ArmBuffer(
+                TransformBuffer(arm.frames.camera, arm.frames.base),
+                has_joints=needs.joints and topic is not None,
+            )
             for arm, topic in zip(arms, joint_topics, strict=True)
         ]
-        matcher = Matcher(buffers, has_right=right is not None, has_transforms=self._moving_tf() is not None)
-        for matched in matcher.match(self.items(image_topic, joint_topics, right_topic, with_tf=True)):
-            image = self._pixels(matched.logged, image_topic)
-            if isinstance(image, ImageSample):
-                height_px, width_px = image.image_bgr.shape[:2]
-                if (width_px, height_px) != (camera.width_px, camera.height_px):
-                    detail = f"{width_px}x{height_px} px; the camera has {camera.width_px}x{camera.height_px}"
-                    yield Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, detail)
-                    continue
-                view = None if right is None else self._right_view(matched.right, *right)
-                yield tuple(
-                    Observation(image.stamp_ns, image.image_bgr, camera, arm.joints, view, arm.T_camera_base)
-                    for arm in matched.arms
-                )
-            else:
-                yield image
+        has_transforms = needs.transforms and self._moving_tf() is not None
+        matcher = Matcher(buffers, has_right=right is not None, has_transforms=has_transforms)
+        items = self.items(image_topic, joint_topics, None if right is None else right.topic, with_tf=True)
+        for matched in matcher.match(item for item in items if _is_needed(item, needs)):
+            place = self._messages.health.next_place()
+            yield EncodedObservation(_decoded_in_order(matched), camera, image_topic, right, place)
 
     def items(
         self,
@@ -90,7 +87,7 @@ class Observer:
         *,
         with_tf: bool = False,
     ) -> Iterator[Item]:
-        """Yield images of both cameras, joints of every arm and believed transforms, in file order."""
+        """Yield images of both cameras, joints of every arm and nominal transforms, in file order."""
         static = self._choice.static_transforms() if with_tf else ()
         topics = {image_topic, *joint_topics, right_topic, self._moving_tf() if with_tf else None, *static}
         names: dict[str, tuple[str, ...]] = {}
@@ -101,49 +98,51 @@ class Observer:
                 logged = LoggedImage(raw.log_time_ns, len(raw.data), raw.offset, image)
                 yield logged if raw.topic == image_topic else RightImage(logged)
                 continue
-            sample = self._messages.decode(decoder, raw)
-            if isinstance(sample, TransformsSample):
-                yield LoggedTransforms(sample, raw.topic in static)
-            if not isinstance(sample, JointSample):
+            message = self._messages.read(decoder, raw)
+            if isinstance(message, RawTransforms):
+                yield LoggedTransforms(message, raw.topic in static)
+            if not isinstance(message, JointSample):
                 continue
-            if sample.names == names.setdefault(raw.topic, sample.names):
-                yield LoggedJoints(sample, joint_topics.index(raw.topic))
+            if message.names == names.setdefault(raw.topic, message.names):
+                yield LoggedJoints(message, joint_topics.index(raw.topic))
             else:
-                self._messages.lose(LossKind.MESSAGE, OTHER_JOINTS, raw)
+                self._messages.record_loss(LossKind.MESSAGE, OTHER_JOINTS, raw)
 
     def _moving_tf(self) -> str | None:
-        """The topic of believed transforms that are no static ones."""
+        """The topic of nominal transforms that are no static ones."""
         topic = self._choice.find(Role.TF)
         return None if topic in self._choice.static_transforms() else topic
 
-    def _right_eye(
+    def _right_camera(
         self, image_topic: str, camera: Camera, right_camera: Callable[[], Camera | None]
-    ) -> tuple[str, Camera, Array] | None:
-        """The topic of right images, their camera, and `T_left_right`; None where the log has no pair."""
+    ) -> RightCamera | None:
+        """The right camera of a stereo pair; None where the log has no pair."""
         topic = self._choice.find(Role.RIGHT_IMAGE)
         if topic is None or topic == image_topic:
             return None
         right = right_camera()
         T_left_right = None if right is None else stereo_transform(camera, right)
-        return None if right is None or T_left_right is None else (topic, right, T_left_right)
+        return None if right is None or T_left_right is None else RightCamera(topic, right, T_left_right)
 
-    def _right_view(
-        self, logged: LoggedImage | None, topic: str, camera: Camera, T_left_right: Array
-    ) -> RightView | None:
-        image = None if logged is None else self._pixels(logged, topic)
-        if not isinstance(image, ImageSample):
-            return None
-        if image.image_bgr.shape[:2] != (camera.height_px, camera.width_px):
-            return None
-        return RightView(image.image_bgr, camera, T_left_right)
 
-    def _pixels(self, logged: LoggedImage, topic: str) -> ImageSample | Rejection:
-        image = logged.image
-        try:
-            return ImageSample(image.stamp_ns, image.frame_id, image.decode())
-        except ImageError as problem:
-            self._messages.health.add(Loss(LossKind.IMAGE, str(problem), logged.offset, topic))
-            return Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, str(problem))
+def _is_needed(item: Item, needs: Needs) -> bool:
+    match item:
+        case LoggedJoints():
+            return needs.joints
+        case LoggedTransforms():
+            return needs.transforms
+        case _:
+            return True
+
+
+def _decoded_in_order(matched: Matched) -> Matched:
+    """The same, with frames of videos decoded."""
+    left, right = (
+        None if logged is None else replace(logged, image=decode_in_order(logged.image))
+        for logged in (matched.logged, matched.right)
+    )
+    assert left is not None
+    return replace(matched, logged=left, right=right)
 
 
 def _encoded_image(decoder: Decoder, raw: RawMessage) -> EncodedImage:

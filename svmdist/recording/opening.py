@@ -8,18 +8,16 @@ from svmdist.errors import RecordingError
 from svmdist.profile import Limits
 from svmdist.recording.mcap_file.framing import MAGIC as MCAP_MAGIC
 from svmdist.recording.mcap_file.source import McapSource
-from svmdist.recording.rosbag.bag1_records import MAGIC as ROSBAG_MAGIC
-from svmdist.recording.rosbag.bag1_source import Rosbag1Source
-from svmdist.recording.rosbag.bag2_source import METADATA_FILE, Rosbag2Source, is_message_compressed
-from svmdist.recording.rosbag.sqlite_source import SqliteSource
-from svmdist.recording.sources import Source
+from svmdist.recording.rosbag import METADATA_FILE
+from svmdist.recording.sources import ZSTD_MAGIC, Source, is_message_compressed
 
+ROSBAG_MAGIC = b"#ROSBAG V2.0\n"
 SQLITE_MAGIC = b"SQLite format 3\x00"
 
 LOOKS_LIKE = {
     b"#ROSBAG V1": "a ROS bag of version 1, from before 2010",
     b"\x1f\x8b": "gzip-compressed",
-    b"\x28\xb5\x2f\xfd": "zstd-compressed",
+    ZSTD_MAGIC: "zstd-compressed",
     b"\x04\x22\x4d\x18": "lz4-compressed",
     b"BZh": "bzip2-compressed",
     b"\xfd7zXZ": "xz-compressed",
@@ -31,6 +29,7 @@ LOOKS_LIKE = {
 }
 
 
+# The modules of other formats are imported when a file of theirs is opened: MCAP starts sooner without them.
 WHAT_IS_EXPECTED = "an MCAP file, a ROS 1 bag or a rosbag2 folder"
 
 
@@ -39,6 +38,8 @@ def open_source(path: Path, limits: Limits) -> Source:
     try:
         if path.is_dir():
             if (path / METADATA_FILE).is_file():
+                from svmdist.recording.rosbag.bag2_source import Rosbag2Source
+
                 return Rosbag2Source(path, limits)
             detail = f"a directory without {METADATA_FILE}"
             raise RecordingError(f"{path}: is {detail}; expected {WHAT_IS_EXPECTED}")
@@ -67,8 +68,12 @@ def _open_file(path: Path, start: bytes, limits: Limits) -> Source:
     if start.startswith(MCAP_MAGIC):
         return McapSource(path, limits)
     if start.startswith(ROSBAG_MAGIC):
+        from svmdist.recording.rosbag.bag1_source import Rosbag1Source
+
         return Rosbag1Source(path, limits)
     if start.startswith(SQLITE_MAGIC):
+        from svmdist.recording.rosbag.sqlite_source import SqliteSource
+
         return SqliteSource(path, limits)
     if MCAP_MAGIC.startswith(start):
         raise RecordingError(

@@ -1,26 +1,31 @@
 """Images and what belongs to them, in one streaming pass with a bounded look-ahead.
 
-That is the joints and the believed camera pose of every arm at the image's stamp, and the other image of a stereo
+That is the joints and the nominal camera pose of every arm at the image's stamp, and the other image of a stereo
 pair.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
-from svmdist.recording.messages.checks import EncodedImage
+import numpy as np
+
+from svmdist.recording.latest import Latest
+from svmdist.recording.messages.checks import EncodedImage, RawTransforms
+from svmdist.recording.messages.images import ImageError
 from svmdist.recording.transform_buffer import TransformBuffer
-from svmdist.samples import JointSample, TransformsSample
-from svmdist.tracks import MAX_GAP_NS
+from svmdist.samples import JointSample
+from svmdist.tracks import JointTrack
 from svmdist.transforms import Array
 
 LOOK_AHEAD_NS = 3_000_000_000
 """How long, in log time, an image waits for the joints behind its stamp: clocks may differ by seconds."""
 MAX_WAITING_BYTES = 64 << 20
-MAX_JOINT_SAMPLES = 20_000
+MAX_JOINT_SAMPLES = 5_000
+"""Five seconds of joints at 1 kHz, and 2 MB: images may be stamped that much before the joints around them."""
 PAIR_TOLERANCE_NS = 500_000
 """Cameras of a pair are triggered together: half a millisecond is less than any exposure."""
 
@@ -46,7 +51,7 @@ class RightImage:
 class LoggedTransforms:
     """A message of transforms, and whether they hold for the whole log."""
 
-    sample: TransformsSample
+    stated: RawTransforms
     is_static: bool
 
 
@@ -79,46 +84,29 @@ Item = LoggedImage | RightImage | LoggedJoints | LoggedTransforms
 
 
 class JointBuffer:
-    """The latest joint samples, sorted by stamp; the oldest are forgotten."""
+    """The latest joint samples of one arm."""
 
     def __init__(self) -> None:
-        self._stamps_ns: list[int] = []
-        self._samples: list[JointSample] = []
+        self._samples: Latest[JointSample] = Latest()
 
     @property
     def newest_ns(self) -> int:
         """Largest stamp, -1 where there is none."""
-        return self._stamps_ns[-1] if self._stamps_ns else -1
+        return self._samples.newest_ns
 
     def add(self, sample: JointSample) -> None:
         """Put a sample in its place; one with the same stamp is replaced."""
-        place = bisect_left(self._stamps_ns, sample.stamp_ns)
-        if place < len(self._stamps_ns) and self._stamps_ns[place] == sample.stamp_ns:
-            self._samples[place] = sample
-            return
-        self._stamps_ns.insert(place, sample.stamp_ns)
-        self._samples.insert(place, sample)
-        if len(self._samples) > MAX_JOINT_SAMPLES:
-            # Half at once, so that forgetting costs nothing per sample.
-            del self._stamps_ns[: MAX_JOINT_SAMPLES // 2], self._samples[: MAX_JOINT_SAMPLES // 2]
+        self._samples.add(sample.stamp_ns, sample, MAX_JOINT_SAMPLES)
 
     def at(self, stamp_ns: int) -> JointSample | None:
         """Interpolate linearly; None outside the samples, and in a gap longer than 0.1 s."""
-        right = bisect_left(self._stamps_ns, stamp_ns)
-        if right == len(self._stamps_ns):
+        stamps_ns, near = self._samples.around(stamp_ns)
+        if not near or near[0].names != near[-1].names:
             return None
-        after = self._samples[right]
-        if after.stamp_ns == stamp_ns:
-            return after
-        if right == 0:
-            return None
-        before = self._samples[right - 1]
-        gap_ns = after.stamp_ns - before.stamp_ns
-        if gap_ns > MAX_GAP_NS or before.names != after.names:
-            return None
-        fraction = (stamp_ns - before.stamp_ns) / gap_ns
-        positions = before.positions + fraction * (after.positions - before.positions)
-        return JointSample(stamp_ns, after.names, positions)
+        positions = np.array([sample.positions for sample in near])
+        track = JointTrack(np.array(stamps_ns, np.int64), near[0].names, positions)
+        sampled = track.at(np.array([stamp_ns], np.int64))
+        return JointSample(stamp_ns, track.names, sampled.values[0]) if sampled.valid[0] else None
 
 
 class RightBuffer:
@@ -135,19 +123,33 @@ class RightBuffer:
         self._size_bytes += logged.size_bytes
         self.newest_ns = max(self.newest_ns, logged.image.stamp_ns)
         while len(self._images) > 1 and self._size_bytes > MAX_WAITING_BYTES:
-            self._size_bytes -= self._images.popleft().size_bytes
+            self._pass_over()
 
     def take(self, stamp_ns: int) -> LoggedImage | None:
-        """Hand out the image nearest to a stamp, once; None where none is within half a millisecond."""
+        """Hand out the image nearest to a stamp, once; None where none is within half a millisecond.
+
+        Frames of a video are handed out in file order: one that was passed over is gone.
+        """
         near = [
             logged for logged in self._images if abs(logged.image.stamp_ns - stamp_ns) <= PAIR_TOLERANCE_NS
         ]
         if not near:
             return None
         nearest = min(near, key=lambda logged: abs(logged.image.stamp_ns - stamp_ns))
+        if nearest.image.is_ordered:
+            while self._images[0] is not nearest:
+                self._pass_over()
         self._images.remove(nearest)
         self._size_bytes -= nearest.size_bytes
         return nearest
+
+    def _pass_over(self) -> None:
+        """Forget the oldest image; a frame of a video is decoded first, for the next ones refer to it."""
+        oldest = self._images.popleft()
+        self._size_bytes -= oldest.size_bytes
+        if oldest.image.is_ordered:
+            with suppress(ImageError):
+                oldest.image.decode()
 
 
 class ArmBuffer:
@@ -194,8 +196,8 @@ class Matcher:
                 self._right.add(logged)
             case LoggedJoints(sample=joints, arm=arm):
                 self._arms[arm].joints.add(joints)
-            case LoggedTransforms(sample=sample, is_static=is_static):
-                for transform in sample.transforms:
+            case LoggedTransforms(stated=stated, is_static=is_static):
+                for transform in stated.transforms:
                     for buffer in self._arms:
                         buffer.transforms.add(transform, is_static=is_static)
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -14,8 +13,9 @@ from svmdist.errors import RecordingError, did_you_mean
 from svmdist.profile import Limits, Profile
 from svmdist.recording.arms import LoggedArm, find_arms
 from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
+from svmdist.recording.encoded import EVERYTHING, Decoded, EncodedObservation, Needs
 from svmdist.recording.health import Health, LossKind
-from svmdist.recording.names import plain, plain_list
+from svmdist.recording.names import sanitize, sanitize_list
 from svmdist.recording.observing import Observer
 from svmdist.recording.opening import open_source
 from svmdist.recording.sources import RawMessage, Source, TopicInfo
@@ -49,7 +49,13 @@ def open_recording(
     """
     limits = limits or profile.limits
     source = open_source(Path(path), limits)
-    return Recording(source, find_arms(source, profile, topics or {}), limits)
+    recording = Recording(source, find_arms(source, profile, topics or {}), limits)
+    recording.origin = (Path(path), profile, limits, dict(topics or {}))
+    return recording
+
+
+def _reopen(path: Path, profile: Profile, limits: Limits, topics: dict[str, str]) -> Recording:
+    return open_recording(path, profile, limits=limits, topics=topics)
 
 
 class Recording:
@@ -66,6 +72,14 @@ class Recording:
         self._choice = arms[0].choice
         self._messages = DecodedMessages(source, limits)
         self._observer = Observer(self._messages, self._choice)
+        self.origin: tuple[Path, Profile, Limits, dict[str, str]] | None = None
+        """What it was opened by, so that another process can open it too."""
+
+    def __reduce__(self) -> tuple[Callable[..., Recording], tuple[object, ...]]:
+        """Another process opens the same file anew."""
+        if self.origin is None:
+            raise TypeError("only a recording as it was opened can be sent to another process")
+        return _reopen, self.origin
 
     @property
     def instruments(self) -> tuple[str, ...]:
@@ -81,7 +95,7 @@ class Recording:
             if arm.name == name:
                 return arm
         known = did_you_mean(name, self.instruments)
-        raise RecordingError(f"{self.path.name}: no topic of an instrument {plain(name)}: {known}")
+        raise RecordingError(f"{self.path.name}: no topic of an instrument {sanitize(name)}: {known}")
 
     @property
     def path(self) -> Path:
@@ -117,7 +131,7 @@ class Recording:
         topic = self._choice.require(Role.CAMERA_INFO)
         camera = self._first_camera(topic)
         if camera is None:
-            raise RecordingError(f"{self.path.name}: no usable camera calibration on {plain(topic)}")
+            raise RecordingError(f"{self.path.name}: no usable camera calibration on {sanitize(topic)}")
         return camera
 
     @cached_property
@@ -136,7 +150,7 @@ class Recording:
     def observations(self) -> Iterator[Observation | Rejection]:
         """Yield what an estimator may see of every image, in file order; memory does not grow with the log.
 
-        Joints and the believed camera-to-base transform are interpolated to the image's stamp between samples
+        Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples
         at most 0.1 s apart. The right image is the one within half a millisecond, where the cameras form a
         stereo pair. Each is None where the log has none. Raises RecordingError at once where the log has no
         images or no camera.
@@ -144,12 +158,34 @@ class Recording:
         found = self.observations_of(self.instruments[:1])
         return (item if isinstance(item, Rejection) else item[0] for item in found)
 
-    def observations_of(self, names: Sequence[str]) -> Iterator[tuple[Observation, ...] | Rejection]:
-        """Yield for every image what estimators may see of each instrument; each image is decoded once."""
+    def observations_of(
+        self, names: Sequence[str], needs: Needs = EVERYTHING
+    ) -> Iterator[tuple[Observation, ...] | Rejection]:
+        """Yield for every image what estimators may see of each instrument; each image is decoded once.
+
+        What `needs` leaves out is None in the observations.
+        """
+        return (self.record_losses(one.decode()) for one in self.encoded_observations(names, needs))
+
+    def encoded_observations(
+        self, names: Sequence[str], needs: Needs = EVERYTHING
+    ) -> Iterator[EncodedObservation]:
+        """Yield the same as `observations_of`, not decoded yet, for a caller that decodes in threads.
+
+        One thread at a time goes through the iterator, any thread decodes, and `record_losses` takes the results.
+        The caller holds what is not decoded yet, and bounds how many. Frames of a video are decoded here,
+        for they refer to each other.
+        """
         arms = [self._arm(name) for name in names]
         return self._observer.observations(
-            self._choice.require(Role.IMAGE), self.camera, lambda: self.right_camera, arms
+            self._choice.require(Role.IMAGE), self.camera, lambda: self.right_camera, arms, needs
         )
+
+    def record_losses(self, decoded: Decoded) -> tuple[Observation, ...] | Rejection:
+        """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back."""
+        for loss in decoded.losses:
+            self.health.add(loss, decoded.place)
+        return decoded.found
 
     def joint_track(self) -> JointTrack:
         """Read all joint states."""
@@ -159,25 +195,25 @@ class Recording:
             if not isinstance(sample, JointSample):
                 continue
             if samples and sample.names != samples[0].names:
-                self._messages.lose(LossKind.MESSAGE, OTHER_JOINTS, raw)
+                self._messages.record_loss(LossKind.MESSAGE, OTHER_JOINTS, raw)
                 continue
             samples.append(sample)
         if not samples:
-            raise RecordingError(f"{self.path.name}: no usable joint states on {plain(topic)}")
+            raise RecordingError(f"{self.path.name}: no usable joint states on {sanitize(topic)}")
         stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
         order = sort_stamps(stamps_ns)
         positions = np.array([sample.positions for sample in samples])
         return JointTrack(stamps_ns[order], samples[0].names, positions[order])
 
     def transform_track(self, parent: str, child: str, *, ground_truth: bool = False) -> TransformTrack:
-        """Read `T_parent_child` over time, composed along the tree of the believed or the true transforms.
+        """Read `T_parent_child` over time, composed along the tree of the nominal or the true transforms.
 
         Raises RecordingError where the log has no transforms, or none that link the two frames.
         """
         return self.transform_tree(ground_truth=ground_truth).track(parent, child)
 
     def transform_tree(self, *, ground_truth: bool = False) -> TransformTree:
-        """Read all transforms, those that the robot believes or those that are true."""
+        """Read all transforms, the nominal ones or the true ones."""
         if ground_truth:
             static: tuple[str, ...] = ()
             moving: str | None = self._choice.require(Role.GROUND_TRUTH_TF)
@@ -197,8 +233,8 @@ class Recording:
         samples = [sample for _, sample in self._messages.samples(topic) if isinstance(sample, PoseSample)]
         frames = sorted({sample.frame_id for sample in samples})
         if len(frames) != 1:
-            found = f"poses in several frames: {plain_list(frames)}" if frames else "no usable poses"
-            raise RecordingError(f"{self.path.name}: {found} on {plain(topic)}")
+            found = f"poses in several frames: {sanitize_list(frames)}" if frames else "no usable poses"
+            raise RecordingError(f"{self.path.name}: {found} on {sanitize(topic)}")
         stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
         order = sort_stamps(stamps_ns)
         return PoseTrack(frames[0], stamps_ns[order], np.array([s.T_frame_pose for s in samples])[order])
@@ -224,6 +260,8 @@ class Recording:
 
     def sha256(self) -> str:
         """Hash the file, or the files of a folder in the order of their names, as hexadecimal digits."""
+        import hashlib
+
         digest = hashlib.sha256()
         for file in self._files():
             try:

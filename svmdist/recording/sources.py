@@ -9,6 +9,7 @@ from typing import Protocol
 
 from svmdist.recording.health import Health
 
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 METADATA_NAME = "svmdist"
 """The metadata record that says what a recording came from."""
 
@@ -64,3 +65,13 @@ def merge_topics(infos: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
         both = known is not None and info.message_count is not None
         merged[key] = (known or 0) + (info.message_count or 0) if both else None
     return tuple(TopicInfo(*key, count) for key, count in sorted(merged.items()))
+
+
+def is_message_compressed(source: Source) -> bool:
+    """Tell whether the messages of a single file were compressed one by one, as only the folder of a bag knows."""
+    topics = {info.topic for info in source.topics() if info.message_encoding == "cdr"}
+    if not topics:
+        return False
+    first = next(iter(source.messages(topics)), None)
+    # CDR begins with a zero byte, so these four cannot be a message.
+    return first is not None and bytes(first.data[:4]) == ZSTD_MAGIC

@@ -8,7 +8,7 @@ from enum import StrEnum
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.profile import Topics
 from svmdist.recording.messages.decoding import Kind, kind_of
-from svmdist.recording.names import plain, plain_list
+from svmdist.recording.names import sanitize, sanitize_list
 from svmdist.recording.sources import TopicInfo
 
 
@@ -70,7 +70,7 @@ class TopicChoice:
         if override is not None:
             if override not in self._candidates(kind):
                 raise RecordingError(
-                    f"{self._name}: topic {plain(override)} carries no {kind}; {self._there_are()}"
+                    f"{self._name}: topic {sanitize(override)} carries no {kind}; {self._there_are()}"
                 )
             return override
         wanted: str | None = getattr(self._wanted, role)
@@ -82,7 +82,7 @@ class TopicChoice:
             return fitting[0]
         expected = f" (the profile expects {wanted})" if wanted else ""
         if fitting:
-            choices = plain_list(fitting)
+            choices = sanitize_list(fitting)
             raise RecordingError(
                 f"{self._name}: several topics carry {kind}{expected}; choose one of {choices}"
             )
@@ -120,5 +120,5 @@ class TopicChoice:
         return fitting or [topic for topic in candidates if topic in right and len(candidates) == 1]
 
     def _there_are(self) -> str:
-        listed = plain_list(f"{info.topic} ({info.schema or 'no schema'})" for info in self._infos)
+        listed = sanitize_list(f"{info.topic} ({info.schema or 'no schema'})" for info in self._infos)
         return f"the topics are {listed}" if listed else "the recording has no topics"

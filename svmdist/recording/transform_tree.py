@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from svmdist.errors import RecordingError, did_you_mean
-from svmdist.recording.names import plain, plain_list
+from svmdist.recording.names import sanitize, sanitize_list
 from svmdist.samples import TransformSample
 from svmdist.tracks import MAX_GAP_NS, TransformTrack, sort_stamps
 from svmdist.transforms import Array, inverse
@@ -87,7 +87,7 @@ class TransformTree:
         for frame in (parent, child):
             if frame not in self.frames:
                 raise RecordingError(
-                    f"no frame {frame} in the transforms: {did_you_mean(frame, map(plain, self.frames))}"
+                    f"no frame {frame} in the transforms: {did_you_mean(frame, map(sanitize, self.frames))}"
                 )
         if parent == child:
             raise RecordingError(
@@ -95,7 +95,7 @@ class TransformTree:
             )
         path = find_path(self._edges, parent, child)
         if path is None:
-            here, there = (plain_list(sorted(_reach(self._edges, frame))) for frame in (parent, child))
+            here, there = (sanitize_list(sorted(_reach(self._edges, frame))) for frame in (parent, child))
             raise RecordingError(
                 f"no transform links {parent} and {child}: on one side are {here}; on the other {there}"
             )

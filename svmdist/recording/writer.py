@@ -13,7 +13,7 @@ from typing import IO, Self
 from mcap.writer import CompressionType, Writer
 
 from svmdist.errors import OutputError, UsageError
-from svmdist.recording.messages.encoding import encode, message_type
+from svmdist.recording.messages.encoding import EncodedSample, encode, message_type
 from svmdist.recording.sources import METADATA_NAME
 from svmdist.samples import Sample
 
@@ -75,17 +75,20 @@ class RecordingWriter:
             raise self._failure(problem) from problem
         return self
 
-    def write(self, topic: str, sample: Sample) -> None:
-        """Append a sample; its stamp becomes the log time and the publish time.
+    def write(self, topic: str, sample: Sample | EncodedSample) -> None:
+        """Append a sample, which may be encoded already; its stamp becomes the log time and the publish time.
 
         Raises OutputError when the file cannot be written, ValueError when the topic already carries
         another type of sample.
         """
-        data = encode(sample, self._jpeg_quality)
+        if isinstance(sample, EncodedSample):
+            data, sample_type = sample.data, sample.sample_type
+        else:
+            data, sample_type = encode(sample, self._jpeg_quality), type(sample)
         needed_bytes = RECORD_HEAD_BYTES + MESSAGE_HEAD_BYTES + len(data)
         try:
             self._end_chunk_before(sample.stamp_ns, needed_bytes)
-            channel_id = self._channel(topic, type(sample))
+            channel_id = self._channel(topic, sample_type)
             self._sequences[channel_id] = self._sequences.get(channel_id, -1) + 1
             self._writer.add_message(
                 channel_id, sample.stamp_ns, data, sample.stamp_ns, self._sequences[channel_id]

@@ -35,24 +35,17 @@ BLUR_COLUMNS = (
 )
 
 BLUR_NOTE = (
-    "The paper's columns are Table I as printed: it states no kernels and has no clean row, and its scene differs."
-    " Counts are means per frame; the marker is virtual, so it is pasted after the blur and stays sharp."
+    "The paper's columns are Table I as published. The paper states no kernels, has no row without blur, and used"
+    " another scene. Counts are means per frame. The virtual marker is pasted after the blur, so it stays sharp."
 )
 
 
 def blur_row(row: BlurRow) -> dict[str, Cell]:
     """One row in SI, flat, with the keys of `BLUR_KEYS`."""
+    printed = row.printed
     return {
+        **{key: getattr(row, key) for key in BLUR_KEYS if not key.startswith("paper_")},
         "blur": str(row.blur),
-        "kernel_px": row.kernel_px,
-        "keypoint_count": row.keypoint_count,
-        "contour_area_px": row.contour_area_px,
-        "marker_keypoint_count": row.marker_keypoint_count,
-        "match_count": row.match_count,
-        "inlier_count": row.inlier_count,
-        "coverage": row.coverage,
-        "rmse_m": row.rmse_m,
-        "frame_count": row.frame_count,
-        "paper_keypoint_count": row.printed.keypoint_count if row.printed else None,
-        "paper_contour_area_px": row.printed.contour_area_px if row.printed else None,
+        "paper_keypoint_count": printed.keypoint_count if printed else None,
+        "paper_contour_area_px": printed.contour_area_px if printed else None,
     }

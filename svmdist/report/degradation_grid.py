@@ -1,4 +1,4 @@
-"""The degradation grid as rows: a method by degradation and severity."""
+"""The degradation grid as rows: one method, a row for each degradation and severity."""
 
 from __future__ import annotations
 
@@ -7,22 +7,20 @@ from collections.abc import Sequence
 from rich.table import Table as RichTable
 
 from svmdist.recording.reader import Recording
-from svmdist.report.figures import FIGURE_COLUMNS, FIGURE_KEYS, figure_cells
+from svmdist.report.figures import figure_cells, figure_columns, figure_keys
 from svmdist.report.table import Cell, Column, rich_table
 from svmdist.workflows.degradation_grid import GridCell
 
 CLEAN_NAME = "none"
 
-GRID_KEYS = ("method", "degradation", "severity", *FIGURE_KEYS)
 
-GRID_COLUMNS = (
-    Column("condition", "images", is_text=True),
-    *FIGURE_COLUMNS,
-)
+def grid_keys() -> tuple[str, ...]:
+    """The columns of a row, in order."""
+    return figure_keys(("method", "degradation", "severity"))
 
 
 def grid_row(cell: GridCell) -> dict[str, Cell]:
-    """One cell in SI, flat, with the keys of `GRID_KEYS`; the log as recorded is `none` of severity 0."""
+    """One cell in SI, flat, with the keys of `grid_keys()`; the log as recorded is `none` of severity 0."""
     return {
         "method": cell.method,
         "degradation": str(cell.condition.name or CLEAN_NAME),
@@ -34,13 +32,13 @@ def grid_row(cell: GridCell) -> dict[str, Cell]:
 def grid_table(title: str, cells: Sequence[GridCell]) -> RichTable:
     """The table for a person."""
     rows = [grid_row(cell) | {"condition": str(cell.condition) or "as recorded"} for cell in cells]
-    return rich_table(title, GRID_COLUMNS, rows)
+    return rich_table(title, [Column("condition", "images", is_text=True), *figure_columns()], rows)
 
 
 def recorded_notes(recordings: Sequence[Recording]) -> list[str]:
     """Remarks on logs that were degraded when they were recorded."""
     return [
-        f"{recording.name} was recorded with {recording.metadata['degrade']}; the grid's come on top."
+        f"{recording.name} was recorded with {recording.metadata['degrade']}; the grid's degradations come on top."
         for recording in recordings
         if "degrade" in recording.metadata
     ]

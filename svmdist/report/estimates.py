@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from svmdist.estimation.alarms import AlarmState
 from svmdist.report.table import Cell, Column, Row, number, text_width
-from svmdist.samples import Estimate
+from svmdist.results import FrameResult, as_vector
+from svmdist.samples import Vector
 
 ESTIMATE_KEYS = (
     "recording",
@@ -56,7 +57,7 @@ ALARM_COLUMNS = (
     Column("closing_speed_m_s", "closing [mm/s]", number(1, 1e3)),
     Column("time_to_contact_s", "contact [s]", number(2)),
 )
-"""Shown to a person who asked for alarms."""
+"""Shown where alarms are asked for."""
 
 INSTRUMENT_COLUMNS = (
     Column("instrument", "instrument", is_text=True, min_width=10),
@@ -88,7 +89,7 @@ DISPENSABLE = (
     *("keypoint_count", "match_count", "inlier_count", "tool_area_px", "tissue_area_px"),
     *("tissue_x_px", "tissue_y_px", "tool_x_px", "tool_y_px", "recording"),
 )
-"""What a narrow terminal goes without, the first ones first; machines get all of it."""
+"""Columns that a narrow terminal leaves out, in this order. CSV and JSON have all columns."""
 
 DISPENSABLE_IN_3D = (
     *("instrument_clearance_std_m", "distance_m", "spatial_m"),
@@ -98,11 +99,11 @@ DISPENSABLE_IN_THE_PLANE = (
     *("instrument_clearance_std_m", "instrument_clearance_m"),
     *("clearance_std_m", "clearance_m", "spatial_m"),
 )
-"""And then, by method: a planar one has nothing in the columns of the others."""
+"""Columns that are left out next, by method: a planar method has no values in the columns of the 3D methods."""
 
 
 def columns_within(columns: Sequence[Column], width: int | None, planar: bool = False) -> Sequence[Column]:
-    """The columns that a terminal of some width has room for, as far as they are dispensable; all where it is None."""
+    """The columns that fit a terminal of `width` characters, without those that are dispensable; all for None."""
     for key in (*DISPENSABLE, *(DISPENSABLE_IN_THE_PLANE if planar else DISPENSABLE_IN_3D)):
         if width is None or text_width(columns) <= width:
             break
@@ -112,38 +113,60 @@ def columns_within(columns: Sequence[Column], width: int | None, planar: bool = 
 
 def estimate_row(
     recording: str,
-    estimate: Estimate,
+    estimate: FrameResult,
     method: str,
     equations: str,
     start_ns: int,
     alarm: AlarmState | None = None,
 ) -> Row:
     """One row; `time_s` counts from the recording's first image and is for a person only."""
-    row: dict[str, Cell] = {
-        key: getattr(estimate, key) for key in ESTIMATE_KEYS if hasattr(estimate, key) and key != "status"
-    }
-    for names, vector in (
-        (("tool_x_m", "tool_y_m", "tool_z_m"), estimate.tool_position_m),
-        (("axis_x", "axis_y", "axis_z"), estimate.tool_axis),
-        (("direction_x", "direction_y", "direction_z"), estimate.clearance_direction),
-        (
-            ("instrument_direction_x", "instrument_direction_y", "instrument_direction_z"),
-            estimate.instrument_clearance_direction,
-        ),
-    ):
-        row |= dict(zip(names, vector or (None, None, None), strict=True))
-    row |= {
-        "detail": estimate.detail or None,
+    alarm = alarm or AlarmState()
+    return {
+        **_fields(estimate),
         "recording": recording,
-        "status": str(estimate.status),
         "method": method,
         "equations": equations,
         "time_s": (estimate.stamp_ns - start_ns) / 1e9,
-    }
-    alarm = alarm or AlarmState()
-    row |= {
         "alarm": None if alarm.alarm is None else int(alarm.alarm),
         "closing_speed_m_s": alarm.closing_speed_m_s,
         "time_to_contact_s": alarm.time_to_contact_s,
     }
+
+
+def _fields(result: FrameResult) -> dict[str, Cell]:
+    """What a result holds, by columns: the one place that flattens it."""
+    image, distances = result.image, result.distances
+    pose = result.tool.pose if result.tool and result.measured else None
+    row: dict[str, Cell] = {
+        "stamp_ns": result.stamp_ns,
+        "status": str(result.status),
+        "detail": result.detail or None,
+        "instrument": result.instrument,
+        "tool_area_px": image.tool_area_px,
+        "tissue_area_px": image.tissue_area_px,
+        "keypoint_count": image.keypoint_count,
+        "match_count": image.match_count,
+        "inlier_count": image.inlier_count,
+        **_xyz("tool_{}_m", as_vector(pose.position_m) if pose else None),
+        **_xyz("axis_{}", as_vector(pose.axis) if pose else None),
+        **_xyz("direction_{}", distances.clearance.direction if distances.clearance else None),
+    }
+    row["tool_x_px"], row["tool_y_px"] = image.tool_px or (None, None)
+    row["tissue_x_px"], row["tissue_y_px"] = image.tissue_px or (None, None)
+    to_other = distances.to_instrument
+    row |= _xyz("instrument_direction_{}", to_other.direction if to_other else None)
+    for name, distance in (
+        ("distance", distances.planar),
+        ("spatial", distances.spatial),
+        ("clearance", distances.clearance),
+        ("instrument_clearance", to_other),
+    ):
+        row[f"{name}_m"] = distance.value_m if distance else None
+        row[f"{name}_std_m"] = distance.std_m if distance else None
     return row
+
+
+def _xyz(key: str, vector: Vector | None) -> dict[str, Cell]:
+    """Three columns of a vector; None where there is none."""
+    x, y, z = vector or (None, None, None)
+    return {key.format("x"): x, key.format("y"): y, key.format("z"): z}

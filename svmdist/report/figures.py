@@ -2,72 +2,43 @@
 
 from __future__ import annotations
 
-from svmdist.report.table import Cell, Column, number, percent
-from svmdist.workflows.replay import Figures
-from svmdist.workflows.scoring.distances import DistanceScore
+from itertools import groupby
 
-FIGURE_KEYS = (
-    "frame_count",
-    "measured_count",
-    "coverage",
-    "ms_per_frame",
-    "r_squared",
-    "rmse_m",
-    "p95_abs_error_m",
-    "interval_coverage",
-    "spatial_r_squared",
-    "spatial_rmse_m",
-    "spatial_p95_abs_error_m",
-    "spatial_interval_coverage",
-    "clearance_r_squared",
-    "clearance_rmse_m",
-    "clearance_p95_abs_error_m",
-    "clearance_interval_coverage",
-)
+from svmdist.report.table import Cell, Column, metric_column
+from svmdist.workflows.runs import Figures
+from svmdist.workflows.scoring.metric import Output, cells, row_keys, within
+from svmdist.workflows.scoring.metric_table import figure_metrics
 
-FIGURE_COLUMNS = (
-    Column("coverage", "cov.\n%", percent(1)),
-    Column("r_squared", "planar\nR²", number(4)),
-    Column("rmse_m", "\nRMSE", number(2, 1e3)),
-    Column("p95_abs_error_m", "\np95", number(2, 1e3)),
-    Column("interval_coverage", "\n∈95 %", percent(1)),
-    Column("spatial_rmse_m", "spatial\nRMSE", number(2, 1e3)),
-    Column("spatial_p95_abs_error_m", "\np95", number(2, 1e3)),
-    Column("spatial_interval_coverage", "\n∈95 %", percent(1)),
-    Column("clearance_rmse_m", "clear.\nRMSE", number(2, 1e3)),
-    Column("clearance_p95_abs_error_m", "\np95", number(2, 1e3)),
-    Column("clearance_interval_coverage", "\n∈95 %", percent(1)),
-    Column("ms_per_frame", "ms", number(0)),
-)
+GROUP_TITLES = {"": "", "planar": "planar", "spatial": "spatial", "clearance": "clear."}
 
 FIGURE_NOTE = (
-    "Errors in mm against the simulator's truth; ∈95 %: share in % of truths inside the stated 95 % interval;"
-    " ms: a frame's time, the method alone, without reading, decoding and degrading. –: the method cannot tell."
+    "Errors in mm against the simulator's truth. ∈95 %: share in % of truths inside the stated 95 % interval."
+    " ms: processor time of the method per frame, with its detections, without reading, decoding and degrading."
+    " –: the method does not estimate it."
 )
+
+
+def figure_keys(before: tuple[str, ...], after: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """The columns of a row of figures, with the labels before and after them."""
+    return row_keys(before, within(figure_metrics(), Output.FIGURES), after)
 
 
 def figure_cells(figures: Figures) -> dict[str, Cell]:
-    """The figures in SI, flat, with the keys of `FIGURE_KEYS`."""
-    cells: dict[str, Cell] = {
-        "frame_count": figures.frame_count,
-        "measured_count": figures.measured_count,
-        "coverage": figures.coverage,
-        "ms_per_frame": figures.ms_per_frame,
-    }
-    for prefix, part in (
-        ("", figures.planar),
-        ("spatial_", figures.spatial),
-        ("clearance_", figures.clearance),
-    ):
-        cells |= _distance_cells(prefix, part)
-    return cells
+    """The figures in SI, flat."""
+    return cells(within(figure_metrics(), Output.FIGURES), figures)
 
 
-def _distance_cells(prefix: str, score: DistanceScore | None) -> dict[str, Cell]:
-    statistics = score.statistics if score else None
-    return {
-        f"{prefix}r_squared": statistics.r_squared if statistics else None,
-        f"{prefix}rmse_m": statistics.rmse if statistics else None,
-        f"{prefix}p95_abs_error_m": statistics.p95_abs_error if statistics else None,
-        f"{prefix}interval_coverage": score.interval_coverage if score else None,
-    }
+def figure_columns() -> list[Column]:
+    """The columns for a person: those of a distance stand below its name, and the time is the last one."""
+    columns = []
+    metrics = sorted(
+        within(figure_metrics(), Output.FIGURE_TABLE), key=lambda metric: metric.key == "ms_per_frame"
+    )
+    for group, members in groupby(metrics, lambda metric: metric.group):
+        for index, metric in enumerate(members):
+            title = metric.narrow_title or metric.title
+            heading = (
+                f"{GROUP_TITLES[group] if index == 0 else ''}\n{title}" if group else title.replace(" ", "\n")
+            )
+            columns.append(metric_column(metric, heading))
+    return columns

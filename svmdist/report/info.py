@@ -10,7 +10,7 @@ from svmdist.profile import Profile
 from svmdist.recording.inspect import RecordingSummary, TopicSummary
 from svmdist.report.table import Cell, Column, number, render, rich_table
 from svmdist.report.text import printable
-from svmdist.workflows.abilities import Ability, abilities, instruments_in, method_abilities
+from svmdist.workflows.capabilities import Capability, capabilities, instruments_in, method_capabilities
 
 SCHEMA = "svmdist.info/1"
 
@@ -63,9 +63,12 @@ def info_document(summary: RecordingSummary, profile: Profile) -> dict[str, Any]
         "joint_names": {topic: list(names) for topic, names in summary.joint_names.items()},
         "is_clean": summary.health.is_clean,
         "losses": [str(loss) for loss in summary.health.losses],
-        "commands": {ability.name: _ability_document(ability) for ability in abilities(summary, profile)},
+        "commands": {
+            capability.name: _capability_document(capability) for capability in capabilities(summary, profile)
+        },
         "methods": {
-            ability.name: _ability_document(ability) for ability in method_abilities(summary, profile)
+            capability.name: _capability_document(capability)
+            for capability in method_capabilities(summary, profile)
         },
     }
 
@@ -86,10 +89,10 @@ def info_lines(summary: RecordingSummary, profile: Profile, width: int | None = 
     roles = ", ".join(f"{role} {topic}" for role, topic in summary.roles.items())
     yield f"roles       {printable(roles) or 'none of the topics is one that svmdist reads'}\n"
     yield f"instruments {printable(', '.join(instruments_in(summary, profile)))}\n"
-    for ability in abilities(summary, profile):
-        verdict = "yes" if ability.served else f"no: it lacks {'; '.join(ability.missing)}"
-        yield f"{ability.name:<11} {printable(verdict)}\n"
-    methods = method_abilities(summary, profile)
+    for capability in capabilities(summary, profile):
+        answer = "yes" if capability.served else f"no: it lacks {'; '.join(capability.missing)}"
+        yield f"{capability.name:<11} {printable(answer)}\n"
+    methods = method_capabilities(summary, profile)
     yield f"methods     {', '.join(each.name for each in methods if each.served) or 'none'}\n"
     for each in methods:
         if not each.served:
@@ -98,8 +101,8 @@ def info_lines(summary: RecordingSummary, profile: Profile, width: int | None = 
     yield f"health      {'clean' if summary.health.is_clean else f'{losses} losses'}\n"
 
 
-def _ability_document(ability: Ability) -> dict[str, Any]:
-    return {"served": ability.served, "missing": list(ability.missing)}
+def _capability_document(capability: Capability) -> dict[str, Any]:
+    return {"served": capability.served, "missing": list(capability.missing)}
 
 
 def _camera_line(camera: Camera) -> str:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import deviations_at
-from svmdist.output_file import whole_file
+from svmdist.output_file import atomic_file
 from svmdist.report.text import printable
 from svmdist.transforms import Array
 from svmdist.workflows.scoring.distances import DistanceScore, Pairs
@@ -49,7 +49,7 @@ def save_plot(validation: Validation, path: Path, reference: Reference | None = 
     figure = draw(scores, validation.alarm_rules)
     metadata = {"Date": None} if suffix == "svg" else None
     # SVG ids and dates would differ between two runs on the same data.
-    with whole_file(path) as target, mpl.rc_context({"svg.hashsalt": "svmdist"}), warnings.catch_warnings():
+    with atomic_file(path) as target, mpl.rc_context({"svg.hashsalt": "svmdist"}), warnings.catch_warnings():
         # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
         warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
         figure.savefig(target, dpi=150, format=suffix, metadata=metadata)

@@ -8,14 +8,14 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
-
-from rich import box
-from rich.console import Console
-from rich.table import Table as RichTable
-from rich.text import Text
+from typing import TYPE_CHECKING, Any, Literal
 
 from svmdist.report.text import csv_text, printable
+
+if TYPE_CHECKING:  # rows that are written as they come need no layout, and start sooner without it
+    from rich.table import Table as RichTable
+
+    from svmdist.workflows.scoring.metric import Metric
 
 Cell = str | int | float | None
 Row = Mapping[str, Cell]
@@ -48,8 +48,18 @@ def percent(digits: int) -> Callable[[Cell], str]:
     return number(digits, 100.0)
 
 
+def metric_column(metric: Metric[Any], heading: str = "") -> Column:
+    """The column of a metric for a person, in the unit that a person is shown; a heading replaces its own."""
+    unit, heading = metric.unit, heading or metric.title
+    if unit.digits is None:
+        return Column(metric.key, heading)
+    return Column(metric.key, heading, number(unit.digits, unit.factor))
+
+
 def rich_table(title: str, columns: Sequence[Column], rows: Iterable[Row]) -> RichTable:
     """Build the table for a person; text is printed as it stands, without markup."""
+    from rich.text import Text
+
     table = _empty_table(printable(title))
     for column in columns:
         # As Text: a plain "[mm]" would be taken for markup and vanish.
@@ -61,6 +71,10 @@ def rich_table(title: str, columns: Sequence[Column], rows: Iterable[Row]) -> Ri
 
 
 def _empty_table(title: str) -> RichTable:
+    from rich import box
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
     return RichTable(
         box=box.SIMPLE_HEAD,
         pad_edge=False,
@@ -76,6 +90,8 @@ def render(table: RichTable, *, width: int | None = None, colour: bool = False) 
 
     A table that is wider than `width` comes in parts, one below the other, so that no cell is broken.
     """
+    from rich.console import Console
+
     buffer = io.StringIO()
     console = Console(
         file=buffer,
@@ -129,6 +145,8 @@ def _part(table: RichTable, indices: Sequence[int], title: str = "") -> RichTabl
 
 
 def _natural_width(table: RichTable) -> int:
+    from rich.console import Console
+
     return Console(width=1000).measure(table).maximum
 
 

@@ -7,13 +7,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from svmdist.alarm_metrics import AlarmStatistics
 from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.metrics import ErrorStatistics
-from svmdist.report.table import Cell, Column, Row, number, percent, rich_table
+from svmdist.report.table import Column, Row, metric_column, number, rich_table
 from svmdist.report.text import printable
 from svmdist.report.validation import PAPER_NOTE, score_row
-from svmdist.workflows.scoring.distances import score_pairs
+from svmdist.workflows.scoring.distances import DistanceScore
+from svmdist.workflows.scoring.metric import Metric, Output, cells, within
+from svmdist.workflows.scoring.metric_table import distance_metrics, score_metrics
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import Validation
 
@@ -21,49 +22,12 @@ _AGAINST = Column(
     "reference", "against", lambda name: "truth" if name == "ground_truth" else str(name), is_text=True
 )
 
-COLUMNS = (
-    Column("recording", "recording", is_text=True),
-    _AGAINST,
-    Column("sample_count", "n"),
-    Column("coverage", "cov. %", percent(1)),
-    Column("r_squared", "R²", number(4)),
-    Column("r_squared_interval", "95 %", is_text=True),
-    Column("rmse_m", "RMSE", number(2, 1e3)),
-    Column("rmse_interval", "95 %", is_text=True),
-    Column("mae_m", "MAE", number(2, 1e3)),
-    Column("median_abs_error_m", "med.", number(2, 1e3)),
-    Column("p95_abs_error_m", "p95", number(2, 1e3)),
-    Column("max_abs_error_m", "max", number(2, 1e3)),
-    Column("bias_m", "bias", number(2, 1e3)),
-    Column("truth_std_m", "σ", number(2, 1e3)),
-    Column("pearson_r", "r", number(4)),
-)
-"""Lengths in mm, as the title says: a unit in every heading would not fit a terminal."""
-
-DISTANCE_COLUMNS = (
-    Column("recording", "recording", is_text=True),
-    _AGAINST,
-    Column("distance", "distance", is_text=True),
-    Column("count", "n"),
-    Column("r_squared", "R²", number(4)),
-    Column("rmse_m", "RMSE", number(2, 1e3)),
-    Column("p95_abs_error_m", "p95", number(2, 1e3)),
-    Column("bias_m", "bias", number(2, 1e3)),
-    Column("truth_std_m", "σ", number(2, 1e3)),
-    Column("interval_coverage", "in 95 %", percent(1)),
-)
-
-ALARM_COLUMNS = (
-    Column("recording", "recording", is_text=True),
-    Column("unsafe", "unsafe"),
-    Column("alarm_recall", "recall", percent(1)),
-    Column("alarm_precision", "precision", percent(1)),
-    Column("false_alarm_fraction", "safe alarmed", percent(1)),
-    Column("false_alarms_per_minute", "false/min", number(1)),
-    Column("warned", "warned"),
-    Column("alarm_lead_median_s", "lead", number(2)),
-    Column("alarm_lead_min_s", "least", number(2)),
-)
+_NAME = Column("recording", "recording", is_text=True)
+_BOUNDS = {
+    "r_squared": ("r_squared_low", "r_squared_high", 1.0, 3),
+    "rmse_m": ("rmse_low_m", "rmse_high_m", 1e3, 2),
+}
+"""Metrics beside which their bootstrap interval is shown: its bounds in a row, and how they are shown."""
 
 
 def validation_tables(validation: Validation) -> list[RichTable]:
@@ -78,62 +42,59 @@ def validation_tables(validation: Validation) -> list[RichTable]:
 
 
 def validation_table(validation: Validation) -> RichTable:
-    """The table for a person: a row a recording and reference, then the overall rows."""
+    """The table for a person: one row per recording and reference, then the overall rows."""
     first = next(iter(validation.scores))
     how = f"{first.equations} equations" if first.method in PLANAR_METHODS else "planar distance"
+    columns = [_NAME, _AGAINST]
+    for metric in within(score_metrics(), Output.SCORE_TABLE):
+        # Lengths in mm, as the title says: a unit in every heading would not fit a terminal.
+        columns.append(metric_column(metric))
+        if metric.key in _BOUNDS:
+            columns.append(Column(f"{metric.key} interval", "95 %", is_text=True))
     return _table(
         f"{first.method}, {how}; errors and σ (of the truth) in mm; 95 %: bootstrap interval",
-        COLUMNS,
+        columns,
         [_shown(score) for score in validation.scores],
         [_shown(score) for score in validation.overall],
     )
 
 
 def distance_table(validation: Validation) -> RichTable:
-    """The three distances side by side, a row a recording, reference and distance."""
+    """The three distances side by side: one row per recording, reference and distance."""
+    metrics = within(distance_metrics(), Output.DISTANCE_TABLE)
+    columns = [_NAME, _AGAINST, Column("distance", "distance", is_text=True), *map(metric_column, metrics)]
     return _table(
         "in 3D; errors and σ (of the truth) in mm; in 95 %: truths inside the stated interval",
-        DISTANCE_COLUMNS,
-        _distance_rows(validation.scores),
-        _distance_rows(validation.overall),
+        columns,
+        _distance_rows(validation.scores, metrics),
+        _distance_rows(validation.overall, metrics),
     )
 
 
 def alarm_table(validation: Validation) -> RichTable:
-    """How alarms did, a row a recording."""
+    """How alarms did: one row per recording; the recall stands before the precision."""
     rules = validation.alarm_rules
     assert rules is not None
-    return _table(
-        f"alarms: clearance below {rules.below_m * 1e3:g} mm with P ≥ {rules.confidence:g}; shares in %, leads in s",
-        ALARM_COLUMNS,
-        [_alarm_row(score, score.alarms) for score in validation.scores if score.alarms],
-        [_alarm_row(score, score.alarms) for score in validation.overall if score.alarms],
+    metrics = within(score_metrics(), Output.ALARM_TABLE)
+    metrics.sort(key=lambda metric: ["unsafe", "alarm_recall", metric.key].index(metric.key))
+    rows, overall = (
+        [{"recording": score.recording, **cells(metrics, score)} for score in scores if score.alarms]
+        for scores in (validation.scores, validation.overall)
     )
+    title = f"alarms: clearance below {rules.below_m * 1e3:g} mm with P ≥ {rules.confidence:g}; shares in %, leads in s"
+    return _table(title, [_NAME, *map(metric_column, metrics)], rows, overall)
 
 
-def _alarm_row(score: Score, alarms: AlarmStatistics) -> Row:
-    return score_row(score) | {
-        "unsafe": f"{alarms.unsafe_count} of {alarms.frame_count}",
-        "warned": f"{alarms.event_count - alarms.missed_event_count} of {alarms.event_count}",
-    }
-
-
-def _distance_rows(scores: Iterable[Score]) -> Iterator[Row]:
+def _distance_rows(scores: Iterable[Score], metrics: list[Metric[DistanceScore]]) -> Iterator[Row]:
     for score in scores:
-        parts = {"planar": score_pairs(score.pairs), "spatial": score.spatial, "clearance": score.clearance}
-        for name, part in parts.items():
+        for distance in ("planar", "spatial", "clearance"):
+            part: DistanceScore | None = getattr(score, distance)
             if part is not None:
                 yield {
                     "recording": score.recording,
                     "reference": str(score.reference),
-                    "distance": name,
-                    "count": part.statistics.count,
-                    "r_squared": part.statistics.r_squared,
-                    "rmse_m": part.statistics.rmse,
-                    "p95_abs_error_m": part.statistics.p95_abs_error,
-                    "bias_m": part.statistics.bias,
-                    "truth_std_m": part.statistics.truth_std,
-                    "interval_coverage": part.interval_coverage,
+                    "distance": distance,
+                    **cells(metrics, part),
                 }
 
 
@@ -149,9 +110,9 @@ def _table(title: str, columns: Sequence[Column], rows: Iterable[Row], overall: 
 
 
 def remarks(validation: Validation) -> list[str]:
-    """What the table has no room for, a line a recording: frames that were lost, lag, and what was fitted on.
+    """What the table has no room for, one line per recording: frames that were not measured, lag, fitted logs.
 
-    Last, of a planar method, what the paper reports.
+    For a planar method, the last line says what the paper reports.
     """
     lines: dict[str, list[str]] = {}
     for score in validation.scores:
@@ -172,15 +133,15 @@ def remarks(validation: Validation) -> list[str]:
     return [*told, PAPER_NOTE] if any(score.method in PLANAR_METHODS for score in validation.scores) else told
 
 
-def _shown(score: Score) -> dict[str, Cell]:
-    row = score_row(score)
-    rmse, r2 = score.rmse_interval_m, score.r_squared_interval
-    return row | {
-        "rmse_interval": f"{rmse.low * 1e3:.2f}–{rmse.high * 1e3:.2f}" if rmse else "–",
-        "r_squared_interval": f"{r2.low:.3f}–{r2.high:.3f}" if r2 else "–",
-    }
+def _shown(score: Score) -> Row:
+    """A row with its bootstrap intervals as texts."""
+    row = score_row(score) | cells(within(score_metrics(), Output.SCORE_TABLE), score)
+    for key, (low, high, factor, digits) in _BOUNDS.items():
+        bounds = [number(digits, factor)(row[bound]) for bound in (low, high)]
+        row[f"{key} interval"] = "–" if row[low] is None else "–".join(bounds)
+    return row
 
 
 def _figures(statistics: ErrorStatistics) -> str:
-    r2 = "–" if statistics.r_squared is None else f"{statistics.r_squared:.4f}"
+    r2 = number(4)(statistics.r_squared)
     return f"R² {r2}, RMSE {statistics.rmse * 1e3:.2f} mm"

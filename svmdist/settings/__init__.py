@@ -6,6 +6,8 @@ from svmdist.settings.association import AssociationSettings
 from svmdist.settings.distal_marker import DistalMarkerSettings
 from svmdist.settings.exposure import ExposureSettings
 from svmdist.settings.filter import FilterSettings
+from svmdist.settings.fused import FusedSettings
+from svmdist.settings.marker import MarkerSettings
 from svmdist.settings.outline import OutlineSettings
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.settings.stereo import StereoSettings
@@ -19,10 +21,12 @@ class Settings(StrictModel):
 
     exposure: ExposureSettings = ExposureSettings()
     outline: OutlineSettings = OutlineSettings()
+    marker: MarkerSettings = MarkerSettings()
     shaft: ShaftSettings = ShaftSettings()
     distal_marker: DistalMarkerSettings = DistalMarkerSettings()
     stereo: StereoSettings = StereoSettings()
     tag: TagSettings = TagSettings()
     filter: FilterSettings = FilterSettings()
+    fused: FusedSettings = FusedSettings()
     association: AssociationSettings = AssociationSettings()
     tissue: TissueTrackingSettings = TissueTrackingSettings()

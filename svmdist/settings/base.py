@@ -6,4 +6,7 @@ from svmdist.toml_model import StrictModel
 
 
 class MethodSettings(StrictModel):
-    """A table `[settings.NAME]` of a profile; every field says its unit, its meaning and where its default is from."""
+    """A table `[settings.NAME]` of a profile.
+
+    The name of every field says its unit; the docstring below it its meaning, and where the default is from.
+    """

@@ -2,8 +2,61 @@
 
 from __future__ import annotations
 
+from pydantic import Field
+
 from svmdist.settings.base import MethodSettings
 
 
 class StereoSettings(MethodSettings):
     """What is assumed in matching the two views of a stereo pair."""
+
+    near_m: float = Field(default=0.04, gt=0.0, lt=10.0)
+    """The shortest working distance of an endoscope: it bounds the disparities that mean something."""
+    far_m: float = Field(default=0.25, gt=0.0, lt=10.0)
+    """The longest working distance of an endoscope."""
+
+    min_matches: int = Field(default=2000, ge=100)
+    """Pixels of the tissue that must match: fewer are no view of an organ."""
+    block_px: int = Field(default=9, ge=3, le=31)
+    """Side of the blocks of semi-global matching, in pixels of the reduced views, an odd number: wet tissue shows its
+    texture over no less."""
+    matched_disparities: int = Field(default=32, ge=16, le=512)
+    """Both views are reduced by a whole factor until the search spans about so many disparities: matching need only
+    place the surface within a pixel or two, from where the alignment goes on at full resolution."""
+    margin_px: int = Field(default=7, ge=0, le=100)
+    """Matches this close to the tissue's edge mix two surfaces within one block."""
+    smoothing_px: float = Field(default=1.5, gt=0.0)
+    """Both views are smoothed before they are aligned, so that a step of a pixel stays on a slope."""
+    surface_std_px: float = Field(default=0.12, gt=0.0)
+    """What an aligned low-order surface leaves of the disparity: measured 0.36 mm at 105 mm and a baseline of 5 mm."""
+    clean_mismatch_px: float = Field(default=0.36, gt=0.0)
+    """The mismatch in those measurements, where the images differ by no more than noise of 2 levels makes them. Blocks
+    of JPEG and noise in the dark shift pixels more, and the surface with them, in proportion."""
+
+    inner_radius: float = Field(default=0.9, gt=0.0, lt=1.0)
+    """Of the dome, normalised: beyond it the rim is too steep for a surface of low order."""
+    smooth_fraction: float = Field(default=0.4, gt=0.0, le=1.0)
+    """Part of a point's deviation that is as smooth as a dome's apex and height: the surface errs most in its highest
+    coefficients, at the rim. Measured over seven organs: fitted without a prior, shapes stand 0.11 mm off the real
+    ones."""
+    max_spread: float = Field(default=3.0, gt=0.0)
+    """Points that scatter about the dome by so many of their deviations are no view of it."""
+
+    row_tolerance_px: float = Field(default=3.0, gt=0.0)
+    """Corresponding points of rectified images lie on one row; the marker is cut a little differently in each."""
+    marker_disparity_std: float = Field(default=0.012, gt=0.0)
+    """Of the marker's disparity over its radius, where one frame stands alone: jaws and fork hide other parts of it
+    from another side. 3 degrees between the views of the 45 thousandths by which they move the centroid in either."""
+    marker_disparity_noise_px: float = Field(default=0.05, gt=0.0)
+    """Noise of the marker's disparity: that of two centroids of some hundred pixels."""
+    tracked_disparity_noise: float = Field(default=0.008, gt=0.0)
+    """Of the marker's disparity over its radius, where a filter estimates the part that lasts: two views see the
+    marker from 3 degrees apart."""
+    even_area_fraction: float = Field(default=0.02, ge=0.0)
+    """By how much the marker's areas in both views differ when nothing is wrong, over their sum."""
+    size_tolerance: float = Field(default=0.2, gt=0.0)
+    """A whole marker is as large as its depth makes it; what is smaller is partly hidden, in both views alike."""
+    max_depth_std_m: float = Field(default=0.004, gt=0.0)
+    """A disparity that tells depth less certainly than this tells no depth."""
+    depth_gate_stds: float = Field(default=3.5, gt=0.0)
+    """Deviations between the disparity and a pose of one view above which they contradict each other."""

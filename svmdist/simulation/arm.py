@@ -1,4 +1,4 @@
-"""One arm of a recording: what it does, what it believes, and what it says about both."""
+"""One arm of a recording: what it does, and what it reports about that."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 from svmdist.kinematics.dh import forward_kinematics, link_transforms
 from svmdist.profile import Profile
 from svmdist.samples import DistanceSample, JointSample, PoseSample, Sample, TransformSample
-from svmdist.simulation.belief import Belief
-from svmdist.simulation.clearance.meters import ClearanceMeter
+from svmdist.simulation.nominal import NominalKinematics
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array
 
@@ -26,8 +25,17 @@ class ArmTopicNames:
 
 
 @dataclass(frozen=True)
+class ArmPoses:
+    """An arm over k stamps: reported joints (k, n_joints), nominal `T_base_tool` and true `T_camera_tool` (k, 4, 4)."""
+
+    reported: Array
+    T_base_tool: Array
+    T_camera_tool: Array
+
+
+@dataclass(frozen=True)
 class Arm:
-    """An arm of a scene: profile and scene as it sees them, its topics, its exact joints (n, n_joints), its belief.
+    """An arm of a scene: profile and scene as it sees them, its topics, its exact joints (n, n_joints) at all stamps.
 
     `prefix` stands before the names of its links in transforms; the first arm's have none.
     """
@@ -36,39 +44,45 @@ class Arm:
     scene: Scene
     topics: ArmTopicNames
     q: Array
-    belief: Belief
-    meter: ClearanceMeter
+    nominal: NominalKinematics
     prefix: str = ""
 
-    def reports(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
-        """Joints and pose as the encoders have them."""
-        reported = self.q[index] + self.belief.joint_offsets
-        yield self.topics.joints, JointSample(stamp_ns, self.scene.chain.joint_names, reported)
-        T_base_tool = forward_kinematics(self.scene.chain, reported)
-        yield self.topics.pose, PoseSample(stamp_ns, self.profile.frames.base, T_base_tool)
+    def poses(self, begin: int, end: int) -> ArmPoses:
+        """Where the arm is, and where it reports to be, from one stamp to before another."""
+        q = self.q[begin:end]
+        reported = q + self.nominal.joint_offsets
+        return ArmPoses(
+            reported,
+            forward_kinematics(self.scene.chain, reported),
+            self.scene.T_camera_base @ forward_kinematics(self.scene.chain, q),
+        )
 
-    def true_transform(self, stamp_ns: int, index: int) -> TransformSample:
+    def reports(self, stamp_ns: int, poses: ArmPoses, at: int) -> Iterator[tuple[str, Sample]]:
+        """Joints and pose as the encoders have them at the stamp number `at` of the poses."""
+        names = self.scene.chain.joint_names
+        yield self.topics.joints, JointSample(stamp_ns, names, poses.reported[at])
+        yield self.topics.pose, PoseSample(stamp_ns, self.profile.frames.base, poses.T_base_tool[at])
+
+    def true_transform(self, stamp_ns: int, poses: ArmPoses, at: int) -> TransformSample:
         """Where the tool is."""
         frames = self.profile.frames
-        T_camera_tool = self.scene.T_camera_base @ forward_kinematics(self.scene.chain, self.q[index])
-        return TransformSample(stamp_ns, frames.camera, frames.tool, T_camera_tool)
+        return TransformSample(stamp_ns, frames.camera, frames.tool, poses.T_camera_tool[at])
 
-    def true_distances(self, tool: TransformSample, index: int) -> tuple[str, DistanceSample]:
+    def true_distances(self, tool: TransformSample, clearance_m: float) -> tuple[str, DistanceSample]:
         """How far the tool is from the tissue."""
         between = tool.T_parent_child[:3, 3] - self.scene.T_camera_tissue[:3, 3]
-        clearance_m = self.meter.clearance_m(self.q[index])
         return self.topics.ground_truth_distance, distances(tool.stamp_ns, between, clearance_m)
 
-    def believed_transforms(self, stamp_ns: int, index: int) -> tuple[TransformSample, ...]:
-        """The camera-to-base transform, then the whole chain as the reported joints place it."""
+    def nominal_transforms(self, stamp_ns: int, poses: ArmPoses, at: int) -> tuple[TransformSample, ...]:
+        """The nominal camera-to-base transform, then the whole chain as the reported joints place it."""
         frames, chain = self.profile.frames, self.scene.chain
         names = [self.prefix + row.name for row in chain.rows]
-        links = link_transforms(chain, self.q[index] + self.belief.joint_offsets)
+        links = link_transforms(chain, poses.reported[at])
         children = [*names[:-1], frames.tool]
         parents = [frames.base, *names[:-1]]
         links[-1] = links[-1] @ chain.T_last_tool
         return (
-            TransformSample(stamp_ns, frames.camera, frames.base, self.belief.T_camera_base),
+            TransformSample(stamp_ns, frames.camera, frames.base, self.nominal.T_camera_base),
             *(
                 TransformSample(stamp_ns, parent, child, T)
                 for parent, child, T in zip(parents, children, links, strict=True)

@@ -16,8 +16,8 @@ MAX_RELIEF_M = 0.0015
 class Extras:
     """Options of a simulation.
 
-    `stereo` adds the right camera, `tag` mounts the profile's fiducial plate, `kinematic_error` scales what
-    the robot believes wrongly about its joints and about where the camera stands (0 none, 1 as the profile
+    `stereo` adds the right camera, `tag` mounts the profile's fiducial plate, `kinematic_error` scales
+    the error of the robot's nominal kinematics, in its joints and in the camera's place (0 none, 1 as the profile
     says). `degradations` spoil the images, one after the other, behind the sensor's noise: (name, severity).
     `arms` is the number of instruments.
     `relief_m` is how far bumps, folds and vessels rise over the smooth organ, or lie below it, at most.

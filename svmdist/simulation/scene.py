@@ -16,7 +16,7 @@ from svmdist.kinematics.dh import DHChain, frame_transforms
 from svmdist.profile import Profile
 from svmdist.samples import Image
 from svmdist.simulation.bodies.instrument import Part, make_parts
-from svmdist.simulation.bodies.meshes import Mesh, loft, smooth_normals
+from svmdist.simulation.bodies.meshes import DrawnMesh, loft, smooth_normals
 from svmdist.simulation.bodies.organ import SEMI_AXES_M, Organ, make_organ
 from svmdist.simulation.bodies.plate import Plate, make_plate
 from svmdist.simulation.bodies.relief import make_relief
@@ -46,7 +46,7 @@ class Scene:
     T_world_tissue: Array
     organ: Organ
     parts: tuple[Part, ...]
-    retractor: Mesh
+    retractor: DrawnMesh
     tissue_texture: Image
     floor_texture: Image
     baseline_m: float
@@ -127,7 +127,7 @@ def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Sce
     )
 
 
-def make_floor() -> Mesh:
+def make_floor() -> DrawnMesh:
     """A flat sheet in the world's frame at z = 0, finely divided for even shading."""
     count = 33
     axis = np.linspace(-FLOOR_HALF_M, FLOOR_HALF_M, count)
@@ -139,10 +139,10 @@ def make_floor() -> Mesh:
         [np.stack([a, a + 1, a + count + 1], -1), np.stack([a, a + count + 1, a + count], -1)]
     )
     uv = 0.5 + vertices_m[:, :2] / (2.0 * FLOOR_HALF_M)
-    return Mesh(vertices_m, smooth_normals(vertices_m, faces), uv, faces)
+    return DrawnMesh(vertices_m, faces, smooth_normals(vertices_m, faces), uv)
 
 
-def make_retractor() -> Mesh:
+def make_retractor() -> DrawnMesh:
     """A flat steel blade along +x from its tip at the origin; `occlusion` swings it over the instrument."""
     x_m = np.array([0.0, 0.0008, 0.002, 0.004, 0.008, 0.09])
     return loft(

@@ -25,7 +25,7 @@ LIFTS_M = np.arange(0.010, 0.0361, 0.002)
 """How far above the first instrument's working height: the lowest that keeps the bodies apart is taken."""
 CHECKED_COUNT = 120
 FIELD_M = (0.040, 0.029)
-"""Half of where the knuckle may be, seen in the first instrument's working plane: inside of the image."""
+"""Half of where the distal marker may be, seen in the first instrument's working plane: inside of the image."""
 CROSSING_PERIOD_S = 2.7
 """Between two crossings, on average: an 8 s recording has three of them."""
 _PATH_STREAM = 16
@@ -94,7 +94,7 @@ class _Path:
         with BetweenMeter(self._scene, self._other) as meter:
             for lift_m in LIFTS_M:
                 path = self._solve(q, float(lift_m))
-                if all(meter.clearance_m(q[i], path[i]) >= CLEARANCE_M for i in checked):
+                if (meter.clearances_m(q[checked], path[checked]) >= CLEARANCE_M).all():
                     return path
         raise SimulationError(
             f"a second instrument cannot keep {CLEARANCE_M * 1e3:g} mm away from the first one on this path"
@@ -141,7 +141,7 @@ def _offsets(rng: np.random.Generator, progress: Array, duration_s: float, beari
         radius_m = rng.uniform(0.018, 0.030)
         knots.append(radius_m * np.array([np.cos(bearing + turn), np.sin(bearing + turn)]))
         if index < crossing_count:
-            knots.append(rng.uniform(-0.0012, 0.0012, 2))  # past each other within a knuckle's radius
+            knots.append(rng.uniform(-0.0012, 0.0012, 2))  # within a marker's radius
     return cubic_spline(np.array(knots), progress)
 
 

@@ -5,74 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
-from svmdist.errors import UsageError
-from svmdist.profile import Profile, Simulation
-from svmdist.samples import (
-    CameraSample,
-    ImageSample,
-    Sample,
-    TransformSample,
-    TransformsSample,
-)
-from svmdist.simulation.arm import Arm, ArmTopicNames, distances
-from svmdist.simulation.belief import draw_belief
+from svmdist.profile import Profile
+from svmdist.samples import CameraSample, ImageSample, Sample, TransformSample, TransformsSample
+from svmdist.simulation.arm import ArmPoses, distances
 from svmdist.simulation.clearance.meters import BetweenMeter, ClearanceMeter
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.motion.trajectory import make_trajectory
+from svmdist.simulation.plan import Block, Plan, between_topic, make_plan
 from svmdist.simulation.renderer import Renderer
-from svmdist.simulation.scene import Scene, make_scene
-from svmdist.simulation.second_arm import OtherArm, make_other_arms
-from svmdist.simulation.sensor import Sensor
+from svmdist.simulation.sensor import NoiseState, Sensor
+from svmdist.transforms import Array
 
-START_NS = 1_700_000_000_000_000_000
-"""The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
-CAMERA_INFO_PERIOD_NS = 1_000_000_000
+Noise = tuple[Array | None, ...]
+"""The noise of one image of each camera, shape (height, width, 3) in 8-bit levels, or None where there is none."""
 
 
 @dataclass(frozen=True)
-class TopicNames:
-    """The topics of a simulated log: the profile's names, else those of a dVRK."""
+class _Clearances:
+    """Of each arm to the tissue, and of the first arm to each other one, shape (n,) each, over a block's moments."""
 
-    image: str
-    camera_info: str
-    right_image: str
-    right_camera_info: str
-    arm: ArmTopicNames
-    tf: str
-    ground_truth_tf: str
-
-
-def topic_names(profile: Profile) -> TopicNames:
-    """Take the profile's topic names, with defaults for those it leaves open."""
-    topics = profile.topics
-    return TopicNames(
-        topics.image or "/ECM/left/image",
-        topics.camera_info or "/ECM/left/camera_info",
-        topics.right_image or "/ECM/right/image",
-        topics.right_camera_info or "/ECM/right/camera_info",
-        _arm_topic_names(profile, "/ground_truth/distance"),
-        topics.tf or "/tf",
-        topics.ground_truth_tf or "/ground_truth/tf",
-    )
-
-
-def between_topic(first: str, second: str) -> str:
-    """The topic of the true distances between two instruments."""
-    return f"/ground_truth/{first}/{second}/distance"
-
-
-def _arm_topic_names(profile: Profile, distance: str) -> ArmTopicNames:
-    topics, name = profile.topics, profile.instrument_name
-    return ArmTopicNames(
-        topics.joints or f"/{name}/measured_js",
-        topics.pose or f"/{name}/measured_cp",
-        topics.ground_truth_distance or distance,
-    )
+    to_tissue_m: list[Array]
+    between_m: list[Array]
 
 
 def simulate(
@@ -88,115 +44,122 @@ def simulate(
     Joints, poses and truth come at the profile's joint rate and at every image's stamp exactly (truth only).
     Raises SimulationError where PyBullet is missing or the profile cannot be simulated.
     """
-    if not 0.0 <= noise <= 64.0:
-        raise UsageError(f"noise is a standard deviation from 0 to 64 levels, found {noise:g}")
-    extras = extras or Extras()
-    scene = make_scene(profile, scenario.seed, extras)
-    settings = profile.simulation
-    assert settings is not None  # make_scene has checked it
-    images, joints = _stamps(scenario.frame_count, scenario.rate_hz), _joint_stamps(scenario, settings)
-    stamps = np.union1d(images, joints)
-    progress = (stamps - START_NS) / (scenario.duration_s * 1e9)
-    topics = topic_names(profile)
-    left, right = (Sensor(eye, scenario.seed, noise, extras) for eye in (0, 1))
-    with ExitStack() as stack:
-        meter = stack.enter_context(ClearanceMeter(scene))
-        trajectory = make_trajectory(
-            scene, scenario, settings.working_height_m, np.clip(progress, 0.0, 1.0), meter
+    plan = make_plan(scenario, profile, renderer=renderer, noise=noise, extras=extras)
+    with Simulator(plan) as simulator:
+        for block in plan.blocks:
+            yield from simulator.samples(block, simulator.draw_noise())
+
+
+class Simulator:
+    """Makes the samples of a plan, block by block in any order; a context manager with physics worlds of its own.
+
+    Only the noise has an order: `draw_noise` gives that of the next image, and `noise_states` tells where the random
+    streams then stand.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        cameras = range(2 if plan.extras.stereo else 1)
+        self._sensors = tuple(Sensor(camera, plan.seed, plan.noise, plan.extras) for camera in cameras)
+        scene, *others = (arm.scene for arm in plan.arms)
+        with ExitStack() as stack:
+            self._meters = [stack.enter_context(ClearanceMeter(arm.scene)) for arm in plan.arms]
+            self._between = [stack.enter_context(BetweenMeter(scene, other)) for other in others]
+            self._view = stack.enter_context(Renderer(scene, plan.renderer, others))
+            self._stack = stack.pop_all()
+
+    @property
+    def noise_states(self) -> tuple[NoiseState, ...]:
+        """Where the random stream of each camera's noise stands."""
+        return tuple(sensor.noise_state for sensor in self._sensors)
+
+    @noise_states.setter
+    def noise_states(self, states: tuple[NoiseState, ...]) -> None:
+        for sensor, state in zip(self._sensors, states, strict=True):
+            sensor.noise_state = state
+
+    def draw_noise(self) -> Noise:
+        """Draw the noise of the next image of each camera."""
+        camera = self._plan.scene.camera
+        return tuple(sensor.draw_noise(camera.width_px, camera.height_px) for sensor in self._sensors)
+
+    def samples(self, block: Block, noise: Noise) -> Iterator[tuple[str, Sample]]:
+        """Yield (topic, sample) of a block, given the noise of its image."""
+        plan, topics = self._plan, self._plan.topics
+        poses = [arm.poses(block.begin, block.end) for arm in plan.arms]
+        clearances = self._clearances_m([arm.q[block.begin : block.end] for arm in plan.arms])
+        for at, stamp in enumerate(plan.stamps_ns[block.begin : block.end].tolist()):
+            index = block.begin + at
+            if plan.with_camera_info[index]:
+                yield from self._cameras(stamp)
+            if plan.with_joints[index]:
+                for arm, its in zip(plan.arms, poses, strict=True):
+                    yield from arm.reports(stamp, its, at)
+            yield from self._truth(stamp, poses, clearances, at)
+            if plan.with_image[index]:
+                yield topics.tf, self._nominal_transforms(stamp, poses, at)
+                yield from self._images(stamp, index, block.frame, noise)
+
+    def _cameras(self, stamp_ns: int) -> Iterator[tuple[str, Sample]]:
+        scene, topics = self._plan.scene, self._plan.topics
+        yield topics.camera_info, CameraSample(stamp_ns, scene.camera)
+        if self._plan.extras.stereo:
+            yield topics.right_camera_info, CameraSample(stamp_ns, scene.right_camera)
+
+    def _clearances_m(self, q: list[Array]) -> _Clearances:
+        """Those of a block's moments, by the joints of each arm, shape (n, n_joints)."""
+        return _Clearances(
+            [meter.clearances_m(its) for meter, its in zip(self._meters, q, strict=True)],
+            [between.clearances_m(q[0], its) for between, its in zip(self._between, q[1:], strict=True)],
         )
-        belief = draw_belief(scene.chain, scene.T_camera_base, profile, scenario.seed, extras.kinematic_error)
-        first = Arm(profile, scene, topics.arm, trajectory.q, belief, meter)
-        others = [
-            _further_arm(other, index, scenario.seed, extras, stack)
-            for index, other in enumerate(_plan_others(first, scenario, extras, progress), start=1)
-        ]
-        arms = (first, *others)
-        between = [stack.enter_context(BetweenMeter(scene, other.scene)) for other in others]
-        view = stack.enter_context(Renderer(scene, renderer, [other.scene for other in others]))
-        with_image, with_joints = np.isin(stamps, images), np.isin(stamps, joints)
-        next_camera_info_ns = START_NS
-        for index, stamp in enumerate(stamps.tolist()):
-            if stamp >= next_camera_info_ns:
-                yield topics.camera_info, CameraSample(stamp, scene.camera)
-                if extras.stereo:
-                    yield topics.right_camera_info, CameraSample(stamp, scene.right_camera)
-                next_camera_info_ns += CAMERA_INFO_PERIOD_NS
-            if with_joints[index]:
-                for arm in arms:
-                    yield from arm.reports(stamp, index)
-            tools = [arm.true_transform(stamp, index) for arm in arms]
-            yield topics.ground_truth_tf, _true_transforms(scene, profile, tools)
-            for arm, tool in zip(arms, tools, strict=True):
-                yield arm.true_distances(tool, index)
-            for other, tool, gauge in zip(others, tools[1:], between, strict=True):
-                offset_m = tools[0].T_parent_child[:3, 3] - tool.T_parent_child[:3, 3]
-                clearance_m = gauge.clearance_m(first.q[index], other.q[index])
-                topic = between_topic(profile.instrument_name, other.profile.instrument_name)
-                yield topic, distances(stamp, offset_m, clearance_m)
-            if with_image[index]:
-                yield topics.tf, _believed_transforms(arms, extras, stamp, index)
-                T_retractor = trajectory.T_world_retractor
-                image = view.frame_of(
-                    first.q[index],
-                    None if T_retractor is None else T_retractor[index],
-                    [other.q[index] for other in others],
-                )
-                yield (
-                    topics.image,
-                    ImageSample(stamp, scene.camera.frame_id, left.expose(image)),
-                )
-                if extras.stereo:
-                    image = right.expose(view.right_frame())
-                    yield topics.right_image, ImageSample(stamp, scene.right_camera.frame_id, image)
 
+    def _truth(
+        self, stamp_ns: int, poses: list[ArmPoses], clearances: _Clearances, at: int
+    ) -> Iterator[tuple[str, Sample]]:
+        """Yield where tools and tissue are, and how far from each other."""
+        plan, frames, arms = self._plan, self._plan.profile.frames, self._plan.arms
+        tools = [arm.true_transform(stamp_ns, its, at) for arm, its in zip(arms, poses, strict=True)]
+        tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, plan.scene.T_camera_tissue)
+        yield plan.topics.ground_truth_tf, TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
+        for arm, tool, to_tissue_m in zip(arms, tools, clearances.to_tissue_m, strict=True):
+            yield arm.true_distances(tool, float(to_tissue_m[at]))
+        for other, tool, between_m in zip(arms[1:], tools[1:], clearances.between_m, strict=True):
+            offset_m = tools[0].T_parent_child[:3, 3] - tool.T_parent_child[:3, 3]
+            topic = between_topic(plan.profile.instrument_name, other.profile.instrument_name)
+            yield topic, distances(stamp_ns, offset_m, float(between_m[at]))
 
-def _plan_others(
-    first: Arm, scenario: Scenario, extras: Extras, progress: NDArray[np.float64]
-) -> tuple[OtherArm, ...]:
-    if extras.arms == 1:
-        return ()
-    moments = np.clip(progress, 0.0, 1.0)
-    return make_other_arms(
-        first.profile, first.scene, scenario.seed, extras, first.q, moments, scenario.duration_s
-    )
+    def _nominal_transforms(self, stamp_ns: int, poses: list[ArmPoses], at: int) -> TransformsSample:
+        """The transforms of the first arm, the right camera, and those of the other arms."""
+        arms, scene = self._plan.arms, self._plan.scene
+        transforms = [arm.nominal_transforms(stamp_ns, its, at) for arm, its in zip(arms, poses, strict=True)]
+        right = []
+        if self._plan.extras.stereo:
+            camera, right_frame = scene.camera.frame_id, scene.right_camera.frame_id
+            right = [TransformSample(stamp_ns, camera, right_frame, scene.T_camera_right)]
+        return TransformsSample(
+            stamp_ns, (*transforms[0], *right, *(sample for other in transforms[1:] for sample in other))
+        )
 
+    def _images(self, stamp_ns: int, index: int, frame: int, noise: Noise) -> Iterator[tuple[str, Sample]]:
+        plan, topics, scene = self._plan, self._plan.topics, self._plan.scene
+        T_retractor = None if plan.T_world_retractor is None else plan.T_world_retractor[index]
+        joints = [arm.q[index] for arm in plan.arms]
+        turn = frame * len(self._sensors)
+        image = self._view.frame_of(joints[0], T_retractor, joints[1:], turn=turn)
+        image = self._sensors[0].expose(image, noise[0], frame)
+        yield topics.image, ImageSample(stamp_ns, scene.camera.frame_id, image)
+        if plan.extras.stereo:
+            image = self._sensors[1].expose(self._view.right_frame(turn=turn + 1), noise[1], frame)
+            yield topics.right_image, ImageSample(stamp_ns, scene.right_camera.frame_id, image)
 
-def _further_arm(other: OtherArm, index: int, seed: int, extras: Extras, stack: ExitStack) -> Arm:
-    scene, profile = other.scene, other.profile
-    belief = draw_belief(
-        scene.chain, scene.T_camera_base, profile, seed, extras.kinematic_error, arm=(index,)
-    )
-    topics = _arm_topic_names(profile, f"/ground_truth/{other.name}/distance")
-    meter = stack.enter_context(ClearanceMeter(scene))
-    return Arm(profile, scene, topics, other.q, belief, meter, prefix=f"{other.name}_")
+    def close(self) -> None:
+        """Leave the physics worlds; a second call does nothing."""
+        self._stack.close()
 
+    def __enter__(self) -> Self:
+        return self
 
-def _stamps(count: int, rate_hz: float) -> NDArray[np.int64]:
-    return np.asarray(START_NS + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64))
-
-
-def _joint_stamps(scenario: Scenario, settings: Simulation) -> NDArray[np.int64]:
-    """Joint stamps up to the end of the recording, so that every image lies between two of them."""
-    count = int(np.ceil(scenario.duration_s * settings.joint_rate_hz)) + 1
-    return _stamps(count, settings.joint_rate_hz)
-
-
-def _true_transforms(scene: Scene, profile: Profile, tools: list[TransformSample]) -> TransformsSample:
-    frames, stamp_ns = profile.frames, tools[0].stamp_ns
-    tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, scene.T_camera_tissue)
-    return TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
-
-
-def _believed_transforms(
-    arms: tuple[Arm, ...], extras: Extras, stamp_ns: int, index: int
-) -> TransformsSample:
-    """The transforms of the first arm, the right camera, and those of the other arms."""
-    transforms = [arm.believed_transforms(stamp_ns, index) for arm in arms]
-    right = []
-    if extras.stereo:
-        scene = arms[0].scene
-        camera, right_frame = scene.camera.frame_id, scene.right_camera.frame_id
-        right = [TransformSample(stamp_ns, camera, right_frame, scene.T_camera_right)]
-    return TransformsSample(
-        stamp_ns, (*transforms[0], *right, *(sample for other in transforms[1:] for sample in other))
-    )
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

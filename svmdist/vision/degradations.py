@@ -1,9 +1,9 @@
-"""What spoils endoscope images, by name and severity 1 to 5: pure functions, settled by a seed.
+"""What spoils endoscope images, by name and severity 1 to 5: pure functions of an image and a seed.
 
 The kinds and the idea of five severities follow Hendrycks & Dietterich 2019 ("Benchmarking neural network
 robustness to common corruptions"); the figures are for endoscopes. Lengths are for an image of 640 columns
-and grow with the image. Severity 1 is seen only when looked for, 3 is what surgery shows in bad moments,
-5 is what makes a surgeon stop and clean the lens.
+and grow with the image. Severity 1 is noticed only by looking for it, 3 occurs in the bad moments of
+surgery, 5 makes a surgeon stop and clean the lens.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ DEFOCUS_RADIUS_PX = (1.0, 1.7, 2.7, 4.0, 6.0)
 that, the disc grows to several pixels."""
 
 MOTION_LENGTH_PX = (3.0, 6.0, 10.0, 15.0, 22.0)
-"""Way across the image during an exposure of 1/60 s: a tool at 90 mm moves 1 px for every 10 mm/s, so
-that these are speeds of 30 to 220 mm/s, or a camera that turns by 20 to 140 degrees a second."""
+"""Length of the path across the image during an exposure of 1/60 s. A tool at 90 mm moves 1 px for every 10 mm/s:
+these are speeds of 30 to 220 mm/s, or a camera that turns by 20 to 140 degrees per second."""
 
 NOISE_LEVELS = (4.0, 8.0, 14.0, 22.0, 32.0)
 """Standard deviation in 8-bit levels, in each channel and pixel: 2 is a good sensor, 14 one at high gain."""
 
 LOW_LIGHT = ((0.7, 3000.0), (0.5, 1500.0), (0.35, 800.0), (0.22, 400.0), (0.13, 200.0))
-"""What is left of the light, and the photons a white pixel then had at full light: shot noise grows as
-light falls (Poisson), since the camera's gain is at its limit."""
+"""The remaining fraction of the light, and the photons that a white pixel had at full light. Shot noise (Poisson)
+grows relative to the falling light, because the camera's gain is at its limit."""
 
 SPECULAR_COUNT = (4, 8, 14, 22, 34)
 """Glints of 3 to 12 px on wet surfaces; those of a severity are among those of the next."""
@@ -72,13 +72,13 @@ def require_degradation(name: str, severity: int) -> Degradation:
     return Degradation(name)
 
 
-def image_seed(kind: Degradation, eye: int, *path: int) -> int:
-    """The seed of one image: `path` settles log and frame, `eye` is 0 for the left camera and 1 for the right.
+def image_seed(kind: Degradation, camera: int, *path: int) -> int:
+    """The seed of one image: `path` determines log and frame, `camera` is 0 for the left one and 1 for the right.
 
     Both cameras look through the same smoke and move alike, but each has its own sensor.
     """
-    chance = np.random.SeedSequence([*path, eye if kind in PER_SENSOR else 0])
-    return int(chance.generate_state(1)[0])
+    sequence = np.random.SeedSequence([*path, camera if kind in PER_SENSOR else 0])
+    return int(sequence.generate_state(1)[0])
 
 
 def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int) -> Image:
@@ -95,10 +95,10 @@ def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int)
     degraded: Array
     match kind:
         case Degradation.DEFOCUS:
-            degraded = _filtered(image_bgr, _disc(DEFOCUS_RADIUS_PX[level] * scale))
+            return _filtered(image_bgr, _disc(DEFOCUS_RADIUS_PX[level] * scale))
         case Degradation.MOTION_BLUR:
             angle_rad = rng.uniform(0.0, np.pi)
-            degraded = _filtered(image_bgr, _line(MOTION_LENGTH_PX[level] * scale, angle_rad))
+            return _filtered(image_bgr, _line(MOTION_LENGTH_PX[level] * scale, angle_rad))
         case Degradation.NOISE:
             degraded = np.asarray(image_bgr, np.float64)
             degraded += rng.normal(0.0, NOISE_LEVELS[level], image_bgr.shape)
@@ -115,12 +115,12 @@ def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int)
             degraded = clear + scattered * np.array(SMOKE_BGR)
         case Degradation.JPEG:
             _, data = cv2.imencode(".jpg", image_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY[level]])
-            degraded = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.float64)
+            return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
     return np.clip(np.rint(degraded), 0, 255).astype(np.uint8)
 
 
-def _filtered(image_bgr: Image, kernel: Array) -> Array:
-    return np.asarray(cv2.filter2D(image_bgr, -1, kernel, borderType=cv2.BORDER_REFLECT_101), np.float64)
+def _filtered(image_bgr: Image, kernel: Array) -> Image:
+    return np.asarray(cv2.filter2D(image_bgr, -1, kernel, borderType=cv2.BORDER_REFLECT_101), np.uint8)
 
 
 def _disc(radius_px: float) -> Array:

@@ -12,18 +12,16 @@ import cv2
 import numpy as np
 
 from svmdist.samples import Image
+from svmdist.settings.distal_marker import DistalMarkerSettings
 from svmdist.transforms import Array
 
+DEFAULT = DistalMarkerSettings()
 RAYS = 64
 STEP_PX = 0.25
 INSIDE, OUTSIDE = (0.4, 0.7), (1.25, 1.7)
 """Where the strength within and without is read, over the radius: clear of the border's blur."""
 FIT_STEPS = 6
 HUBER = 1.5
-MIN_STRENGTH = 25.0
-"""Levels of chroma between inside and outside below which there is no border to find."""
-MIN_AGREEING = 0.5
-"""Of all rays: with less of the border the disc is a guess."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +42,13 @@ def strength_of(image_hsv: Image, hue: float) -> Array:
     return np.asarray(hsv[..., 1] * hsv[..., 2] / 255.0 * np.cos(angle), np.float64)
 
 
-def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) -> Disc | None:
+def fit_disc(
+    image_hsv: Image,
+    mask: Image,
+    centre_px: Array,
+    radius_px: float,
+    settings: DistalMarkerSettings = DEFAULT,
+) -> Disc | None:
     """The disc near a rough one; None where its border is not to be found. `mask`, shape (h, w), has its colour."""
     half = int(np.ceil(2.0 * radius_px)) + 2
     x0, y0 = (np.floor(centre_px).astype(int) - half).tolist()
@@ -74,15 +78,15 @@ def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) 
     high = np.asarray(np.median(values[:, within], axis=1), np.float64)
     low = np.asarray(np.median(values[:, reach_px >= OUTSIDE[0] * radius_px], axis=1), np.float64)
     half_px = _crossing(values, reach_px, 0.5 * (high + low))
-    usable = np.isfinite(half_px) & (high - low > MIN_STRENGTH)
-    if np.count_nonzero(usable) < MIN_AGREEING * RAYS:
+    usable = np.isfinite(half_px) & (high - low > settings.min_chroma)
+    if np.count_nonzero(usable) < settings.min_agreeing_fraction * RAYS:
         return None
     spread_px = _crossing(values, reach_px, 0.16 * high + 0.84 * low) - _crossing(
         values, reach_px, 0.84 * high + 0.16 * low
     )
     blur_px = float(np.nanmedian(spread_px[usable])) / 2.0 if np.isfinite(spread_px[usable]).any() else 0.0
     points_px = centre_px + half_px[usable, None] * directions[usable]
-    return _circle(points_px, centre_px, radius_px, max(blur_px, 0.0), origin_px)
+    return _circle(points_px, centre_px, max(blur_px, 0.0), origin_px, settings.min_agreeing_fraction)
 
 
 def _crossing(values: Array, reach_px: Array, level: Array) -> Array:
@@ -98,7 +102,7 @@ def _crossing(values: Array, reach_px: Array, level: Array) -> Array:
 
 
 def _circle(
-    points_px: Array, centre_px: Array, radius_px: float, blur_px: float, origin_px: Array
+    points_px: Array, centre_px: Array, blur_px: float, origin_px: Array, min_agreeing: float
 ) -> Disc | None:
     """The circle through most points, shape (n, 2), by Gauss-Newton with Huber's weights."""
     radius_px = float(np.median(np.linalg.norm(points_px - centre_px, axis=1)))
@@ -113,7 +117,7 @@ def _circle(
         step = np.linalg.solve(J.T @ (weight[:, None] * J) + 1e-9 * np.eye(3), J.T @ (weight * residual_px))
         centre_px, radius_px = centre_px + step[:2], radius_px + float(step[2])
     agreeing = float(np.count_nonzero(np.abs(residual_px) < 3.0 * scale_px)) / RAYS
-    if not radius_px > 1.0 or agreeing < MIN_AGREEING:
+    if not radius_px > 1.0 or agreeing < min_agreeing:
         return None
     # Blur of deviation σ draws the level of one half inwards by σ² / 2R on a border of radius R.
     return Disc(

@@ -1,7 +1,7 @@
 """What the endoscope shows of an image, whose frame is black: the convex hull of all that is bright.
 
-Endoscopes frame their picture in black, as dark as a shaft. Rectangles and discs are convex, whatever a shaft cuts
-out of them.
+Endoscopes show a black border around the view, as dark as a shaft. Rectangles and discs are convex, whatever a shaft
+cuts out of them.
 """
 
 from __future__ import annotations

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.samples import Observation, RightView
+from svmdist.camera import Camera
+from svmdist.results import Failure
+from svmdist.samples import RightView
 from svmdist.transforms import Array
-
-NEAR_M, FAR_M = 0.04, 0.25
-"""The working distance of an endoscope: it bounds the disparities that mean something."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,16 +47,16 @@ class RectifiedPair:
         return np.stack([x * depth_m, y * depth_m, depth_m], -1)
 
 
-def rectified_pair(observation: Observation, right: RightView) -> RectifiedPair | str:
-    """The pair's geometry; or what is wrong with it, in words."""
-    T, K, K_right = right.T_left_right, observation.camera.K, right.camera.K
+def rectified_pair(left: Camera, right: RightView) -> RectifiedPair | Failure:
+    """The pair's geometry; or what is wrong with it."""
+    T, K, K_right = right.T_left_right, left.K, right.camera.K
     if not (np.allclose(T[:3, :3], np.eye(3), atol=1e-6) and np.allclose(T[1:3, 3], 0.0, atol=1e-6)):
-        return "the pair is not rectified: the right camera is turned, or not beside the left one"
+        return Failure("the pair is not rectified: the right camera is turned, or not beside the left one")
     if T[0, 3] <= 0.0:
-        return "the right camera is not to the right of the left one: are the topics swapped?"
+        return Failure("the right camera is not to the right of the left one: are the topics swapped?")
     same_focal = np.allclose(np.delete(K - K_right, 2, axis=1), 0.0, atol=1e-3)
     if not same_focal or abs(K[1, 2] - K_right[1, 2]) > 1e-3:
-        return "the pair is not rectified: focal lengths or rows of the principal points differ"
-    if observation.camera.D.any() or right.camera.D.any():
-        return "the pair is not rectified: the images are distorted"
+        return Failure("the pair is not rectified: focal lengths or rows of the principal points differ")
+    if left.D.any() or right.camera.D.any():
+        return Failure("the pair is not rectified: the images are distorted")
     return RectifiedPair(K, float(T[0, 3]), float(K[0, 2] - K_right[0, 2]))

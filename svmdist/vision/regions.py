@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.polygon import polygon_centroid
 from svmdist.profile import AreaGate
 from svmdist.samples import Image
+from svmdist.settings.outline import OutlineSettings
 from svmdist.transforms import Array
-from svmdist.vision.completion import completed_centroid, polygon_centroid
+from svmdist.vision.completion import complete_outline
 
-SPECK_FRACTION = 0.02
-"""A part below this fraction of the largest one is a speck of colour elsewhere, not a part of the region:
-it would pull the convex hull across the image."""
+DEFAULT = OutlineSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,69 +34,70 @@ class Region:
     hull_area_px2: float
 
 
-def find_region(mask: Image, rule: AreaGate) -> Region | None:
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A connected part: its outer contour, shape (n, 1, 2), and its own pixels in the contour's bounding box.
+
+    `pixels`, shape (h, w), is 0 outside the part and in its holes; `corner_px` is its top left pixel (x, y).
+    """
+
+    contour: NDArray[np.int32]
+    pixels: Image
+    corner_px: tuple[int, int]
+    area_px: int
+
+
+def find_region(mask: Image, rule: AreaGate, settings: OutlineSettings = DEFAULT) -> Region | None:
     """Find the region of a mask, shape (h, w), that passes the rule's area gate; None where there is none."""
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    parts = [(_pixel_count(mask, contour), contour) for contour in _worth_counting(contours, rule)]
+    parts = _parts(mask, rule)
     if not parts:
         return None
-    largest = max(count for count, _ in parts)
+    largest = max(parts, key=lambda part: part.area_px)
     if rule.components == "largest":
-        parts = [max(parts, key=lambda part: part[0])]
-    parts = [
-        (count, contour)
-        for count, contour in parts
-        if count > rule.min_area_px and count >= SPECK_FRACTION * largest
-    ]
+        parts = [largest]
+    least_px = settings.speck_fraction * largest.area_px
+    parts = [part for part in parts if part.area_px > rule.min_area_px and part.area_px >= least_px]
     if not parts:
         return None
-    hull = np.asarray(cv2.convexHull(np.concatenate([contour for _, contour in parts])), np.int32)
+    hull = np.asarray(cv2.convexHull(np.concatenate([part.contour for part in parts])), np.int32)
     if rule.occlusion == "outline":
-        centroid_px = completed_centroid(mask, hull)
+        centroid_px = complete_outline(mask, hull, settings).centroid_px
     elif rule.occlusion == "hull":
         centroid_px = polygon_centroid(hull)
     else:
-        centroid_px = _pixel_centroid(mask, [contour for _, contour in parts])
+        centroid_px = _pixel_centroid(parts)
     return Region(
-        area_px=sum(count for count, _ in parts),
-        polygon_area_px2=float(sum(cv2.contourArea(contour) for _, contour in parts)),
+        area_px=sum(part.area_px for part in parts),
+        polygon_area_px2=float(sum(cv2.contourArea(part.contour) for part in parts)),
         centroid_px=centroid_px,
         hull=hull,
         hull_area_px2=float(cv2.contourArea(hull)),
     )
 
 
-def _worth_counting(contours: object, rule: AreaGate) -> list[NDArray[np.int32]]:
-    """Drop contours whose bounding box already holds too few pixels: speckled masks have thousands."""
-    kept = []
-    for contour in contours:  # type: ignore[attr-defined]
-        _, _, width, height = cv2.boundingRect(contour)
-        if width * height > rule.min_area_px:
-            kept.append(np.asarray(contour, np.int32))
-    return kept
-
-
-def _pixel_count(mask: Image, contour: NDArray[np.int32]) -> int:
-    """Number of set pixels inside one outer contour; holes do not count."""
-    inside, window = _filled(mask, contour)
-    return int(cv2.countNonZero(cv2.bitwise_and(inside, window)))
-
-
-def _pixel_centroid(mask: Image, contours: list[NDArray[np.int32]]) -> Array:
-    """Mean of the coordinates of the set pixels inside the contours, shape (2,) as x, y: eqs. (1), (2)."""
-    total, weighted = 0.0, np.zeros(2)
+def _parts(mask: Image, rule: AreaGate) -> list[_Part]:
+    """The connected parts, without those whose bounding box already has too few pixels: specks may be thousands."""
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    parts = []
     for contour in contours:
-        x, y, _, _ = cv2.boundingRect(contour)
-        inside, window = _filled(mask, contour)
-        moments = cv2.moments(cv2.bitwise_and(inside, window), binaryImage=True)
+        x, y, width, height = cv2.boundingRect(contour)
+        if width * height <= rule.min_area_px:
+            continue
+        pixels = mask[y : y + height, x : x + width]
+        if len(contours) > 1:  # other parts may have pixels in this box
+            inside = np.zeros((height, width), np.uint8)
+            cv2.drawContours(inside, [contour], -1, 255, cv2.FILLED, offset=(-x, -y))
+            pixels = np.asarray(cv2.bitwise_and(inside, pixels), np.uint8)
+        parts.append(_Part(np.asarray(contour, np.int32), pixels, (x, y), int(cv2.countNonZero(pixels))))
+    return parts
+
+
+def _pixel_centroid(parts: Sequence[_Part]) -> Array:
+    """Mean of the coordinates of the parts' pixels, shape (2,) as x, y: eqs. (1), (2)."""
+    total, weighted = 0.0, np.zeros(2)
+    for part in parts:
+        moments = cv2.moments(part.pixels, binaryImage=True)
+        x, y = part.corner_px
         total += moments["m00"]
         weighted += np.array([moments["m10"] + x * moments["m00"], moments["m01"] + y * moments["m00"]])
     return weighted / total
-
-
-def _filled(mask: Image, contour: NDArray[np.int32]) -> tuple[Image, Image]:
-    """The contour filled, and the mask, both cut to the contour's bounding box."""
-    x, y, width, height = cv2.boundingRect(contour)
-    inside = np.zeros((height, width), np.uint8)
-    cv2.drawContours(inside, [contour], -1, 255, cv2.FILLED, offset=(-x, -y))
-    return inside, mask[y : y + height, x : x + width]

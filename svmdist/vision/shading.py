@@ -5,16 +5,24 @@ from __future__ import annotations
 import numpy as np
 
 from svmdist.samples import Image
+from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
-from svmdist.vision.edges import BLUR_SCALE, SLOPE_SIGMA_PX, STEP_PX, profiles_across, slope_filter
+from svmdist.vision.edges import STEP_PX, profiles_across, slope_filter, slope_sigma_px
 
+DEFAULT = ShaftSettings()
 SHADE_FROM_PX, SHADE_FROM_BLUR, SHADE_LENGTH_PX = 1.0, 2.0, 6.0
 """Shades beside an edge are read from so far off it, two deviations of its blur, over such a length."""
 MAX_SHIFT = 0.25
 """Of the slope's scale: a larger shift by shading is no small one, and its first order is not enough."""
 
 
-def shading_shift_px(brightness: Image, points_px: Array, outward: Array, blur_px: float = 0.0) -> float:
+def shading_shift_px(
+    brightness: Image,
+    points_px: Array,
+    outward: Array,
+    settings: ShaftSettings = DEFAULT,
+    blur_px: float = 0.0,
+) -> float:
     """How far outward shading beside an edge drew its points, shape (n, 2) in px, as `edge_points` found them.
 
     A step of height c under an even kernel k, between shades that change by g per px inside and outside, has the
@@ -25,7 +33,7 @@ def shading_shift_px(brightness: Image, points_px: Array, outward: Array, blur_p
     and k(0) / -k''(0), for a Gaussian its variance, is read off the slope's own peak. `outward` (2,) has length 1.
     The shades are those of the median profile beyond the blur; 0 where it is no such edge.
     """
-    sigma_px = max(SLOPE_SIGMA_PX, BLUR_SCALE * blur_px)
+    sigma_px = slope_sigma_px(blur_px, settings)
     clear_px = SHADE_FROM_PX + SHADE_FROM_BLUR * blur_px
     profiles, offsets, inside = profiles_across(brightness, points_px, outward, clear_px + SHADE_LENGTH_PX)
     profiles = profiles[inside.all(1)]
@@ -37,10 +45,17 @@ def shading_shift_px(brightness: Image, points_px: Array, outward: Array, blur_p
     before, top, after = slope[middle - 1], slope[middle], slope[middle + 1]
     bend = before - 2.0 * top + after
     dark, bright = offsets <= -clear_px, offsets >= clear_px
-    g_in, level_in = np.polyfit(offsets[dark], profile[dark], 1)
-    g_out, level_out = np.polyfit(offsets[bright], profile[bright], 1)
+    g_in, level_in = _line_through(offsets[dark], profile[dark])
+    g_out, level_out = _line_through(offsets[bright], profile[bright])
     contrast = level_out - level_in
     if not (bend < 0.0 < top and contrast > 0.0):
         return 0.0
     shift_px = (g_out - g_in) / contrast * top / -bend * STEP_PX**2
     return float(np.clip(shift_px, -MAX_SHIFT * sigma_px, MAX_SHIFT * sigma_px))
+
+
+def _line_through(x: Array, y: Array) -> tuple[float, float]:
+    """Slope, and height at 0, of the line of least squares."""
+    middle, height = x.mean(), y.mean()
+    slope = float((x - middle) @ (y - height) / ((x - middle) @ (x - middle)))
+    return slope, float(height - slope * middle)

@@ -5,6 +5,7 @@ Its contour starts at the border, runs along one side, around the distal end and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -13,20 +14,13 @@ from numpy.typing import NDArray
 
 from svmdist.profile import AreaGate
 from svmdist.samples import Image
+from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
 from svmdist.vision.field_of_view import field_of_view
 
-RIM_FRACTION = 0.006
-"""The outermost part of the field of view, over the image's width: optics fade there."""
-GAP_FRACTION = 0.03
-"""Bright stripes on the shaft up to this fraction of the image's width are reflections: closed."""
-SPECK_FRACTION = 0.008
-"""Dark lines up to this fraction of the image's width are vessels or gaps: opened."""
+DEFAULT = ShaftSettings()
 MAX_SAMPLES = 120
 """Points of a contour among which its two corners are searched."""
-MIN_SIDE_PX = 6.0
-MAX_TAPER_RAD = 0.6
-"""Between the two sides: a cylinder that points at the camera more than this has no contour lines to measure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +42,7 @@ class ShaftRegion:
     """The dark shaft of an image: its mask, shape (h, w), its sides, and its end.
 
     `first` and `second` are its contour lines; `end_px` (2,) is the middle of the distal end, None where the shaft
-    runs through the whole picture, when the sides' directions do not tell base from tip. `end_is_free` is False
+    runs through the whole image, when the sides' directions do not tell base from tip. `end_is_free` is False
     where something is mounted there, so that it is not the shaft's rim. `field_of_view`
     (h, w) is the mask of what the endoscope shows.
     """
@@ -77,37 +71,46 @@ class ShaftRegion:
 
 
 def find_shaft(
-    shaft: Image, rule: AreaGate, covered: Image | None = None, black: Image | None = None
+    shaft: Image,
+    rule: AreaGate,
+    covered: Image | None = None,
+    black: Image | None = None,
+    settings: ShaftSettings = DEFAULT,
 ) -> ShaftRegion | None:
     """Find the shaft in its mask, shape (h, w); None where none comes in from the border.
 
     `covered`, shape (h, w), marks what is mounted on the shaft and must not be taken for it; `black` what may be the
-    picture's border, where the shaft's mask does not hold that too.
+    image's border, where the shaft's mask does not hold that too.
     """
-    width = shaft.shape[1]
+    height, width = shaft.shape
     dark = np.asarray(cv2.medianBlur(shaft, 3), np.uint8)
     view = field_of_view(dark if black is None else np.asarray(dark | black))
     if covered is not None:
         dark = np.asarray(cv2.subtract(dark, covered), np.uint8)
-    rim_px = max(2, round(RIM_FRACTION * width))
-    core = cv2.erode(view, _disc(rim_px), borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    mask = np.asarray(cv2.bitwise_and(dark, core), np.uint8)
-    mask = np.asarray(
-        cv2.morphologyEx(mask, cv2.MORPH_OPEN, _disc(max(1, round(SPECK_FRACTION * width / 2))))
-    )
-    closing = _disc(round(GAP_FRACTION * width / 2))
-    mask = np.asarray(cv2.bitwise_and(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, closing), core), np.uint8)
+    rim_px = max(2, round(settings.view_border_fraction * width))
+    speck_px = max(1, round(settings.speck_width_fraction * width / 2))
+    gap_px = round(settings.glare_width_fraction * width / 2)
+    # Masks are opened and closed in a box about what is dark, which has room for the closing.
+    box = _Box.about(cv2.boundingRect(cv2.bitwise_and(dark, view)), 2 * gap_px + 2, width, height)
+    wide = _Box.about(box.rectangle, rim_px + 2, width, height)
+    core = _eroded(view[wide.window], rim_px)
+    at_border = np.asarray(cv2.subtract(core, _eroded(core, 2)), np.uint8)[box.inside(wide)]
+    core = core[box.inside(wide)]
+    mask = np.asarray(cv2.bitwise_and(dark[box.window], core), np.uint8)
+    mask = _closed(np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, _disc(speck_px)), np.uint8), gap_px)
+    mask = np.asarray(cv2.bitwise_and(mask, core), np.uint8)
     if covered is not None:
-        mask = np.asarray(cv2.subtract(mask, covered), np.uint8)
-    at_border = cv2.subtract(core, cv2.erode(core, _disc(2), borderType=cv2.BORDER_CONSTANT, borderValue=0))
+        mask = np.asarray(cv2.subtract(mask, covered[box.window]), np.uint8)
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     for contour in sorted(contours, key=cv2.contourArea, reverse=True):
         if cv2.contourArea(contour) < rule.min_area_px:
             return None
-        shape = np.zeros_like(mask)
-        cv2.drawContours(shape, [contour], -1, 255, cv2.FILLED)
-        sides = _sides_of(np.asarray(contour.reshape(-1, 2), np.int32), np.asarray(at_border, np.uint8))
+        points = np.asarray(contour.reshape(-1, 2), np.int32)
+        inside = at_border[points[:, 1], points[:, 0]] == 0
+        sides = _sides_of(points + np.array([box.left, box.top], np.int32), inside, settings)
         if sides is not None:
+            shape = np.zeros_like(shaft)
+            cv2.drawContours(shape, [contour], -1, 255, cv2.FILLED, offset=(box.left, box.top))
             return ShaftRegion(shape, *sides, _is_free(sides, covered), view)
     return None
 
@@ -117,25 +120,30 @@ def bright_fraction(region: ShaftRegion, dark: Image) -> float:
 
     `dark`, shape (h, w), is the mask that the region was found in.
     """
-    inside = cv2.erode(region.mask, _disc(2), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    inside = _eroded(region.mask, 2)
     return 1.0 - cv2.countNonZero(cv2.bitwise_and(inside, dark)) / max(cv2.countNonZero(inside), 1)
 
 
-def _sides_of(contour: NDArray[np.int32], at_border: Image) -> tuple[Side, Side, Array | None] | None:
-    """The two sides of a closed contour, shape (n, 2), and the middle of its distal end."""
-    arcs = _arcs_inside(contour, at_border)
+def _sides_of(
+    contour: NDArray[np.int32], inside: NDArray[np.bool_], settings: ShaftSettings
+) -> tuple[Side, Side, Array | None] | None:
+    """The two sides of a closed contour, shape (n, 2), and the middle of its distal end.
+
+    `inside`, shape (n,), says which of its points are away from the border.
+    """
+    arcs = _arcs_inside(contour, inside, settings.min_side_px)
     if not arcs:
         return None
     arcs.sort(key=len, reverse=True)
     if len(arcs) > 1 and len(arcs[1]) > 0.4 * len(arcs[0]):
-        # Through the whole picture: one arc along each side, run in opposite directions.
+        # Through the whole image: one arc along each side, run in opposite directions.
         first, second = _fitted_side(arcs[0]), _fitted_side(arcs[1][::-1])
-        return (first, second, None) if _are_sides(first, second) else None
-    split = _split(arcs[0])
+        return (first, second, None) if _are_sides(first, second, settings) else None
+    split = _split(arcs[0], settings.min_side_px)
     if split is None:
         return None
     first, second = split
-    if not _are_sides(first, second):
+    if not _are_sides(first, second, settings):
         return None
     return first, second, 0.5 * (first.end_px + second.end_px)
 
@@ -146,13 +154,14 @@ def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> b
     if end_px is None or covered is None:
         return True
     radius_px = 0.7 * float(np.linalg.norm(first.end_px - second.end_px))
-    y, x = np.nonzero(covered)
-    return bool(np.all(np.hypot(x - end_px[0], y - end_px[1]) > radius_px))
+    left, top = (max(0, int(value - radius_px)) for value in end_px)
+    right, bottom = (max(0, int(value + radius_px) + 2) for value in end_px)
+    y, x = np.nonzero(covered[top:bottom, left:right])
+    return bool(np.all(np.hypot(x + left - end_px[0], y + top - end_px[1]) > radius_px))
 
 
-def _arcs_inside(contour: NDArray[np.int32], at_border: Image) -> list[Array]:
+def _arcs_inside(contour: NDArray[np.int32], inside: NDArray[np.bool_], min_side_px: float) -> list[Array]:
     """The stretches of a closed contour away from the border, each an array of shape (n, 2)."""
-    inside = at_border[contour[:, 1], contour[:, 0]] == 0
     if inside.all() or not inside.any():
         return []
     turn = int(np.argmin(inside))  # start on the border, so that no stretch is cut in two
@@ -160,34 +169,41 @@ def _arcs_inside(contour: NDArray[np.int32], at_border: Image) -> list[Array]:
     edges = np.flatnonzero(np.diff(inside.astype(np.int8)))
     starts, ends = edges[0::2] + 1, [*(edges[1::2] + 1), len(contour)]
     arcs = [contour[start:end].astype(np.float64) for start, end in zip(starts, ends, strict=False)]
-    return [arc for arc in arcs if len(arc) >= 2 * MIN_SIDE_PX]
+    return [arc for arc in arcs if len(arc) >= 2 * min_side_px]
 
 
-def _split(arc: Array) -> tuple[Side, Side] | None:
+def _split(arc: Array, min_side_px: float) -> tuple[Side, Side] | None:
     """Cut an arc, shape (n, 2), at the two corners that leave three pieces closest to straight lines."""
     points = arc[np.round(np.linspace(0, len(arc) - 1, min(len(arc), MAX_SAMPLES))).astype(int)]
     count = len(points)
     step_px = len(arc) / count
-    shortest = max(3, int(np.ceil(MIN_SIDE_PX / step_px)))
+    shortest = max(3, int(np.ceil(min_side_px / step_px)))
     if count < 3 * shortest:
         return None
-    cost = _line_costs(points)
     first = np.arange(shortest, count - 2 * shortest + 1)
     second = np.arange(2 * shortest, count - shortest + 1)
-    total = cost[0, first][:, None] + cost[first][:, second] + cost[second, count][None, :]
+    sums = _prefix_moments(points)
+    total = _line_cost(sums[:, None, second] - sums[:, first, None])
+    total += _line_cost(sums[:, first])[:, None] + _line_cost(sums[:, -1:] - sums[:, second])
     total = np.where(second[None, :] - first[:, None] >= shortest, total, np.inf)
     a, b = np.unravel_index(int(np.argmin(total)), total.shape)
     return _fitted_side(points[: first[a]]), _fitted_side(points[second[b] :][::-1])
 
 
-def _line_costs(points: Array) -> Array:
-    """Sum of squared distances of points i … j-1 from their best line, shape (n + 1, n + 1) in px²."""
-    moments = np.column_stack([np.ones(len(points)), points, points**2, points[:, 0] * points[:, 1]])
-    total = np.vstack([np.zeros(6), np.cumsum(moments, axis=0)])
-    n, x, y, xx, yy, xy = np.moveaxis(total[None, :, :] - total[:, None, :], -1, 0)
-    n = np.maximum(n, 1.0)
-    cxx, cyy, cxy = xx - x * x / n, yy - y * y / n, xy - x * y / n
-    smallest = 0.5 * (cxx + cyy - np.hypot(cxx - cyy, 2.0 * cxy))
+def _prefix_moments(points: Array) -> Array:
+    """The moments 1, x, y, x², y², xy of the first i points, shape (6, n + 1), of points of shape (n, 2)."""
+    x, y = (points - points.mean(0)).T
+    moments = np.stack([np.ones(len(points)), x, y, x * x, y * y, x * y])
+    return np.hstack([np.zeros((6, 1)), np.cumsum(moments, axis=1)])
+
+
+def _line_cost(moments: Array) -> Array:
+    """Sum of squared distances, shape (...) in px², from their best line of points with moments of shape (6, ...)."""
+    n, x, y, xx, yy, xy = moments
+    share = 1.0 / np.maximum(n, 1.0)
+    cxx, cyy, cxy = xx - x * x * share, yy - y * y * share, xy - x * y * share
+    apart = cxx - cyy
+    smallest = 0.5 * (cxx + cyy - np.sqrt(apart * apart + 4.0 * cxy * cxy))
     return np.asarray(np.maximum(smallest, 0.0))
 
 
@@ -200,14 +216,65 @@ def _fitted_side(points: Array) -> Side:
     return Side(start, end)
 
 
-def _are_sides(first: Side, second: Side) -> bool:
+def _are_sides(first: Side, second: Side, settings: ShaftSettings) -> bool:
     """Whether two lines run alike and side by side."""
     lengths = [float(np.linalg.norm(side.end_px - side.start_px)) for side in (first, second)]
-    if min(lengths) < MIN_SIDE_PX:
+    if min(lengths) < settings.min_side_px:
         return False
-    return bool(first.direction @ second.direction > np.cos(MAX_TAPER_RAD))
+    return bool(first.direction @ second.direction > np.cos(settings.max_taper_rad))
 
 
 def _disc(radius_px: int) -> NDArray[np.uint8]:
     size = 2 * max(radius_px, 1) + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
+
+
+def _eroded(mask: Image, radius_px: int) -> Image:
+    """A mask without what is closer to its edge, or to the image's, than a radius."""
+    return np.asarray(
+        cv2.erode(mask, _disc(radius_px), borderType=cv2.BORDER_CONSTANT, borderValue=0), np.uint8
+    )
+
+
+def _closed(mask: Image, radius_px: int) -> Image:
+    """A mask whose gaps of twice a radius are closed; the work is done in a box about it."""
+    box = _Box.about(cv2.boundingRect(mask), 2 * radius_px + 2, mask.shape[1], mask.shape[0])
+    closed = np.zeros_like(mask)
+    closed[box.window] = cv2.morphologyEx(mask[box.window], cv2.MORPH_CLOSE, _disc(radius_px))
+    return closed
+
+
+@dataclass(frozen=True, slots=True)
+class _Box:
+    """A part of an image: rows `top` to `bottom`, columns `left` to `right`, the last ones excluded."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @classmethod
+    def about(cls, rectangle: Sequence[int], margin_px: int, width: int, height: int) -> _Box:
+        """A rectangle (x, y, width, height) with a margin, as far as the image goes."""
+        x, y, w, h = rectangle
+        return cls(
+            max(x - margin_px, 0),
+            max(y - margin_px, 0),
+            min(x + w + margin_px, width),
+            min(y + h + margin_px, height),
+        )
+
+    @property
+    def rectangle(self) -> tuple[int, int, int, int]:
+        """As OpenCV has it: x, y, width, height."""
+        return self.left, self.top, self.right - self.left, self.bottom - self.top
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """The index of its pixels in the image."""
+        return slice(self.top, self.bottom), slice(self.left, self.right)
+
+    def inside(self, wide: _Box) -> tuple[slice, slice]:
+        """The index of its pixels in an array of a wider box."""
+        top, left = self.top - wide.top, self.left - wide.left
+        return slice(top, top + self.bottom - self.top), slice(left, left + self.right - self.left)

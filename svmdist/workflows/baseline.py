@@ -3,79 +3,53 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.output_file import write_whole
+from svmdist.output_file import write_atomically
+from svmdist.workflows.scoring.metric import Better, Metric, Tolerance, cells
+from svmdist.workflows.scoring.metric_table import stored_metrics
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import Validation
 
 SCHEMA: Literal["svmdist.baseline/1"] = "svmdist.baseline/1"
 
 
-class Tolerance(BaseModel):
-    """How much worse a figure may get: the larger of an absolute and a relative allowance."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    absolute: float = Field(default=0.0, ge=0.0)
-    relative: float = Field(default=0.0, ge=0.0)
-
-    def allows(self, loss: float, stored: float) -> bool:
-        """Whether a loss, positive when worse, is within the tolerance of the stored figure."""
-        return loss <= max(self.absolute, self.relative * abs(stored))
-
-
-DEFAULT_TOLERANCES = {
-    "r_squared": Tolerance(absolute=0.002),
-    "rmse_m": Tolerance(absolute=2e-5, relative=0.02),
-    "p95_abs_error_m": Tolerance(absolute=5e-5, relative=0.05),
-    "coverage": Tolerance(absolute=0.0),
-    "spatial_rmse_m": Tolerance(absolute=2e-5, relative=0.02),
-    "clearance_rmse_m": Tolerance(absolute=2e-5, relative=0.02),
-    "alarm_recall": Tolerance(absolute=0.005),
-    "false_alarm_fraction": Tolerance(absolute=0.005),
-}
-"""Room for another build of OpenCV, which moves a homography's corners by up to 1e-3 px and may flip a
-match; not for another result. A frame that is no longer measured has no such excuse."""
-
-HIGHER_IS_BETTER = {
-    "r_squared": True,
-    "coverage": True,
-    "rmse_m": False,
-    "p95_abs_error_m": False,
-    "spatial_rmse_m": False,
-    "clearance_rmse_m": False,
-    "alarm_recall": True,
-    "false_alarm_fraction": False,
-}
-"""Of alarms both stand here: alarming always has a recall of 1."""
+FIRST_KEYS = ("r_squared", "rmse_m", "p95_abs_error_m", "coverage")
+"""What every baseline stores, in this order. Metrics that came later are missing in older ones."""
 
 
 class StoredScore(BaseModel):
-    """The figures of one recording, method and reference; None where a figure was undefined.
+    """The figures of one recording, method and reference, beside these fields; None where one was undefined.
 
-    Those with a default are in no baseline that was written before there were such figures.
+    Every `stored_metrics()` may be one.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="allow", frozen=True)
+    __pydantic_extra__: dict[str, float | None] = Field(init=False)
     recording: str
     method: str
     equations: str
     reference: str
-    r_squared: float | None
-    rmse_m: float | None
-    p95_abs_error_m: float | None
-    coverage: float
-    spatial_rmse_m: float | None = None
-    clearance_rmse_m: float | None = None
-    alarm_recall: float | None = None
-    false_alarm_fraction: float | None = None
+
+    @model_validator(mode="after")
+    def _check_metrics(self) -> Self:
+        if missing := set(FIRST_KEYS) - set(self.figures):
+            raise ValueError(f"{self.recording}: there is no {', '.join(sorted(missing))}")
+        if unknown := set(self.figures) - set(_stored_metrics()):
+            raise ValueError(f"{self.recording}: there is no metric {', '.join(sorted(unknown))}")
+        return self
+
+    @property
+    def figures(self) -> Mapping[str, float | None]:
+        """The figures by the keys of their metrics."""
+        return self.__pydantic_extra__
 
     @property
     def key(self) -> tuple[str, str, str, str]:
@@ -118,11 +92,10 @@ class Regression:
 
 def make_baseline(validation: Validation) -> Baseline:
     """Take the figures of a validation, per recording and overall."""
-    scores = tuple(_stored(score) for score in (*validation.scores, *validation.overall))
     return Baseline(
         schema=SCHEMA,
-        tolerances=DEFAULT_TOLERANCES,
-        scores=scores,
+        tolerances={key: metric.tolerance for key, metric in _stored_metrics().items() if metric.tolerance},
+        scores=tuple(_stored(score) for score in (*validation.scores, *validation.overall)),
         alarms=_stored_rules(validation.alarm_rules),
     )
 
@@ -147,7 +120,7 @@ def find_regressions(validation: Validation, baseline: Baseline, *, complete: bo
     recordings that were not asked for (and the overall ones) are passed over. Raises RecordingError where
     nothing can be compared, since a check that checks nothing must not pass.
     """
-    found = {_stored(score).key: _stored(score) for score in (*validation.scores, *validation.overall)}
+    found = {score.key: score for score in map(_stored, (*validation.scores, *validation.overall))}
     setups = {(score.method, score.equations) for score in found.values()}
     asked = {score.recording for score in validation.scores}
     regressions: list[Regression] = []
@@ -177,42 +150,36 @@ def load_baseline(path: Path) -> Baseline:
 
 def save_baseline(baseline: Baseline, path: Path) -> None:
     """Write a baseline file; raises OutputError where that fails."""
-    write_whole(path, [json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=1), "\n"])
+    write_atomically(path, [json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=1), "\n"])
 
 
 def _stored_rules(rules: AlarmRules | None) -> StoredAlarmRules | None:
     return StoredAlarmRules(below_m=rules.below_m, confidence=rules.confidence) if rules else None
 
 
+def _stored_metrics() -> dict[str, Metric[Score]]:
+    """The metrics of a baseline by their keys, in the order of its file."""
+    metrics = {metric.key: metric for metric in stored_metrics()}
+    return {key: metrics[key] for key in (*FIRST_KEYS, *metrics)}
+
+
 def _stored(score: Score) -> StoredScore:
-    statistics, alarms = score.statistics, score.alarms
-    return StoredScore(
-        recording=score.recording,
-        method=score.method,
-        equations=score.equations,
-        reference=str(score.reference),
-        r_squared=statistics.r_squared if statistics else None,
-        rmse_m=statistics.rmse if statistics else None,
-        p95_abs_error_m=statistics.p95_abs_error if statistics else None,
-        coverage=score.coverage,
-        spatial_rmse_m=score.spatial.statistics.rmse if score.spatial else None,
-        clearance_rmse_m=score.clearance.statistics.rmse if score.clearance else None,
-        alarm_recall=alarms.recall if alarms else None,
-        false_alarm_fraction=alarms.false_alarm_fraction if alarms else None,
+    labels = {"recording": score.recording, "method": score.method, "equations": score.equations}
+    return StoredScore.model_validate(
+        labels | {"reference": str(score.reference)} | cells(_stored_metrics().values(), score)
     )
 
 
 def _worse(
-    stored: StoredScore, found: StoredScore | None, tolerances: dict[str, Tolerance]
-) -> Iterable[Regression]:
-    for metric, higher_is_better in HIGHER_IS_BETTER.items():
-        before: float | None = getattr(stored, metric)
+    stored: StoredScore, found: StoredScore | None, tolerances: Mapping[str, Tolerance]
+) -> Iterator[Regression]:
+    for key, metric in _stored_metrics().items():
+        before, now = stored.figures.get(key), found.figures.get(key) if found else None
         if before is None:
             continue
-        now: float | None = getattr(found, metric) if found else None
         if now is None:
-            yield Regression(stored.recording, stored.reference, metric, before, None)
+            yield Regression(stored.recording, stored.reference, key, before, None)
             continue
-        loss = before - now if higher_is_better else now - before
-        if not tolerances.get(metric, Tolerance()).allows(loss, before):
-            yield Regression(stored.recording, stored.reference, metric, before, now)
+        loss = before - now if metric.better is Better.HIGHER else now - before
+        if not tolerances.get(key, Tolerance()).allows(loss, before):
+            yield Regression(stored.recording, stored.reference, key, before, now)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
-from svmdist.estimation.locate import locate_instrument
-from svmdist.estimation.methods import Estimator
+from svmdist.estimation.frame import Frame
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
-from svmdist.samples import Estimate, Image, Observation, Rejection
+from svmdist.results import FrameResult
+from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.blur import Blur, apply_blur
+from svmdist.vision.blur import Blur
 from svmdist.vision.marker.features import EDGE_MARGIN_PX, detect_orb
 from svmdist.vision.marker.pattern import paste_marker
+from svmdist.vision.regions import find_region
+from svmdist.workflows.conditions import BlurCondition
+from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.truth import Reference, distance_truth
 from svmdist.workflows.setup import Setup
 
@@ -34,7 +37,7 @@ k px takes k - 1 px off the diameter of an instrument region that is some 15 px 
 
 @dataclass(frozen=True, slots=True)
 class PrintedRow:
-    """A row of the paper's Table I, as printed."""
+    """A row of the paper's Table I, as published."""
 
     keypoint_count: int
     contour_area_px: int
@@ -84,61 +87,64 @@ class _Tally:
 
 
 def blur_bench(
-    recordings: Sequence[Recording], setup: Setup, kernels_px: Mapping[Blur, int] = DEFAULT_KERNELS_PX
+    recordings: Sequence[Recording],
+    setup: Setup,
+    kernels_px: Mapping[Blur, int] = DEFAULT_KERNELS_PX,
+    jobs: int | None = None,
 ) -> list[BlurRow]:
     """Degrade every frame of the recordings by every blur and measure it; images are decoded once.
 
     The marker is virtual: it is pasted on the degraded image and is not degraded itself.
     """
     tallies = {blur: _Tally() for blur in kernels_px}
+    conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
     for recording in recordings:
-        estimator = setup.estimator_for(recording)
-        rows: dict[Blur, list[Estimate]] = {blur: [] for blur in kernels_px}
-        for observation in recording.observations():
-            for blur, kernel_px in kernels_px.items():
+        measured: dict[Blur, list[FrameResult]] = {blur: [] for blur in kernels_px}
+        first = recording.instruments[:1]
+        for replayed in replay(recording, [setup], conditions, wanted=first, jobs=jobs):
+            for blur, lane in zip(kernels_px, replayed, strict=True):
+                (result,) = lane.results
                 tallies[blur].frame_count += 1
-                if isinstance(observation, Rejection):
-                    continue
-                degraded = replace(observation, image_bgr=apply_blur(observation.image_bgr, blur, kernel_px))
-                row = _measure(degraded, estimator, setup, tallies[blur])
-                if row.measured:
-                    rows[blur].append(row)
-        for blur, measured in rows.items():
-            tallies[blur].measured_count += len(measured)
-            tallies[blur].squared_errors_m2 += _squared_errors_m2(recording, setup, measured)
+                for frame in lane.frames:
+                    _count(frame, result, tallies[blur])
+                if result.measured:
+                    measured[blur].append(result)
+        for blur, results in measured.items():
+            tallies[blur].measured_count += len(results)
+            tallies[blur].squared_errors_m2 += _squared_errors_m2(recording, setup, results)
     return [_row(blur, kernels_px[blur], tally) for blur, tally in tallies.items()]
 
 
-def _measure(observation: Observation, estimator: Estimator, setup: Setup, tally: _Tally) -> Estimate:
-    row, profile = estimator.estimate(observation), setup.profile
-    masks = setup.segmenter.masks(observation.image_bgr)
-    instrument = locate_instrument(masks, profile.segmentation)
+def _count(frame: Frame, result: FrameResult, tally: _Tally) -> None:
+    profile, masks, context = frame.arm.profile, frame.left.masks_as_recorded, frame.left.context
+    instrument = find_region(masks.instrument, profile.segmentation.instrument)
     if instrument is None:
-        return row
-    grey = np.asarray(cv2.cvtColor(observation.image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-    tally.keypoints.append(len(detect_orb(grey, profile.features.feature_count, masks.instrument)))
+        return
+    feature_count = profile.features.feature_count
+    tally.keypoints.append(len(detect_orb(context.grey, feature_count, masks.instrument)))
     tally.areas.append(instrument.area_px)
     tally.marker_keypoints.append(
-        _marker_keypoint_count(observation.image_bgr, instrument.centroid_px, profile)
+        _marker_keypoint_count(context.bgr_as_recorded, instrument.centroid_px, profile)
     )
-    if row.match_count is not None:
-        tally.matches.append(row.match_count)
-    if row.inlier_count is not None:
-        tally.inliers.append(row.inlier_count)
-    return row
+    if result.image.match_count is not None:
+        tally.matches.append(result.image.match_count)
+    if result.image.inlier_count is not None:
+        tally.inliers.append(result.image.inlier_count)
 
 
 def _marker_keypoint_count(image_bgr: Image, centre_px: Array, profile: Profile) -> int:
     size_px = profile.marker.size_px
     marked = paste_marker(image_bgr, centre_px, size_px, EDGE_MARGIN_PX)
-    grey = np.asarray(cv2.cvtColor(marked.canvas_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-    points_px = detect_orb(grey, profile.features.feature_count).points_px - np.array(marked.paste_px)
+    grey = np.asarray(cv2.cvtColor(marked.window_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
+    points_px = detect_orb(grey, profile.features.feature_count).points_px - EDGE_MARGIN_PX
     return int(np.count_nonzero(np.all((points_px >= 0) & (points_px < size_px), axis=1)))
 
 
-def _squared_errors_m2(recording: Recording, setup: Setup, rows: Sequence[Estimate]) -> list[float]:
-    stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
-    distance_m = np.array([row.distance_m for row in rows], np.float64)
+def _squared_errors_m2(recording: Recording, setup: Setup, results: Sequence[FrameResult]) -> list[float]:
+    stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
+    distance_m = np.array(
+        [planar.value_m for result in results if (planar := result.distances.planar)], np.float64
+    )
     truth = distance_truth(recording, setup.profile, Reference.GROUND_TRUTH, stamps_ns)
     return [float(value) for value in (distance_m - truth.planar_m)[truth.valid] ** 2]
 

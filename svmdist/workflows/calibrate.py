@@ -8,12 +8,13 @@ from importlib.metadata import version
 import numpy as np
 
 from svmdist.errors import CalibrationError, UsageError
-from svmdist.estimation.methods import PLANAR_METHODS, make_estimator
+from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.estimation.planar.calibration import Calibration, CalibrationSamples, SourceFile, fit_calibration
 from svmdist.estimation.planar.equations import PlaneMapping, Quadratic
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
 from svmdist.workflows.estimate import estimate
+from svmdist.workflows.setup import Setup
 
 PIXELS_AS_THEY_ARE = PlaneMapping("corrected", Quadratic(0.0, 1.0, 0.0), Quadratic(0.0, 1.0, 0.0))
 """The estimator needs a mapping; calibration reads its pixels only."""
@@ -55,10 +56,10 @@ def calibrate(recordings: Sequence[Recording], profile: Profile, method: str = "
 
 def collect_samples(recording: Recording, profile: Profile, method: str) -> CalibrationSamples:
     """Pairs of tool pixel and true position in the camera's plane, of all frames that have both."""
-    estimator = make_estimator(method, profile, PIXELS_AS_THEY_ARE)
-    rows = [row for row in estimate(recording, estimator) if row.measured]
-    stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
-    tool_px = np.array([(row.tool_x_px, row.tool_y_px) for row in rows], np.float64).reshape(-1, 2)
+    setup = Setup(profile, method, "corrected", None, PIXELS_AS_THEY_ARE)
+    results = [result for result in estimate(recording, setup, recording.instruments[:1]) if result.measured]
+    stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
+    tool_px = np.array([result.image.tool_px for result in results], np.float64).reshape(-1, 2)
     truth = recording.transform_track(profile.frames.camera, profile.frames.tool, ground_truth=True)
     T_camera_tool = truth.at(stamps_ns)
     return CalibrationSamples(tool_px[T_camera_tool.valid], T_camera_tool.values[T_camera_tool.valid, :2, 3])

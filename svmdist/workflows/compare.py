@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from svmdist.errors import RecordingError
+from svmdist.estimation.detection.lazy import Clock
 from svmdist.recording.reader import Recording
-from svmdist.workflows.replay import CLEAN, Clock, Condition, Figures, Progress, Run, pooled_figures, replay
+from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.runs import Figures, Progress, Run, measure_runs, pooled_figures
 from svmdist.workflows.setup import Setup
 
 ALL = "all"
@@ -59,7 +60,8 @@ def compare(
     setups: Sequence[Setup],
     conditions: Sequence[Condition] = (CLEAN,),
     *,
-    clock: Clock = time.perf_counter,
+    jobs: int | None = None,
+    clock: Clock | None = None,
     on_progress: Progress | None = None,
 ) -> list[MethodScore]:
     """Run every setup on every recording under every condition; each image is decoded once.
@@ -68,7 +70,7 @@ def compare(
     scenarios; then over all. Raises RecordingError where a recording has no ground-truth distances, and
     where there is no image.
     """
-    runs = list(replay(recordings, setups, conditions, clock=clock, on_progress=on_progress))
+    runs = list(measure_runs(recordings, setups, conditions, jobs=jobs, clock=clock, on_progress=on_progress))
     if not any(run.frame_count for run in runs):
         raise RecordingError("there is no image to measure in these recordings")
     groups = [(group_of(run.recording, run.condition, run.instrument), run) for run in runs]

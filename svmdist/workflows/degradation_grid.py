@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from svmdist.errors import RecordingError
+from svmdist.estimation.detection.lazy import Clock
 from svmdist.recording.reader import Recording
 from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
-from svmdist.workflows.replay import CLEAN, Clock, Condition, Figures, Progress, pooled_figures, replay
+from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.runs import Figures, Progress, measure_runs, pooled_figures
 from svmdist.workflows.setup import Setup
 
 
@@ -40,14 +41,17 @@ def degradation_grid(
     setup: Setup,
     conditions: Sequence[Condition],
     *,
-    clock: Clock = time.perf_counter,
+    jobs: int | None = None,
+    clock: Clock | None = None,
     on_progress: Progress | None = None,
 ) -> list[GridCell]:
     """Measure every frame of the recordings under every condition; each image is decoded once.
 
     Raises RecordingError where a recording has no ground-truth distances, and where there is no image.
     """
-    runs = list(replay(recordings, [setup], conditions, clock=clock, on_progress=on_progress))
+    runs = list(
+        measure_runs(recordings, [setup], conditions, jobs=jobs, clock=clock, on_progress=on_progress)
+    )
     if not any(run.frame_count for run in runs):
         raise RecordingError("there is no image to measure in these recordings")
     return [

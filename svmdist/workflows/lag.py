@@ -13,8 +13,9 @@ from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.lag import LagEstimate, Predict, estimate_lag
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
-from svmdist.samples import Estimate
+from svmdist.results import FrameResult
 from svmdist.transforms import Array
+from svmdist.workflows.scoring.distances import Readings
 from svmdist.workflows.scoring.truth import PoseAt, Reference, TruthRules, tool_track
 
 Lag = float | Literal["auto"]
@@ -22,15 +23,14 @@ Lag = float | Literal["auto"]
 
 
 def recording_lag(
-    rows: Sequence[Estimate], recording: Recording, profile: Profile, rules: TruthRules
+    rows: Sequence[FrameResult], recording: Recording, profile: Profile, rules: TruthRules
 ) -> LagEstimate:
-    """Estimate the lag of a recording from its measured frames.
+    """Estimate the lag of a recording from where its measured rows saw the tool.
 
-    The tool's motion is taken from kinematics, else from the strongest other reference the log has.
+    The tool's motion is taken from kinematics, else from the strongest other reference that the log has.
     """
-    measured = [row for row in rows if row.measured and row.tool_x_px is not None]
-    stamps_ns = np.array([row.stamp_ns for row in measured], np.int64)
-    seen_px = np.array([(row.tool_x_px, row.tool_y_px) for row in measured], np.float64).reshape(-1, 2)
+    readings = Readings(rows)
+    seen = np.isfinite(readings.tool_px).all(axis=1)
     problems = []
     for reference in (Reference.KINEMATICS, Reference.POSE, Reference.TF, Reference.GROUND_TRUTH):
         try:
@@ -38,7 +38,7 @@ def recording_lag(
         except (RecordingError, KinematicsError) as problem:
             problems.append(str(problem))
             continue
-        return estimate_lag(stamps_ns, seen_px, predictor(at, recording.camera))
+        return estimate_lag(readings.stamps_ns[seen], readings.tool_px[seen], predictor(at, recording.camera))
     return LagEstimate(0.0, None, 0.0, f"the log has no motion of the tool but in its images: {problems[0]}")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -12,7 +13,8 @@ from svmdist.profile import Profile
 from svmdist.recording.writer import RecordingWriter
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.simulate import simulate, topic_names
+from svmdist.simulation.plan import make_plan
+from svmdist.workflows.record_workers import WorkerDiedError, encoded_samples, usable_cores
 
 VERSIONED_PACKAGES = ("svmdist", "pybullet", "numpy", "opencv-python-headless")
 
@@ -37,31 +39,42 @@ def record(
     extras: Extras | None = None,
     force: bool = False,
     jpeg_quality: int | None = None,
+    jobs: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> RecordResult:
     """Simulate a scenario and write it to `output`; `on_progress` hears of (images done, images in all).
 
-    Images are PNG, which keeps them to the last bit, or JPEG of a quality from 1 to 100.
+    Images are PNG, which keeps them to the last bit, or JPEG of a quality from 1 to 100. `jobs` is the largest number
+    of processes that draw images; None stands for that of usable cores. The file is the same for any number.
 
     Raises UsageError where the file exists and `force` is not set, OutputError where it cannot be written,
-    SimulationError where PyBullet is missing or the profile cannot be simulated.
+    SimulationError where PyBullet is missing, the profile cannot be simulated, or a process is killed, which leaves
+    no file.
     """
     extras = extras or Extras()
     if jpeg_quality is not None and not 1 <= jpeg_quality <= 100:
         raise UsageError(f"the quality of JPEG is from 1 to 100, found {jpeg_quality}")
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"the number of jobs is from 1, found {jobs}")
     metadata = _metadata(scenario, profile, renderer, noise) | extras.metadata()
     if jpeg_quality is not None:
         metadata["jpeg_quality"] = str(jpeg_quality)
-    topics = topic_names(profile)
     frame_count = message_count = 0
-    with RecordingWriter(output, metadata, force=force, jpeg_quality=jpeg_quality) as writer:
-        for topic, sample in simulate(scenario, profile, renderer=renderer, noise=noise, extras=extras):
-            writer.write(topic, sample)
-            message_count += 1
-            if topic == topics.image:
-                frame_count += 1
-                if on_progress is not None:
-                    on_progress(frame_count, scenario.frame_count)
+    writer = RecordingWriter(output, metadata, force=force, jpeg_quality=jpeg_quality)
+    try:
+        with writer:
+            plan = make_plan(scenario, profile, renderer=renderer, noise=noise, extras=extras)
+            with closing(encoded_samples(plan, jobs or usable_cores(), jpeg_quality)) as samples:
+                for topic, sample in samples:
+                    writer.write(topic, sample)
+                    message_count += 1
+                    if topic == plan.topics.image:
+                        frame_count += 1
+                        if on_progress is not None:
+                            on_progress(frame_count, scenario.frame_count)
+    except WorkerDiedError:
+        writer.part_path.unlink(missing_ok=True)
+        raise
     return RecordResult(output, frame_count, message_count, output.stat().st_size)
 
 

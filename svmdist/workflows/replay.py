@@ -1,213 +1,206 @@
-"""Replay: every method on every image of the recordings, as recorded and degraded, in one pass over the images."""
+"""Replay: the one loop over a recording's observations, which every workflow takes its results from.
+
+    reading thread:  encoded images, joints, transforms
+    worker threads:  decode, degrade, detect                        (nothing depends on the frame before)
+    this thread:     tell instruments apart, estimate, clearance between instruments     (in order)
+
+Each image is decoded once and looked at once, however many methods measure it. The results are the same for any
+number of workers.
+"""
 
 from __future__ import annotations
 
-import time
-import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from typing import TYPE_CHECKING
 
-import numpy as np
-
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.detection.lazy import Clock, CostLedger
+from svmdist.estimation.detection.scene import Scene
+from svmdist.estimation.frame import Frame, Needs, frames_of, prefetch
 from svmdist.estimation.methods import Estimator
-from svmdist.metrics import coverage
+from svmdist.recording.encoded import Decoded, EncodedObservation
+from svmdist.recording.encoded import Needs as ReadNeeds
 from svmdist.recording.reader import Recording
-from svmdist.recording.topics import Role
+from svmdist.results import FrameResult
 from svmdist.samples import Observation, Rejection
-from svmdist.vision.degradations import Degradation, degrade, image_seed, require_degradation
-from svmdist.workflows.estimate import instruments_of
-from svmdist.workflows.scoring.distances import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
+from svmdist.workflows.ahead import in_order, one_opencv_thread, usable_cores
+from svmdist.workflows.conditions import CLEAN, ReplayCondition
 from svmdist.workflows.setup import Setup
 
-Clock = Callable[[], float]
-Progress = Callable[[int, int | None], None]
-"""Is told how many measurements are done, and how many there are where the logs say."""
-
-REPLAY_SEED = 36
-LEFT, RIGHT = 0, 1
-
-
-@dataclass(frozen=True, slots=True)
-class Condition:
-    """What is done to the images of a log: a degradation of a severity of 1 to 5, or nothing.
-
-    It comes on top of what the log's images already have. Raises UsageError for a wrong name or severity.
-    """
-
-    name: Degradation | None = None
-    severity: int = 0
-
-    def __post_init__(self) -> None:
-        if self.name is not None:
-            require_degradation(self.name, self.severity)
-
-    def __str__(self) -> str:
-        return "" if self.name is None else f"{self.name}={self.severity}"
-
-    def apply(self, observation: Observation, frame: int) -> Observation:
-        """Degrade the images of the n-th frame, the right one too: the same frame of the same log always alike."""
-        if self.name is None:
-            return observation
-        # The image itself tells logs apart, whatever their names and order. The severity plays no part: glints
-        # and plumes of one are those of the next, only more of them.
-        content = zlib.crc32(np.ascontiguousarray(observation.image_bgr).data)
-        path = (REPLAY_SEED, list(Degradation).index(self.name), frame, content)
-        image_bgr = degrade(
-            observation.image_bgr, self.name, self.severity, image_seed(self.name, LEFT, *path)
-        )
-        right = observation.right
-        if right is not None:
-            seed = image_seed(self.name, RIGHT, *path)
-            right = replace(right, image_bgr=degrade(right.image_bgr, self.name, self.severity, seed))
-        return replace(observation, image_bgr=image_bgr, right=right)
-
-
-CLEAN = Condition()
+if TYPE_CHECKING:  # a log of one instrument needs none
+    from svmdist.estimation.association.associate import Association
 
 
 @dataclass(frozen=True)
-class Run:
-    """One method on one instrument of one recording under one condition.
+class Replayed:
+    """What one method gave for one image under one condition: a result and its cost for each wanted instrument.
 
-    A distance that method or truth cannot tell is None. `seconds` is the method alone, without reading,
-    decoding and degrading the image.
+    `frames` are what it was given, empty for an image that could not be read.
     """
 
-    recording: Recording
-    condition: Condition
-    method: str
-    frame_count: int
-    measured_count: int
-    planar: DistanceScore | None
-    spatial: DistanceScore | None
-    clearance: DistanceScore | None
-    seconds: float
-    instrument: str = ""
-
-
-@dataclass(frozen=True)
-class Figures:
-    """The figures of one run, or of several together: every frame counts the same."""
-
-    frame_count: int
-    measured_count: int
-    planar: DistanceScore | None
-    spatial: DistanceScore | None
-    clearance: DistanceScore | None
-    ms_per_frame: float
-
-    @property
-    def coverage(self) -> float:
-        """Measured frames per frame."""
-        return coverage(self.measured_count, self.frame_count)
-
-
-def pooled_figures(runs: Sequence[Run]) -> Figures:
-    """The figures of runs together."""
-    frame_count = sum(run.frame_count for run in runs)
-    return Figures(
-        frame_count,
-        sum(run.measured_count for run in runs),
-        pooled_score([run.planar for run in runs]),
-        pooled_score([run.spatial for run in runs]),
-        pooled_score([run.clearance for run in runs]),
-        1e3 * sum(run.seconds for run in runs) / max(frame_count, 1),
-    )
+    results: tuple[FrameResult, ...]
+    seconds: tuple[float, ...]
+    frames: tuple[Frame, ...] = ()
 
 
 def replay(
-    recordings: Sequence[Recording],
+    recording: Recording,
     setups: Sequence[Setup],
-    conditions: Sequence[Condition] = (CLEAN,),
+    conditions: Sequence[ReplayCondition] = (CLEAN,),
     *,
-    clock: Clock = time.perf_counter,
-    on_progress: Progress | None = None,
-) -> Iterator[Run]:
-    """Yield a run for every recording, condition, setup and instrument; each image is decoded and degraded once.
+    wanted: Sequence[str] | None = None,
+    jobs: int | None = None,
+    clock: Clock | None = None,
+) -> Iterator[tuple[Replayed, ...]]:
+    """Yield for each image what every setup gave under every condition, conditions first, in order.
 
-    Every run has an estimator of its own, so that what one remembers never reaches another. Of an image nothing
-    is kept. Raises RecordingError where a recording has no ground-truth distances; another instrument than the
-    first is left out where it has none.
+    The setups share a profile. Every setup and condition has estimators of its own, so that what one remembers never
+    reaches another. `wanted` names some of the recording's instruments; the others are told apart from them, and not
+    measured. `jobs` threads work ahead, by default one for each core. Raises RecordingError at once for a name that
+    the recording has no topics of, and CalibrationError for another camera.
     """
-    counts = [_image_count(recording) for recording in recordings]
-    known = [count for count in counts if count is not None]
-    total = sum(known) * len(conditions) * len(setups) if len(known) == len(counts) else None
-    done = 0
-    for recording in recordings:
-        names = _with_truth(recording)
-        # Before the work: a log without it is told at once.
-        truths = {name: recording.for_instrument(name).distance_track() for name in names}
-        cells = [[_Cell(setup, recording, name) for setup in setups for name in names] for _ in conditions]
-        teams = [instruments_of(recording, setups[0]) for _ in conditions]
-        for frame, found in enumerate(recording.observations_of(recording.instruments)):
-            for condition, team, row in zip(conditions, teams, cells, strict=True):
-                seen = (
-                    found
-                    if isinstance(found, Rejection)
-                    else team.tell_apart(_degraded(condition, found, frame))
-                )
-                for cell in row:
-                    place = recording.instruments.index(cell.instrument)
-                    cell.measure(seen if isinstance(seen, Rejection) else seen[place], clock)
-                    done += cell.instrument == names[0]  # a frame of a method, whatever its instruments
-                    if on_progress is not None:
-                        on_progress(done, total)
-        for condition, row in zip(conditions, cells, strict=True):
-            for cell in row:
-                sampled = truths[cell.instrument].at(cell.readings.stamps_ns)
-                planar, spatial, clearance = (
-                    score_pairs(cell.readings.pairs(distance, sampled)) for distance in DISTANCES
-                )
-                yield Run(
-                    recording,
-                    condition,
-                    cell.method,
-                    cell.frame_count,
-                    len(cell.readings),
-                    planar,
-                    spatial,
-                    clearance,
-                    cell.seconds,
-                    cell.instrument,
-                )
+    replaying = _Replay(recording, setups, conditions, wanted, clock)
+    return replaying.run(usable_cores() if jobs is None else jobs)
 
 
-def _degraded(condition: Condition, found: Sequence[Observation], frame: int) -> list[Observation]:
-    """What every instrument's estimator sees of the same degraded image."""
-    first = condition.apply(found[0], frame)
-    return [replace(each, image_bgr=first.image_bgr, right=first.right) for each in found]
+class MultiInstrumentEstimator:
+    """One method on every wanted instrument of a recording, each with an estimator of its own."""
+
+    def __init__(self, setup: Setup, arms: Sequence[Arm]) -> None:
+        self._estimators: list[Estimator] = [setup.estimator_for(arm) for arm in arms]
+        self._arms = tuple(arms)
+
+    @property
+    def needs(self) -> Needs:
+        """The detections that the method asks for."""
+        return self._estimators[0].needs
+
+    @property
+    def keeps_state(self) -> bool:
+        """Whether a result depends on earlier frames."""
+        return self._estimators[0].keeps_state
+
+    def estimate(self, frames: Sequence[Frame]) -> Replayed:
+        """Measure one image: a frame for each instrument."""
+        results: list[FrameResult] = []
+        seconds: list[float] = []
+        for estimator, arm, frame in zip(self._estimators, self._arms, frames, strict=True):
+            with frame.scene.ledger.method(seconds.append):
+                result = estimator.estimate(frame)
+            results.append(replace(result, instrument=arm.profile.instrument_name))
+        if len(results) > 1:
+            from svmdist.estimation.between_instruments import with_clearance_between
+
+            results = with_clearance_between(results, [arm.body for arm in self._arms])
+        return Replayed(tuple(results), tuple(seconds), tuple(frames))
 
 
-def _with_truth(recording: Recording) -> list[str]:
-    """The first instrument, and those of the others whose true distances the recording has."""
-    first, *others = recording.instruments
-    role = Role.GROUND_TRUTH_DISTANCE
-    return [first, *(name for name in others if recording.for_instrument(name).topic_of(role) is not None)]
+@dataclass(frozen=True)
+class _Prepared:
+    """A decoded frame, and what of it is known for each condition before the frame before it is done."""
+
+    decoded: Decoded
+    conditions: tuple[_Ahead, ...] = ()
 
 
-class _Cell:
-    """One method on one instrument under one condition while the frames pass by: an estimator, and numbers."""
+@dataclass(frozen=True)
+class _Ahead:
+    """A scene; the frame of its only instrument, None where instruments are to be told apart; what is measured.
 
-    def __init__(self, setup: Setup, recording: Recording, instrument: str) -> None:
-        self.method = setup.method
-        self.instrument = instrument
-        self.estimator: Estimator = setup.estimator_for(recording, instrument)
-        self.frame_count = 0
-        self.seconds = 0.0
-        self.readings = Readings()
+    `measured` has an entry for each method, None for one that waits for the frame before.
+    """
 
-    def measure(self, observation: Observation | Rejection, clock: Clock) -> None:
-        self.frame_count += 1
-        if isinstance(observation, Rejection):
+    scene: Scene
+    frames: list[Frame] | None
+    measured: tuple[Replayed | None, ...]
+
+
+class _Replay:
+    """One pass over a recording."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        setups: Sequence[Setup],
+        conditions: Sequence[ReplayCondition],
+        wanted: Sequence[str] | None,
+        clock: Clock | None,
+    ) -> None:
+        self._recording = recording
+        self._setup = setups[0]
+        self._clock = clock
+        for setup in setups:
+            setup.require_camera(recording)
+        every = recording.instruments
+        self._wanted = every if wanted is None else tuple(wanted)
+        for name in self._wanted:
+            recording.for_instrument(name)
+        self._arms = [Arm(self._setup.profile.for_instrument(name)) for name in every]
+        self._places = [every.index(name) for name in self._wanted]
+        arms = [self._arms[place] for place in self._places]
+        self._conditions = tuple(conditions)
+        self._associations = [self._association() for _ in conditions]
+        self._lanes = [[MultiInstrumentEstimator(setup, arms) for setup in setups] for _ in conditions]
+        self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
+
+    def _association(self) -> Association | None:
+        """What tells the instruments apart; None where there is one."""
+        if len(self._arms) == 1:
+            return None
+        from svmdist.estimation.association.associate import Association
+
+        return Association(self._arms)
+
+    def run(self, jobs: int) -> Iterator[tuple[Replayed, ...]]:
+        several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
+        robot, right = self._needs.robot or several, self._needs.right_view
+        logged = ReadNeeds(joints=robot, transforms=robot, right=right)
+        numbered = enumerate(self._recording.encoded_observations(self._recording.instruments, logged))
+        with one_opencv_thread():
+            for prepared in in_order(self._prepare, numbered, jobs):
+                yield tuple(self._measure(prepared))
+
+    def _prepare(self, numbered: tuple[int, EncodedObservation]) -> _Prepared:
+        """Whatever of a frame needs no other one."""
+        number, encoded = numbered
+        decoded = encoded.decode()
+        found = decoded.found
+        if isinstance(found, Rejection):
+            return _Prepared(decoded)
+        ahead = [self._look(at, number, found) for at in range(len(self._conditions))]
+        return _Prepared(decoded, tuple(ahead))
+
+    def _look(self, at: int, number: int, found: tuple[Observation, ...]) -> _Ahead:
+        """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
+        ledger = CostLedger() if self._clock is None else CostLedger(self._clock)
+        seen = self._conditions[at].apply(found[0], number)
+        scene = Scene(seen, self._setup.profile, self._setup.segmenter, ledger)
+        prefetch(scene, self._needs.scene)
+        lanes = self._lanes[at]
+        if self._associations[at] is not None:
+            return _Ahead(scene, None, (None,) * len(lanes))
+        robots = [arm.state_at(seen) for arm, seen in zip(self._arms, found, strict=True)]
+        frames = frames_of(scene, self._arms, found, robots, [(None, None)])
+        prefetch(frames[0].tool, self._needs.tool)
+        measured = [None if lane.keeps_state else lane.estimate(frames) for lane in lanes]
+        return _Ahead(scene, frames, tuple(measured))
+
+    def _measure(self, prepared: _Prepared) -> Iterator[Replayed]:
+        found = self._recording.record_losses(prepared.decoded)
+        if isinstance(found, Rejection):
+            lost = tuple(FrameResult.of_rejection(found, name) for name in self._wanted)
+            for _ in self._conditions:
+                yield from (Replayed(lost, (0.0,) * len(lost)) for _ in self._lanes[0])
             return
-        start_s = clock()
-        row = self.estimator.estimate(observation)
-        self.seconds += clock() - start_s
-        if row.measured:
-            self.readings.add(row)
-
-
-def _image_count(recording: Recording) -> int | None:
-    """The number of (left) images, where the file says."""
-    topic = recording.topic_of(Role.IMAGE)
-    return next((info.message_count for info in recording.topics() if info.topic == topic), None)
+        for ahead, association, lanes in zip(
+            prepared.conditions, self._associations, self._lanes, strict=True
+        ):
+            every = ahead.frames
+            if every is None and association is not None:
+                every = association.frames(ahead.scene, found)
+            assert every is not None  # one instrument, or an association
+            chosen = [every[place] for place in self._places]
+            for lane, known in zip(lanes, ahead.measured, strict=True):
+                yield lane.estimate(chosen) if known is None else known

@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError, did_you_mean
+from svmdist.estimation.arm import Arm
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.planar.calibration import Calibration, load_calibration
-from svmdist.estimation.planar.equations import PRINTED_MAPPING, Equations, PlaneMapping, degeneracies
-from svmdist.estimation.tissue.fix import require_tissue
+from svmdist.estimation.planar.equations import PUBLISHED_MAPPING, Equations, PlaneMapping, degeneracies
+from svmdist.estimation.tissue.pose import require_tissue
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.reader import Recording
 from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
@@ -19,34 +21,30 @@ from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything that turns a recording into estimates. Make it with `prepare`."""
+    """Everything that turns a recording into results. Make it with `prepare`.
+
+    `mapping` leads from pixels to the paper's plane: as published, or the calibration's; None for a method in 3D.
+    """
 
     profile: Profile
     method: str
     equations: Equations
     calibration: Calibration | None
-
-    @property
-    def mapping(self) -> PlaneMapping | None:
-        """The mapping from pixels to the plane: printed as it stands, or the calibration's; None in 3D."""
-        if self.equations == "printed":
-            return PRINTED_MAPPING
-        return self.calibration.mapping if self.calibration else None
+    mapping: PlaneMapping | None = None
 
     @cached_property
     def segmenter(self) -> Segmenter:
         """What tells tissue and instrument apart; raises ProfileError where its network cannot be used."""
-        return make_segmenter(self.profile.segmentation, level=self.method not in PLANAR_METHODS)
+        return make_segmenter(self.profile.segmentation)
 
-    def estimator_for(self, recording: Recording, instrument: str | None = None) -> Estimator:
-        """Make the estimator for a recording; raises CalibrationError for another camera.
-
-        `instrument` names another one than the profile's own; all of them share the segmenter.
-        """
+    def require_camera(self, recording: Recording) -> None:
+        """Raise CalibrationError for a recording of another camera than the calibration's."""
         if self.equations == "corrected" and self.calibration is not None:
             self.calibration.require_camera(recording.camera, recording.name)
-        profile = self.profile if instrument is None else self.profile.for_instrument(instrument)
-        return make_estimator(self.method, profile, self.mapping, self.segmenter)
+
+    def estimator_for(self, arm: Arm) -> Estimator:
+        """Make the estimator of one instrument."""
+        return make_estimator(self.method, arm, self.mapping)
 
     def for_instrument(self, name: str) -> Setup:
         """The same for one of the profile's instruments."""
@@ -61,6 +59,14 @@ class Setup:
     def degeneracies(self, camera: Camera) -> list[str]:
         """Sentences about where the equations cannot be right for this camera's image."""
         return degeneracies(self.mapping, camera.width_px, camera.height_px) if self.mapping else []
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Another process makes its own segmenter: a network cannot be sent there."""
+        return {key: value for key, value in self.__dict__.items() if key != "segmenter"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore what was sent."""
+        self.__dict__.update(state)
 
 
 def prepare(
@@ -102,8 +108,9 @@ def _resolve(
             raise UsageError(
                 "--equations printed takes the paper's numbers: it cannot be used with a calibration"
             )
-        return Setup(loaded, method, equations, None)
-    return Setup(loaded, method, equations, load_calibration(calibration or _beside(profile, loaded)))
+        return Setup(loaded, method, equations, None, PUBLISHED_MAPPING)
+    found = load_calibration(calibration or _beside(profile, loaded))
+    return Setup(loaded, method, equations, found, found.mapping)
 
 
 def _beside(profile: str | Path, loaded: Profile) -> Path:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.lag import LagEstimate
 from svmdist.recording.reader import Recording
-from svmdist.samples import Estimate
-from svmdist.workflows.estimate import estimate_instruments
+from svmdist.workflows.estimate import estimate
 from svmdist.workflows.lag import Lag, recording_lag
 from svmdist.workflows.scoring.alarms import require_clearance
 from svmdist.workflows.scoring.score import Score, pool_scores, score_rows
@@ -50,34 +50,35 @@ def validate(
     lag: Lag = 0.0,
     alarms: AlarmRules | None = None,
     wanted: Sequence[str] | None = None,
+    jobs: int | None = None,
 ) -> Validation:
     """Score a setup on recordings against each reference that they have, and its alarms where asked for.
 
-    `lag` in s is taken off the image stamps, or estimated first. Every instrument of a recording has scores of its
-    own, those in `wanted` where that is given. Recordings the calibration was fitted on
-    are scored, marked, and left out of the overall score. Raises RecordingError where a recording has no
-    reference at all, or no true clearance to score alarms against, and UsageError for alarms of a method that
-    tells no clearance or without ground truth among the references.
+    `lag` in s is taken off the image stamps, or estimated first. Every instrument of a recording has its own scores;
+    `wanted` names the instruments to score. Recordings that the calibration was fitted on are scored and marked, and
+    the overall score leaves them out. Raises RecordingError where a recording has no reference at all, or no true
+    clearance to score alarms against. Raises UsageError where alarms are asked for and the method estimates no
+    clearance, or the references are without ground truth.
     """
     rules = rules or TruthRules()
     if alarms is not None:
         require_clearance(setup.method, setup.profile)
         if Reference.GROUND_TRUTH not in rules.wanted:
             raise UsageError(
-                f"alarms are scored against {Reference.GROUND_TRUTH}, the only reference with a clearance; asked"
-                f" for were {', '.join(rules.wanted)}"
+                f"alarms are scored against {Reference.GROUND_TRUTH}, the only reference with a clearance; the"
+                f" references asked for are {', '.join(rules.wanted)}"
             )
     scores: list[Score] = []
     notes: list[str] = []
     for recording in recordings:
-        scores += _score_recording(recording, setup, rules, lag, alarms, notes, wanted)
+        scores += _score_recording(recording, setup, rules, lag, alarms, notes, wanted, jobs)
     overall = []
-    for instrument in setup.profile.instrument_names:
-        of_instrument = [score for score in scores if score.instrument == instrument and not score.fitted_on]
-        for reference in rules.wanted:
-            counted = [score for score in of_instrument if score.reference is reference]
-            if counted:
-                overall.append(pool_scores(counted, setup.profile.instrument_name))
+    for of in product(setup.profile.instrument_names, rules.wanted):
+        counted = [
+            score for score in scores if (score.instrument, score.reference) == of and not score.fitted_on
+        ]
+        if counted:
+            overall.append(pool_scores(counted, setup.profile.instrument_name))
     return Validation(tuple(scores), tuple(overall), tuple(dict.fromkeys(notes)), alarms)
 
 
@@ -89,10 +90,11 @@ def _score_recording(
     alarms: AlarmRules | None,
     notes: list[str],
     wanted: Sequence[str] | None,
+    jobs: int | None,
 ) -> list[Score]:
-    """Score every wanted instrument; the first one's scores bear the recording's name, another one's its name too."""
+    """Score every wanted instrument. Scores are named after the recording, and after any instrument but the first."""
     notes += setup.degeneracies(recording.camera)
-    every = list(estimate_instruments(recording, setup, wanted))
+    every = list(estimate(recording, setup, wanted, jobs))
     if not every:
         raise RecordingError(f"{recording.name}: there is no image to measure")
     scores, missing = [], []
@@ -100,7 +102,11 @@ def _score_recording(
         view, seen = recording.for_instrument(name), setup.for_instrument(name)
         rows = [row for row in every if row.instrument == name]
         label = recording.name if name == setup.profile.instrument_name else f"{recording.name} {name}"
-        offset = _resolve_lag(rows, view, seen, rules, lag)
+        offset = (
+            recording_lag(rows, view, seen.profile, rules)
+            if lag == "auto"
+            else LagEstimate(float(lag), None, 1.0)
+        )
         if not offset.told:
             notes.append(f"{label}: the lag cannot be told and 0 is used: {offset.reason}")
         for reference in rules.wanted:
@@ -116,12 +122,3 @@ def _score_recording(
     if setup.equations == "printed" and Reference.KINEMATICS in {score.reference for score in scores}:
         notes.append(KINEMATICS_PRINTED_NOTE)
     return scores
-
-
-def _resolve_lag(
-    rows: Sequence[Estimate], recording: Recording, setup: Setup, rules: TruthRules, lag: Lag
-) -> LagEstimate:
-    """The lag that was asked for, known for sure; or an estimate of it."""
-    if lag == "auto":
-        return recording_lag(rows, recording, setup.profile, rules)
-    return LagEstimate(float(lag), None, 1.0)

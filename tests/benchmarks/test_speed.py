@@ -49,7 +49,7 @@ def test_estimate(benchmark: BenchmarkFixture, golden: Path, method: str) -> Non
 
     def replay() -> int:
         recording = open_recording(golden / "sweep.mcap", chosen.profile)
-        return sum(row.measured for row in estimate(recording, chosen.estimator_for(recording)))
+        return sum(row.measured for row in estimate(recording, chosen))
 
     benchmark.extra_info["frames"] = FRAMES
     assert benchmark(replay) == FRAMES

@@ -32,7 +32,7 @@ def _one_line(err: str) -> str:
     ],
 )
 def test_unusable_file(cli: Cli, tmp_path: Path, name: str, content: bytes | None, said: str) -> None:
-    """A missing, empty or foreign file is named with what was found, and the exit code is 1."""
+    """A file that is missing, empty or of another format is named with what was found, and the exit code is 1."""
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)

@@ -22,7 +22,7 @@ from svmdist.samples import ImageSample, JointSample, PoseSample, Sample, Transf
 from svmdist.transforms import make_transform, quaternion_xyzw_from_rotation
 from tests.cli.conftest import Cli
 from tests.recording.builders import Entry
-from tests.recording.foreign import ros_messages, write_ros2_mcap
+from tests.recording.other_recorders import ros_messages, write_ros2_mcap
 from tests.synthetic import START_NS, TISSUE_M, make_scene, samples, write_log
 
 SCENE = make_scene()

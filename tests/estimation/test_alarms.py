@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch, probability_below
-from svmdist.samples import Estimate, Status
+from svmdist.results import Distance, Distances, FrameResult
+from svmdist.samples import Status
 
 
-def row(seconds: float, clearance_m: float | None, std_m: float | None = 0.5e-3) -> Estimate:
-    return Estimate(
-        round(seconds * 1e9), Status.OK, clearance_m=clearance_m, clearance_std_m=std_m, distance_m=0.01
-    )
+def row(seconds: float, clearance_m: float | None, std_m: float | None = 0.5e-3) -> FrameResult:
+    clearance = None if clearance_m is None else Distance(clearance_m, std_m)
+    distances = Distances(planar=Distance(0.01), clearance=clearance)
+    return FrameResult(round(seconds * 1e9), Status.OK, distances=distances)
 
 
 def test_probability() -> None:
@@ -54,4 +55,4 @@ def test_rows_that_cannot_tell() -> None:
     """Without a clearance there is neither alarm nor safety."""
     watch = AlarmWatch(AlarmRules(0.005))
     assert watch.watch(row(0.0, None)) == AlarmState()
-    assert watch.watch(Estimate(1, Status.NO_TISSUE)) == AlarmState()
+    assert watch.watch(FrameResult(1, Status.NO_TISSUE)) == AlarmState()

@@ -7,27 +7,46 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.distances import measure
-from svmdist.estimation.instrument.model import InstrumentModel, wrist_in_tool
-from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.tissue.dome import DomeFix
-from svmdist.estimation.tissue.fix import TissueFix, see_tissue, tissue_frame
-from svmdist.geometry.closest import winding_number
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.detection.tissue import detect_tissue
+from svmdist.estimation.distances import measured
+from svmdist.estimation.frame import Frame, frame_of
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.instrument.wrist import wrist_in_tool
+from svmdist.estimation.tissue.dome import DomeModel
+from svmdist.estimation.tissue.pose import TissuePose, tissue_frame
+from svmdist.geometry.inside import winding_number
 from svmdist.geometry.surfaces import Plane
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import Dome
-from svmdist.samples import Estimate, JointSample, Status
+from svmdist.results import FrameResult, ToolEstimate, ToolPose
+from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import inverse, make_transform, rotation_x, rotation_z
+from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.segmentation.segmenter import make_segmenter
 from svmdist.vision.tag.refinement import nudged
+from tests.measuring import flat
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
 JOINTS = JointSample(0, CHAIN.joint_names, POSTURE)
 MODEL = InstrumentModel.of(PROFILE)
 assert MODEL is not None
-ROW = Estimate(0, Status.OK)
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 FLOOR = tissue_frame(np.array([0.0, 0.0, 0.112]), np.array([0.0, 0.0, -1.0]))
+
+
+ARM = Arm(PROFILE)
+SEGMENTER = make_segmenter(PROFILE.segmentation)
+
+
+def frame(arm: Arm = ARM) -> Frame:
+    """A frame of which only the arm and the camera matter."""
+    return frame_of(Observation(0, np.zeros((480, 640, 3), np.uint8), CAMERA), arm, SEGMENTER)
+
+
+def measure(pose: ToolPose, tissue: TissuePose, joints: JointSample | None = None, arm: Arm = ARM):
+    """All that `measured` tells, flat."""
+    return flat(measured(FrameResult(0, Status.OK), frame(arm), ToolEstimate(pose, joints), tissue))
 
 
 def tool_pose(covariance: np.ndarray | None = None) -> ToolPose:
@@ -36,9 +55,9 @@ def tool_pose(covariance: np.ndarray | None = None) -> ToolPose:
     return ToolPose(T, np.zeros((6, 6)) if covariance is None else covariance, T[:3, :3] @ bent.shaft)
 
 
-def fix(covariance: np.ndarray | None = None) -> TissueFix:
+def fix(covariance: np.ndarray | None = None) -> TissuePose:
     floor = Plane(np.array([0.0, 0.0, -1.0]), -0.112)
-    return TissueFix(
+    return TissuePose(
         np.array([0.0, 0.001, 0.112]), np.zeros((3, 3)) if covariance is None else covariance, floor
     )
 
@@ -49,7 +68,7 @@ def test_stated_deviations_cover_the_truth() -> None:
     A = rng.normal(0.0, 1.0, (6, 6)) * np.array([2e-4] * 3 + [8e-3] * 3)[:, None]
     B = rng.normal(0.0, 1.5e-4, (3, 3))
     held = np.zeros(3)
-    exact = measure(ROW, tool_pose(), fix(), MODEL, JOINTS)
+    exact = measure(tool_pose(), fix(), JOINTS)
     truth = np.array([exact.distance_m, exact.spatial_m, exact.clearance_m])
     surface = fix().surface
     assert isinstance(surface, Plane)
@@ -58,8 +77,8 @@ def test_stated_deviations_cover_the_truth() -> None:
         T = nudged(true.T_camera_tool, A @ rng.normal(size=6))
         shift = B @ rng.normal(size=3)
         moved = Plane(surface.normal, surface.offset_m + float(shift @ surface.normal))
-        tissue = TissueFix(fix().position_m + shift, B @ B.T, moved)
-        found = measure(ROW, ToolPose(T, A @ A.T, true.axis), tissue, MODEL, JOINTS)
+        tissue = TissuePose(fix().position_m + shift, B @ B.T, moved)
+        found = measure(ToolPose(T, A @ A.T, true.axis), tissue, JOINTS)
         values = np.array([found.distance_m, found.spatial_m, found.clearance_m])
         stds = np.array([found.distance_std_m, found.spatial_std_m, found.clearance_std_m])
         held += np.abs(values - truth) < 1.96 * stds
@@ -67,7 +86,7 @@ def test_stated_deviations_cover_the_truth() -> None:
 
 
 def test_distances_are_those_of_the_two_points() -> None:
-    found = measure(ROW, tool_pose(), fix(), MODEL, JOINTS, CAMERA)
+    found = measure(tool_pose(), fix(), JOINTS)
     offset = tool_pose().position_m - fix().position_m
     assert found.distance_m == pytest.approx(np.hypot(*offset[:2]), abs=1e-12)
     assert found.spatial_m == pytest.approx(np.linalg.norm(offset), abs=1e-12)
@@ -78,14 +97,15 @@ def test_distances_are_those_of_the_two_points() -> None:
 
 
 def test_without_a_model_there_is_no_clearance() -> None:
-    found = measure(ROW, tool_pose(), fix())
+    bodiless = Arm(PROFILE.model_copy(update={"instrument": None}))
+    found = measure(tool_pose(), fix(), arm=bodiless)
     assert found.status is Status.OK
     assert (found.clearance_m, found.clearance_std_m, found.clearance_direction) == (None, None, None)
 
 
 def test_a_pose_that_is_no_number_rejects_the_frame() -> None:
     broken = ToolPose(np.full((4, 4), np.nan), np.eye(6), np.array([0.0, 0.0, 1.0]))
-    assert measure(ROW, broken, fix(), MODEL).status is Status.NOT_FINITE
+    assert measure(broken, fix()).status is Status.NOT_FINITE
 
 
 def test_the_wrist_follows_the_joints() -> None:
@@ -115,7 +135,7 @@ def test_a_dome_is_closed_and_as_high_as_told() -> None:
     angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     outline = np.stack([0.028 * np.cos(angle), 0.022 * np.sin(angle), np.full(360, 0.112)], -1)
     for ring in (outline, outline[::-1]):
-        mesh = DomeFix.over(ring, FLOOR, Dome(height_m=0.008)).mesh()
+        mesh = DomeModel.over(ring, FLOOR, Dome(height_m=0.008)).mesh()
         points = np.array([[0.0, 0.0, 0.108], [0.0, 0.0, 0.1035], [0.0, 0.0, 0.113], [0.02, 0.0, 0.111]])
         np.testing.assert_allclose(winding_number(points, mesh.triangles_m), [1, 0, 0, 1], atol=1e-9)
         assert mesh.vertices_m[:, 2].min() == pytest.approx(0.104, abs=1e-12)
@@ -132,12 +152,12 @@ def test_the_tissue_is_found_where_it_lies() -> None:
         image[((xs - centre[0]) / 138) ** 2 + ((ys - centre[1]) / 109) ** 2 <= 1] = (70, 60, 200)
         end = centre + rng.uniform(-60, 60, 2)
         cv2.line(image, (639, int(rng.uniform(50, 430))), tuple(end.astype(int).tolist()), (40, 40, 40), 40)
-        sight = see_tissue(make_segmenter(PROFILE.segmentation).masks(image), PROFILE, CAMERA)
-        assert sight is not None
-        assert sight.fix is not None
+        detected = detect_tissue(FrameContext(image, SEGMENTER).masks, PROFILE, CAMERA)
+        assert detected is not None
+        assert detected.pose is not None
         truth = np.append((centre - CAMERA.K[:2, 2]) / CAMERA.K[0, 0], 1.0) * 0.112
-        error = (sight.fix.position_m - truth)[:2]
-        errors.append(error / np.sqrt(np.diag(sight.fix.covariance)[:2]))
+        error = (detected.pose.position_m - truth)[:2]
+        errors.append(error / np.sqrt(np.diag(detected.pose.covariance)[:2]))
     assert np.sqrt(np.mean(np.square(errors))) < 2.0
     assert np.mean(np.abs(errors) < 1.96) > 0.85
 
@@ -146,5 +166,5 @@ def test_the_tissue_is_found_where_it_lies() -> None:
 def test_a_dome_stands_on_an_outline_of_any_number_of_corners(count: int) -> None:
     angles = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     ring = np.stack([0.02 * np.cos(angles), 0.02 * np.sin(angles), np.full(count, 0.112)], -1)
-    mesh = DomeFix.over(ring, FLOOR, Dome(height_m=0.008)).mesh()
+    mesh = DomeModel.over(ring, FLOOR, Dome(height_m=0.008)).mesh()
     assert mesh.vertices_m[:, 2].min() == pytest.approx(0.104)

@@ -8,21 +8,24 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
-from svmdist.estimation.fiducial import FiducialEstimator
-from svmdist.estimation.instrument.tag_pose import find_tag_pose, tool_behind_tag
+from svmdist.estimation.detection.tag import find_tag_pose
+from svmdist.estimation.instrument.tool_from_tag import tool_from_tag
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.jacobian import row_index
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
 from svmdist.samples import JointSample, Observation, Status
-from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_y, rotation_z
-from svmdist.vision.tag.detection import TagFinder, pose_candidates, square_corners_m
+from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_z
+from svmdist.vision.tag.detection import find_tags, pose_candidates, square_corners_m
 from svmdist.vision.tag.pattern import TagPattern
 from svmdist.vision.tag.refinement import TagPose
+from tests.measuring import Measuring
+from tests.rotations import rotation_y
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
 SIZE_M = 0.007
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
-FINDER, PATTERN = TagFinder("36h11", 0), TagPattern("36h11", 0, SIZE_M)
+PATTERN = TagPattern("36h11", 0, SIZE_M)
 SAMPLES = 3
 
 
@@ -56,10 +59,10 @@ def draw(T_camera_tag: Array, noise: float, seed: int, ground: int = 110) -> np.
     return np.clip(np.round(image), 0, 255).astype(np.uint8)
 
 
-def found_pose(image: np.ndarray, believed: Array | None = None) -> TagPose:
-    corners = FINDER.corners_px(image)
+def found_pose(image: np.ndarray, R_predicted: Array | None = None) -> TagPose:
+    corners = find_tags(image, "36h11").get(0)
     assert corners is not None
-    pose = find_tag_pose(image, corners, CAMERA, PATTERN, believed)
+    pose = find_tag_pose(image, corners, CAMERA, PATTERN, R_predicted)
     assert pose is not None
     return pose
 
@@ -71,7 +74,7 @@ def test_a_tag_is_placed_to_a_tenth_of_a_millimetre(depth_m: float, noise: float
     rng = np.random.default_rng(round(1000 * depth_m))
     for seed in range(6):
         T = tilted(rng, (0.3, 0.8), depth_m)
-        # Small and noisy tags need the robot's word on which of the two poses it is.
+        # Small and noisy tags need nominal kinematics to tell which of the two poses it is.
         pose = found_pose(draw(T, noise, seed), rotation_x(0.05) @ T[:3, :3])
         error_m = pose.T_camera_tag[:3, 3] - T[:3, 3]
         turn = cv2.Rodrigues(T[:3, :3] @ pose.T_camera_tag[:3, :3].T)[0].ravel()
@@ -93,36 +96,36 @@ def test_exact_corners_give_back_the_pose() -> None:
         assert min(np.abs(found - T).max() for found in candidates) < 1e-6
 
 
-def test_belief_decides_where_the_image_cannot() -> None:
-    """Seen from far, both poses fit: without belief the frame is ambiguous, with belief the right one is taken."""
+def test_the_predicted_rotation_decides_where_the_image_cannot() -> None:
+    """Seen from far, both poses fit: ambiguous without a predicted rotation, and the right one with it."""
     rng = np.random.default_rng(2)
     undecided = 0
     for seed in range(12):
         T = tilted(rng, (0.3, 0.5), 0.24)
         image = draw(T, 6.0, seed)
-        corners = FINDER.corners_px(image)
+        corners = find_tags(image, "36h11").get(0)
         if corners is None:
             continue
         if find_tag_pose(image, corners, CAMERA, PATTERN, None) is None:
             undecided += 1
-        believed = rotation_x(0.05) @ T[:3, :3]
-        pose = find_tag_pose(image, corners, CAMERA, PATTERN, believed)
+        R_predicted = rotation_x(0.05) @ T[:3, :3]
+        pose = find_tag_pose(image, corners, CAMERA, PATTERN, R_predicted)
         if pose is not None:
             assert np.linalg.norm(pose.T_camera_tag[:3, :3] - T[:3, :3]) < 0.4
     assert undecided > 0
 
 
-def test_a_sure_belief_finds_the_same_pose() -> None:
-    """Started from a rotation known to a degree, the one search ends where both would; a wrong one is not believed."""
+def test_a_certain_prediction_finds_the_same_pose() -> None:
+    """Started from a rotation known to a degree, the one search ends where both would; a wrong one is rejected."""
     rng = np.random.default_rng(8)
     for seed in range(3):
         T = tilted(rng, (0.3, 0.6), 0.09)
         image = draw(T, 2.0, seed)
-        corners = FINDER.corners_px(image)
+        corners = find_tags(image, "36h11").get(0)
         assert corners is not None
         whole = found_pose(image)
-        for believed in (rotation_x(0.015) @ T[:3, :3], rotation_x(1.0) @ T[:3, :3]):
-            sure = find_tag_pose(image, corners, CAMERA, PATTERN, believed, 0.01)
+        for R_predicted in (rotation_x(0.015) @ T[:3, :3], rotation_x(1.0) @ T[:3, :3]):
+            sure = find_tag_pose(image, corners, CAMERA, PATTERN, R_predicted, 0.01)
             assert sure is not None
             np.testing.assert_allclose(sure.T_camera_tag[:3, 3], whole.T_camera_tag[:3, 3], atol=2e-5)
             np.testing.assert_allclose(sure.T_camera_tag[:3, :3], whole.T_camera_tag[:3, :3], atol=2e-3)
@@ -135,7 +138,7 @@ def test_the_tool_is_behind_the_tag() -> None:
     T_camera_base = make_transform(rotation_x(0.4), [0.1, -0.2, 0.3])
     T_base_link = frame_transforms(CHAIN, POSTURE)[row_index(CHAIN, fiducial.link)]
     tag = TagPose(T_camera_base @ T_base_link @ fiducial.T_link_tag, np.zeros((6, 6)), 0.0, 0.8)
-    pose = tool_behind_tag(tag, fiducial, CHAIN, POSTURE, KinematicError())
+    pose = tool_from_tag(tag, fiducial, RobotState(CHAIN, 0, POSTURE), KinematicError())
     np.testing.assert_allclose(
         pose.T_camera_tool, T_camera_base @ forward_kinematics(CHAIN, POSTURE), atol=1e-12
     )
@@ -160,7 +163,7 @@ def observation(joints: bool = True, tag: bool = True) -> tuple[Observation, Arr
 def test_a_frame_is_measured() -> None:
     """Tool within 0.2 mm, all three distances, and the interval holds the spatial distance."""
     seen, T_camera_tool = observation()
-    row = FiducialEstimator(PROFILE).estimate(seen)
+    row = Measuring("fiducial", PROFILE).estimate(seen)
     assert row.status is Status.OK
     assert row.tool_position_m is not None
     np.testing.assert_allclose(row.tool_position_m, T_camera_tool[:3, 3], atol=2e-4)
@@ -176,7 +179,7 @@ def test_a_frame_is_measured() -> None:
     ("joints", "tag", "status"), [(True, False, Status.NO_FIDUCIAL), (False, True, Status.NO_JOINTS)]
 )
 def test_what_is_missing_is_the_reason(joints: bool, tag: bool, status: Status) -> None:
-    row = FiducialEstimator(PROFILE).estimate(observation(joints, tag)[0])
+    row = Measuring("fiducial", PROFILE).estimate(observation(joints, tag)[0])
     assert row.status is status
     assert (row.distance_m, row.spatial_m) == (None, None)
     assert row.tissue_x_px == pytest.approx(150.0, abs=1.0)
@@ -184,6 +187,6 @@ def test_what_is_missing_is_the_reason(joints: bool, tag: bool, status: Status) 
 
 def test_a_profile_without_tag_or_plane_is_refused() -> None:
     with pytest.raises(ProfileError, match=r"no \[fiducial\]"):
-        FiducialEstimator(PROFILE.model_copy(update={"fiducial": None}))
+        Measuring("fiducial", PROFILE.model_copy(update={"fiducial": None}))
     with pytest.raises(ProfileError, match=r"no \[tissue\]"):
-        FiducialEstimator(PROFILE.model_copy(update={"tissue": None}))
+        Measuring("fiducial", PROFILE.model_copy(update={"tissue": None}))

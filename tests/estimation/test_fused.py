@@ -1,4 +1,4 @@
-"""`kinematic` and `fused`: the robot's word, and the robot's word corrected by the image."""
+"""`kinematic` and `fused`: nominal kinematics, and nominal kinematics corrected by the image."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.fused import FusedEstimator
-from svmdist.estimation.kinematic import KinematicEstimator
-from svmdist.estimation.tissue.fix import TissueFix
-from svmdist.estimation.tissue.memory import MOVED_COUNT, TissueMemory
+from svmdist.estimation.tissue.pose import TissuePose
+from svmdist.estimation.tissue.tracking import DEFAULT as TRACKING
+from svmdist.estimation.tissue.tracking import TissueTracker
 from svmdist.geometry.surfaces import Plane
 from svmdist.profile import Profile
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array
+from tests.measuring import Measuring
 from tests.synthetic import START_NS, SyntheticScene, make_scene
 
 
@@ -36,7 +36,7 @@ def profile(scene: SyntheticScene) -> Profile:
 def observe(
     scene: SyntheticScene, seconds: float, shift_m: Array | None = None, dark: bool = False
 ) -> Observation:
-    """One frame of the synthetic scene; the believed camera-to-base transform may be off by a shift."""
+    """One frame of the synthetic scene; the nominal camera-to-base transform may be off by a shift."""
     T_camera_base = scene.T_camera_base.copy()
     if shift_m is not None:
         T_camera_base[:3, 3] += shift_m
@@ -52,9 +52,9 @@ def observe(
     )
 
 
-def test_kinematic_is_as_wrong_as_the_belief(scene: SyntheticScene, profile: Profile) -> None:
+def test_kinematic_is_as_wrong_as_nominal_kinematics(scene: SyntheticScene, profile: Profile) -> None:
     """Right kinematics give the tool exactly; a shifted base shifts it, and the interval knows that."""
-    estimator = KinematicEstimator(profile)
+    estimator = Measuring("kinematic", profile)
     truth_m = scene.T_camera_tool_at(0.5)[:3, 3]
     row = estimator.estimate(observe(scene, 0.5))
     np.testing.assert_allclose(row.tool_position_m, truth_m, atol=1e-12)
@@ -68,11 +68,11 @@ def test_kinematic_is_as_wrong_as_the_belief(scene: SyntheticScene, profile: Pro
     assert abs(off.spatial_m - row.spatial_m) < 1.96 * off.spatial_std_m
 
 
-def test_fused_corrects_the_belief_and_carries_on_in_the_dark(
+def test_fused_corrects_nominal_kinematics_and_carries_on_in_the_dark(
     scene: SyntheticScene, profile: Profile
 ) -> None:
-    """Across the line of sight the shift is found to 0.3 mm; in the dark a row still comes, less sure."""
-    estimator = FusedEstimator(profile)
+    """Across the viewing ray the shift is found to 0.3 mm; in the dark a row still comes, less sure."""
+    estimator = Measuring("fused", profile)
     shift_m = np.array([0.004, -0.003, 0.0])
     for step in range(20):
         row = estimator.estimate(observe(scene, 0.1 * step, shift_m))
@@ -89,12 +89,12 @@ def test_fused_corrects_the_belief_and_carries_on_in_the_dark(
     assert np.hypot(*error_m[:2]) < 1e-3
 
 
-@pytest.mark.parametrize("method", [KinematicEstimator, FusedEstimator])
+@pytest.mark.parametrize("method", ["kinematic", "fused"])
 def test_without_joints_or_transform_there_is_a_reason(
-    scene: SyntheticScene, profile: Profile, method: type[KinematicEstimator] | type[FusedEstimator]
+    scene: SyntheticScene, profile: Profile, method: str
 ) -> None:
     """A frame without joints or camera-to-base transform says which is missing, and is no exception."""
-    estimator = method(profile)
+    estimator = Measuring(method, profile)
     whole = observe(scene, 0.0)
     for lacking in (replace(whole, joints=None), replace(whole, T_camera_base=None)):
         row = estimator.estimate(lacking)
@@ -102,35 +102,33 @@ def test_without_joints_or_transform_there_is_a_reason(
         assert row.detail
 
 
-@pytest.mark.parametrize("method", [KinematicEstimator, FusedEstimator])
-def test_a_profile_must_have_chain_and_tissue(
-    profile: Profile, method: type[KinematicEstimator] | type[FusedEstimator]
-) -> None:
+@pytest.mark.parametrize("method", ["kinematic", "fused"])
+def test_a_profile_must_have_chain_and_tissue(profile: Profile, method: str) -> None:
     """Without [robot] or [tissue] the method says so at once."""
     for key in ("robot", "tissue"):
         with pytest.raises(ProfileError, match=key):
-            method(profile.model_copy(update={key: None}))
+            Measuring(method, profile.model_copy(update={key: None}))
 
 
-def fix_at(x_m: float) -> TissueFix:
+def fix_at(x_m: float) -> TissuePose:
     plane = Plane(np.array([0.0, 0.0, -1.0]), -0.1)
-    return TissueFix(np.array([x_m, 0.0, 0.1]), 1e-8 * np.eye(3), plane)
+    return TissuePose(np.array([x_m, 0.0, 0.1]), 1e-8 * np.eye(3), plane)
 
 
 def test_tissue_is_remembered_and_wild_fixes_are_not() -> None:
     """The mean of like fixes keeps their covariance; one far fix changes nothing, a row of them is a move."""
-    memory = TissueMemory()
+    tracker = TissueTracker()
     for x_m in (0.0, 1e-4, 0.0, 1e-4):
-        known = memory.add(fix_at(x_m))
+        known = tracker.add(fix_at(x_m))
     assert known is not None
     assert known.position_m[0] == pytest.approx(0.5e-4, abs=3e-6)
     assert known.covariance[0, 0] == pytest.approx(1e-8, rel=1e-3)
-    assert memory.add(None) is not None
-    for _ in range(MOVED_COUNT - 1):
-        known = memory.add(fix_at(0.01))
+    assert tracker.add(None) is not None
+    for _ in range(TRACKING.moved_count - 1):
+        known = tracker.add(fix_at(0.01))
     assert known is not None
     assert known.position_m[0] < 1e-4
-    known = memory.add(fix_at(0.01))
+    known = tracker.add(fix_at(0.01))
     assert known is not None
     assert known.position_m[0] == pytest.approx(0.01)
 
@@ -138,11 +136,11 @@ def test_tissue_is_remembered_and_wild_fixes_are_not() -> None:
 def test_fixes_that_scatter_widen_the_tissues_interval() -> None:
     """Fixes that say 0.1 mm and scatter by 0.2 mm leave 0.2 mm in the mean; quiet ones stay at what they say."""
     rng = np.random.default_rng(3)
-    loud, quiet = TissueMemory(), TissueMemory()
+    loud, quiet = TissueTracker(), TissueTracker()
     for _ in range(40):
-        for memory, std_m in ((loud, 2e-4), (quiet, 2e-5)):
+        for tracker, std_m in ((loud, 2e-4), (quiet, 2e-5)):
             fix = fix_at(0.0)
-            known = memory.add(
+            known = tracker.add(
                 replace(fix, position_m=fix.position_m + std_m * np.array([*rng.normal(size=2), 0.0]))
             )
             assert known is not None

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.shaft_fit import ShaftFit
-from svmdist.estimation.instrument.shaft_model import shaft_frames
-from svmdist.estimation.shaft import ShaftEstimator
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.frame import frame_of
+from svmdist.estimation.shaft_pose.fit import ShaftFit
+from svmdist.estimation.shaft_pose.model import shaft_frames
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics
-from svmdist.profile import ColourRegion, load_profile
+from svmdist.profile import ColourRegion, Profile, load_profile
+from svmdist.results import Failure
 from svmdist.samples import Observation
+from svmdist.vision.segmentation.segmenter import make_segmenter
 from tests.shaft_images import RED_BGR, WRIST_M, ShaftImage, entering_from
 
 PROFILE = load_profile().model_copy(update={"fiducial": None})
@@ -27,9 +30,14 @@ def picture(camera: Camera, side: str, **kwargs: object) -> ShaftImage:
     return ShaftImage(camera, *entering_from(SIDES[side], camera), **kwargs)  # type: ignore[arg-type]
 
 
+def find_tool(observation: Observation, profile: Profile = PROFILE) -> ShaftFit | Failure:
+    """The tool's pose by the shaft alone."""
+    return frame_of(observation, Arm(profile), make_segmenter(profile.segmentation)).tool.shaft_fit
+
+
 def measured(drawn: ShaftImage, parts: int = 2) -> ShaftFit:
     """Without joints and without a camera-to-base transform."""
-    fit = ShaftEstimator(PROFILE).find_tool(Observation(0, drawn.draw(parts), drawn.camera))
+    fit = find_tool(Observation(0, drawn.draw(parts), drawn.camera))
     assert isinstance(fit, ShaftFit), fit
     return fit
 
@@ -87,29 +95,29 @@ def test_from_the_corners(angle_rad: float):
 
 
 def test_portrait_with_distortion():
-    """A lens that bends straight lines by several pixels: the sides are straightened before they are fitted."""
+    """A lens that bends straight lines by several pixels: the sides are undistorted before they are fitted."""
     K = np.array([[560.0, 0.0, 239.5], [0.0, 560.0, 319.5], [0.0, 0.0, 1.0]])
     camera = Camera(480, 640, K, np.array([-0.25, 0.06, 0.0, 0.0, 0.0]))
     drawn = picture(camera, "top")
     check(drawn, measured(drawn), axis_rad=0.02, across_m=2e-4, depth_m=1e-3)
 
 
-def test_bare_steel_is_no_knuckle():
+def test_bare_steel_is_no_distal_marker():
     """A profile whose instrument rule is the steel's: the rim gives the place, and no disc is made of the tip."""
     steel = ColourRegion(hue=(0, 179), saturation=(0, 40), value=(110, 165), min_area_px=100)
     rules = PROFILE.segmentation.model_copy(update={"instrument": steel})
     profile = PROFILE.model_copy(update={"segmentation": rules})
-    drawn = picture(SMALL, "left", background_bgr=RED_BGR, knuckle=False)
-    fit = ShaftEstimator(profile).find_tool(Observation(0, drawn.draw(2), drawn.camera))
+    drawn = picture(SMALL, "left", background_bgr=RED_BGR, marker=False)
+    fit = find_tool(Observation(0, drawn.draw(2), drawn.camera), profile)
     assert isinstance(fit, ShaftFit), fit
-    assert "knuckle" not in fit.used
+    assert "distal marker" not in fit.used
     check(drawn, fit, axis_rad=0.02, across_m=1e-3, depth_m=1.5e-3)
 
 
 @pytest.mark.parametrize("side", SIDES)
 def test_steel_tip_without_a_coloured_part(side: str):
     """The rim alone gives the place along the shaft; the wrist's bend is then unknown, and the answer says so."""
-    drawn = picture(SMALL, side, knuckle=False)
+    drawn = picture(SMALL, side, marker=False)
     fit = measured(drawn)
     check(drawn, fit, axis_rad=0.02, across_m=1e-3, depth_m=1.5e-3)
     assert "rim" in fit.used
@@ -118,9 +126,9 @@ def test_steel_tip_without_a_coloured_part(side: str):
 
 def test_an_image_without_an_instrument_says_so():
     empty = np.full((480, 640, 3), 150, np.uint8)
-    assert isinstance(ShaftEstimator(PROFILE).find_tool(Observation(0, empty, SMALL)), str)
+    assert isinstance(find_tool(Observation(0, empty, SMALL)), Failure)
     black = np.zeros((480, 640, 3), np.uint8)
-    assert isinstance(ShaftEstimator(PROFILE).find_tool(Observation(0, black, SMALL)), str)
+    assert isinstance(find_tool(Observation(0, black, SMALL)), Failure)
 
 
 @pytest.mark.parametrize("name", ["psm13", "dvrk-psm"])

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.pose import ToolPose
-from svmdist.estimation.instrument.shaft_sight import Knuckle
-from svmdist.estimation.stereo import StereoEstimator
-from svmdist.estimation.stereo_tool import SeenTwice, deepen, match_knuckle
+from svmdist.estimation.detection.distal_marker import DistalMarker
+from svmdist.estimation.detection.stereo_match import StereoMatch, match_distal_marker
+from svmdist.estimation.instrument.stereo_pose import refine_depth
 from svmdist.profile import load_profile
+from svmdist.results import Failure, ToolPose
 from svmdist.samples import Observation, RightView, Status
 from svmdist.vision.rectified import RectifiedPair
+from tests.measuring import Measuring
 from tests.synthetic import make_scene
 
 BASELINE_M = 0.005
@@ -59,8 +60,8 @@ def test_a_disparity_corrects_a_pose_as_the_posterior_does() -> None:
     A[0, 2] = 3e-4  # what is wrong with the depth moves the point sideways, too
     pose = ToolPose(np.eye(4), A @ A.T, np.array([0.0, 0.0, 1.0]))
     pose.T_camera_tool[:3, 3] = P_M + np.array([0.0, 0.0, 0.003])
-    seen = SeenTwice(CAMERA.project(P_M)[0], 0.5, disparity_px(P_M), 0.12)
-    found = deepen(pose, seen, PAIR)
+    seen = StereoMatch(CAMERA.project(P_M)[0], 0.5, disparity_px(P_M), 0.12)
+    found = refine_depth(pose, seen, PAIR)
     assert found is not None
     W = np.linalg.inv(pose.covariance)
     depths = np.linspace(-0.006, 0.002, 80001)
@@ -76,24 +77,24 @@ def test_a_disparity_corrects_a_pose_as_the_posterior_does() -> None:
 def test_a_disparity_that_contradicts_the_pose_is_not_mixed_in() -> None:
     pose = ToolPose(np.eye(4), np.diag([1e-8] * 6), np.array([0.0, 0.0, 1.0]))
     pose.T_camera_tool[:3, 3] = P_M + np.array([0.0, 0.0, 0.01])
-    assert deepen(pose, SeenTwice(np.zeros(2), 0.5, disparity_px(P_M), 0.12), PAIR) is None
+    assert refine_depth(pose, StereoMatch(np.zeros(2), 0.5, disparity_px(P_M), 0.12), PAIR) is None
 
 
-def test_a_knuckle_of_which_a_part_is_hidden_tells_no_depth() -> None:
+def test_a_marker_of_which_a_part_is_hidden_tells_no_depth() -> None:
     """A whole one does, within what its hidden parts may differ by."""
-    whole = Knuckle(CAMERA.project(P_M)[0], 0.5, 10.7, 0.2)
+    whole = DistalMarker(CAMERA.project(P_M)[0], 0.5, 10.7, 0.2)
     right = replace(whole, centre_px=whole.centre_px - [disparity_px(P_M), 0.0])
-    seen = match_knuckle(whole, right, PAIR, 0.00175, CAMERA)
-    assert isinstance(seen, SeenTwice)
+    seen = match_distal_marker(whole, right, PAIR, 0.00175, CAMERA)
+    assert isinstance(seen, StereoMatch)
     assert seen.disparity_px == pytest.approx(disparity_px(P_M))
     assert 0.1 < seen.disparity_std_px < 0.2
     for part in (replace(right, radius_px=None), replace(right, radius_px=7.0)):
-        said = match_knuckle(whole, part, PAIR, 0.00175, CAMERA)
-        assert isinstance(said, str)
-        assert "hidden" in said
-    assert "one view" in str(match_knuckle(whole, None, PAIR, 0.00175, CAMERA))
+        said = match_distal_marker(whole, part, PAIR, 0.00175, CAMERA)
+        assert isinstance(said, Failure)
+        assert "hidden" in said.reason
+    assert "one view" in str(match_distal_marker(whole, None, PAIR, 0.00175, CAMERA))
     higher = replace(right, centre_px=right.centre_px + np.array([0.0, 9.0]))
-    assert "agree" in str(match_knuckle(whole, higher, PAIR, 0.00175, CAMERA))
+    assert "agree" in str(match_distal_marker(whole, higher, PAIR, 0.00175, CAMERA))
 
 
 @pytest.mark.parametrize(
@@ -107,14 +108,14 @@ def test_a_pair_that_is_not_rectified_is_refused(change, said) -> None:
     """A turned right camera, or swapped views, are a rejection that says so."""
     T = np.eye(4)
     T[0, 3] = BASELINE_M
-    row = StereoEstimator(load_profile()).estimate(_observation(change(T)))
+    row = Measuring("stereo", load_profile()).estimate(_observation(change(T)))
     assert row.status is Status.NO_STEREO
     assert said in row.detail
 
 
 def test_one_camera_is_not_enough() -> None:
     """Without a right view the frame is rejected, with what the left one shows."""
-    row = StereoEstimator(load_profile()).estimate(replace(_observation(), right=None))
+    row = Measuring("stereo", load_profile()).estimate(replace(_observation(), right=None))
     assert row.status is Status.NO_STEREO
     assert row.tissue_x_px is not None
     assert row.spatial_m is None
@@ -122,4 +123,4 @@ def test_one_camera_is_not_enough() -> None:
 
 def test_without_joints_there_is_no_direction() -> None:
     """A log without joint states near the image cannot tell where the jaws point."""
-    assert StereoEstimator(load_profile()).estimate(_observation()).status is Status.NO_JOINTS
+    assert Measuring("stereo", load_profile()).estimate(_observation()).status is Status.NO_JOINTS

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from svmdist.estimation.tissue.dome import DomeFix
-from svmdist.estimation.tissue.fix import TissueFix, tissue_frame
-from svmdist.estimation.tissue.memory import MOVED_COUNT, SHAPE_COUNT, TissueMemory
-from svmdist.estimation.tissue.stereo_surface import SMOOTH, StereoSurface, fit_dome
+from svmdist.estimation.detection.stereo_surface import StereoSurface
+from svmdist.estimation.tissue.dome import DomeModel
+from svmdist.estimation.tissue.dome_fit import fit_dome
+from svmdist.estimation.tissue.pose import TissuePose, tissue_frame
+from svmdist.estimation.tissue.tracking import DEFAULT as TRACKING
+from svmdist.estimation.tissue.tracking import TissueTracker
 from svmdist.geometry.separation import separation
 from svmdist.geometry.surfaces import Capsules, Mesh, Plane
 from svmdist.profile import Dome
+from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array, transform_points
 
 RULE = Dome(height_m=0.008, gauge_exponent=2.3, height_exponent=0.62, height_std_m=1.5e-4, apex_std_m=2e-3)
@@ -21,10 +24,10 @@ ORIGIN_M = np.array([0.004, -0.003, 0.11])
 T = tissue_frame(ORIGIN_M, NORMAL)
 ANGLE = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
 OUTLINE_M = np.stack([0.028 * np.cos(ANGLE), 0.022 * np.sin(ANGLE + 0.1), 0.0 * ANGLE], -1)
-DOME = DomeFix.over(transform_points(T, OUTLINE_M), T, RULE)
+DOME = DomeModel.over(transform_points(T, OUTLINE_M), T, RULE)
 
 
-def shaped(*shape_m: float) -> DomeFix:
+def shaped(*shape_m: float) -> DomeModel:
     return DOME.shaped(np.array(shape_m), DOME.covariance)
 
 
@@ -46,7 +49,7 @@ def test_heights_are_those_of_the_mesh() -> None:
     height_m = dome.height_m(points_m)
     above = transform_points(T, np.column_stack([points_m, np.full(200, 0.05)]))
     hits, rays, _ = solid.ray.intersects_location(above, np.tile(-T[:3, 2], (200, 1)), multiple_hits=False)
-    found_m = dome.on_floor(hits)[:, 2]
+    found_m = dome.to_tissue_frame(hits)[:, 2]
     np.testing.assert_allclose(found_m, height_m[rays], atol=6e-5)
     assert len(rays) == 200
 
@@ -69,7 +72,7 @@ def test_the_deviation_has_a_bound_at_the_rim() -> None:
     assert 0.0 < DOME.variance_m2(rim[:3], -NORMAL) < (5e-4) ** 2
 
 
-def cloud(dome: DomeFix, error_m: Array | float = 0.0, points_m: Array | None = None) -> StereoSurface:
+def cloud(dome: DomeModel, error_m: Array | float = 0.0, points_m: Array | None = None) -> StereoSurface:
     flat_m = inner_points(800) if points_m is None else points_m
     return StereoSurface(
         transform_points(T, np.column_stack([flat_m, dome.height_m(flat_m) + error_m])), 3.6e-4
@@ -99,7 +102,7 @@ def test_fitted_shapes_are_as_sure_as_they_say() -> None:
     squares = []
     for _ in range(60):
         truth = DOME.shaped(rng.multivariate_normal(DOME.shape_m, DOME.covariance), DOME.covariance)
-        error_m = smooth @ rng.normal(0.0, SMOOTH * 3.6e-4, basis.shape[1])
+        error_m = smooth @ rng.normal(0.0, StereoSettings().smooth_fraction * 3.6e-4, basis.shape[1])
         found = fit_dome(DOME, cloud(truth, error_m, flat_m))
         assert found is not None
         off = found.shape_m - truth.shape_m
@@ -121,23 +124,23 @@ def test_what_is_no_dome_is_refused(error_m: float) -> None:
 
 def test_shape_is_remembered_until_the_tissue_moves() -> None:
     """Views of the shape enter the surface and its deviation, are soon wanted rarely, and are forgotten in a move."""
-    memory = TissueMemory()
+    tracker = TissueTracker()
     seen = DOME.shaped(np.array([2e-3, 0.0, 8.2e-3]), 0.1 * DOME.covariance)
-    fix = TissueFix(ORIGIN_M, 1e-10 * np.eye(3), DOME.mesh(), 0.0, DOME)
-    for _ in range(SHAPE_COUNT):
-        assert memory.wants_shape
-        known = memory.add(fix, seen)
-    known = memory.add(fix)
-    assert not memory.wants_shape
+    fix = TissuePose(ORIGIN_M, 1e-10 * np.eye(3), DOME.mesh(), 0.0, DOME)
+    for _ in range(TRACKING.shape_count):
+        assert tracker.wants_shape
+        known = tracker.add(fix, seen)
+    known = tracker.add(fix)
+    assert not tracker.wants_shape
     assert known is not None
     assert known.dome is not None
     assert isinstance(known.surface, Mesh)
     np.testing.assert_allclose(known.dome.shape_m, seen.shape_m, rtol=1e-6)
     np.testing.assert_allclose(known.dome.covariance, seen.covariance, rtol=1e-3)
     np.testing.assert_allclose(known.surface.vertices_m, known.dome.mesh().vertices_m)
-    far = TissueFix(ORIGIN_M + np.array([0.01, 0.0, 0.0]), 1e-10 * np.eye(3), DOME.mesh(), 0.0, DOME)
-    for _ in range(MOVED_COUNT):
-        known = memory.add(far)
+    far = TissuePose(ORIGIN_M + np.array([0.01, 0.0, 0.0]), 1e-10 * np.eye(3), DOME.mesh(), 0.0, DOME)
+    for _ in range(TRACKING.moved_count):
+        known = tracker.add(far)
     assert known is not None
     assert known.dome is not None
     np.testing.assert_allclose(known.dome.shape_m, DOME.shape_m)
@@ -145,8 +148,8 @@ def test_shape_is_remembered_until_the_tissue_moves() -> None:
 
 def test_a_plane_has_no_shape() -> None:
     plane = Plane(NORMAL, float(NORMAL @ ORIGIN_M))
-    fix = TissueFix(ORIGIN_M, 1e-10 * np.eye(3), plane, 2e-4)
-    known = TissueMemory().add(fix, DOME)
+    fix = TissuePose(ORIGIN_M, 1e-10 * np.eye(3), plane, 2e-4)
+    known = TissueTracker().add(fix, DOME)
     assert known is not None
     assert known.surface is plane
     assert fix.surface_variance_m2(ORIGIN_M, NORMAL) == pytest.approx(4e-8)

@@ -5,7 +5,8 @@ import pytest
 import trimesh
 from scipy.optimize import minimize
 
-from svmdist.geometry.closest import segment_to_segment, segment_to_triangle, winding_number
+from svmdist.geometry.closest import segment_to_segment, segment_to_triangle
+from svmdist.geometry.inside import winding_number
 from svmdist.geometry.separation import Separation, capsule_separation, separation
 from svmdist.geometry.surfaces import Capsules, Cloud, Mesh, Plane, Surface, join
 from svmdist.transforms import Array, make_transform, rotation_x, rotation_z, transform_points
@@ -167,10 +168,70 @@ def test_direction_is_the_gradient_outside_and_inside() -> None:
         np.testing.assert_allclose(gradient, -found.direction, atol=1e-3)
 
 
-def test_winding_number_tells_inside_from_outside() -> None:
-    mesh = box([2, 2, 2])
-    points = np.array([[0.0, 0, 0], [0.9, -0.9, 0.9], [1.1, 0, 0], [5, 5, 5]])
-    np.testing.assert_allclose(winding_number(points, mesh.triangles_m), [1, 1, 0, 0], atol=EXACT)
+def torus() -> Mesh:
+    mesh = trimesh.creation.torus(0.6, 0.25, 48, 24)
+    return Mesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
+
+
+def test_beside_a_concave_mesh_pruning_leaves_the_nearest_face() -> None:
+    """Capsules about a torus, through its hole, and beside it: as every capsule against every triangle in turn."""
+    rng, mesh, outside = np.random.default_rng(12), torus(), 0
+    for _ in range(60):
+        starts = rng.uniform(-1.0, 1.0, (6, 3)) * rng.choice([0.15, 1.5])
+        capsules = Capsules(starts, starts + rng.normal(0.0, 0.15, (6, 3)), rng.uniform(0.01, 0.05, 6))
+        every = segment_to_triangle(
+            capsules.start_m[:, None], capsules.end_m[:, None], mesh.triangles_m[None]
+        ).distance
+        inside = winding_number(np.vstack([capsules.start_m, capsules.end_m]), mesh.triangles_m) > 0.5
+        if inside.any() or every.min() < EXACT:
+            assert separation(capsules, mesh).distance_m < 0.0
+            continue
+        outside += 1
+        found = separation(capsules, mesh)
+        assert found.distance_m == pytest.approx((every - capsules.radius_m[:, None]).min(), abs=EXACT)
+        assert_consistent(found)
+    assert outside > 20
+
+
+def test_many_capsules_against_many_agree_with_every_pair_in_turn() -> None:
+    rng = np.random.default_rng(13)
+    for spread in (0.3, 3.0):
+        a, b = (random_capsules(rng, 12) for _ in range(2))
+        b = Capsules(b.start_m * 0.1 + spread, b.end_m * 0.1 + spread, b.radius_m)
+        every = segment_to_segment(
+            a.start_m[:, None], a.end_m[:, None], b.start_m[None], b.end_m[None]
+        ).distance
+        found = capsule_separation(a, b)
+        expected = (every - a.radius_m[:, None] - b.radius_m[None]).min()
+        assert found.distance_m == pytest.approx(expected, abs=EXACT)
+        assert_consistent(found)
+        back, other = found.reversed(), capsule_separation(b, a)
+        assert_consistent(back)
+        assert (back.capsule, back.distance_m) == (other.capsule, pytest.approx(other.distance_m, abs=EXACT))
+        np.testing.assert_allclose(back.direction, other.direction, atol=1e-7)
+        np.testing.assert_allclose(back.on_instrument_m, other.on_instrument_m, atol=1e-7)
+
+
+def test_a_separation_from_tissue_has_no_other_side() -> None:
+    with pytest.raises(ValueError, match="no instrument"):
+        separation(capsule([0, 0, 2], [0, 0, 3], 0.1), box([1, 1, 1])).reversed()
+
+
+def test_the_nearest_point_of_a_large_cloud_is_found() -> None:
+    rng = np.random.default_rng(14)
+    points, capsules = rng.uniform(-0.05, 0.05, (3000, 3)), random_capsules(rng, 8)
+    points += np.array([0.0, 0.0, 0.13])
+    capsules = Capsules(0.02 * capsules.start_m, 0.02 * capsules.end_m, 0.01 * capsules.radius_m)
+    along = np.linspace(0.0, 1.0, 2001)[:, None, None]
+    axes = capsules.start_m + along * (capsules.end_m - capsules.start_m)
+    sampled = min(
+        float((np.linalg.norm(axes - point, axis=-1) - capsules.radius_m).min())
+        for point in points[np.argsort(points[:, 2])[:300]]
+    )
+    found = separation(capsules, Cloud(points))
+    assert found.distance_m <= sampled + EXACT
+    assert sampled - found.distance_m < 1e-8  # (0.1 / 4000)² / 2 / 0.05
+    assert_consistent(found)
 
 
 def test_a_cloud_without_points_is_refused() -> None:

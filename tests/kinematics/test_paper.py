@@ -1,4 +1,4 @@
-"""The paper's kinematic equations: what is printed, what is corrected, and where they differ."""
+"""The paper's kinematic equations: what was published, what is corrected, and where they differ."""
 
 from __future__ import annotations
 
@@ -7,23 +7,44 @@ import pytest
 
 from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics
 from svmdist.kinematics.paper import (
-    camera_base_printed,
+    displacement_cm_as_published,
     displacement_cm_corrected,
-    displacement_cm_printed,
-    first_link,
-    last_link_corrected,
-    last_link_printed,
     planar_distance_cm,
 )
 from svmdist.profile import load_profile
+from svmdist.transforms import Array
 
 ANGLES_RAD = (0.0, 0.3, np.pi / 2, -2.0, np.pi)
 
 
-def test_eq_28_as_printed_maps_everything_to_zero():
-    """The printed transform is the zero matrix, so that eq. (31) is zero whatever the joints are."""
-    assert camera_base_printed().shape == (4, 4)
-    assert not np.any(camera_base_printed() @ first_link(0.1, 0.2))
+def camera_base_as_published() -> Array:
+    """T from base to camera of eq. (28) as published: the zero matrix, which makes (31) zero everywhere."""
+    return np.zeros((4, 4))
+
+
+def first_link(l1_m: float, d1_m: float) -> Array:
+    """eq. (29), shape (4, 4): standard DH with α = 0, θ = 0, a = l1 and d = d1."""
+    T = np.eye(4)
+    T[0, 3], T[2, 3] = l1_m, d1_m
+    return T
+
+
+def last_link_as_published(theta_rad: float) -> Array:
+    """eq. (30) as published, shape (4, 4): its rotation part has determinant -1, a reflection."""
+    c, s = np.cos(theta_rad), np.sin(theta_rad)
+    return np.array([[c, 0.0, -s, 0.0], [s, 0.0, c, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+def last_link_corrected(theta_rad: float) -> Array:
+    """eq. (30) corrected, shape (4, 4): standard DH with α = +π/2, a = d = 0."""
+    c, s = np.cos(theta_rad), np.sin(theta_rad)
+    return np.array([[c, 0.0, s, 0.0], [s, 0.0, -c, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+def test_eq_28_as_published_maps_everything_to_zero():
+    """The published transform is the zero matrix, so that eq. (31) is zero whatever the joints are."""
+    assert camera_base_as_published().shape == (4, 4)
+    assert not np.any(camera_base_as_published() @ first_link(0.1, 0.2))
 
 
 @pytest.mark.parametrize("q_m", [0.0, 0.17])
@@ -41,14 +62,14 @@ def test_eq_30_corrected_is_a_standard_dh_row(theta_rad):
 
 
 @pytest.mark.parametrize("theta_rad", ANGLES_RAD)
-def test_eq_30_as_printed_is_a_reflection(theta_rad):
-    """The printed rotation part is orthogonal with determinant -1, the corrected one +1, within 1e-15."""
-    printed, corrected = last_link_printed(theta_rad)[:3, :3], last_link_corrected(theta_rad)[:3, :3]
-    np.testing.assert_allclose(printed @ printed.T, np.eye(3), atol=1e-15)
-    assert np.linalg.det(printed) == pytest.approx(-1.0, abs=1e-15)
+def test_eq_30_as_published_is_a_reflection(theta_rad):
+    """The published rotation part is orthogonal with determinant -1, the corrected one +1, within 1e-15."""
+    published, corrected = last_link_as_published(theta_rad)[:3, :3], last_link_corrected(theta_rad)[:3, :3]
+    np.testing.assert_allclose(published @ published.T, np.eye(3), atol=1e-15)
+    assert np.linalg.det(published) == pytest.approx(-1.0, abs=1e-15)
     assert np.linalg.det(corrected) == pytest.approx(1.0, abs=1e-15)
     # Only the third column differs, by its sign.
-    np.testing.assert_array_equal(printed * [1, 1, -1], corrected)
+    np.testing.assert_array_equal(published * [1, 1, -1], corrected)
 
 
 def test_the_shipped_chain_begins_with_eq_29_and_ends_with_eq_30():
@@ -62,17 +83,17 @@ def test_the_shipped_chain_begins_with_eq_29_and_ends_with_eq_30():
     assert last.alpha_rad == np.pi / 2
 
 
-def test_eqs_33_34_as_printed_divide_metres_by_a_hundred():
-    """The printed displacement is (0.099 - x) / 100, (0.043 - y) / 100, from numbers written out here."""
-    found = displacement_cm_printed(np.array([0.059, 0.013, 0.5]))
+def test_eqs_33_34_as_published_divide_metres_by_a_hundred():
+    """The published displacement is (0.099 - x) / 100, (0.043 - y) / 100, from numbers written out here."""
+    found = displacement_cm_as_published(np.array([0.059, 0.013, 0.5]))
     np.testing.assert_allclose(found, [0.0004, 0.0003], rtol=1e-12)
 
 
-def test_eqs_33_34_corrected_are_ten_thousand_times_the_printed_ones():
+def test_eqs_33_34_corrected_are_ten_thousand_times_the_as_published_ones():
     """With the tissue at (0.099, 0.043) m, the two readings differ by 10^4 and by nothing else."""
     p_m = np.random.default_rng(1).normal(size=(20, 3))
     corrected = displacement_cm_corrected(p_m, np.array([0.099, 0.043, 0.7]))
-    np.testing.assert_allclose(corrected, 1e4 * displacement_cm_printed(p_m), rtol=1e-12)
+    np.testing.assert_allclose(corrected, 1e4 * displacement_cm_as_published(p_m), rtol=1e-12)
 
 
 def test_eqs_33_to_35_corrected_give_centimetres():
@@ -82,7 +103,7 @@ def test_eqs_33_to_35_corrected_give_centimetres():
     np.testing.assert_allclose(planar_distance_cm(displacement_cm_corrected(p_m, tissue_m)), 5.0, rtol=1e-12)
 
 
-def test_eq_35_of_the_printed_displacement():
-    """eq. (35) of the printed reading is the same tool's 5 cm shown as 0.0005."""
-    found = planar_distance_cm(displacement_cm_printed(np.array([0.099 - 0.03, 0.043 - 0.04, 0.2])))
+def test_eq_35_of_the_as_published_displacement():
+    """eq. (35) of the published reading is the same tool's 5 cm shown as 0.0005."""
+    found = planar_distance_cm(displacement_cm_as_published(np.array([0.099 - 0.03, 0.043 - 0.04, 0.2])))
     assert found == pytest.approx(0.0005, rel=1e-12)

@@ -12,9 +12,9 @@ from mcap.opcode import Opcode
 
 from svmdist.profile import Limits
 from svmdist.recording.health import Health
-from svmdist.recording.mcap_file.bodies import parse
 from svmdist.recording.mcap_file.container import Container
 from svmdist.recording.mcap_file.content import MessageRecord
+from svmdist.recording.mcap_file.record_parsers import parse
 
 REPOSITORY = Path(__file__).parents[2]
 FOLDER = Path(os.environ.get("SVMDIST_CONFORMANCE", REPOSITORY.parent / "shared" / "conformance"))

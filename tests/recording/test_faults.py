@@ -136,9 +136,9 @@ def test_flipped_bits_give_no_wrong_value_and_no_silent_loss(
 
 @pytest.mark.parametrize("count", [200, pytest.param(5_000, marks=pytest.mark.fault)])
 def test_flipped_bits_without_a_crc_of_the_data_section(tmp_path: Path, count: int) -> None:
-    """Foreign recorders write none: chunks still protect their messages, and no loss of one is silent."""
+    """Other recorders write none: chunks still protect their messages, and no loss of one is silent."""
     native = write_scene(tmp_path / "native.mcap", scene(3))
-    path = rewrite(native, tmp_path / "foreign.mcap", "zstd", chunk_size=3000, data_crc=False)
+    path = rewrite(native, tmp_path / "other.mcap", "zstd", chunk_size=3000, data_crc=False)
     data, intact = path.read_bytes(), read(path)
     assert intact is not None
     rng = random.Random(3)
@@ -157,7 +157,7 @@ def test_structural_mutants_end_in_a_result_or_a_clear_error(
 ) -> None:
     """Three compressions make 21,000 mutants in the long form, each read through the whole facade.
 
-    The time is the processor's, here and for bombs, so that a busy machine changes no verdict.
+    The time is the processor's, here and for bombs, so that a busy machine does not change the result.
     """
     rng = random.Random(4)
     path = tmp_path / "mutant.mcap"

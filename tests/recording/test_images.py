@@ -53,6 +53,16 @@ def test_grey_becomes_bgr_and_alpha_is_dropped() -> None:
         (JPEG[: len(JPEG) // 2], "ends early"),
         (PNG[:8] + PNG[33:], "without a header"),
     ],
+    ids=[
+        "empty",
+        "GIF",
+        "BMP",
+        "PNG of 16 bits",
+        "PNG but for a byte",
+        "half a PNG",
+        "half a JPEG",
+        "no IHDR",
+    ],
 )
 def test_what_is_no_whole_still_is_refused(data: bytes, reason: str) -> None:
     with pytest.raises(ImageError, match=reason):

@@ -84,6 +84,29 @@ def test_behind_a_broken_length_the_index_shows_where_to_go_on(
         assert LossKind.STRUCTURE in reading.kinds
 
 
+def test_a_chunk_that_claims_the_next_ones_loses_no_message(
+    data: bytes, intact: Reading, tmp_path: Path
+) -> None:
+    """The index shows chunks inside of it: the fields of the chunk, whose CRC is right, tell where it ends."""
+    second, fourth = chunks(data)[1], chunks(data)[3]
+    broken = bytearray(data)
+    struct.pack_into("<Q", broken, second.offset + 1, fourth.end - second.offset - 9)
+    reading = reading_of(bytes(broken), tmp_path)
+    assert reading.messages == intact.messages
+    assert reading.kinds == {LossKind.STRUCTURE, LossKind.RECORD}  # the metadata, which no other CRC covers
+
+
+def test_a_chunk_with_fields_of_a_newer_version_is_read(data: bytes, intact: Reading, tmp_path: Path) -> None:
+    """The specification lets records grow at their end: no chunk begins inside, and nothing is lost of the data."""
+    parts = split(data[:-MAGIC_BYTES])
+    grown = [(part.opcode, part.body + b"new" if part.opcode == CHUNK else part.body) for part in parts]
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + join(grown) + b"\x89MCAP0\r\n")
+    reading = read(path)
+    assert reading is not None
+    assert reading.messages == intact.messages
+
+
 def test_a_chunk_that_contradicts_its_length_does_not_end_the_reading_of_a_cut_file(
     data: bytes, intact: Reading, tmp_path: Path
 ) -> None:

@@ -44,6 +44,7 @@ IMAGE = "foxglove.CompressedImage"
         (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
         (b"SQLite format 3\x00" + bytes(100), "no usable rosbag2 database"),
     ],
+    ids=["missing", "empty", "text", "MCAP magic", "gzip", "bag of version 1", "LFS pointer", "bare SQLite"],
 )
 def test_what_is_no_recording_is_one_clear_line(
     tmp_path: Path, profile: Profile, content: bytes | None, reason: str

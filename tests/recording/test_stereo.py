@@ -15,7 +15,8 @@ from svmdist.recording import pairing, transform_buffer
 from svmdist.recording.reader import open_recording
 from svmdist.recording.transform_buffer import TransformBuffer
 from svmdist.samples import CameraSample, ImageSample, Observation, TransformSample, TransformsSample
-from svmdist.transforms import Array, inverse, rotation_x, rotation_y
+from svmdist.transforms import Array, inverse, rotation_x
+from tests.rotations import rotation_y
 
 from .builders import CAMERA, PERIOD_NS, Entry, pose, scene, write_scene
 

@@ -33,7 +33,8 @@ from svmdist.report.table import (
     text_width,
 )
 from svmdist.report.text import csv_text, printable
-from svmdist.samples import Estimate, Status
+from svmdist.results import Distance, Distances, FrameResult, ImageFindings
+from svmdist.samples import Status
 
 KEYS = ("name", "value")
 COLUMNS = (Column("name", "name", is_text=True), Column("value", "value [mm]", number(2, 1e3)))
@@ -56,7 +57,9 @@ def test_markup_in_a_name_is_text(name):
 
 
 @pytest.mark.parametrize(
-    "code", ["\x1b[31m", "\x07", "\x9b", "\u202e", "\u2028", "\r", "\n", "\x00", "\ud800"]
+    "code",
+    ["\x1b[31m", "\x07", "\x9b", "\u202e", "\u2028", "\r", "\n", "\x00", "\ud800"],
+    ids=["ESC", "BEL", "CSI", "RLO", "LS", "CR", "LF", "NUL", "surrogate"],
 )
 def test_characters_that_drive_a_terminal_are_replaced(code):
     """ESC, bell, line breaks and bidirectional overrides never reach a terminal, the letters around them do."""
@@ -81,7 +84,11 @@ def test_any_name_keeps_its_place_in_a_csv(name):
     assert csv_text(name).lstrip("'").endswith(printable(name).lstrip("'"))
 
 
-@pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)", "=cmd|' /C calc'!A0", "\t=1", "\r=1"])
+@pytest.mark.parametrize(
+    "name",
+    ["=1+1", "+1", "-1", "@SUM(A1)", "=cmd|' /C calc'!A0", "\t=1", "\r=1"],
+    ids=["equals", "plus", "minus", "at", "command", "tab", "CR"],
+)
 def test_formulas_are_defused_in_csv(name):
     """Text that a spreadsheet would run begins with an apostrophe or a harmless character instead."""
     cell = read_csv(csv_lines(KEYS, [{"name": name}]))[1][0]
@@ -177,19 +184,19 @@ def test_a_plain_table_has_a_line_a_row_under_its_heading():
     assert lines[3].startswith("b" * 30)
 
 
-MEASURED = Estimate(
+MEASURED = FrameResult(
     stamp_ns=1_700_000_000_500_000_000,
     status=Status.OK,
-    distance_m=0.0123,
-    tool_x_px=1.5,
-    tool_y_px=2.5,
-    tissue_x_px=3.5,
-    tissue_y_px=4.5,
-    tool_area_px=200,
-    tissue_area_px=5000,
-    keypoint_count=900,
-    match_count=120,
-    inlier_count=100,
+    image=ImageFindings(
+        tool_px=(1.5, 2.5),
+        tissue_px=(3.5, 4.5),
+        tool_area_px=200,
+        tissue_area_px=5000,
+        keypoint_count=900,
+        match_count=120,
+        inlier_count=100,
+    ),
+    distances=Distances(planar=Distance(0.0123)),
 )
 
 
@@ -213,7 +220,7 @@ def test_an_estimate_row_has_every_column_of_the_contract():
 
 def test_a_rejected_frame_has_empty_cells():
     """A frame without tissue has a status and its stamp; every cell that does not exist is empty."""
-    row = estimate_row("a.mcap", Estimate(5, Status.NO_TISSUE), "overlay", "corrected", 5)
+    row = estimate_row("a.mcap", FrameResult(5, Status.NO_TISSUE), "overlay", "corrected", 5)
     cells = dict(zip(*read_csv(csv_lines(ESTIMATE_KEYS, [row])), strict=True))
     filled = {key: value for key, value in cells.items() if value}
     assert filled == {
@@ -229,7 +236,7 @@ def test_a_person_sees_the_distance_in_millimetres():
     """The table for a person shows 0.0123 m as 12.30 and what does not exist as a dash."""
     rows = [
         estimate_row("a.mcap", estimate, "overlay", "corrected", MEASURED.stamp_ns)
-        for estimate in (MEASURED, Estimate(MEASURED.stamp_ns, Status.NO_INSTRUMENT))
+        for estimate in (MEASURED, FrameResult(MEASURED.stamp_ns, Status.NO_INSTRUMENT))
     ]
     lines = list(text_lines(ESTIMATE_COLUMNS, rows))
     assert lines[2].split()[:4] == ["a.mcap", "0.000", "ok", "12.30"]

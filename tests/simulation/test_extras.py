@@ -14,9 +14,9 @@ from svmdist.kinematics.inverse import solve_position
 from svmdist.profile import Profile
 from svmdist.recording.reader import open_recording
 from svmdist.samples import CameraSample, ImageSample, JointSample, Sample, TransformsSample
-from svmdist.simulation.belief import draw_belief
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.nominal import draw_nominal_kinematics
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, inverse, rotation_angle, transform_points
 
@@ -41,7 +41,7 @@ def test_the_plain_recording_is_that_of_the_golden_log(golden: Path, profile: Pr
     recording = open_recording(golden / "sweep.mcap", profile)
     truth = recording.transform_track("camera", "tool", ground_truth=True)
     distances = recording.distance_track()
-    believed = recording.joint_track()
+    nominal = recording.joint_track()
     images = recording.images()
     logged = [next(images), next(images)]
     drawn = 0
@@ -66,8 +66,8 @@ def test_the_plain_recording_is_that_of_the_golden_log(golden: Path, profile: Pr
             assert distances.spatial_m[index] == sample.spatial_m
             assert distances.clearance_m[index] == sample.clearance_m
         elif isinstance(sample, JointSample):
-            index = np.searchsorted(believed.stamps_ns, sample.stamp_ns)
-            np.testing.assert_array_equal(believed.positions[index], sample.positions)
+            index = np.searchsorted(nominal.stamps_ns, sample.stamp_ns)
+            np.testing.assert_array_equal(nominal.positions[index], sample.positions)
     assert drawn == len(logged)
 
 
@@ -102,16 +102,16 @@ def test_stereo_adds_a_rectified_pair(full: Stream, profile: Profile, scene: Sce
         for topic in (profile.topics.image, profile.topics.right_image)
     ]
     assert stamps[0] == stamps[1]
-    believed = next(s for t, s in full if t == profile.topics.tf and isinstance(s, TransformsSample))
-    T_left_right = {item.child: item.T_parent_child for item in believed.transforms}["camera_right"]
+    nominal = next(s for t, s in full if t == profile.topics.tf and isinstance(s, TransformsSample))
+    T_left_right = {item.child: item.T_parent_child for item in nominal.transforms}["camera_right"]
     np.testing.assert_allclose(T_left_right[:3, 3], [0.005, 0.0, 0.0])
 
 
 def test_the_right_camera_sees_the_disparity_of_its_baseline(scene: Scene, profile: Profile) -> None:
-    """The knuckle's silhouette moves by f b / z along the rows, to 0.15 px, and not across them."""
+    """The distal marker's silhouette moves by f b / z along the rows, to 0.15 px, and not across them."""
     q, p_camera_m = posed(scene, [0.005, -0.02, 0.0245])
     with Renderer(scene) as renderer:
-        left, right = (knuckle_px(image) for image in (renderer.frame_of(q), renderer.right_frame()))
+        left, right = (marker_px(image) for image in (renderer.frame_of(q), renderer.right_frame()))
     expected_px = scene.camera.K[0, 0] * 0.005 / p_camera_m[2]
     np.testing.assert_allclose(left - right, [expected_px, 0.0], atol=0.15)
 
@@ -122,7 +122,7 @@ def posed(scene: Scene, p_world_m: list[float]) -> tuple[Array, Array]:
     return q, transform_points(inverse(scene.T_world_camera), np.array([p_world_m]))[0]
 
 
-def knuckle_px(image: np.ndarray) -> np.ndarray:
+def marker_px(image: np.ndarray) -> np.ndarray:
     hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
     mask = cv2.inRange(hsv, (80, 90, 40), (105, 255, 255))
     moments = cv2.moments(mask, binaryImage=True)
@@ -172,9 +172,11 @@ def test_the_plate_counts_in_the_clearance(profile: Profile) -> None:
 
 def test_kinematic_error_has_the_profiles_spread(scene: Scene, profile: Profile) -> None:
     """Over 400 seeds: the moving joints and T_camera_base are off by 1°, 1 mm, 2° and 5 mm; others are not."""
-    beliefs = [draw_belief(scene.chain, scene.T_camera_base, profile, seed, 1.0) for seed in range(400)]
-    plain = [draw_belief(scene.chain, scene.T_camera_base, profile, seed) for seed in range(400)]
-    offsets = np.array([a.joint_offsets - b.joint_offsets for a, b in zip(beliefs, plain, strict=True)])
+    nominals = [
+        draw_nominal_kinematics(scene.chain, scene.T_camera_base, profile, seed, 1.0) for seed in range(400)
+    ]
+    plain = [draw_nominal_kinematics(scene.chain, scene.T_camera_base, profile, seed) for seed in range(400)]
+    offsets = np.array([a.joint_offsets - b.joint_offsets for a, b in zip(nominals, plain, strict=True)])
     names = scene.chain.joint_names
     moving = names.index("yaw")
     assert not offsets[:, :moving].any()
@@ -182,7 +184,7 @@ def test_kinematic_error_has_the_profiles_spread(scene: Scene, profile: Profile)
     expected = [0.001 if name == "insertion" else np.radians(1.0) for name in names[moving:]]
     np.testing.assert_allclose(std, expected, rtol=0.15)
     np.testing.assert_allclose(offsets.mean(axis=0)[moving:] / expected, 0.0, atol=0.2)
-    T = np.array([belief.T_camera_base for belief in beliefs])
+    T = np.array([nominal.T_camera_base for nominal in nominals])
     shifts_m = T[:, :3, 3] - scene.T_camera_base[:3, 3]
     np.testing.assert_allclose(shifts_m.std(axis=0), 0.005, rtol=0.15)
     turns_rad = rotation_angle(T[:, :3, :3], scene.T_camera_base[:3, :3])
@@ -192,7 +194,8 @@ def test_kinematic_error_has_the_profiles_spread(scene: Scene, profile: Profile)
 def test_kinematic_error_grows_with_its_scale(scene: Scene, profile: Profile) -> None:
     """The same seed errs in the same direction, twice as much at twice the scale."""
     zero, one, two = (
-        draw_belief(scene.chain, scene.T_camera_base, profile, 3, scale) for scale in (0.0, 1.0, 2.0)
+        draw_nominal_kinematics(scene.chain, scene.T_camera_base, profile, 3, scale)
+        for scale in (0.0, 1.0, 2.0)
     )
     np.testing.assert_array_equal(zero.T_camera_base, scene.T_camera_base)
     np.testing.assert_allclose(
@@ -206,9 +209,9 @@ def test_kinematic_error_grows_with_its_scale(scene: Scene, profile: Profile) ->
 
 def test_the_log_carries_the_error(full: Stream, profile: Profile, scene: Scene) -> None:
     """/tf and measured_js give what was drawn, on top of truth."""
-    belief = draw_belief(scene.chain, scene.T_camera_base, profile, SHORT.seed, 1.0)
+    nominal = draw_nominal_kinematics(scene.chain, scene.T_camera_base, profile, SHORT.seed, 1.0)
     tf = next(s for t, s in full if t == profile.topics.tf and isinstance(s, TransformsSample))
-    np.testing.assert_array_equal(tf.transforms[0].T_parent_child, belief.T_camera_base)
+    np.testing.assert_array_equal(tf.transforms[0].T_parent_child, nominal.T_camera_base)
     joints = next(s for _, s in full if isinstance(s, JointSample) and s.stamp_ns == tf.stamp_ns)
     truth = next(
         s
@@ -217,7 +220,7 @@ def test_the_log_carries_the_error(full: Stream, profile: Profile, scene: Scene)
         and isinstance(s, TransformsSample)
         and s.stamp_ns == tf.stamp_ns
     )
-    true_joints = joints.positions - belief.joint_offsets
+    true_joints = joints.positions - nominal.joint_offsets
     np.testing.assert_allclose(
         scene.T_camera_base @ forward_kinematics(scene.chain, true_joints),
         truth.transforms[0].T_parent_child,
@@ -229,14 +232,14 @@ def test_degradations_come_behind_the_noise_and_by_frame(profile: Profile) -> No
     """Both cameras look through the same smoke, other smoke in the next frame; noise is each camera's own."""
     grey = np.full((120, 640, 3), 128, np.uint8)
 
-    def frames(eye: int, *degradations: tuple[str, int], noise: float = 0.0) -> list[np.ndarray]:
-        sensor = Sensor(eye, 1, noise, Extras(degradations=degradations))
-        return [sensor.expose(grey) for _ in range(2)]
+    def frames(camera: int, *degradations: tuple[str, int], noise: float = 0.0) -> list[np.ndarray]:
+        sensor = Sensor(camera, 1, noise, Extras(degradations=degradations))
+        return [sensor.expose(grey, sensor.draw_noise(640, 120), frame) for frame in range(2)]
 
-    left, right = (frames(eye, ("smoke", 3)) for eye in (0, 1))
+    left, right = (frames(camera, ("smoke", 3)) for camera in (0, 1))
     np.testing.assert_array_equal(left[0], right[0])
     assert (left[0] != left[1]).any()
-    left, right = (frames(eye, ("noise", 3)) for eye in (0, 1))
+    left, right = (frames(camera, ("noise", 3)) for camera in (0, 1))
     assert (left[0] != right[0]).any()
     # A blur behind the noise takes most of it away.
     assert frames(0, ("defocus", 4), noise=10.0)[0].std() < 3.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,10 +13,14 @@ from svmdist.errors import SimulationError
 from svmdist.kinematics.inverse import solve_position
 from svmdist.profile import ColourRegion, Profile
 from svmdist.simulation.bodies.meshes import sphere
-from svmdist.simulation.scene import Scene
+from svmdist.simulation.extras import Extras
+from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import inverse, make_transform, transform_points
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+from svmdist.simulation import renderer as renderer_module
+from svmdist.simulation.motion.trajectory import make_trajectory
 from svmdist.simulation.renderer import Renderer
 
 
@@ -42,19 +45,20 @@ def silhouette_centre_px(scene: Scene, centre_world_m: np.ndarray, radius_m: flo
     return scene.camera.project(c * shrink + radius_m * np.sqrt(shrink) * circle).mean(axis=0)
 
 
-def test_projection_agrees_with_the_camera(scene: Scene, tmp_path: Path) -> None:
+def test_projection_agrees_with_the_camera(scene: Scene) -> None:
     """Silhouettes of a sphere at 60 places: no offset above 0.05 px, no scatter above that of pixels."""
     radius_m, rng, errors = 0.00175, np.random.default_rng(0), []
     away = scene.posture.copy()
     away[scene.chain.joint_names.index("insertion")] = 0.02
     with Renderer(scene) as renderer:
-        ball = renderer._body(sphere(radius_m), tmp_path / "ball.obj", (1.0, 1.0, 1.0, 1.0))
+        world = renderer.world
+        ball = world.add_body(sphere(radius_m), "ball")
         renderer.frame_of(away)
         for _ in range(60):
             centre_m = rng.uniform([-0.045, -0.033, 0.02], [0.03, 0.033, 0.03])
-            renderer._place(ball, make_transform(np.eye(3), centre_m))
-            picture = renderer._client.call(
-                "getCameraImage", 640, 480, renderer._view, renderer._projection, renderer=renderer._kind
+            world.place(ball, make_transform(np.eye(3), centre_m))
+            picture = world.client.call(
+                "getCameraImage", 640, 480, renderer.view, renderer.projection, renderer=world.kind
             )
             rows, columns = np.nonzero(np.asarray(picture[4]).reshape(480, 640) == ball)
             errors.append([columns.mean(), rows.mean()] - silhouette_centre_px(scene, centre_m, radius_m))
@@ -63,16 +67,16 @@ def test_projection_agrees_with_the_camera(scene: Scene, tmp_path: Path) -> None
 
 
 def test_colours_separate(scene: Scene, profile: Profile) -> None:
-    """Tissue and knuckle are found whole and where they are; nothing is near the outline's green."""
+    """Tissue and distal marker are found whole and where they are; nothing is near the outline's green."""
     with Renderer(scene) as renderer:
         for p_world_m in ([0.04, 0.0, 0.0245], [0.03, -0.03, 0.02], [0.012, 0.0, 0.0245]):
             target_m = transform_points(inverse(scene.T_world_base), np.array([p_world_m]))
             q = solve_position(scene.chain, scene.posture[None], target_m, ("yaw", "pitch", "insertion"))[0]
             image = renderer.frame_of(q)
-            knuckle = colour_mask(image, profile.segmentation.instrument)
+            marker = colour_mask(image, profile.segmentation.instrument)
             tissue = colour_mask(image, profile.segmentation.tissue)
-            assert 280 < knuckle.sum() < 520
-            rows, columns = np.nonzero(knuckle)
+            assert 280 < marker.sum() < 520
+            rows, columns = np.nonzero(marker)
             expected_px = scene.camera.project(
                 transform_points(inverse(scene.T_world_camera), np.array([p_world_m]))
             )[0]
@@ -111,3 +115,33 @@ def test_missing_pybullet_says_why_and_what_to_do(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(SimulationError, match=r"Linux x86_64.*svmdist\[sim\]"):
         load_pybullet()
+
+
+def test_what_is_drawn_apart_is_what_is_drawn_together(
+    profile: Profile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bit by bit: moving bodies before the tissue, against one picture of everything, also where they touch."""
+    scene = make_scene(profile, 1, Extras(tag=True))
+    trajectory = make_trajectory(scene, Scenario("contact", 1), 0.0245, np.linspace(0.4, 0.6, 3))
+    apart, together = [], []
+    for images, tie in ((apart, renderer_module.DEPTH_TIE), (together, 1.0)):
+        monkeypatch.setattr(renderer_module, "DEPTH_TIE", tie)
+        with Renderer(scene) as renderer:
+            for q in trajectory.q:
+                images += [renderer.frame_of(q), renderer.right_frame()]
+            assert (renderer._whole is not None) == (tie == 1.0)
+    np.testing.assert_array_equal(apart, together)
+
+
+def test_images_do_not_depend_on_what_was_drawn_before(profile: Profile) -> None:
+    """The same turns backwards, and some left out, with a retractor that comes and goes."""
+    scene = make_scene(profile, 1)
+    trajectory = make_trajectory(scene, Scenario("occlusion", 1), 0.0245, np.linspace(0.0, 0.2, 4))
+    poses = trajectory.T_world_retractor
+    assert poses is not None
+    with Renderer(scene) as renderer:
+        forth = [renderer.frame_of(q, T) for q, T in zip(trajectory.q, poses, strict=True)]
+    with Renderer(scene) as renderer:
+        for turn in (3, 1, 0, 2, 2):
+            image = renderer.frame_of(trajectory.q[turn], poses[turn], turn=turn)
+            np.testing.assert_array_equal(image, forth[turn])

@@ -46,7 +46,7 @@ def test_the_first_arm_does_what_it_does_alone(two: Stream, profile: Profile) ->
 
 
 def test_the_second_arm_has_topics_and_frames_of_its_own(two: Stream, profile: Profile) -> None:
-    """Its believed transforms agree with its reported joints; its error is not the first one's; truth links up."""
+    """Its nominal transforms agree with its reported joints; its error is not the first one's; truth links up."""
     view = profile.for_instrument("PSM2")
     scene = make_scene(view, SHORT.seed, ARMS)
     joints = of_topic(two, "/PSM2/measured_js")[0]
@@ -77,7 +77,7 @@ def test_the_second_arm_has_topics_and_frames_of_its_own(two: Stream, profile: P
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_pictures_cross_and_bodies_keep_apart(name: str, profile: Profile) -> None:
-    """In every scenario the knuckles come within their own diameter in the image, the surfaces never touch."""
+    """In every scenario the distal markers come within their own diameter in the image, the surfaces never touch."""
     seed = 7 + len(name)
     scene, progress = make_scene(profile, seed), np.linspace(0.0, 1.0, 61)
     with ClearanceMeter(scene) as meter:

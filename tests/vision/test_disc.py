@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.vision.disc import fit_disc
-from svmdist.vision.segmentation.colour import to_hsv
+from svmdist.vision.frame_context import to_hsv
 
 CENTRE_PX, RADIUS_PX = np.array([61.3, 48.8]), 11.6
 

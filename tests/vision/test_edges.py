@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
-from svmdist.vision.edges import edge_blur_px, edge_points, fit_line, straightened
+from svmdist.vision.edges import edge_blur_px, edge_points
+from svmdist.vision.lines import fit_line, undistorted
+
+FAINT = ShaftSettings(min_contrast_levels=15.0)
 
 
 def half_plane(angle_rad: float, offset_px: float, blur_px: float, noise: float) -> Array:
@@ -35,7 +39,7 @@ def test_line_is_found_where_it_was_drawn(
     along, at = np.array([-normal[1], normal[0]]), np.array([60.0, 50.0]) + 0.37 * normal
     image = half_plane(angle_rad, 0.37, blur_px, noise)
     rough = at + 1.7 * normal
-    points = edge_points(image, rough - 35 * along, rough + 35 * along, normal, 5.0, 15.0)
+    points = edge_points(image, rough - 35 * along, rough + 35 * along, normal, 5.0, FAINT)
     line = fit_line(points, 1.0)
     assert line is not None
     assert abs(line.normal @ (at - line.centre)) < tolerance_px
@@ -55,7 +59,7 @@ def test_outliers_do_not_move_the_line():
 def test_no_edge_gives_no_points_and_no_line():
     flat = np.full((50, 50), 90, np.uint8)
     points = edge_points(
-        flat, np.array([10.0, 25.0]), np.array([40.0, 25.0]), np.array([0.0, 1.0]), 5.0, 15.0
+        flat, np.array([10.0, 25.0]), np.array([40.0, 25.0]), np.array([0.0, 1.0]), 5.0, FAINT
     )
     assert len(points) == 0
     assert fit_line(points, 1.0) is None
@@ -65,7 +69,7 @@ def test_straightening_undoes_the_distortion():
     ideal = Camera.from_horizontal_fov(640, 480, 1.0)
     camera = Camera(640, 480, ideal.K, np.array([-0.12, 0.03, 1e-3, -5e-4, 0.0]))
     p = np.array([[0.2, -0.15, 1.0], [-0.3, 0.2, 1.0], [0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(straightened(camera, camera.project(p)), p[:, :2], atol=1e-8)
+    np.testing.assert_allclose(undistorted(camera, camera.project(p)), p[:, :2], atol=1e-8)
 
 
 @pytest.mark.parametrize("length_px", [0, 7, 13])
@@ -78,8 +82,8 @@ def test_a_moved_edge_is_found_in_its_middle_and_its_blur_measured(length_px: in
     image = np.clip(np.rint(image + np.random.default_rng(4).normal(0, 3, image.shape)), 0, 255)
     start, end, outward = np.array([81.0, 5.0]), np.array([78.5, 75.0]), np.array([1.0, 0.0])
     brightness = image.astype(np.uint8)
-    blur_px = edge_blur_px(brightness, start, end, outward, 14.0, 18.0)
+    blur_px = edge_blur_px(brightness, start, end, outward, 14.0)
     assert np.sqrt(8.0 * np.log(2.0)) * blur_px == pytest.approx(length_px, abs=2.0)
-    points = edge_points(brightness, start, end, outward, 5.0 + 2.0 * blur_px, 18.0, blur_px)
+    points = edge_points(brightness, start, end, outward, 5.0 + 2.0 * blur_px, blur_px=blur_px)
     assert len(points) > 60
     assert abs(float(np.median(points[:, 0])) - 79.5) < 0.1

@@ -1,4 +1,4 @@
-"""Bringing images to a fair exposure: what is undone, and what is left alone."""
+"""Normalising the exposure of images: what is undone, and what is left alone."""
 
 from __future__ import annotations
 
@@ -6,7 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.segmentation.exposure import exposure_of, levelled
+from svmdist.settings.exposure import ExposureSettings
+from svmdist.vision.segmentation.exposure import apply_exposure, exposure_of, percentiles
+
+SETTINGS = ExposureSettings()
+
+
+def normalised(image: np.ndarray) -> np.ndarray:
+    return apply_exposure(image, exposure_of(image, SETTINGS), SETTINGS)
 
 
 def _scene(border: bool = False) -> np.ndarray:
@@ -24,7 +31,7 @@ def _scene(border: bool = False) -> np.ndarray:
 def test_a_fair_exposure_is_left_alone(border: bool) -> None:
     """The same array comes back: nothing moves where nothing is wrong."""
     image = _scene(border)
-    assert levelled(image) is image
+    assert normalised(image) is image
 
 
 @pytest.mark.parametrize("border", [False, True])
@@ -32,7 +39,7 @@ def test_a_fair_exposure_is_left_alone(border: bool) -> None:
 def test_dim_light_is_raised(light: float, border: bool) -> None:
     """The floor comes back to a fair level whatever the light, and colours keep their ratios."""
     dim = np.rint(_scene(border) * light).astype(np.uint8)
-    floor = levelled(dim)[60, 160 - 90].astype(float)
+    floor = normalised(dim)[60, 160 - 90].astype(float)
     assert 100 < floor.max() < 135
     assert floor[0] / floor[2] == pytest.approx(104 / 132, abs=0.06)
 
@@ -41,7 +48,7 @@ def test_dim_light_is_raised(light: float, border: bool) -> None:
 def test_a_veil_is_taken_off(share: float) -> None:
     """Under white haze the bar is as bright as the floor was; afterwards it is dark, and the disc red again."""
     veiled = np.rint(_scene() * (1 - share) + share * 205.0).astype(np.uint8)
-    clear = levelled(veiled)
+    clear = normalised(veiled)
     assert clear[125, 250].max() < 70
     hsv = cv2.cvtColor(clear, cv2.COLOR_BGR2HSV)
     before = cv2.cvtColor(veiled, cv2.COLOR_BGR2HSV)
@@ -50,7 +57,19 @@ def test_a_veil_is_taken_off(share: float) -> None:
 
 def test_without_anything_dark_a_veil_is_not_invented() -> None:
     """A pale image may be pale tissue: there is nothing to tell haze by."""
-    assert exposure_of(np.full((240, 320, 3), 150, np.uint8)).is_plain
+    assert exposure_of(np.full((240, 320, 3), 150, np.uint8), SETTINGS).is_plain
     image = _scene()[:, :180]
-    assert exposure_of(image).veil == 0.0
-    assert exposure_of(np.zeros((240, 320, 3), np.uint8)).veil == 0.0
+    assert exposure_of(image, SETTINGS).veil == 0.0
+    assert exposure_of(np.zeros((240, 320, 3), np.uint8), SETTINGS).veil == 0.0
+
+
+def test_percentiles_are_numpys() -> None:
+    """Counted percentiles equal those of sorted values, to rounding, with and without a mask."""
+    rng = np.random.default_rng(4)
+    values = rng.integers(0, 256, (60, 80)).astype(np.uint8)
+    mask = np.where(rng.uniform(size=values.shape) < 0.3, 255, 0).astype(np.uint8)
+    wanted = (0.0, 0.5, 37.3, 50.0, 90.0, 100.0)
+    assert percentiles(values, wanted) == pytest.approx(np.percentile(values, wanted), abs=1e-9)
+    assert percentiles(values, wanted, mask) == pytest.approx(
+        np.percentile(values[mask > 0], wanted), abs=1e-9
+    )

@@ -11,6 +11,7 @@ import pytest
 
 from svmdist.errors import ProfileError
 from svmdist.profile import ClassRegion, OnnxSegmentation
+from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.segmentation.network import OnnxSegmenter
 from tests.onnx_file import node, tensor, value_info, write_classifier, write_model
 
@@ -96,15 +97,17 @@ def test_coarse_labels_are_enlarged_as_they_are(tmp_path: Path) -> None:
 
 
 def test_the_network_runs_once_an_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both views are remembered, and a third image displaces the first; equal pixels are not the same image."""
+    """However often, and at whichever exposure, an image's masks are asked for; a network sees it as recorded."""
     segmenter = OnnxSegmenter(rules(write_classifier(tmp_path / "net.onnx", WEIGHTS, BIAS, (64, 48))))
-    seen: list[int] = []
+    seen: list[np.ndarray] = []
     label = segmenter.labels
-    monkeypatch.setattr(segmenter, "labels", lambda image: seen.append(1) or label(image))
-    left, right, third = IMAGE.copy(), IMAGE[:, ::-1].copy(), IMAGE.copy()
-    for image in (left, right, left, right, third, right, left):
-        segmenter.masks(image)
-    assert len(seen) == 4
+    monkeypatch.setattr(segmenter, "labels", lambda image: seen.append(image) or label(image))
+    left, right = FrameContext(IMAGE.copy(), segmenter), FrameContext(IMAGE[:, ::-1].copy(), segmenter)
+    for context in (left, right, left):
+        assert context.masks is context.masks_as_recorded
+    assert [image is each.bgr_as_recorded for image, each in zip(seen, (left, right), strict=True)] == [
+        True
+    ] * 2
 
 
 def test_the_border_of_the_picture_is_black_in_every_channel(tmp_path: Path) -> None:

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.profile import ColourRegion
-from svmdist.vision.regions import SPECK_FRACTION, find_region
+from svmdist.settings.outline import OutlineSettings
+from svmdist.vision.regions import find_region
 
 
 def rule(min_area_px: int = 10, components: str = "all", occlusion: str = "none") -> ColourRegion:
@@ -119,7 +120,7 @@ def test_specks_of_colour_elsewhere_are_ignored():
     clean = find_region(mask, rule(occlusion="hull"))
     assert clean is not None
     mask[5:10, 150:155] = 255
-    assert SPECK_FRACTION * clean.area_px > 25
+    assert OutlineSettings().speck_fraction * clean.area_px > 25
     speckled = find_region(mask, rule(occlusion="hull"))
     assert speckled is not None
     assert speckled.area_px == clean.area_px
@@ -128,6 +129,21 @@ def test_specks_of_colour_elsewhere_are_ignored():
     larger = find_region(mask, rule(occlusion="hull"))
     assert larger is not None
     assert larger.area_px == clean.area_px + 225
+
+
+def test_an_island_in_a_hole_and_a_neighbour_in_the_box_are_told_apart():
+    """A part's count takes in what lies within its outer contour, and nothing else in its bounding box."""
+    mask = blank()
+    cv2.circle(mask, (60, 60), 40, 255, 3)
+    cv2.circle(mask, (60, 60), 6, 255, -1)
+    within = np.count_nonzero(mask)
+    mask[20:28, 20:28] = 255  # inside the ring's box, outside the ring
+    largest = find_region(mask, rule(components="largest"))
+    whole = find_region(mask, rule())
+    assert largest is not None
+    assert whole is not None
+    assert largest.area_px == within
+    assert whole.area_px == np.count_nonzero(mask)
 
 
 def test_a_line_one_pixel_wide_has_a_finite_hull_centroid():

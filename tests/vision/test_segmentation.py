@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.profile import ColourRegion, load_profile
-from svmdist.vision.segmentation.colour import colour_mask, to_hsv
-from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.profile import ColourRegion
+from svmdist.vision.frame_context import to_hsv
+from svmdist.vision.segmentation.colour import colour_mask
 
 hues = st.integers(0, 179)
 bounds = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(sorted).map(tuple)
@@ -54,14 +54,3 @@ def test_red_on_both_sides_of_zero_is_one_colour():
 def test_hue_is_in_half_degrees(bgr, hsv):
     """Red, green, blue and magenta lie at 0, 60, 120 and 150: the paper's 0 to 360 does not fit a byte."""
     assert tuple(to_hsv(np.array([[bgr]], np.uint8))[0, 0]) == hsv
-
-
-def test_colours_are_told_once_an_image() -> None:
-    """Whoever asks again for one of the last two images gets the same masks; equal pixels are not the same image."""
-    segmenter = make_segmenter(load_profile().segmentation)
-    left, right = np.zeros((48, 64, 3), np.uint8), np.zeros((48, 64, 3), np.uint8)
-    first = segmenter.masks(left)
-    assert segmenter.masks(right) is not first
-    assert segmenter.masks(left) is first
-    segmenter.masks(left.copy())
-    assert segmenter.masks(left) is not first

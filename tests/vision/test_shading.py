@@ -31,9 +31,9 @@ def test_the_shift_is_that_of_the_points(
     """Steepest points lie aside by up to 0.1 px; without the shift they are right within 0.03 px."""
     image = _edge(inside, outside, sigma_px, box_px)
     start_px, end_px = np.array([79.0, 8.0]), np.array([80.2, 72.0])
-    points_px = edge_points(image, start_px, end_px, OUTWARD, 8.0, 18.0, blur_px)
+    points_px = edge_points(image, start_px, end_px, OUTWARD, 8.0, blur_px=blur_px)
     off_px = float(np.median(points_px[:, 0])) - 79.5
-    shift_px = shading_shift_px(image, points_px, OUTWARD, blur_px)
+    shift_px = shading_shift_px(image, points_px, OUTWARD, blur_px=blur_px)
     assert abs(off_px - shift_px) < 0.03
     if outside - inside >= 1.0 and blur_px >= 2.0:
         assert off_px > 0.035  # there is something to be taken off

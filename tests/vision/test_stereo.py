@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.stereo import SMOOTHING_PX, fit_surface
+from svmdist.settings.stereo import StereoSettings
+from svmdist.vision.stereo import fit_surface
 
 HEIGHT, WIDTH = 240, 320
 
@@ -52,14 +53,15 @@ def test_the_mismatch_is_that_of_the_noise() -> None:
     """Noise that the alignment's smoothing leaves, over the texture's slope: by so much a pixel seems shifted."""
     region = np.zeros((HEIGHT, WIDTH), np.uint8)
     region[30:210, 80:280] = 255
+    smoothing_px = StereoSettings().smoothing_px
     for noise in (2.0, 6.0):
         left, right = _pair(noise, seed=4)
         surface = fit_surface(left, right, region, np.full_like(region, 255), 10, 60)
         assert surface is not None
         # White noise through a Gaussian of σ keeps 1 / (2 √π σ); both views have it, and whole grey levels, of 1/√12.
-        kept = noise / (2.0 * np.sqrt(np.pi) * SMOOTHING_PX)
+        kept = noise / (2.0 * np.sqrt(np.pi) * smoothing_px)
         left_over = np.sqrt(2.0) * np.hypot(kept, 1.0 / np.sqrt(12.0))
-        wide_px = np.hypot(6.0, SMOOTHING_PX)
+        wide_px = np.hypot(6.0, smoothing_px)
         slope = 14.0 * (6.0 / wide_px) / (np.sqrt(2.0) * wide_px)
         assert surface.mismatch_px == pytest.approx(left_over / slope, rel=0.2)
 
@@ -84,3 +86,20 @@ def test_nothing_to_match() -> None:
     region = np.zeros((HEIGHT, WIDTH), np.uint8)
     region[100:110, 100:110] = 255
     assert fit_surface(left, right, region, region, 10, 60) is None
+
+
+def test_matching_at_reduced_size_places_the_surface_alike() -> None:
+    """Whether matching is reduced or not, surfaces differ by less than the 0.1 px by which each may be wrong."""
+    left, right = _pair(2.0, seed=6)
+    region = np.zeros((HEIGHT, WIDTH), np.uint8)
+    cv2.ellipse(region, (175, 120), (100, 90), 0, 0, 360, 255, -1)
+    everywhere = np.full_like(region, 255)
+    points = np.array([[120.0, 100.0], [180.0, 120.0], [240.0, 160.0]])
+    found = [
+        fit_surface(left, right, region, everywhere, 10, 60, StereoSettings(matched_disparities=count))
+        for count in (16, 32, 64)
+    ]
+    for surface in found[:-1]:
+        assert surface is not None
+        assert found[-1] is not None
+        np.testing.assert_allclose(surface.at(points), found[-1].at(points), atol=0.1)

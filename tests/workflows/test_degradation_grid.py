@@ -10,11 +10,12 @@ import pytest
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.recording.reader import Recording, open_recording
-from svmdist.samples import DistanceSample, Estimate, Observation, RightView, Sample
+from svmdist.samples import DistanceSample, Observation, RightView, Sample
 from svmdist.vision.degradations import Degradation, degrade
+from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.degradation_grid import degradation_grid, grid_conditions
-from svmdist.workflows.replay import CLEAN, Condition
 from svmdist.workflows.setup import prepare
+from tests.measuring import Measuring
 from tests.synthetic import write_log
 
 SETUP = prepare(method="centroid")
@@ -43,8 +44,8 @@ def test_a_cell_is_the_method_alone_on_degraded_images(recording: Recording) -> 
     cells = degradation_grid([recording], SETUP, conditions)
     assert [cell.condition for cell in cells] == conditions
     for cell in cells:
-        estimator = SETUP.estimator_for(recording)
-        rows: list[Estimate] = [
+        estimator = Measuring(SETUP.method, SETUP.profile, SETUP.mapping)
+        rows = [
             estimator.estimate(cell.condition.apply(seen, frame))
             for frame, seen in enumerate(observations(recording))
         ]

@@ -6,16 +6,16 @@ import gc
 import tracemalloc
 from pathlib import Path
 
-from svmdist.estimation.methods import make_estimator
 from svmdist.profile import load_profile
 from svmdist.recording.reader import open_recording
 from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE
 from svmdist.workflows.estimate import estimate
+from svmdist.workflows.setup import Setup
 from tests.synthetic import write_log
 
 
 def _peak_bytes(path: Path) -> int:
-    """Peak of what Python and NumPy allocate while every row is made and dropped.
+    """Peak of what Python and NumPy allocate while every result is made and dropped, by one worker.
 
     The least of three: what the collector frees late is no part of it, and comes at any time.
     """
@@ -23,13 +23,12 @@ def _peak_bytes(path: Path) -> int:
 
 
 def _once_bytes(path: Path) -> int:
-    profile = load_profile()
-    estimator = make_estimator("overlay", profile, PIXELS_AS_THEY_ARE)
+    setup = Setup(load_profile(), "overlay", "corrected", None, PIXELS_AS_THEY_ARE)
     gc.collect()
     tracemalloc.start()
     try:
-        for row in estimate(open_recording(path, profile), estimator):
-            assert row.stamp_ns
+        for result in estimate(open_recording(path, setup.profile), setup, jobs=1):
+            assert result.stamp_ns
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

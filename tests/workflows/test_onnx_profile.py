@@ -14,6 +14,7 @@ from svmdist.profile import DEFAULT_PROFILE, profile_path
 from svmdist.recording.reader import open_recording
 from svmdist.samples import Observation
 from svmdist.workflows.setup import prepare
+from tests.measuring import Measuring
 from tests.onnx_file import write_classifier
 
 # Scores of background, tissue (red), instrument (cyan) and shaft (dark), linear in RGB from 0 to 1.
@@ -46,7 +47,7 @@ def test_distances_are_those_of_the_colours(golden: Path, onnx_profile: Path, me
     colours, network = (prepare(profile, method) for profile in (DEFAULT_PROFILE, onnx_profile))
     recording = open_recording(golden / "contact.mcap", colours.profile)
     seen = [each for each in recording.observations() if isinstance(each, Observation)][::8]
-    first, second = (setup.estimator_for(recording) for setup in (colours, network))
+    first, second = (Measuring(method, setup.profile) for setup in (colours, network))
     rows = [(first.estimate(observation), second.estimate(observation)) for observation in seen]
     assert all(a.status is b.status for a, b in rows)
     pairs = [

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +14,14 @@ import pytest
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile, load_profile
 from svmdist.recording.reader import open_recording
-from svmdist.samples import Estimate
+from svmdist.samples import Observation
 from svmdist.workflows.compare import compare
-from svmdist.workflows.estimate import estimate, estimate_instruments
+from svmdist.workflows.estimate import estimate
 from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.setup import prepare
 from svmdist.workflows.validate import validate
 from tests.cli.conftest import Cli, cli  # noqa: F401  (the fixture)
+from tests.measuring import Measuring, flat
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.extras import Extras
@@ -39,12 +41,12 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def rows(two: Path) -> list[Estimate]:
+def rows(two: Path) -> list[Any]:
     setup = prepare(method="kinematic")
-    return list(estimate_instruments(open_recording(two, setup.profile), setup))
+    return [flat(row) for row in estimate(open_recording(two, setup.profile), setup)]
 
 
-def test_a_row_for_every_instrument_and_its_own_truth(two: Path, rows: list[Estimate]) -> None:
+def test_a_row_for_every_instrument_and_its_own_truth(two: Path, rows: list[Any]) -> None:
     """Rows alternate; each instrument's distance, and place in the image, is its own to a millimetre."""
     profile = load_profile()
     recording = open_recording(two, profile)
@@ -61,7 +63,7 @@ def test_a_row_for_every_instrument_and_its_own_truth(two: Path, rows: list[Esti
         np.testing.assert_allclose(seen, recording.camera.project(place), atol=6.0)
 
 
-def test_clearance_between_is_the_true_one(two: Path, rows: list[Estimate]) -> None:
+def test_clearance_between_is_the_true_one(two: Path, rows: list[Any]) -> None:
     """Within the capsules' and the poses' error of the meshes' distance; both rows say the same, opposite ways."""
     truth = open_recording(two, load_profile(), topics={"ground_truth_distance": BETWEEN}).distance_track()
     for first, second in zip(rows[::2], rows[1::2], strict=True):
@@ -80,7 +82,7 @@ def test_methods_without_memory_measure_their_own_instrument(method: str, two: P
     """A measured row's place in the image is its own instrument's, nearer than the other's."""
     setup = prepare(method=method)
     recording = open_recording(two, setup.profile)
-    measured = [row for row in estimate_instruments(recording, setup) if row.measured]
+    measured = [flat(row) for row in estimate(recording, setup) if row.measured]
     assert {row.instrument for row in measured} == set(NAMES)
     for row in measured:
         gaps = {}
@@ -138,15 +140,13 @@ def test_one_instrument_is_as_ever(synthetic_log: Path, cli: Cli) -> None:  # no
     setup = prepare(method="kinematic")
     recording = open_recording(synthetic_log, setup.profile)
     assert recording.instruments == ("PSM1",)
-    plain = list(estimate(recording, setup.estimator_for(recording)))
-    named = list(estimate_instruments(recording, setup))
+    alone = Measuring(setup.method, setup.profile)
+    plain = [alone.estimate(seen) for seen in recording.observations() if isinstance(seen, Observation)]
+    named = [flat(row) for row in estimate(recording, setup)]
     assert all(row.instrument == "PSM1" and row.instrument_clearance_m is None for row in named)
-    keys = [key for key in Estimate.__slots__ if key not in ("instrument", "tool_state")]
-    assert [[getattr(row, key) for key in keys] for row in named] == [
-        [getattr(row, key) for key in keys] for row in plain
-    ]
+    assert [vars(row) | {"instrument": ""} for row in named] == [vars(row) for row in plain]
     with pytest.raises(RecordingError, match="no topic of an instrument PSM2: did you mean PSM1"):
-        estimate_instruments(recording, setup, ["PSM2"])
+        estimate(recording, setup, ["PSM2"])
     assert cli("estimate", synthetic_log, "--method", "kinematic", "--instrument", "PSM2").code == 1
 
 

@@ -13,14 +13,16 @@ from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.recording.reader import Recording, open_recording
 from svmdist.report.table import render
-from svmdist.report.validation import VALIDATION_KEYS, score_row, validation_document
+from svmdist.report.validation import score_keys, score_row, validation_document
 from svmdist.report.validation_tables import validation_tables
-from svmdist.samples import DistanceSample, Estimate, Sample, Status
+from svmdist.results import Distance, Distances, FrameResult
+from svmdist.samples import DistanceSample, Sample, Status
 from svmdist.workflows.baseline import find_regressions, make_baseline, require_same_alarms
 from svmdist.workflows.scoring.score import Score, pool_scores, score_rows
 from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.setup import prepare
 from svmdist.workflows.validate import Validation, validate
+from tests.measuring import flat
 from tests.synthetic import write_log
 
 SETUP = prepare(method="kinematic")
@@ -34,19 +36,19 @@ def recording(synthetic_log: Path) -> Recording:
     return open_recording(synthetic_log, SETUP.profile)
 
 
-def rows_of(recording: Recording, error_m: float = ERROR_M) -> list[Estimate]:
+def rows_of(recording: Recording, error_m: float = ERROR_M) -> list[FrameResult]:
     """Rows that are `error_m` too long in 3D and exact in the plane, at the stamps of the images."""
     stamps_ns = np.array([image.stamp_ns for image in recording.images()], np.int64)
     truth = recording.distance_track().at(stamps_ns)
     return [
-        Estimate(
+        FrameResult(
             int(stamp_ns),
             Status.OK,
-            distance_m=float(planar_m),
-            spatial_m=float(spatial_m) + error_m,
-            clearance_m=float(clearance_m) + error_m,
-            spatial_std_m=ERROR_M,
-            clearance_std_m=ERROR_M / 4,
+            distances=Distances(
+                planar=Distance(float(planar_m)),
+                spatial=Distance(float(spatial_m) + error_m, ERROR_M),
+                clearance=Distance(float(clearance_m) + error_m, ERROR_M / 4),
+            ),
         )
         for stamp_ns, planar_m, spatial_m, clearance_m in zip(
             stamps_ns, truth.planar_m, truth.spatial_m, truth.clearance_m, strict=True
@@ -54,7 +56,7 @@ def rows_of(recording: Recording, error_m: float = ERROR_M) -> list[Estimate]:
     ]
 
 
-def scored(recording: Recording, rows: list[Estimate], alarms: AlarmRules | None = None) -> Score:
+def scored(recording: Recording, rows: list[FrameResult], alarms: AlarmRules | None = None) -> Score:
     """The score of rows against the simulator's truth."""
     return score_rows(rows, recording, SETUP, Reference.GROUND_TRUTH, alarms=alarms)
 
@@ -73,7 +75,7 @@ def test_spatial_and_clearance_figures_are_the_injected_errors(recording: Record
     assert score.statistics is not None
     assert score.statistics.rmse == pytest.approx(0.0, abs=1e-12)
     row = score_row(score)
-    assert tuple(row) == VALIDATION_KEYS
+    assert tuple(row) == score_keys()
     assert row["interval_coverage"] is None
     assert row["spatial_rmse_m"] == pytest.approx(ERROR_M)
 
@@ -89,14 +91,17 @@ def test_other_references_tell_spatial_but_no_clearance(recording: Recording) ->
 def test_alarms_count_every_frame_with_a_truth(recording: Recording) -> None:
     """Exact clearances alarm exactly below the threshold; a frame that is not measured is a missed alarm."""
     rules = AlarmRules(BELOW_M)
-    rows = [replace(row, clearance_std_m=None) for row in rows_of(recording, 0.0)]
-    truth_m = np.array([row.clearance_m for row in rows])
+    rows = [
+        replace(row, distances=replace(row.distances, clearance=Distance(flat(row).clearance_m)))
+        for row in rows_of(recording, 0.0)
+    ]
+    truth_m = np.array([flat(row).clearance_m for row in rows])
     unsafe = np.flatnonzero(truth_m < BELOW_M)
     assert 3 < len(unsafe) < len(rows) - 3
     exact = scored(recording, rows, rules).alarms
     assert exact is not None
     assert (exact.recall, exact.precision, exact.false_alarm_fraction) == (1.0, 1.0, 0.0)
-    rows[unsafe[0]] = Estimate(rows[unsafe[0]].stamp_ns, Status.NO_TISSUE)
+    rows[unsafe[0]] = FrameResult(rows[unsafe[0]].stamp_ns, Status.NO_TISSUE)
     lost = scored(recording, rows, rules).alarms
     assert lost is not None
     assert lost.frame_count == len(rows)

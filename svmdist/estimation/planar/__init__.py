@@ -1,1 +1,1 @@
-"""The paper's plane: its equations, the mapping fitted to a scene, and the marker's outline."""
+"""The planar methods: the paper's equations, the mapping fitted to a scene, and detection of the pasted marker."""

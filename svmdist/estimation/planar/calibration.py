@@ -13,7 +13,7 @@ from pydantic import Field
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError
 from svmdist.estimation.planar.equations import PlaneMapping, Quadratic, screen_cm_corrected
-from svmdist.output_file import write_whole
+from svmdist.output_file import write_atomically
 from svmdist.toml_model import StrictModel, parse_toml
 from svmdist.transforms import Array
 
@@ -169,7 +169,7 @@ def load_calibration(path: Path) -> Calibration:
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
     """Write a calibration file; raises OutputError where that fails."""
-    write_whole(path, [tomli_w.dumps(calibration.model_dump(mode="json", by_alias=True))])
+    write_atomically(path, [tomli_w.dumps(calibration.model_dump(mode="json", by_alias=True))])
 
 
 def _fit_axis(samples: CalibrationSamples, axis: int) -> tuple[QuadraticModel, Array]:

@@ -1,4 +1,4 @@
-"""The paper's mapping from screen to plane, eqs. (3)–(6) and (21)–(27): as printed, and corrected.
+"""The paper's mapping from screen to plane, eqs. (3)–(6) and (21)–(27): as published, and corrected.
 
 Each function is one equation; `docs/equations.md` lists what differs between the readings and why. The
 numbers of the tissue's equations are cited; (21)–(24) repeat them for the marker's outline.
@@ -16,7 +16,7 @@ from svmdist.transforms import Array
 Equations = Literal["corrected", "printed"]
 
 CM_PER_PIXEL = 0.0254
-"""One pixel at 100 dpi: 2.54 cm / 100, which eqs. (3) and (4) print as 0.0245 cm."""
+"""One pixel at 100 dpi: 2.54 cm / 100, which eqs. (3) and (4) give as 0.0245 cm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,20 +38,20 @@ class Quadratic:
         return -self.linear / (2.0 * self.quadratic_per_cm)
 
 
-PRINTED_X = Quadratic(-0.0036, 0.7938, -0.0403)
+PUBLISHED_X = Quadratic(-0.0036, 0.7938, -0.0403)
 """eq. (5), and (23). Its slope near S = 0 fits the authors' camera; units are unstated, cm is assumed."""
 
-PRINTED_Y = Quadratic(-0.0068, 0.0395, -0.4439)
+PUBLISHED_Y = Quadratic(-0.0068, 0.0395, -0.4439)
 """eq. (6), and (24). Not monotone over the screen: with corrected S it turns around at row 114."""
 
 
-def screen_cm_printed(pixel: Array | float) -> Array | float:
-    """eq. (3) and (4) as printed: S = (1 - T * 2.54) / 100, from +0.01 to -16.2 over 640 px."""
+def screen_cm_as_published(pixel: Array | float) -> Array | float:
+    """eqs. (3) and (4) as published: S = (1 - T * 2.54) / 100, from +0.01 to -16.2 over 640 px."""
     return (1.0 - np.asarray(pixel) * 2.54) / 100.0
 
 
 def screen_cm_corrected(pixel: Array | float) -> Array | float:
-    """eq. (3) and (4) corrected: S = 0.0254 T cm, one pixel at 100 dpi."""
+    """eqs. (3) and (4) corrected: S = 0.0254 T cm, one pixel at 100 dpi."""
     return CM_PER_PIXEL * np.asarray(pixel)
 
 
@@ -65,13 +65,13 @@ class PlaneMapping:
 
     def to_plane_m(self, point_px: Array) -> Array:
         """Map pixels, shape (..., 2), to plane coordinates in m, shape (..., 2)."""
-        screen = screen_cm_printed if self.equations == "printed" else screen_cm_corrected
+        screen = screen_cm_as_published if self.equations == "printed" else screen_cm_corrected
         x_cm = self.x(screen(point_px[..., 0]))
         y_cm = self.y(screen(point_px[..., 1]))
         return np.stack([x_cm, y_cm], -1) / 100.0
 
 
-PRINTED_MAPPING = PlaneMapping("printed", PRINTED_X, PRINTED_Y)
+PUBLISHED_MAPPING = PlaneMapping("printed", PUBLISHED_X, PUBLISHED_Y)
 
 
 def planar_distance_m(tool_m: Array, tissue_m: Array) -> float:
@@ -87,7 +87,7 @@ def degeneracies(mapping: PlaneMapping, width_px: int, height_px: int) -> list[s
     """Say in sentences where a mapping cannot be right for an image of this size."""
     warnings = []
     if mapping.equations == "printed":
-        low, high = float(screen_cm_printed(width_px - 1)), float(screen_cm_printed(0))
+        low, high = float(screen_cm_as_published(width_px - 1)), float(screen_cm_as_published(0))
         warnings.append(
             f"eqs. (3), (4) as printed: S runs from {high:+.2f} to {low:+.1f} cm over {width_px} px;"
             " a pixel is 0.0254 cm there, not 0.0245"

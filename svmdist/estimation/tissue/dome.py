@@ -1,12 +1,17 @@
-"""A dome over the tissue's outline: its surface, and how unsure apex and height are."""
+"""A dome over the tissue's outline: its surface, and how unsure apex and height are.
+
+The dome's height is h f(ρ) with f(ρ) = (1 - ρ^a)^b, over the normalised radius ρ: 0 at the apex, 1 on the outline.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.estimation.tissue.radius import PolarOutline
 from svmdist.geometry.surfaces import Mesh
 from svmdist.profile import Dome
 from svmdist.transforms import Array, inverse, transform_points
@@ -14,14 +19,12 @@ from svmdist.transforms import Array, inverse, transform_points
 RINGS = 14
 SIDES = 72
 """The dome's mesh: chords of 5° stand 0.03 mm off an outline of 28 mm."""
-STEP = 1e-6
-"""Of the central differences, in m: truncation and rounding are both below 1e-9 of it."""
-STEEP_GAUGE = 0.98
-"""Towards the rim a dome's slope has no bound; beyond this gauge it counts as it is here."""
+STEEP_RADIUS = 0.98
+"""Towards the rim a dome's slope has no bound; beyond this normalised radius it counts as it is here."""
 
 
-@dataclass(frozen=True, slots=True)
-class DomeFix:
+@dataclass(frozen=True)
+class DomeModel:
     """A dome where it stands.
 
     `T_camera_tissue`, shape (4, 4), has its z axis along the plane's normal. `outline_m`, shape (n, 2), is the
@@ -36,76 +39,103 @@ class DomeFix:
     covariance: Array
 
     @staticmethod
-    def over(outline_m: Array, T_camera_tissue: Array, rule: Dome) -> DomeFix:
+    def over(outline_m: Array, T_camera_tissue: Array, rule: Dome) -> DomeModel:
         """The profile's dome over an outline in the camera frame, shape (n, 3) in m: the apex over the origin."""
         flat_m = transform_points(inverse(T_camera_tissue), outline_m)[:, :2]
         covariance = np.diag([rule.apex_std_m**2, rule.apex_std_m**2, rule.height_std_m**2])
-        return DomeFix(rule, T_camera_tissue, flat_m, np.array([0.0, 0.0, rule.height_m]), covariance)
+        return DomeModel(rule, T_camera_tissue, flat_m, np.array([0.0, 0.0, rule.height_m]), covariance)
 
-    def shaped(self, shape_m: Array, covariance: Array) -> DomeFix:
+    def shaped(self, shape_m: Array, covariance: Array) -> DomeModel:
         """The same outline under another apex and height."""
         return replace(self, shape_m=shape_m, covariance=covariance)
 
     def mesh(self) -> Mesh:
-        """The closed surface in the camera frame.
+        """The closed surface in the camera frame, made once.
 
-        The gauge runs from 0 at the apex to 1 on the outline; rings crowd at the rim, where the dome is steep.
+        The normalised radius runs from 0 to 1; rings crowd at the rim, where the dome is steep.
         """
-        outline_m = self.outline_m[np.linspace(0, len(self.outline_m), SIDES, endpoint=False).astype(int)]
-        if _signed_area(outline_m) < 0.0:
-            outline_m = outline_m[::-1]
-        apex_m, height_m = self.shape_m[:2], float(self.shape_m[2])
-        gauge = np.sin(np.linspace(0.0, np.pi / 2.0, RINGS + 1)[1:])
-        z_m = np.repeat(height_m * self._profile(gauge), SIDES)
-        rings = (apex_m + gauge[:, None, None] * (outline_m - apex_m)).reshape(-1, 2)
-        vertices_m = np.vstack([[*apex_m, height_m], np.column_stack([rings, z_m]), [*apex_m, 0.0]])
-        return Mesh(vertices_m, _fan_rings_and_floor()).transformed(self.T_camera_tissue)
+        return self._mesh
 
-    def on_floor(self, points_m: Array) -> Array:
+    def to_tissue_frame(self, points_m: Array) -> Array:
         """Points of the camera frame, shape (n, 3), in the tissue's frame."""
         return transform_points(inverse(self.T_camera_tissue), points_m)
 
-    def gauge(self, points_m: Array, apex_m: Array) -> Array:
+    def normalised_radius(self, points_m: Array, apex_m: Array) -> Array:
         """0 at the apex, shape (2,), 1 on the outline, for points in the tissue's frame, shape (n, 2): shape (n,)."""
-        corners = self.outline_m - apex_m
-        angle = np.arctan2(corners[:, 1], corners[:, 0])
-        from_apex = points_m - apex_m
-        toward = np.arctan2(from_apex[:, 1], from_apex[:, 0])
-        curvature = np.interp(toward, *_sorted(angle, 1.0 / np.hypot(*corners.T)), period=2.0 * np.pi)
-        return np.asarray(np.hypot(*from_apex.T) * curvature)
+        return PolarOutline.about(apex_m, self.outline_m).normalised_radius(points_m)
 
     def height_m(self, points_m: Array, shape_m: Array | None = None) -> Array:
         """Height over the plane at points in the tissue's frame, shape (n, 2); of another shape where one is given."""
-        apex_x_m, apex_y_m, top_m = self.shape_m if shape_m is None else shape_m
-        return np.asarray(top_m * self._profile(self.gauge(points_m, np.array([apex_x_m, apex_y_m]))))
+        if shape_m is None:
+            return np.asarray(self.shape_m[2] * self._profile(self._polar.normalised_radius(points_m)))
+        return np.asarray(shape_m[2] * self._profile(self.normalised_radius(points_m, shape_m[:2])))
 
     def derivative(self, points_m: Array) -> Array:
-        """Of the height at points in the tissue's frame, shape (n, 2), by the shape: shape (n, 3)."""
-        columns = [
-            (self.height_m(points_m, self.shape_m + step) - self.height_m(points_m, self.shape_m - step))
-            / (2.0 * STEP)
-            for step in STEP * np.eye(3)
-        ]
-        return np.stack(columns, -1)
+        """Of the height at points in the tissue's frame, shape (n, 2), by the shape: shape (n, 3).
+
+        The height counts as zero beyond the outline, and there the derivative does, too.
+        """
+        radius, by_apex = self._polar.with_derivative(points_m)
+        a, b = self.rule.gauge_exponent, self.rule.height_exponent
+        rest = 1.0 - radius**a
+        slope = np.where(
+            rest > 0.0, -a * b * radius ** (a - 1.0) * np.where(rest > 0.0, rest, 1.0) ** (b - 1.0), 0.0
+        )
+        return np.column_stack([self.shape_m[2] * slope[:, None] * by_apex, self._profile(radius)])
 
     def variance_m2(self, point_m: Array, direction: Array) -> float:
         """By how much the surface at a point of the camera frame, shape (3,), may move along a unit vector, shape (3,).
 
         Height and apex move the surface along the plane's normal; along d a part of it remains: (d · n)².
         """
-        flat_m = self.on_floor(point_m[None])[:, :2]
-        apex_m = self.shape_m[:2]
-        gauge = float(self.gauge(flat_m, apex_m)[0])
-        if gauge > STEEP_GAUGE:
-            flat_m = apex_m + (flat_m - apex_m) * STEEP_GAUGE / gauge
+        flat_m = self.to_tissue_frame(point_m[None])[:, :2]
+        radius = float(self._polar.normalised_radius(flat_m)[0])
+        if radius > STEEP_RADIUS:
+            apex_m = self.shape_m[:2]
+            flat_m = apex_m + (flat_m - apex_m) * STEEP_RADIUS / radius
         J = self.derivative(flat_m)[0]
         along = float(direction @ self.T_camera_tissue[:3, 2])
         return along**2 * float(J @ self.covariance @ J)
 
-    def _profile(self, gauge: Array) -> Array:
-        rule = self.rule
-        inside: Array = (1.0 - np.asarray(gauge) ** rule.gauge_exponent).clip(0.0)
-        return np.asarray(inside**rule.height_exponent)
+    @cached_property
+    def _polar(self) -> PolarOutline:
+        return PolarOutline.about(self.shape_m[:2], self.outline_m)
+
+    @cached_property
+    def _mesh(self) -> Mesh:
+        corners = np.linspace(0, len(self.outline_m), SIDES, endpoint=False).astype(int)
+        vertices_m = _dome_vertices(self.outline_m[corners], self.shape_m, self._profile(_ring_radii()))
+        return _unit_dome().with_vertices(vertices_m).transformed(self.T_camera_tissue)
+
+    def _profile(self, radius: Array) -> Array:
+        inside: Array = (1.0 - np.asarray(radius) ** self.rule.gauge_exponent).clip(0.0)
+        return np.asarray(inside**self.rule.height_exponent)
+
+
+def _ring_radii() -> Array:
+    return np.sin(np.linspace(0.0, np.pi / 2.0, RINGS + 1)[1:])
+
+
+def _dome_vertices(outline_m: Array, shape_m: Array, profile: Array) -> Array:
+    """Apex, rings of `SIDES` vertices from the apex outwards, and the floor's middle: shape (v, 3).
+
+    `profile`, shape (RINGS,), has the rings' heights over the apex's.
+    """
+    if _signed_area(outline_m) < 0.0:
+        outline_m = outline_m[::-1]
+    apex_m, height_m = shape_m[:2], float(shape_m[2])
+    rings = (apex_m + _ring_radii()[:, None, None] * (outline_m - apex_m)).reshape(-1, 2)
+    z_m = np.repeat(height_m * profile, SIDES)
+    return np.vstack([[*apex_m, height_m], np.column_stack([rings, z_m]), [*apex_m, 0.0]])
+
+
+@lru_cache(maxsize=1)
+def _unit_dome() -> Mesh:
+    """A round dome, whose faces and their groups all domes share."""
+    angle = np.arange(SIDES) * (2.0 * np.pi / SIDES)
+    profile = np.sqrt((1.0 - _ring_radii() ** 2).clip(0.0))
+    circle = np.stack([np.cos(angle), np.sin(angle)], -1)
+    return Mesh(_dome_vertices(circle, np.array([0.0, 0.0, 0.3]), profile), _fan_rings_and_floor())
 
 
 def _fan_rings_and_floor() -> NDArray[np.int64]:
@@ -127,8 +157,3 @@ def _fan_rings_and_floor() -> NDArray[np.int64]:
 def _signed_area(polygon_m: Array) -> float:
     x, y = polygon_m.T
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-
-
-def _sorted(angle: Array, values: Array) -> tuple[Array, Array]:
-    order = np.argsort(angle)
-    return angle[order], values[order]

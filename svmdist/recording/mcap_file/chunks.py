@@ -6,7 +6,7 @@ import zlib
 
 from svmdist.profile import Limits
 from svmdist.recording.decompress import DecompressionError, decompress, decompress_prefix
-from svmdist.recording.mcap_file.bodies import ChunkBody, MalformedRecordError, parse_chunk
+from svmdist.recording.mcap_file.record_parsers import ChunkBody, MalformedRecordError, parse_chunk
 
 
 class ChunkError(ValueError):
@@ -17,18 +17,22 @@ class ChunkError(ValueError):
         self.is_misframed = is_misframed
 
 
-def expand_chunk(body: bytes, limits: Limits) -> memoryview:
-    """Expand a chunk and verify its CRC; ChunkError says why it cannot be used."""
+def expand_chunk(body: bytes, limits: Limits) -> tuple[memoryview, int]:
+    """Expand a chunk and verify its CRC; ChunkError says why it cannot be used.
+
+    The number tells how many bytes of the body are known fields: what is behind them may be fields of a newer
+    version of MCAP, or other records where the length of this one is wrong.
+    """
     chunk = _parse(body)
     if len(chunk.data) < chunk.data_length:
         raise ChunkError("its data are longer than its record", is_misframed=True)
-    return _expand_whole(chunk, limits)
+    return _expand_whole(chunk, limits), chunk.data_start + chunk.data_length
 
 
-def expand_cut_chunk(body: bytes, limits: Limits, *, may_be_prefix: bool) -> memoryview:
+def expand_truncated_chunk(body: bytes, limits: Limits, *, may_be_prefix: bool) -> memoryview:
     """Expand what is there of a chunk that the file ends in; ChunkError when nothing of it can be trusted.
 
-    Where all of its data are there, the CRC decides. Where they are not, and the file was cut rather
+    Where all of its data are there, the CRC decides. Where they are not, and the file was truncated rather
     than corrupted (`may_be_prefix`), the prefix is what was written.
     """
     chunk = _parse(body)

@@ -2,13 +2,13 @@
 
 Nothing here needs the index. A chunk is delivered when its CRC is right, and dropped whole otherwise;
 what stands outside of chunks is delivered unless the CRC of the data section speaks against it. Of a
-file that ends early, everything before the end is delivered, for a cut changes no byte.
+file that ends early, everything before the end is delivered, for truncation changes no byte.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,12 +17,12 @@ from mcap.opcode import Opcode
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
 from svmdist.recording.health import Health, LossKind
-from svmdist.recording.mcap_file.bodies import MalformedRecordError, is_attachment_intact
-from svmdist.recording.mcap_file.chunks import ChunkError, expand_chunk, expand_cut_chunk
+from svmdist.recording.mcap_file.chunks import ChunkError, expand_chunk, expand_truncated_chunk
 from svmdist.recording.mcap_file.content import IN_CHUNKS, Content, MessageRecord, Record
+from svmdist.recording.mcap_file.crc_check import DataSectionCheck
 from svmdist.recording.mcap_file.framing import HEAD, MAGIC, Frame, FrameStream
+from svmdist.recording.mcap_file.record_parsers import MalformedRecordError, is_attachment_intact
 from svmdist.recording.mcap_file.summary import Summary, read_footer, read_trusted_summary
-from svmdist.recording.mcap_file.vouching import DataSectionCheck
 
 
 class Container:
@@ -32,10 +32,15 @@ class Container:
     """
 
     def __init__(
-        self, path: Path, limits: Limits, health: Health, check: DataSectionCheck | None = None
+        self,
+        path: Path,
+        limits: Limits,
+        health: Health,
+        check: DataSectionCheck | None = None,
+        topics: Collection[str] | None = None,
     ) -> None:
         self.path = path
-        self.content = Content(path, limits, health)
+        self.content = Content(path, limits, health, topics)
         self._limits = limits
         self._check = check or DataSectionCheck(path, limits)
         self._summary = Summary()
@@ -64,10 +69,10 @@ class Container:
                 yield Record(frame.opcode, memoryview(frame.body or b""), frame.offset)
                 self._finish(frame, stream)
                 return
-            if frame.opcode == 0 or frame.is_cut:
-                was_cut = frame.opcode != 0 and read_footer(file, size_bytes) is None
-                yield from self._salvage(frame, was_cut=was_cut)
-                if was_cut:
+            if frame.opcode == 0 or frame.is_truncated:
+                was_truncated = frame.opcode != 0 and read_footer(file, size_bytes) is None
+                yield from self._salvage(frame, was_truncated=was_truncated)
+                if was_truncated:
                     break
                 if not self._resume(file, size_bytes, stream, frame):
                     return
@@ -76,37 +81,43 @@ class Container:
                 yield Record(frame.opcode, memoryview(frame.body or b""), frame.offset)
             elif frame.opcode == Opcode.CHUNK and frame.body is not None:
                 try:
-                    data = expand_chunk(frame.body, self._limits)
+                    data, length = expand_chunk(frame.body, self._limits)
                 except ChunkError as problem:
-                    self.content.lose(LossKind.CHUNK, f"dropped: {problem}", frame.offset)
+                    self.content.record_loss(LossKind.CHUNK, f"dropped: {problem}", frame.offset)
                     if problem.is_misframed:
                         self._resume(file, size_bytes, stream, frame, or_go_on=True)
                     continue
                 yield from self.content.read_chunk(data, frame.offset)
+                if length < frame.length:
+                    self._return_to_end(file, size_bytes, stream, frame, length)
             else:
                 yield from self._outside_chunks(frame, size_bytes)
         self.content.report_lost_messages()
         detail = f"{self.content.tally.message_count} messages recovered"
-        self.content.lose(LossKind.TRUNCATED, detail, size_bytes)
+        self.content.record_loss(LossKind.TRUNCATED, detail, size_bytes)
 
     # What the records mean
 
     def _outside_chunks(self, frame: Frame, size_bytes: int) -> Iterator[Record | MessageRecord]:
         if frame.body is None:
             limit = self._limits.record_bytes
-            self.content.lose(LossKind.RECORD, f"{frame.length} bytes; the limit is {limit}", frame.offset)
+            self.content.record_loss(
+                LossKind.RECORD, f"{frame.length} bytes; the limit is {limit}", frame.offset
+            )
             return
         body = memoryview(frame.body)
         if frame.opcode in IN_CHUNKS and not self._data_ended:
-            if self._is_believable(frame):
+            if self._is_trusted(frame):
                 yield from self.content.read(frame.opcode, body, frame.offset)
         elif frame.opcode == Opcode.MESSAGE:
-            self.content.lose(LossKind.STRUCTURE, "a message behind the end of the data", frame.offset)
+            self.content.record_loss(LossKind.STRUCTURE, "a message behind the end of the data", frame.offset)
         elif frame.opcode == Opcode.FOOTER:
             if frame.end + len(MAGIC) < size_bytes:
-                self.content.lose(LossKind.STRUCTURE, "a footer before the end of the file", frame.offset)
+                self.content.record_loss(
+                    LossKind.STRUCTURE, "a footer before the end of the file", frame.offset
+                )
         elif frame.opcode == Opcode.ATTACHMENT and not is_attachment_intact(body):
-            self.content.lose(LossKind.RECORD, "an attachment's CRC is wrong", frame.offset)
+            self.content.record_loss(LossKind.RECORD, "an attachment's CRC is wrong", frame.offset)
         else:
             self.content.tally.attachment_count += frame.opcode == Opcode.ATTACHMENT
             self.content.tally.metadata_count += frame.opcode == Opcode.METADATA
@@ -115,16 +126,16 @@ class Container:
             if frame.opcode != Opcode.MESSAGE_INDEX:
                 yield Record(frame.opcode, body, frame.offset)
 
-    def _is_believable(self, frame: Frame) -> bool:
+    def _is_trusted(self, frame: Frame) -> bool:
         """Judge a schema, channel or message that stands outside of chunks, where no chunk's CRC covers it."""
-        vouched = self._check.result()
+        is_intact = self._check.result()
         # Writers of chunks put everything into chunks: a lone message there is most likely another
         # record with a broken opcode, unless the CRC of the data section says otherwise.
         is_usual = self.content.tally.chunk_count == 0 or frame.opcode != Opcode.MESSAGE
-        if vouched or (vouched is None and is_usual):
+        if is_intact or (is_intact is None and is_usual):
             return True
-        reason = "no CRC covers it" if vouched is None else "the CRC of the data section is wrong"
-        self.content.lose(
+        reason = "no CRC covers it" if is_intact is None else "the CRC of the data section is wrong"
+        self.content.record_loss(
             LossKind.RECORD, f"{_name(frame.opcode)} outside of chunks dropped: {reason}", frame.offset
         )
         return False
@@ -133,25 +144,41 @@ class Container:
         try:
             self._summary.add(frame.opcode, memoryview(frame.body or b""), self._limits)
         except MalformedRecordError as problem:
-            self.content.lose(LossKind.SUMMARY, f"{_name(frame.opcode)}: {problem}", frame.offset)
+            self.content.record_loss(LossKind.SUMMARY, f"{_name(frame.opcode)}: {problem}", frame.offset)
 
     # Broken ends and broken lengths
 
-    def _salvage(self, frame: Frame, *, was_cut: bool) -> Iterator[Record | MessageRecord]:
+    def _salvage(self, frame: Frame, *, was_truncated: bool) -> Iterator[Record | MessageRecord]:
         """Deliver what is certain of a record that reaches beyond the end of the file."""
         if frame.opcode != Opcode.CHUNK or not frame.body:
             return
         try:
-            data = expand_cut_chunk(frame.body, self._limits, may_be_prefix=was_cut)
+            data = expand_truncated_chunk(frame.body, self._limits, may_be_prefix=was_truncated)
         except ChunkError as problem:
-            self.content.lose(LossKind.CHUNK, f"dropped: {problem}", frame.offset)
+            self.content.record_loss(LossKind.CHUNK, f"dropped: {problem}", frame.offset)
             return
         yield from self.content.read_chunk(data, frame.offset, is_prefix=True)
+
+    def _return_to_end(
+        self, file: BinaryIO, size_bytes: int, stream: FrameStream, frame: Frame, length: int
+    ) -> None:
+        """Go back to the end of a chunk whose record is too long, where an index whose CRC is right says so."""
+        summary = read_trusted_summary(file, size_bytes, self._limits)
+        inside = summary is not None and any(
+            frame.offset < place < frame.end for place in summary.chunk_offsets
+        )
+        if not inside:
+            stream.jump(stream.position)  # looking for a summary has moved the file
+            return
+        self._is_aligned = False
+        stream.jump(frame.offset + HEAD.size + length)
+        detail = f"a chunk of impossible length {frame.length}; reading goes on at byte {stream.position}"
+        self.content.record_loss(LossKind.STRUCTURE, detail, frame.offset)
 
     def _resume(
         self, file: BinaryIO, size_bytes: int, stream: FrameStream, frame: Frame, *, or_go_on: bool = False
     ) -> bool:
-        """Find the next chunk after a record whose length is wrong, by an index that its CRC vouches for."""
+        """Find the next chunk after a record whose length is wrong, by an index whose CRC is right."""
         self._is_aligned = False
         summary = read_trusted_summary(file, size_bytes, self._limits)
         places = [] if summary is None else [place for place in summary.chunk_offsets if place > frame.offset]
@@ -168,7 +195,7 @@ class Container:
             if not or_go_on:
                 self.content.report_lost_messages()
                 detail += f"; the rest is unreadable, {self.content.tally.message_count} messages recovered"
-        self.content.lose(LossKind.STRUCTURE, detail, frame.offset)
+        self.content.record_loss(LossKind.STRUCTURE, detail, frame.offset)
         return bool(places) or or_go_on
 
     # The end of the data and of the file
@@ -176,26 +203,26 @@ class Container:
     def _end_data(self, frame: Frame, stream: FrameStream) -> None:
         declared = int.from_bytes((frame.body or b"")[:4], "little")
         if len(frame.body or b"") < 4:
-            self.content.lose(LossKind.STRUCTURE, "the end of the data is malformed", frame.offset)
+            self.content.record_loss(LossKind.STRUCTURE, "the end of the data is malformed", frame.offset)
         elif self._is_aligned and declared not in {0, frame.crc_before}:
-            self.content.lose(LossKind.DATA_CRC, "the CRC of the data section is wrong", frame.offset)
+            self.content.record_loss(LossKind.DATA_CRC, "the CRC of the data section is wrong", frame.offset)
         self._data_ended = True
         stream.crc = 0
 
     def _finish(self, frame: Frame, stream: FrameStream) -> None:
         self.content.report_lost_messages()
         if not self._data_ended:
-            self.content.lose(LossKind.STRUCTURE, "the end of the data is missing", frame.offset)
+            self.content.record_loss(LossKind.STRUCTURE, "the end of the data is missing", frame.offset)
         body = frame.body or b""
         crc = zlib.crc32(body[:16], zlib.crc32(HEAD.pack(frame.opcode, frame.length), frame.crc_before))
         declared = int.from_bytes(body[16:20], "little")
         if self._data_ended and declared not in {0, crc}:
-            self.content.lose(LossKind.SUMMARY, "the CRC of the summary is wrong", frame.offset)
+            self.content.record_loss(LossKind.SUMMARY, "the CRC of the summary is wrong", frame.offset)
         else:
             for disagreement in self.content.tally.disagreements(self._summary, self.content.definitions):
-                self.content.lose(LossKind.STATISTICS, disagreement, frame.offset)
+                self.content.record_loss(LossKind.STATISTICS, disagreement, frame.offset)
         if stream.read(len(MAGIC)) != MAGIC:
-            self.content.lose(LossKind.STRUCTURE, "the file does not end as MCAP does", frame.end)
+            self.content.record_loss(LossKind.STRUCTURE, "the file does not end as MCAP does", frame.end)
 
 
 def _name(opcode: int) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,13 +10,14 @@ from mcap.opcode import Opcode
 
 from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.mcap_file.bodies import MESSAGE_HEAD
 from svmdist.recording.mcap_file.definitions import DefinitionError, Definitions
 from svmdist.recording.mcap_file.framing import HEAD, split_records
+from svmdist.recording.mcap_file.record_parsers import MESSAGE_HEAD
 from svmdist.recording.mcap_file.summary import read_trusted_summary
 from svmdist.recording.mcap_file.tally import Tally
 
-IN_CHUNKS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
+MESSAGE = int(Opcode.MESSAGE)
+IN_CHUNKS = frozenset({int(Opcode.SCHEMA), int(Opcode.CHANNEL), MESSAGE})
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +42,21 @@ class MessageRecord:
 
 
 class Content:
-    """The definitions, counts and losses of one pass over a file, which grow while it is read."""
+    """The definitions, counts and losses of one pass over a file, which grow while it is read.
 
-    def __init__(self, path: Path, limits: Limits, health: Health) -> None:
+    Messages are yielded of `topics` alone where these are given; the others are counted all the same.
+    """
+
+    def __init__(
+        self, path: Path, limits: Limits, health: Health, topics: Collection[str] | None = None
+    ) -> None:
         self.definitions = Definitions(limits)
         self.tally = Tally()
         self.loss_count = 0
         self._path = path
         self._limits = limits
         self._health = health
+        self._topics = topics
         self._has_recalled = False
 
     def read_chunk(
@@ -62,21 +69,29 @@ class Content:
         for number, (opcode, position, body) in enumerate(split_records(data)):
             if number >= self._limits.chunk_records:
                 detail = f"more than {self._limits.chunk_records} records; the rest is dropped"
-                self.lose(LossKind.CHUNK, detail, offset)
+                self.record_loss(LossKind.CHUNK, detail, offset)
                 return
             if opcode == 0:
-                self.lose(LossKind.CHUNK, f"no record at {position} inside it; the rest is dropped", offset)
+                self.record_loss(
+                    LossKind.CHUNK, f"no record at {position} inside it; the rest is dropped", offset
+                )
                 return
             reached = position + HEAD.size + len(body)
-            if opcode in IN_CHUNKS:
+            if opcode == MESSAGE:
+                message = self._message(body, offset)
+                if message is not None:
+                    yield message
+            elif opcode in IN_CHUNKS:
                 yield from self.read(opcode, body, offset)
         if reached < len(data) and not is_prefix:
-            self.lose(LossKind.CHUNK, "its last record is incomplete", offset)
+            self.record_loss(LossKind.CHUNK, "its last record is incomplete", offset)
 
     def read(self, opcode: int, body: memoryview, offset: int) -> Iterator[Record | MessageRecord]:
         """Take up a schema, a channel or a message, and yield it where it is sound."""
-        if opcode == Opcode.MESSAGE:
-            yield from self._message(body, offset)
+        if opcode == MESSAGE:
+            message = self._message(body, offset)
+            if message is not None:
+                yield message
             return
         try:
             if opcode == Opcode.SCHEMA:
@@ -84,27 +99,33 @@ class Content:
             else:
                 self.definitions.add_channel(body)
         except DefinitionError as problem:
-            self.lose(LossKind.DEFINITION, str(problem), offset)
+            self.record_loss(LossKind.DEFINITION, str(problem), offset)
             return
         yield Record(opcode, body, offset)
 
-    def _message(self, body: memoryview, offset: int) -> Iterator[MessageRecord]:
+    def _message(self, body: memoryview, offset: int) -> MessageRecord | None:
+        """Count a message; None for one that is lost, or that nobody asked for."""
         if len(body) < MESSAGE_HEAD.size:
-            self.lose(LossKind.RECORD, "a message without a head", offset)
-            return
+            self.record_loss(LossKind.RECORD, "a message without a head", offset)
+            return None
         channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(body)
-        if channel_id not in self.definitions.channels:
+        channel = self.definitions.channels.get(channel_id)
+        if channel is None:
             self._recall_definitions()
-        if channel_id not in self.definitions.channels or channel_id in self.definitions.ambiguous:
+            channel = self.definitions.channels.get(channel_id)
+        if channel is None or channel_id in self.definitions.ambiguous:
             self.tally.lost_by_channel[channel_id] += 1
             self.loss_count += 1
-            return
+            return None
         self.tally.add_message(channel_id, log_time_ns)
-        data = body[MESSAGE_HEAD.size :]
-        yield MessageRecord(channel_id, sequence, log_time_ns, publish_time_ns, data, offset)
+        if self._topics is not None and channel.topic not in self._topics:
+            return None
+        return MessageRecord(
+            channel_id, sequence, log_time_ns, publish_time_ns, body[MESSAGE_HEAD.size :], offset
+        )
 
     def _recall_definitions(self) -> None:
-        """Take definitions that were lost with their chunk from the summary, where its CRC vouches for it."""
+        """Take definitions that were lost with their chunk from the summary, where its CRC is right."""
         if self._has_recalled:
             return
         self._has_recalled = True
@@ -117,9 +138,9 @@ class Content:
         """Report the messages whose channel is missing or ambiguous; call it where reading ends."""
         for channel_id, count in sorted(self.tally.lost_by_channel.items()):
             detail = f"{count} messages of channel {channel_id}, which is not (uniquely) defined"
-            self.lose(LossKind.MESSAGE, detail)
+            self.record_loss(LossKind.MESSAGE, detail)
 
-    def lose(self, kind: LossKind, detail: str, offset: int | None = None) -> None:
+    def record_loss(self, kind: LossKind, detail: str, offset: int | None = None) -> None:
         """Report a loss."""
         self.loss_count += 1
         self._health.add(Loss(kind, detail, offset))

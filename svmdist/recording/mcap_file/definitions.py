@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from svmdist.profile import Limits
-from svmdist.recording.mcap_file.bodies import (
+from svmdist.recording.mcap_file.record_parsers import (
     ChannelBody,
     MalformedRecordError,
     SchemaBody,

@@ -37,7 +37,7 @@ class Frame:
         return self.offset + HEAD.size + self.length
 
     @property
-    def is_cut(self) -> bool:
+    def is_truncated(self) -> bool:
         """Whether the file ends inside this record."""
         return self.body is not None and len(self.body) < self.length
 
@@ -70,7 +70,7 @@ class FrameStream:
         self.position = offset
 
     def next_frame(self) -> Frame | None:
-        """Read the next record, cut where the file ends inside it; None where no head fits any more."""
+        """Read the next record, truncated where the file ends inside it; None where no head fits any more."""
         offset, crc_before = self.position, self.crc
         if self.remaining_bytes < HEAD.size:
             return None

@@ -11,11 +11,11 @@ from mcap.records import Metadata
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.mcap_file.bodies import MalformedRecordError, parse
 from svmdist.recording.mcap_file.container import Container
 from svmdist.recording.mcap_file.content import MessageRecord
+from svmdist.recording.mcap_file.crc_check import DataSectionCheck
+from svmdist.recording.mcap_file.record_parsers import MalformedRecordError, parse
 from svmdist.recording.mcap_file.summary import read_trusted_summary
-from svmdist.recording.mcap_file.vouching import DataSectionCheck
 from svmdist.recording.sources import METADATA_NAME, RawMessage, TopicInfo, merge_topics
 
 
@@ -30,7 +30,7 @@ class McapSource:
         self._topics: tuple[TopicInfo, ...] | None = None
 
     def topics(self) -> tuple[TopicInfo, ...]:
-        """List the topics: from the summary where its CRC vouches for it, else by reading the whole file."""
+        """List the topics: from the summary where its CRC is right, else by reading the whole file."""
         if self._topics is None:
             self._topics = self._topics_of_summary()
         if self._topics is None:
@@ -69,13 +69,11 @@ class McapSource:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield the messages of some topics, or of all, in file order."""
-        container = self._container()
+        container = self._container(topics)
         channels, definitions = container.content.definitions.channels, container.content.definitions
         for record in container.records():
-            if not isinstance(record, MessageRecord):
-                continue
-            channel = channels[record.channel_id]
-            if topics is None or channel.topic in topics:
+            if isinstance(record, MessageRecord):
+                channel = channels[record.channel_id]
                 yield RawMessage(
                     channel.topic,
                     definitions.schema_name(channel),
@@ -86,8 +84,8 @@ class McapSource:
                     container.content.loss_count,
                 )
 
-    def _container(self) -> Container:
-        return Container(self.path, self._limits, self.health, self._check)
+    def _container(self, topics: Collection[str] | None = None) -> Container:
+        return Container(self.path, self._limits, self.health, self._check, topics)
 
     def _topics_of_summary(self) -> tuple[TopicInfo, ...] | None:
         try:

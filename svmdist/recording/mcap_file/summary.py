@@ -1,4 +1,4 @@
-"""The end of an MCAP file: whether it is there, whether its CRC vouches for it, and what it declares."""
+"""The end of an MCAP file: whether it is there, whether its CRC is right, and what it declares."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from mcap.opcode import Opcode
 from mcap.records import Footer, Statistics
 
 from svmdist.profile import Limits
-from svmdist.recording.mcap_file.bodies import (
+from svmdist.recording.mcap_file.framing import HEAD, MAGIC, TAIL_BYTES, split_records
+from svmdist.recording.mcap_file.record_parsers import (
     CHUNK_INDEX_HEAD,
     ChannelBody,
     MalformedRecordError,
@@ -20,7 +21,6 @@ from svmdist.recording.mcap_file.bodies import (
     parse_channel,
     parse_schema,
 )
-from svmdist.recording.mcap_file.framing import HEAD, MAGIC, TAIL_BYTES, split_records
 
 
 @dataclass
@@ -64,7 +64,7 @@ class Summary:
 
 
 def read_footer(file: BinaryIO, size_bytes: int) -> Footer | None:
-    """Read the footer where the file ends with one and the magic; None for a file that is cut or broken."""
+    """Read the footer where the file ends with one and the magic; None for a file that is truncated or broken."""
     if size_bytes < len(MAGIC) + TAIL_BYTES:
         return None
     file.seek(size_bytes - TAIL_BYTES)
@@ -80,7 +80,7 @@ def read_footer(file: BinaryIO, size_bytes: int) -> Footer | None:
 
 
 def read_trusted_summary(file: BinaryIO, size_bytes: int, limits: Limits) -> Summary | None:
-    """Read the summary section where its CRC vouches for every byte of it; None otherwise."""
+    """Read the summary section where its CRC covers every byte of it and is right; None otherwise."""
     footer = read_footer(file, size_bytes)
     if footer is None or footer.summary_crc == 0 or footer.summary_start == 0:
         return None

@@ -8,7 +8,7 @@ from typing import Any
 
 from svmdist.profile import Limits
 from svmdist.recording.messages import foxglove, ros
-from svmdist.recording.messages.checks import DecodeError, EncodedImage, checked_stamp_ns
+from svmdist.recording.messages.checks import DecodeError, EncodedImage, RawTransforms, checked_stamp_ns
 from svmdist.recording.messages.foxglove_json import parse_json
 from svmdist.recording.messages.ros_wire import CdrWire, Ros1Wire
 from svmdist.recording.messages.video import VideoDecoder
@@ -27,7 +27,9 @@ class Kind(StrEnum):
     DISTANCE = "true distances"
 
 
-Converter = Callable[..., Sample | EncodedImage]
+Message = Sample | EncodedImage | RawTransforms
+"""What a message becomes: images stay encoded, and transforms have no matrices, until these are asked for."""
+Converter = Callable[..., Message]
 
 FOXGLOVE: dict[str, tuple[Kind, Converter]] = {
     "foxglove.CompressedImage": (Kind.IMAGE, foxglove.to_compressed_image),
@@ -73,13 +75,18 @@ class Decoder:
 
         Raises DecodeError for a message that is too large, malformed, or holds values that mean nothing.
         """
+        message = self.read(raw)
+        return message.to_sample() if isinstance(message, RawTransforms) else message
+
+    def read(self, raw: RawMessage) -> Message:
+        """Read and check a message as `decode` does, without the matrices of transforms."""
         try:
             return self._decode(raw)
         except DecodeError:
             self._failure_count += 1
             raise
 
-    def _decode(self, raw: RawMessage) -> Sample | EncodedImage:
+    def _decode(self, raw: RawMessage) -> Message:
         checked_stamp_ns(raw.log_time_ns)
         found = SCHEMAS.get(raw.message_encoding, {}).get(_short(raw.schema))
         if found is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -36,6 +37,15 @@ PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
 
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 """Colour at full resolution: segmentation by hue stands on it."""
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedSample:
+    """A sample as its bytes: its stamp, the type of sample that it is, and its serialised message."""
+
+    stamp_ns: int
+    sample_type: type
+    data: bytes
 
 
 @dataclass(frozen=True)
@@ -85,6 +95,42 @@ def encode(sample: Sample, jpeg_quality: int | None = None) -> bytes:
 
     Images become PNG, which loses nothing, or JPEG of a quality from 1 to 100 with colour at full resolution.
     """
+    return _encode(sample, iter(_quaternions(_transforms_of(sample))), jpeg_quality)
+
+
+def encode_all(
+    samples: Iterable[tuple[str, Sample]], jpeg_quality: int | None = None
+) -> list[tuple[str, EncodedSample]]:
+    """Serialise (topic, sample) pairs as `encode` does each, which takes less time for many transforms."""
+    pairs = list(samples)
+    quaternions = iter(_quaternions([T for _, sample in pairs for T in _transforms_of(sample)]))
+    return [
+        (topic, EncodedSample(sample.stamp_ns, type(sample), _encode(sample, quaternions, jpeg_quality)))
+        for topic, sample in pairs
+    ]
+
+
+def _transforms_of(sample: Sample) -> Sequence[Array]:
+    """The transforms whose rotations are written as quaternions, in the order of the message."""
+    match sample:
+        case PoseSample():
+            return (sample.T_frame_pose,)
+        case TransformsSample():
+            return [one.T_parent_child for one in sample.transforms]
+        case _:
+            return ()
+
+
+def _quaternions(transforms: Sequence[Array]) -> list[list[float]]:
+    """Quaternions in the order x, y, z, w of transforms (4, 4): one call for all, since calls cost most of the time."""
+    if not transforms:
+        return []
+    quaternions: list[list[float]] = quaternion_xyzw_from_rotation(np.stack(transforms)[:, :3, :3]).tolist()
+    return quaternions
+
+
+def _encode(sample: Sample, quaternions: Iterator[list[float]], jpeg_quality: int | None) -> bytes:
+    """Serialise a sample, whose transforms' quaternions are the next ones."""
     message: Message
     match sample:
         case ImageSample():
@@ -102,14 +148,14 @@ def encode(sample: Sample, jpeg_quality: int | None = None) -> bytes:
                 P=() if camera.P is None else camera.P.ravel(),
             )
         case JointSample():
-            pairs = zip(sample.names, sample.positions, strict=True)
+            pairs = zip(sample.names, np.asarray(sample.positions, np.float64).tolist(), strict=True)
             message = JointStates(joints=[JointState(name=name, position=value) for name, value in pairs])
         case PoseSample():
             message = PoseInFrame(frame_id=sample.frame_id)
-            _fill(message.pose.position, message.pose.orientation, sample.T_frame_pose)
+            _fill(message.pose.position, message.pose.orientation, sample.T_frame_pose, next(quaternions))
         case TransformsSample():
             return FrameTransforms(
-                transforms=[_transform(one) for one in sample.transforms]
+                transforms=[_transform(one, next(quaternions)) for one in sample.transforms]
             ).SerializeToString(deterministic=True)
         case DistanceSample():
             message = GroundTruthDistance(
@@ -118,8 +164,12 @@ def encode(sample: Sample, jpeg_quality: int | None = None) -> bytes:
         case _:
             message_type(type(sample))
             raise AssertionError("unreachable")
-    message.timestamp.FromNanoseconds(sample.stamp_ns)
+    _stamp(message, sample.stamp_ns)
     return message.SerializeToString(deterministic=True)
+
+
+def _stamp(message: Any, stamp_ns: int) -> None:
+    message.timestamp.seconds, message.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
 
 
 def _compressed(sample: ImageSample, jpeg_quality: int | None) -> tuple[bytes, str]:
@@ -134,13 +184,13 @@ def _compressed(sample: ImageSample, jpeg_quality: int | None) -> tuple[bytes, s
     return cv2.imencode(".jpg", image, options)[1].tobytes(), "jpeg"
 
 
-def _transform(sample: TransformSample) -> FrameTransform:
+def _transform(sample: TransformSample, quaternion_xyzw: list[float]) -> FrameTransform:
     message = FrameTransform(parent_frame_id=sample.parent, child_frame_id=sample.child)
-    message.timestamp.FromNanoseconds(sample.stamp_ns)
-    _fill(message.translation, message.rotation, sample.T_parent_child)
+    _stamp(message, sample.stamp_ns)
+    _fill(message.translation, message.rotation, sample.T_parent_child, quaternion_xyzw)
     return message
 
 
-def _fill(position: Any, orientation: Any, T: Array) -> None:
-    position.x, position.y, position.z = T[:3, 3]
-    orientation.x, orientation.y, orientation.z, orientation.w = quaternion_xyzw_from_rotation(T[:3, :3])
+def _fill(position: Any, orientation: Any, T: Array, quaternion_xyzw: list[float]) -> None:
+    position.x, position.y, position.z = T[:3, 3].tolist()
+    orientation.x, orientation.y, orientation.z, orientation.w = quaternion_xyzw

@@ -21,6 +21,8 @@ from svmdist.recording.messages.checks import (
     NS,
     DecodeError,
     EncodedImage,
+    Quaternion,
+    RawTransforms,
     check_numbers,
     checked_camera,
     checked_joints,
@@ -37,10 +39,8 @@ from svmdist.samples import (
     DistanceSample,
     JointSample,
     PoseSample,
-    TransformSample,
-    TransformsSample,
+    Vector,
 )
-from svmdist.transforms import Array
 
 IDENTITY_XYZW = (0.0, 0.0, 0.0, 1.0)
 MESSAGES: dict[str, Any] = {
@@ -75,7 +75,7 @@ def stamp_of(message: Any, log_time_ns: int) -> int:
 
 
 def to_compressed_image(message: Any, log_time_ns: int, limits: Limits) -> EncodedImage:
-    """Take over a foxglove.CompressedImage; its `format` is not believed, the data say what they are."""
+    """Take over a foxglove.CompressedImage; its `format` is ignored, for the data say what they are."""
     data = message.data
     return EncodedImage(stamp_of(message, log_time_ns), message.frame_id, lambda: decode_still(data, limits))
 
@@ -98,6 +98,7 @@ def to_video_frame(message: Any, log_time_ns: int, video: VideoDecoder, loss_cou
         stamp_of(message, log_time_ns),
         message.frame_id,
         lambda: video.decode(video_format, data, loss_count),
+        is_ordered=True,
     )
 
 
@@ -124,25 +125,28 @@ def to_joints(message: Any, log_time_ns: int) -> JointSample:
 
 def to_pose(message: Any, log_time_ns: int) -> PoseSample:
     """Convert a foxglove.PoseInFrame."""
-    T = _transform(message.pose, "position", "orientation")
-    return PoseSample(stamp_of(message, log_time_ns), message.frame_id, T)
+    pose = message.pose
+    numbers = _numbers(pose, pose.position, pose.orientation, "orientation")
+    transform = checked_transform(stamp_of(message, log_time_ns), message.frame_id, "", *numbers)
+    return PoseSample(transform.stamp_ns, transform.parent, transform.T_parent_child)
 
 
-def to_transforms(message: Any, log_time_ns: int) -> TransformsSample:
-    """Convert a foxglove.FrameTransform or FrameTransforms."""
+def to_transforms(message: Any, log_time_ns: int) -> RawTransforms:
+    """Take over a foxglove.FrameTransform or FrameTransforms."""
     parts = message.transforms if hasattr(message, "transforms") else [message]
     if len(parts) > MAX_TRANSFORMS:
         raise DecodeError(f"{len(parts)} transforms, the limit is {MAX_TRANSFORMS}")
-    samples = tuple(
-        TransformSample(
+    transforms = tuple(
+        checked_transform(
             stamp_of(part, log_time_ns),
             part.parent_frame_id,
             part.child_frame_id,
-            _transform(part, "translation", "rotation"),
+            *_numbers(part, part.translation, part.rotation, "rotation"),
         )
         for part in parts
     )
-    return TransformsSample(samples[0].stamp_ns if samples else checked_stamp_ns(log_time_ns), samples)
+    first_ns = transforms[0].stamp_ns if transforms else checked_stamp_ns(log_time_ns)
+    return RawTransforms(first_ns, transforms)
 
 
 def to_distance(message: Any, log_time_ns: int) -> DistanceSample:
@@ -152,12 +156,11 @@ def to_distance(message: Any, log_time_ns: int) -> DistanceSample:
     return DistanceSample(stamp_of(message, log_time_ns), *values)
 
 
-def _transform(message: Any, position_field: str, rotation_field: str) -> Array:
-    position, rotation = getattr(message, position_field), getattr(message, rotation_field)
+def _numbers(message: Any, position: Any, rotation: Any, rotation_field: str) -> tuple[Vector, Quaternion]:
     # An unset rotation means none; one that is set to four zeros is an error.
     xyzw = (
         (rotation.x, rotation.y, rotation.z, rotation.w)
         if message.HasField(rotation_field)
         else IDENTITY_XYZW
     )
-    return checked_transform((position.x, position.y, position.z), xyzw)
+    return (position.x, position.y, position.z), xyzw

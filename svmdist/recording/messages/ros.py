@@ -12,6 +12,8 @@ from svmdist.recording.messages.checks import (
     MAX_TRANSFORMS,
     DecodeError,
     EncodedImage,
+    RawTransform,
+    RawTransforms,
     checked_camera,
     checked_joints,
     checked_stamp_ns,
@@ -20,8 +22,7 @@ from svmdist.recording.messages.checks import (
 from svmdist.recording.messages.images import decode_still
 from svmdist.recording.messages.raw_images import decode_raw
 from svmdist.recording.messages.ros_wire import Ros1Wire
-from svmdist.samples import CameraSample, JointSample, PoseSample, TransformSample, TransformsSample
-from svmdist.transforms import Array
+from svmdist.samples import CameraSample, JointSample, PoseSample
 
 
 def to_image(wire: Ros1Wire, log_time_ns: int, limits: Limits) -> EncodedImage:
@@ -64,12 +65,12 @@ def to_joints(wire: Ros1Wire, log_time_ns: int) -> JointSample:
     return checked_joints(stamp_ns, names, wire.float_sequence().tolist())
 
 
-def to_transforms(wire: Ros1Wire, log_time_ns: int) -> TransformsSample:
+def to_transforms(wire: Ros1Wire, log_time_ns: int) -> RawTransforms:
     """Read a tf2_msgs/TFMessage."""
     count = _checked_count(wire.u32(), MAX_TRANSFORMS)
     transforms = tuple(_stamped_transform(wire, log_time_ns) for _ in range(count))
     first_ns = transforms[0].stamp_ns if transforms else checked_stamp_ns(log_time_ns)
-    return TransformsSample(first_ns, transforms)
+    return RawTransforms(first_ns, transforms)
 
 
 def to_transform_as_pose(wire: Ros1Wire, log_time_ns: int) -> PoseSample:
@@ -80,19 +81,18 @@ def to_transform_as_pose(wire: Ros1Wire, log_time_ns: int) -> PoseSample:
 
 def to_pose(wire: Ros1Wire, log_time_ns: int) -> PoseSample:
     """Read a geometry_msgs/PoseStamped."""
-    stamp_ns, frame_id = _header(wire, log_time_ns)
-    return PoseSample(stamp_ns, frame_id, _transform(wire))
+    transform = _transform(wire, *_header(wire, log_time_ns), "")
+    return PoseSample(transform.stamp_ns, transform.parent, transform.T_parent_child)
 
 
-def _stamped_transform(wire: Ros1Wire, log_time_ns: int) -> TransformSample:
+def _stamped_transform(wire: Ros1Wire, log_time_ns: int) -> RawTransform:
     stamp_ns, parent = _header(wire, log_time_ns)
-    child = wire.text()
-    return TransformSample(stamp_ns, parent, child, _transform(wire))
+    return _transform(wire, stamp_ns, parent, wire.text())
 
 
-def _transform(wire: Ros1Wire) -> Array:
-    values = wire.floats(7).tolist()
-    return checked_transform(values[:3], values[3:])
+def _transform(wire: Ros1Wire, stamp_ns: int, parent: str, child: str) -> RawTransform:
+    tx, ty, tz, qx, qy, qz, qw = wire.floats(7).tolist()
+    return checked_transform(stamp_ns, parent, child, (tx, ty, tz), (qx, qy, qz, qw))
 
 
 def _header(wire: Ros1Wire, log_time_ns: int) -> tuple[int, str]:

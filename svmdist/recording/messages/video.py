@@ -36,18 +36,17 @@ class VideoDecoder:
 
         `loss_count` says how much was lost before this frame; when it has grown, frames may be missing.
         """
-        if loss_count != self._loss_count:
-            self._loss_count = loss_count
-            self._needs_key_frame = True
+        needs_key_frame = self._needs_key_frame or loss_count != self._loss_count
+        self._loss_count = loss_count
+        self._needs_key_frame = True  # until this frame has come out whole
         if video_format != "h264":
             raise ImageError(f"video format {video_format!r} is not known; h264 is expected")
         if len(data) > self._limits.image_bytes:
             raise ImageError(f"{len(data)} bytes, the limit is {self._limits.image_bytes}")
-        if self._needs_key_frame:
+        if needs_key_frame:
             if not any(match[1][0] & 0x1F == IDR_SLICE for match in NAL_UNIT.finditer(data)):
                 raise ImageError("no key frame yet, which this frame refers to")
             self._codec = self._open()
-        self._needs_key_frame = True  # until this frame has come out whole
         image = self._decode(data)
         self._needs_key_frame = False
         return image

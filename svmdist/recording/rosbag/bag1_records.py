@@ -38,7 +38,7 @@ class BagRecord:
         return int.from_bytes(self.fields[b"op"], "little") if b"op" in self.fields else -1
 
     @property
-    def is_cut(self) -> bool:
+    def is_truncated(self) -> bool:
         """Whether the file ends inside this record."""
         return len(self.data) < self.data_length
 
@@ -107,7 +107,7 @@ def parse_fields(header: bytes | memoryview) -> dict[bytes, bytes]:
 
 
 def chunk_records(chunk: BagRecord, limits: Limits) -> Iterator[BagRecord]:
-    """Yield the complete records inside a chunk, of a cut one those in its readable prefix.
+    """Yield the complete records inside a chunk, of a truncated one those in its readable prefix.
 
     Raises BrokenRecordError for a chunk that does not expand, before the first record of it.
     """
@@ -128,7 +128,7 @@ def chunk_records(chunk: BagRecord, limits: Limits) -> Iterator[BagRecord]:
         fields = parse_fields(content[position + LENGTH.size : data_place])
         yield BagRecord(chunk.offset, fields, content[data_place + LENGTH.size : end], data_length)
         position = end
-    if position < len(content) and not chunk.is_cut:
+    if position < len(content) and not chunk.is_truncated:
         raise BrokenRecordError("the last record of a chunk is incomplete")
 
 
@@ -140,17 +140,17 @@ def _expand(chunk: BagRecord, limits: Limits) -> memoryview:
     data = memoryview(chunk.data)
     try:
         if name == b"bz2":
-            return _expand_bz2(data, size_bytes, limits, is_cut=chunk.is_cut)
-        expand = decompress_prefix if chunk.is_cut else decompress
+            return _expand_bz2(data, size_bytes, limits, is_truncated=chunk.is_truncated)
+        expand = decompress_prefix if chunk.is_truncated else decompress
         return expand(COMPRESSIONS[name], data, size_bytes, limits)
     except (DecompressionError, OSError, ValueError) as problem:
         raise BrokenRecordError(f"a chunk does not expand: {problem}") from None
 
 
-def _expand_bz2(data: memoryview, size_bytes: int, limits: Limits, *, is_cut: bool) -> memoryview:
+def _expand_bz2(data: memoryview, size_bytes: int, limits: Limits, *, is_truncated: bool) -> memoryview:
     if size_bytes > limits.chunk_bytes:
         raise DecompressionError(f"{size_bytes} bytes declared, the limit is {limits.chunk_bytes}")
     content = bz2.BZ2Decompressor().decompress(data, size_bytes + 1)
-    if len(content) > size_bytes or (len(content) < size_bytes and not is_cut):
+    if len(content) > size_bytes or (len(content) < size_bytes and not is_truncated):
         raise DecompressionError(f"{size_bytes} bytes declared, found {len(content)} or more")
     return memoryview(content)

@@ -78,36 +78,36 @@ class _Pass:
                 record = read_record(file, size_bytes, self._limits)
             except BrokenRecordError as problem:
                 detail = f"{problem}; the rest is unreadable, {self._message_count} messages recovered"
-                self._lose(LossKind.STRUCTURE, detail, offset)
+                self._record_loss(LossKind.STRUCTURE, detail, offset)
                 return
             if record is not None:
                 yield from self._record(record)
-            if record is None or record.is_cut:
+            if record is None or record.is_truncated:
                 self._truncated(size_bytes)
                 return
         if not self._is_indexed:
             self._truncated(size_bytes)
         elif self._declared_count != self._message_count:
             detail = f"the index declares {self._declared_count} messages, {self._message_count} were read"
-            self._lose(LossKind.STATISTICS, detail, None)
+            self._record_loss(LossKind.STATISTICS, detail, None)
 
     def _record(self, record: BagRecord) -> Iterator[RawMessage]:
         try:
             match record.op:
-                case bag1_records.OP_BAG_HEADER if not record.is_cut:
+                case bag1_records.OP_BAG_HEADER if not record.is_truncated:
                     self._is_indexed = record.number(b"index_pos") != 0
                 case bag1_records.OP_CHUNK:
                     for inner in chunk_records(record, self._limits):
                         yield from self._inner(inner)
-                case bag1_records.OP_CHUNK_INFO if not record.is_cut:
+                case bag1_records.OP_CHUNK_INFO if not record.is_truncated:
                     pairs = bytes(record.data)[: len(record.data) // 8 * 8]
                     self._declared_count += sum(count for _, count in struct.iter_unpack("<II", pairs))
-                case bag1_records.OP_MESSAGE | bag1_records.OP_CONNECTION if not record.is_cut:
+                case bag1_records.OP_MESSAGE | bag1_records.OP_CONNECTION if not record.is_truncated:
                     yield from self._inner(record)
                 case _:
                     pass
         except BrokenRecordError as problem:
-            self._lose(LossKind.CHUNK, str(problem), record.offset)
+            self._record_loss(LossKind.CHUNK, str(problem), record.offset)
 
     def _inner(self, record: BagRecord) -> Iterator[RawMessage]:
         if record.op == OP_CONNECTION:
@@ -115,7 +115,9 @@ class _Pass:
         elif record.op == OP_MESSAGE:
             connection = self._connections.get(record.number(b"conn"))
             if connection is None:
-                self._lose(LossKind.MESSAGE, "messages of a connection that is not defined", record.offset)
+                self._record_loss(
+                    LossKind.MESSAGE, "messages of a connection that is not defined", record.offset
+                )
                 return
             time_ns = record.time_ns()
             self._message_count += 1
@@ -133,8 +135,8 @@ class _Pass:
 
     def _truncated(self, size_bytes: int) -> None:
         detail = f"{self._message_count} messages recovered"
-        self._lose(LossKind.TRUNCATED, detail, size_bytes)
+        self._record_loss(LossKind.TRUNCATED, detail, size_bytes)
 
-    def _lose(self, kind: LossKind, detail: str, offset: int | None) -> None:
+    def _record_loss(self, kind: LossKind, detail: str, offset: int | None) -> None:
         self._loss_count += 1
         self._health.add(Loss(kind, detail, offset))

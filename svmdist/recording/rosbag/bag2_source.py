@@ -17,16 +17,11 @@ from svmdist.profile import Limits
 from svmdist.recording.decompress import DecompressionError, decompress_message
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.mcap_file.source import McapSource
-from svmdist.recording.names import plain
+from svmdist.recording.names import sanitize
+from svmdist.recording.rosbag import METADATA_FILE
+from svmdist.recording.rosbag.bag2_metadata import BagMetadata, MetadataError, read_metadata
 from svmdist.recording.rosbag.sqlite_source import SqliteSource
-from svmdist.recording.sources import RawMessage, Source, TopicInfo, merge_topics
-
-METADATA_FILE = "metadata.yaml"
-MAX_METADATA_BYTES = 1 << 20
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-STORED_FILE = re.compile(r"^\s*-\s*['\"]?([^'\"\n]+\.(?:mcap|db3)(?:\.zstd)?)['\"]?\s*$", re.MULTILINE)
-STORAGE = re.compile(r"^\s*storage_identifier:\s*['\"]?([^'\"\s]+)", re.MULTILINE)
-COMPRESSION_MODE = re.compile(r"^\s*compression_mode:\s*['\"]?(\w*)", re.MULTILINE)
+from svmdist.recording.sources import RawMessage, Source, TopicInfo, is_message_compressed, merge_topics
 
 
 class Rosbag2Source:
@@ -37,34 +32,40 @@ class Rosbag2Source:
         self.health = Health()
         self._limits = limits
         self._message_bytes = 4 * limits.image_pixels + limits.message_bytes
-        text = _read_metadata(path)
+        metadata = self._read_metadata()
         packed = sorted(
             file.name for file in path.iterdir() if file.name.endswith((".mcap.zstd", ".db3.zstd"))
         )
         if packed:
             raise RecordingError(
-                f"{path}: its files are compressed as a whole; expand them first: zstd -d {plain(packed[0])}"
+                f"{path}: its files are compressed as a whole; expand them first: zstd -d {sanitize(packed[0])}"
             )
         files = storage_files(path)
         if not files:
-            storage = STORAGE.search(text)
-            found = f"; its storage is {plain(storage[1])}" if storage else ""
+            found = f"; its storage is {sanitize(metadata.storage)}" if metadata.storage else ""
             raise RecordingError(f"{path}: a rosbag2 folder without any .mcap or .db3 file{found}")
-        missing = sorted(
-            {Path(name).name for name in STORED_FILE.findall(text)} - {file.name for file in files}
-        )
+        missing = sorted({Path(name).name for name in metadata.files} - {file.name for file in files})
         if missing:
             detail = f"{', '.join(missing[:3])} named in {METADATA_FILE} but not there"
             self.health.add(Loss(LossKind.STRUCTURE, detail))
-        mode = COMPRESSION_MODE.search(text)
-        self._declared_counts = declared_counts(text)
-        self._is_compressed = mode is not None and mode[1].upper() == "MESSAGE"
+        self._declared_counts = metadata.counts
+        self._is_compressed = metadata.is_message_compressed
         open_one: dict[str, Callable[[Path, Limits], Source]] = {".mcap": McapSource, ".db3": SqliteSource}
         self._parts = [open_one[file.suffix](file, limits) for file in files]
         for part in self._parts:
             for loss in part.health.losses:
                 self.health.add(loss)
             part.health = self.health
+        if metadata == BagMetadata():
+            self._is_compressed = is_message_compressed(self._parts[0])
+
+    def _read_metadata(self) -> BagMetadata:
+        """What the folder declares; where that cannot be read, nothing, and a loss: the messages are not in it."""
+        try:
+            return read_metadata(self.path)
+        except MetadataError as problem:
+            self.health.add(Loss(LossKind.STRUCTURE, str(problem)))
+            return BagMetadata()
 
     def topics(self) -> tuple[TopicInfo, ...]:
         """List the topics of all files."""
@@ -109,52 +110,3 @@ def storage_files(folder: Path) -> list[Path]:
         return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
     return sorted((path for path in folder.iterdir() if path.suffix in {".mcap", ".db3"}), key=order)
-
-
-def declared_counts(text: str) -> dict[str, int]:
-    """Read the counts of messages by topic out of metadata.yaml: the items of `topics_with_message_count`."""
-    counts: dict[str, int] = {}
-    name: str | None = None
-    count: int | None = None
-    item_indent: int | None = None
-    lines = iter(text.splitlines())
-    for line in lines:
-        if line.strip() == "topics_with_message_count:":
-            break
-    for line in lines:
-        key, _, value = line.strip().removeprefix("- ").partition(":")
-        indent = len(line) - len(line.lstrip())
-        is_item = line.lstrip().startswith("- ")
-        item_indent = indent if item_indent is None else item_indent
-        if indent < item_indent or (indent == item_indent and not is_item):
-            break
-        if is_item and indent == item_indent:
-            name = count = None
-        value = value.strip().strip("'\"")
-        if key == "name" and name is None:
-            name = value
-        elif key == "message_count" and count is None and value.isdecimal() and len(value) < 20:
-            count = int(value)
-        if name is not None and count is not None:
-            counts[name] = count
-    return counts
-
-
-def is_message_compressed(source: Source) -> bool:
-    """Tell whether the messages of a single file were compressed one by one, as only the folder knows."""
-    topics = {info.topic for info in source.topics() if info.message_encoding == "cdr"}
-    if not topics:
-        return False
-    first = next(iter(source.messages(topics)), None)
-    # CDR begins with a zero byte, so these four cannot be a message.
-    return first is not None and bytes(first.data[:4]) == ZSTD_MAGIC
-
-
-def _read_metadata(folder: Path) -> str:
-    try:
-        with (folder / METADATA_FILE).open("rb") as file:
-            return file.read(MAX_METADATA_BYTES).decode("utf-8", "replace")
-    except OSError as problem:
-        raise RecordingError(
-            f"{folder}: cannot read {METADATA_FILE}: {problem.strerror or problem}"
-        ) from None

@@ -30,7 +30,7 @@ class SqliteSource:
         self.path = path
         self.health = health or Health()
         self._limits = limits
-        _refuse_cut_file(path)
+        _refuse_truncated_file(path)
         for suffix in UNMERGED_SUFFIXES:
             left = path.with_name(path.name + suffix)
             if left.exists() and left.stat().st_size:
@@ -98,7 +98,7 @@ class SqliteSource:
             self.health.add(Loss(LossKind.TRUNCATED, detail))
 
 
-def _refuse_cut_file(path: Path) -> None:
+def _refuse_truncated_file(path: Path) -> None:
     """Raise RecordingError for a file shorter than its header says.
 
     SQLite refuses most of these too, but where only a part of the last page is missing, it takes zeros for it.

@@ -1,7 +1,7 @@
 """The instrument's parts: a mesh for each, the DH row whose link carries it, and its colour.
 
-The coloured knuckle is a sphere about the tool's origin. What meets it is slimmer, or stands beside it:
-the camera sees the whole of it, so its silhouette's centroid is the projection of the tool's origin.
+The distal marker is a coloured sphere about the tool's origin. The parts that touch it are slimmer or stand beside
+it. The camera sees nearly all of it, so its silhouette's centroid is the projection of the tool's origin.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.profile import Instrument
-from svmdist.simulation.bodies.meshes import Mesh, bar, loft, revolve, sphere
+from svmdist.simulation.bodies.meshes import DrawnMesh, bar, loft, revolve, sphere
 from svmdist.transforms import make_transform, rotation_x, rotation_z
 
 SHAFT_RGBA = (0.13, 0.13, 0.145, 1.0)
 STEEL_RGBA = (0.62, 0.63, 0.65, 1.0)
 DARK_STEEL_RGBA = (0.45, 0.46, 0.48, 1.0)
-KNUCKLE_RGBA = (0.0, 0.62, 0.70, 1.0)
+MARKER_RGBA = (0.0, 0.62, 0.70, 1.0)
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Part:
 
     name: str
     link: str
-    mesh: Mesh
+    mesh: DrawnMesh
     colour_rgba: tuple[float, float, float, float]
 
 
@@ -38,7 +38,7 @@ def make_parts(instrument: Instrument, links: tuple[str, ...], wrist_length_m: f
     tool's origin.
     """
     roll, wrist_pitch, wrist_yaw, jaw = links[-4:]
-    wrist_m, knuckle_m = instrument.wrist_radius_m, instrument.knuckle_radius_m
+    wrist_m, marker_m = instrument.wrist_radius_m, instrument.knuckle_radius_m
     T_roll_shaft = make_transform(rotation_z(np.pi / 2), np.zeros(3))
     # The jaw's frame is turned by its α of π/2 against the wrist's.
     T_jaw_wrist = make_transform(rotation_x(-np.pi / 2), np.zeros(3))
@@ -51,7 +51,7 @@ def make_parts(instrument: Instrument, links: tuple[str, ...], wrist_length_m: f
     )
     collar = revolve(np.array([0.8 * wrist_m, neck_m + 0.0002]), np.array([wrist_m, shaft_m - 0.0004]))
     hinge = sphere(wrist_m)
-    fork_m = knuckle_m + 0.0004  # the fork's tines stand beside the knuckle
+    fork_m = marker_m + 0.0004  # the fork's tines stand beside the distal marker
     bridge_x_m = -wrist_length_m + np.array([0.0, 0.3, 0.45]) * wrist_length_m
     bridge = loft(
         bridge_x_m,
@@ -76,14 +76,14 @@ def make_parts(instrument: Instrument, links: tuple[str, ...], wrist_length_m: f
         Part("bridge", wrist_pitch, bridge, STEEL_RGBA),
         Part("left_tine", wrist_pitch, tines[0], STEEL_RGBA),
         Part("right_tine", wrist_pitch, tines[1], STEEL_RGBA),
-        Part("knuckle", wrist_yaw, sphere(knuckle_m), KNUCKLE_RGBA),
+        Part("knuckle", wrist_yaw, sphere(marker_m), MARKER_RGBA),
         Part("fixed_jaw", wrist_yaw, lower, STEEL_RGBA),
         Part("moving_jaw", jaw, upper, STEEL_RGBA),
     )
 
 
-def _jaw(instrument: Instrument) -> Mesh:
-    """A blade along +x from inside the knuckle to a rounded tip; thin across the hinge, wider along it."""
+def _jaw(instrument: Instrument) -> DrawnMesh:
+    """A blade along +x from inside the distal marker to a rounded tip; thin across the hinge, wider along it."""
     length_m, radius_m = instrument.jaw_length_m, instrument.jaw_radius_m
     x = np.array([0.06, 0.4, 0.8, 0.93, 0.98, 1.0]) * length_m
     half_width = np.array([0.75, 0.95, 0.72, 0.55, 0.38, 0.12]) * radius_m

@@ -12,28 +12,29 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.geometry.surfaces import Mesh
 from svmdist.transforms import Array, transform_points
 
 SIDE_COUNT = 64
 
 
 @dataclass(frozen=True)
-class Mesh:
-    """Triangles in the frame of their part.
+class DrawnMesh(Mesh):
+    """A mesh in the frame of its part, with what drawing it needs.
 
-    `vertices_m` (n, 3), unit `normals` (n, 3), texture coordinates `uv` (n, 2) in 0–1, and `faces` (m, 3),
-    counterclockwise seen from outside.
+    Unit `normals` (v, 3) at the vertices, and texture coordinates `uv` (v, 2) in 0–1.
     """
 
-    vertices_m: Array
     normals: Array
     uv: Array
-    faces: NDArray[np.int64]
 
-    def transformed(self, T_a_b: Array) -> Mesh:
-        """Return the mesh in frame a, given the rigid transform of shape (4, 4)."""
-        return Mesh(
-            transform_points(T_a_b, self.vertices_m), self.normals @ T_a_b[:3, :3].T, self.uv, self.faces
+    def transformed(self, T_other_this: Array) -> DrawnMesh:
+        """The same mesh in another frame, by a transform of shape (4, 4)."""
+        return DrawnMesh(
+            transform_points(T_other_this, self.vertices_m),
+            self.faces,
+            self.normals @ T_other_this[:3, :3].T,
+            self.uv,
         )
 
     def write_obj(self, path: Path, scale: float = 1.0) -> Path:
@@ -46,7 +47,7 @@ class Mesh:
         return path
 
 
-def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -> Mesh:
+def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -> DrawnMesh:
     """Sweep superellipses along x: section i stands at x_m[i] with half-axes half_y_m[i], half_z_m[i].
 
     `roundness` 2 gives ellipses, 4 boxes with rounded edges. The ends are closed by flat caps. Lofts whose
@@ -72,19 +73,19 @@ def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -
     return _joined(parts)
 
 
-def revolve(x_m: Array, radius_m: Array) -> Mesh:
+def revolve(x_m: Array, radius_m: Array) -> DrawnMesh:
     """Turn a profile of radii about the x axis."""
     return loft(x_m, radius_m, radius_m)
 
 
-def sphere(radius_m: float) -> Mesh:
+def sphere(radius_m: float) -> DrawnMesh:
     """A sphere about the origin with 64 meridians and 33 parallels."""
     latitude = np.linspace(0.0, np.pi, 33)
     # Not quite closed at the poles: a triangle without area has no normal.
     return revolve(-radius_m * np.cos(latitude), radius_m * np.maximum(np.sin(latitude), 1e-3))
 
 
-def bar(x_m: tuple[float, float], half_y_m: float, half_z_m: float) -> Mesh:
+def bar(x_m: tuple[float, float], half_y_m: float, half_z_m: float) -> DrawnMesh:
     """A bar along x with rounded edges and rounded ends."""
     bevel = min(half_y_m, half_z_m) * 0.6
     turn = np.linspace(0.0, np.pi / 2, 5)
@@ -125,12 +126,12 @@ def _cap(ring_m: Array, direction: float) -> tuple[Array, Array, NDArray[np.int6
     return vertices, np.tile([direction, 0.0, 0.0], (count + 1, 1)), faces
 
 
-def _joined(parts: list[tuple[Array, Array, NDArray[np.int64]]]) -> Mesh:
+def _joined(parts: list[tuple[Array, Array, NDArray[np.int64]]]) -> DrawnMesh:
     offsets = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts[:-1]])
     vertices_m = np.concatenate([vertices for vertices, _, _ in parts])
-    return Mesh(
+    return DrawnMesh(
         vertices_m,
+        np.concatenate([faces + offset for (_, _, faces), offset in zip(parts, offsets, strict=True)]),
         np.concatenate([normals for _, normals, _ in parts]),
         np.full((len(vertices_m), 2), 0.5),
-        np.concatenate([faces + offset for (_, _, faces), offset in zip(parts, offsets, strict=True)]),
     )

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.simulation.bodies.meshes import Mesh, smooth_normals
+from svmdist.polygon import polygon_centroid
+from svmdist.simulation.bodies.meshes import DrawnMesh, smooth_normals
 from svmdist.simulation.bodies.relief import Relief
 from svmdist.simulation.bodies.textures import TEXTURE_SPAN_M
 from svmdist.transforms import Array
@@ -33,7 +34,7 @@ class Organ:
     The mesh is open at the floor. The height is that of the smooth dome; an organ with relief is not convex.
     """
 
-    mesh: Mesh
+    mesh: DrawnMesh
     outline_m: Array
     height_m: float
     is_convex: bool = True
@@ -42,7 +43,7 @@ class Organ:
 def make_organ(rng: np.random.Generator, relief: Relief | None = None) -> Organ:
     """Make the organ of a random stream.
 
-    Height over the plane is concave in the outline's gauge (1 on the outline, 0 at the apex), and the
+    Height over the plane is concave in the normalised radius (1 on the outline, 0 at the apex), and the
     outline is convex, so the body is convex. Convexity lets Bullet compute exact distances to it. Relief is
     added to the height, so that the surface stays one height over the plane and the outline what it was.
     """
@@ -56,27 +57,18 @@ def make_organ(rng: np.random.Generator, relief: Relief | None = None) -> Organ:
     apex_m = rng.uniform(-1.0, 1.0, 2) * (0.004, 0.003)
     height_m = HEIGHT_M * rng.uniform(0.97, 1.03)
     # Rings crowd at the rim, where the dome is steep.
-    gauge = np.sin(np.linspace(0.0, np.pi / 2, ring_count + 1)[1:])
-    profile = (1.0 - gauge**2.3) ** 0.62
-    xy_m = apex_m + gauge[:, None, None] * (outline_m - apex_m)
+    radius = np.sin(np.linspace(0.0, np.pi / 2, ring_count + 1)[1:])
+    profile = (1.0 - radius**2.3) ** 0.62
+    xy_m = apex_m + radius[:, None, None] * (outline_m - apex_m)
     z_m = np.broadcast_to(height_m * profile[:, None, None], (ring_count, side_count, 1))
     vertices_m = np.vstack([[*apex_m, height_m], np.concatenate([xy_m, z_m], -1).reshape(-1, 3)])
     if relief is not None:
-        at_vertex = np.concatenate([[0.0], np.repeat(gauge, side_count)])
+        at_vertex = np.concatenate([[0.0], np.repeat(radius, side_count)])
         vertices_m[:, 2] += relief.height_m(vertices_m[:, :2], at_vertex)
     faces = _fan_and_rings(ring_count, side_count)
     normals = smooth_normals(vertices_m, faces)
     uv = 0.5 + vertices_m[:, :2] / TEXTURE_SPAN_M
-    return Organ(Mesh(vertices_m, normals, uv, faces), outline_m, float(height_m), relief is None)
-
-
-def polygon_centroid(polygon_m: Array) -> Array:
-    """Area centroid of a simple polygon, shape (n, 2), by the shoelace formula."""
-    x, y = polygon_m[:, 0], polygon_m[:, 1]
-    next_x, next_y = np.roll(x, -1), np.roll(y, -1)
-    cross = x * next_y - next_x * y
-    moments = np.array([((x + next_x) * cross).sum(), ((y + next_y) * cross).sum()])
-    return np.asarray(moments / (3.0 * cross.sum()))
+    return Organ(DrawnMesh(vertices_m, faces, normals, uv), outline_m, float(height_m), relief is None)
 
 
 def _outline(angle: Array, rng: np.random.Generator) -> Array:

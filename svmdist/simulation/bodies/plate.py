@@ -13,7 +13,7 @@ import numpy as np
 from svmdist.errors import SimulationError
 from svmdist.profile import Fiducial
 from svmdist.samples import Image
-from svmdist.simulation.bodies.meshes import Mesh
+from svmdist.simulation.bodies.meshes import DrawnMesh
 from svmdist.transforms import Array
 
 THICKNESS_M = 0.0006
@@ -34,7 +34,7 @@ _DICTIONARIES = {
 class Plate:
     """The plate's mesh in the tag's frame, what is printed on it, and where a link carries it."""
 
-    mesh: Mesh
+    mesh: DrawnMesh
     texture: Image
     link: str
     T_link_tag: Array
@@ -56,7 +56,7 @@ def make_plate(fiducial: Fiducial) -> Plate:
     return Plate(_box(fiducial.plate_side_m), texture_bgr, fiducial.link, fiducial.T_link_tag)
 
 
-def _box(side_m: float) -> Mesh:
+def _box(side_m: float) -> DrawnMesh:
     """A box from z = -THICKNESS_M to the face at z = 0, which alone shows the texture."""
     half_m = side_m / 2.0
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -71,4 +71,4 @@ def _box(side_m: float) -> Mesh:
     uv = np.concatenate([0.5 + corners / 2.0, np.full((20, 2), 0.01)])
     halves = np.array([[0, 1, 2], [0, 2, 3]])
     faces = (4 * np.arange(6)[:, None, None] + halves).reshape(-1, 3)
-    return Mesh(vertices_m, normals, uv, faces)
+    return DrawnMesh(vertices_m, faces, normals, uv)

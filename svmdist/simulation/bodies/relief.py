@@ -26,7 +26,7 @@ VESSEL_STEP_M = 0.0015
 VESSEL_STEP_COUNT = 18
 
 FADE_FROM = 0.72
-"""The relief is whole up to this gauge (0 at the apex, 1 on the outline) and gone, with its slope, at 1."""
+"""The relief is complete up to this normalised radius (0 at the apex, 1 on the outline), and fades to 0 at 1."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Relief:
     weights: Array
     vessels_m: tuple[Array, ...]
 
-    def height_m(self, xy_m: Array, gauge: Array) -> Array:
-        """Height over the smooth dome at points, shape (n, 2), whose gauge has shape (n,); shape (n,).
+    def height_m(self, xy_m: Array, radius: Array) -> Array:
+        """Height over the smooth dome at points, shape (n, 2), whose normalised radius has shape (n,); shape (n,).
 
         The largest of all points, up or down, is the amplitude.
         """
@@ -54,7 +54,7 @@ class Relief:
             pair = point_to_segment(xy_m[:, None], course_m[:-1], course_m[1:])
             nearest_m = np.minimum(nearest_m, pair.distance.min(axis=1))
         ridges = np.exp(-0.5 * (nearest_m / VESSEL_HALF_WIDTH_M) ** 2)
-        t = np.clip((1.0 - gauge) / (1.0 - FADE_FROM), 0.0, 1.0)
+        t = np.clip((1.0 - radius) / (1.0 - FADE_FROM), 0.0, 1.0)
         raw = (waves + VESSEL_WEIGHT * ridges) * t * t * (3.0 - 2.0 * t)
         return np.asarray(self.amplitude_m * raw / np.abs(raw).max())
 

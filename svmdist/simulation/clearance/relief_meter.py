@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.geometry.closest import point_to_triangle
-from svmdist.simulation.bodies.meshes import Mesh
-from svmdist.simulation.clearance.surface_tree import Indices, SurfaceTree
+from svmdist.geometry.patches import Indices
+from svmdist.geometry.surfaces import Mesh
+from svmdist.simulation.clearance.bounds import HalfSpaces, PartBounds
+from svmdist.simulation.clearance.surface_tree import SurfaceTree
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array, inverse, transform_points
 
@@ -28,6 +30,8 @@ TIE_M = 1e-10
 CELL_M = 0.0005
 """Of the grid that tells which points may be below the surface."""
 BATCH = 64
+SLACK_M = 1e-9
+"""Bounds count as so much lower, for rounding."""
 
 
 @dataclass(frozen=True)
@@ -46,32 +50,47 @@ class ReliefMeter:
         self._scene = scene
         self._organ = OrganSurface(scene.organ.mesh)
         self._T_tissue_world = inverse(scene.T_world_tissue)
-        self._parts = [(part.link, sample_part(part.mesh)) for part in scene.parts]
+        parts = [(part.link, part.mesh) for part in scene.parts]
         if scene.plate is not None:
-            mesh = scene.plate.mesh.transformed(scene.plate.T_link_tag)
-            self._parts.append((scene.plate.link, sample_part(mesh)))
+            parts.append((scene.plate.link, scene.plate.mesh.transformed(scene.plate.T_link_tag)))
+        self._parts = [sample_part(mesh) for _, mesh in parts]
+        self._bounds = PartBounds.of(parts)
+        self._half_spaces = HalfSpaces.about(scene.organ.mesh.vertices_m)
         self._nearest: Nearest | None = None
 
     def clearance_m(self, q: Array) -> float:
         """Smallest distance in m at joints `q`, shape (n_joints,); negative is penetration depth."""
-        poses = self._scene.link_poses(q)
-        T_tissue_part = [self._T_tissue_world @ poses[link] for link, _ in self._parts]
+        return float(self.clearances_m(q[None])[0])
+
+    def clearances_m(self, q: Array) -> Array:
+        """Smallest distances in m, shape (n,), at joints `q`, shape (n, n_joints), which are best in the order of time.
+
+        They do not depend on what was measured before, not even in the last bit.
+        """
+        self._nearest = None
+        T_tissue_part = self._T_tissue_world @ self._bounds.stacked(self._scene.link_poses(q))
+        least_m = self._bounds.least_m(T_tissue_part, self._half_spaces)
+        return np.array([self._smallest_m(*each) for each in zip(T_tissue_part, least_m, strict=True)])
+
+    def _smallest_m(self, T_tissue_part: Array, least_m: Array) -> float:
+        """The clearance with parts at poses, shape (k, 4, 4), which are no nearer than bounds, shape (k,)."""
         # Where the nearest place was in the last pose is a bound for this one, and most often a close one.
-        last = self._nearest
-        order = sorted(range(len(self._parts)), key=lambda index: last is None or index != last.part)
-        best_m = np.inf
+        last, best_m = self._nearest, np.inf
         if last is not None:
             point_m = transform_points(T_tissue_part[last.part], last.sample_m[None])
             best_m = self._organ.distance_m(point_m, np.array([last.triangle]))
-        for index in order:
-            found = self._organ.nearest(self._parts[index][1], T_tissue_part[index], best_m)
+        for part in np.argsort(least_m).tolist():
+            if least_m[part] - SLACK_M >= best_m:
+                break
+            found = self._organ.nearest(self._parts[part], T_tissue_part[part], best_m)
             if found is not None:
                 best_m, sample_m, triangle = found
-                self._nearest = Nearest(index, sample_m, triangle)
+                self._nearest = Nearest(part, sample_m, triangle)
         if best_m >= SPACING_M:  # a surface that crosses the organ's has samples nearer than that
             return best_m
+        low = np.nonzero(least_m <= SLACK_M)[0]
         depth_m = max(
-            self._organ.depth_m(part, T) for T, (_, part) in zip(T_tissue_part, self._parts, strict=True)
+            (self._organ.depth_m(self._parts[part], T_tissue_part[part]) for part in low), default=0.0
         )
         return -depth_m if depth_m > 0.0 else best_m
 

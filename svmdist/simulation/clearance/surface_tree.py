@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from svmdist.geometry.patches import Indices, compact_order
 from svmdist.transforms import Array
-
-Indices = NDArray[np.intp]
 
 BRANCHES = 4
 TOP_COUNT = 16
@@ -74,27 +72,13 @@ class SurfaceTree:
     def __init__(self, items_m: Array) -> None:
         halvings = max(0, int(np.ceil(np.log2(len(items_m) / TOP_COUNT))))
         depth, count = halvings // 2, TOP_COUNT * 2**halvings
-        self.items_m: Array = items_m[_halved(items_m.mean(axis=1), count)]
+        self.items_m: Array = items_m[compact_order(items_m.mean(axis=1), count, count)]
         self.levels = tuple(_level(self.items_m, count // BRANCHES**up) for up in range(depth, -1, -1))
 
     @staticmethod
     def children(nodes: Indices) -> Indices:
         """Indices at the next level of the children of nodes, shape (n,); shape (4 n,)."""
         return np.asarray(nodes[:, None] * BRANCHES + np.arange(BRANCHES)).ravel()
-
-
-def _halved(centres_m: Array, count: int) -> Indices:
-    """An order of `count` items, a power of two, whose halves, quarters and so on are each compact."""
-    order = np.resize(np.arange(len(centres_m)), count)
-    group = count
-    while group > 1:  # groups are sorted along their longest side and cut in the middle
-        grouped = order.reshape(-1, group)
-        points = centres_m[grouped]
-        axis = np.argmax(np.ptp(points, axis=1), axis=1)
-        along = np.take_along_axis(points, axis[:, None, None], axis=2)[..., 0]
-        order = np.take_along_axis(grouped, np.argsort(along, axis=1, kind="stable"), axis=1).ravel()
-        group //= 2
-    return order
 
 
 def _level(items_m: Array, node_count: int) -> Level:

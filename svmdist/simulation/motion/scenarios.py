@@ -77,7 +77,7 @@ class Motion:
 Plan = Callable[[np.random.Generator, Progress, Stage], Motion]
 
 FIELD_M = (0.0455, 0.0335)
-"""Half of what the camera sees in the working plane, less a margin for the knuckle and its marker."""
+"""Half of what the camera sees in the working plane, less a margin for the distal marker and its virtual marker."""
 
 
 def plan_motion(scenario: Scenario, progress: Progress, stage: Stage) -> Motion:

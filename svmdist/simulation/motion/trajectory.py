@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,15 +27,23 @@ class Trajectory:
 
 
 def make_trajectory(
-    scene: Scene, scenario: Scenario, working_height_m: float, progress: Array, meter: ClearanceMeter
+    scene: Scene,
+    scenario: Scenario,
+    working_height_m: float,
+    progress: Array,
+    meter: ClearanceMeter | None = None,
 ) -> Trajectory:
-    """Plan a scenario in a scene at values of progress, shape (n,); raises SimulationError out of reach."""
+    """Plan a scenario in a scene at values of progress, shape (n,); raises SimulationError out of reach.
+
+    Paths that end at a clearance are measured with the meter, or with one of their own.
+    """
     stage = Stage(scene.T_world_tissue[:2, 3], scene.organ.height_m, working_height_m, scenario.duration_s)
     motion = plan_motion(scenario, progress, stage)
     try:
         if motion.clearance_m is not None:
             lowest = plan_motion(scenario, np.array([motion.lowest_at]), stage)
-            motion = _lowered(motion, _lowering_m(scene, lowest, meter))
+            with nullcontext(meter) if meter is not None else ClearanceMeter(scene) as its_meter:
+                motion = _lowered(motion, _lowering_m(scene, lowest, its_meter))
         q = _joints(scene, motion)
     except KinematicsError as problem:
         raise SimulationError(f"scenario {scenario.name}: {problem}") from None

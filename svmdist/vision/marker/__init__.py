@@ -1,1 +1,1 @@
-"""The paper's static virtual marker: its pattern, ORB features, patch geometry and homography."""
+"""The paper's static virtual marker: its pattern, ORB features and homography."""

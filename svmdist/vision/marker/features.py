@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -12,7 +13,11 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 
 EDGE_MARGIN_PX = 31
-"""ORB finds no keypoint closer to the border than its `edgeThreshold`: images are padded by this much."""
+"""ORB finds no keypoint closer to the border of a pyramid level than its `edgeThreshold`."""
+
+SCALE_FACTOR = 1.2
+MAX_LEVELS = 8
+"""ORB's pyramid as in Rublee 2011, sec. 6.1: eight levels, each 1.2 times as coarse as the one before."""
 
 DESCRIPTOR_BYTES = 32
 """eqs. (13)–(16): n = 256 binary tests make 32 bytes, not "32 dimensions"."""
@@ -45,13 +50,22 @@ def detect_orb(image_grey: Image, feature_count: int, mask: Image | None = None)
 
     A featureless image gives no features rather than an error.
     """
-    if min(image_grey.shape) <= 2 * EDGE_MARGIN_PX:  # all margin; OpenCV fails on the smallest of these
+    side_px = min(image_grey.shape)
+    if side_px <= 2 * EDGE_MARGIN_PX:  # all margin; OpenCV fails on the smallest of these
         return _no_features()
-    orb = cv2.ORB_create(nfeatures=feature_count, edgeThreshold=EDGE_MARGIN_PX, patchSize=EDGE_MARGIN_PX)  # type: ignore[attr-defined]
+    # Coarser levels are all margin.
+    levels = 1 + int(math.log(side_px / (2 * EDGE_MARGIN_PX + 1), SCALE_FACTOR))
+    orb = cv2.ORB_create(  # type: ignore[attr-defined]
+        nfeatures=feature_count,
+        scaleFactor=SCALE_FACTOR,
+        nlevels=min(levels, MAX_LEVELS),
+        edgeThreshold=EDGE_MARGIN_PX,
+        patchSize=EDGE_MARGIN_PX,
+    )
     keypoints, descriptors = orb.detectAndCompute(image_grey, mask)
     if descriptors is None or not keypoints:
         return _no_features()
-    points_px = np.array([keypoint.pt for keypoint in keypoints], np.float64)
+    points_px = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
     return Features(points_px, np.asarray(descriptors, np.uint8))
 
 
@@ -63,20 +77,13 @@ def match_features(template: Features, frame: Features, ratio: float) -> Matches
     """
     if len(template) == 0 or len(frame) < 2:
         return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(template.descriptors, frame.descriptors, k=2)
-    kept = [pair[0] for pair in pairs if len(pair) == 2 and pair[0].distance < ratio * pair[1].distance]
-    kept.sort(key=lambda match: (match.distance, match.queryIdx))
-    in_template = [match.queryIdx for match in kept]
-    in_frame = [match.trainIdx for match in kept]
-    return Matches(
-        template.points_px[in_template],
-        frame.points_px[in_frame],
+    # What cv2.BFMatcher.knnMatch does, without an object for every match.
+    distance, nearest = cv2.batchDistance(
+        template.descriptors, frame.descriptors, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2
     )
-
-
-def hamming(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> int:
-    """Number of bits in which two descriptors, shape (32,), differ."""
-    return int(np.bitwise_count(np.bitwise_xor(a, b)).sum())
+    kept = np.flatnonzero(distance[:, 0] < ratio * distance[:, 1])
+    kept = kept[np.argsort(distance[kept, 0], kind="stable")]
+    return Matches(template.points_px[kept], frame.points_px[nearest[kept, 0]])
 
 
 def _no_features() -> Features:

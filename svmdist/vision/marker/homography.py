@@ -8,15 +8,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.least_squares import NormalEquations, Steps, minimise
+from svmdist.settings.marker import MarkerSettings
 from svmdist.transforms import Array
 from svmdist.vision.marker.features import Matches
+
+DEFAULT = MarkerSettings()
 
 SEED = 20
 """Fixed seed of the sampler: with it, and without threads, USAC gives the same bits everywhere."""
 
-
-REFIT_THRESHOLDS_PX = (1.5, 1.0, 0.7, 0.5, 0.3)
-REFIT_MIN_COUNT = 20
+REFIT_STEPS = Steps(max_steps=10, settled=1e-9, damping=1e-9)
+"""Gauss–Newton from a fit that is good to a fraction of a pixel: two or three steps reach rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +30,9 @@ class Homography:
     inliers: NDArray[np.bool_]
 
 
-def fit_homography(matches: Matches, reprojection_px: float) -> Homography | None:
+def fit_homography(
+    matches: Matches, reprojection_px: float, settings: MarkerSettings = DEFAULT
+) -> Homography | None:
     """Fit a homography robustly (MAGSAC, Barath 2019); None where the points allow none.
 
     Inliers are counted here by eq. (18), not taken from OpenCV, so that the number means what the paper
@@ -51,72 +56,116 @@ def fit_homography(matches: Matches, reprojection_px: float) -> Homography | Non
         return None
     if fitted is None or not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
         return None
-    H = _refit(np.asarray(fitted / fitted[2, 2], np.float64), matches)
-    inliers = transfer_error(H, matches.template_px, matches.frame_px) <= reprojection_px
+    H, error_px = _refit(np.asarray(fitted / fitted[2, 2], np.float64), matches, settings)
+    inliers = error_px <= reprojection_px
     return Homography(H, inliers) if np.count_nonzero(inliers) >= 4 else None
 
 
-def _refit(H: Array, matches: Matches) -> Array:
+def _refit(H: Array, matches: Matches, settings: MarkerSettings) -> tuple[Array, Array]:
     """Refit by least squares on the matches within shrinking thresholds, while they are many and agree.
 
-    A keypoint of ORB's coarse pyramid levels is off by up to a pixel and more, and is an inlier all the
-    same; the fine ones, which agree to a fraction of a pixel, shall decide.
+    Gives the homography and each match's transfer error in px, shape (n,).
     """
-    for threshold_px in REFIT_THRESHOLDS_PX:
-        close = transfer_error(H, matches.template_px, matches.frame_px) <= threshold_px
-        if np.count_nonzero(close) < REFIT_MIN_COUNT:
+    error_px = transfer_error(H, matches.template_px, matches.frame_px)
+    fitted_on: NDArray[np.bool_] | None = None
+    for threshold_px in settings.refit_thresholds_px:
+        close = error_px <= threshold_px
+        if np.count_nonzero(close) < settings.refit_min_count:
             break
-        fitted, _ = cv2.findHomography(matches.template_px[close], matches.frame_px[close], 0)
-        if fitted is None or not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
+        if fitted_on is not None and np.array_equal(close, fitted_on):
+            continue  # the same matches give the same homography
+        fitted = least_squares_homography(H, matches.template_px[close], matches.frame_px[close])
+        if fitted is None:
             break
-        H = np.asarray(fitted / fitted[2, 2], np.float64)
-    return H
+        H, fitted_on = fitted, close
+        error_px = transfer_error(H, matches.template_px, matches.frame_px)
+    return H, error_px
+
+
+def least_squares_homography(start: Array, template_px: Array, frame_px: Array) -> Array | None:
+    """The homography, shape (3, 3), that minimises the squared transfer errors of points of shape (n, 2).
+
+    Gauss–Newton from a start that is near (Hartley and Zisserman 2004, sec. 4.2.2). Both sets of points are normalised
+    (sec. 4.4.4), without which the normal equations would lose half of the digits. None where there is no minimum
+    near the start.
+    """
+    S_template, S_frame = _normalisation(template_px), _normalisation(frame_px)
+    if S_template is None or S_frame is None:
+        return None
+    p, q = transfer(S_template, template_px), transfer(S_frame, frame_px)
+    start = S_frame @ start @ np.linalg.inv(S_template)
+    if abs(start[2, 2]) < 1e-12:
+        return None
+    found = minimise(
+        (start / start[2, 2]).ravel()[:8], lambda h: _normal_equations(h, p, q), np.add, REFIT_STEPS
+    )
+    if found is None:
+        return None
+    fitted = np.linalg.inv(S_frame) @ np.append(found.state, 1.0).reshape(3, 3) @ S_template
+    if not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
+        return None
+    return np.asarray(fitted / fitted[2, 2])
+
+
+def _normal_equations(h: Array, p: Array, q: Array) -> NormalEquations | None:
+    """Of the transfer errors of normalised points, shape (n, 2), about the first eight elements of H."""
+    w = p @ h[6:] + 1.0
+    if w.min() <= 1e-9:  # a point at infinity, or beyond
+        return None
+    terms = np.empty((3, len(p)))
+    terms[0], terms[1], terms[2] = p[:, 0] / w, p[:, 1] / w, 1.0 / w
+    u, v = h[:3] @ terms, h[3:6] @ terms
+    off_u, off_v = q[:, 0] - u, q[:, 1] - v
+    J = np.zeros((8, 2, len(p)))
+    J[:3, 0] = terms
+    J[3:6, 1] = terms
+    J[6:, 0] = -u * terms[:2]
+    J[6:, 1] = -v * terms[:2]
+    by_element = J.reshape(8, -1)
+    off = np.concatenate([off_u, off_v])
+    return NormalEquations(float(off @ off), by_element @ off, by_element @ by_element.T)
+
+
+def _normalisation(points_px: Array) -> Array | None:
+    """The similarity, shape (3, 3), that gives points zero mean and a mean square of 1; None where all are alike."""
+    mean = points_px.mean(0)
+    size = float(np.sqrt(np.square(points_px - mean).mean()))
+    if not size > 0.0:
+        return None
+    return np.array([[1.0, 0.0, -mean[0]], [0.0, 1.0, -mean[1]], [0.0, 0.0, size]]) / size
 
 
 def transfer(H: Array, points_px: Array) -> Array:
     """Map points, shape (n, 2) in px, by eq. (17) with its missing scale: λ [u' v' 1] = H [u v 1]."""
-    mapped = _homogeneous(points_px) @ H.T
+    mapped = points_px @ H[:, :2].T + H[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
-def transfer_printed(H: Array, points_px: Array) -> Array:
-    """Map points by eq. (17) as printed: no division by the scale, right only while the third row is 0 0 1."""
-    return np.asarray((_homogeneous(points_px) @ H.T)[:, :2])
-
-
 def transfer_error(H: Array, template_px: Array, frame_px: Array) -> Array:
     """Δd of eq. (18), shape (n,) in px: distance of each match from where the homography puts it."""
-    error = np.linalg.norm(frame_px - transfer(H, template_px), axis=-1)
-    return np.where(np.isfinite(error), error, np.inf)
+    off_px = frame_px - transfer(H, template_px)
+    error_px = np.hypot(off_px[:, 0], off_px[:, 1])
+    return np.where(np.isfinite(error_px), error_px, np.inf)
 
 
-def inliers_printed(error_px: Array, threshold_px: float) -> NDArray[np.bool_]:
-    """eq. (18) as printed: a match is an inlier if Δd > threshold. It keeps the outliers."""
-    return np.asarray(error_px > threshold_px)
-
-
-def is_plausible(H: Array, size_px: int) -> bool:
+def is_plausible(H: Array, size_px: int, settings: MarkerSettings = DEFAULT) -> bool:
     """Tell whether a homography maps the template's square to a convex shape of similar size.
 
-    The marker is pasted without scaling, so that a shape turned over, folded or more than twice as large
-    or small comes from wrong matches.
+    The marker is pasted without scaling, so that a shape turned over, folded or of quite another size comes
+    from wrong matches.
     """
     corners = transfer(H, square_corners(size_px))
     if not np.all(np.isfinite(corners)):
         return False
-    edges = np.roll(corners, -1, axis=0) - corners
-    following = np.roll(edges, -1, axis=0)
+    edges = np.concatenate([corners[1:], corners[:1]]) - corners
+    following = np.concatenate([edges[1:], edges[:1]])
     cross = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
-    area = cv2.contourArea(corners.astype(np.float32))
-    return bool(np.all(cross > 0)) and 0.25 < area / (size_px - 1) ** 2 < 4.0
+    area_ratio = cv2.contourArea(corners.astype(np.float32)) / (size_px - 1) ** 2
+    return bool(np.all(cross > 0)) and 1.0 / settings.max_area_ratio < area_ratio < settings.max_area_ratio
 
 
-def square_corners(size_px: int, offset_px: float = 0.0) -> Array:
+def square_corners(size_px: int) -> Array:
     """Corners of a square of pixels, clockwise from the top left, shape (4, 2) in px."""
     last = size_px - 1.0
-    return np.array([[0.0, 0.0], [last, 0.0], [last, last], [0.0, last]]) + offset_px
-
-
-def _homogeneous(points_px: Array) -> Array:
-    return np.column_stack([points_px, np.ones(len(points_px))])
+    return np.array([[0.0, 0.0], [last, 0.0], [last, last], [0.0, last]])

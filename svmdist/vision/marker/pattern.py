@@ -32,17 +32,16 @@ pixels the same FAST score, and its non-maximum suppression then drops them all 
 
 
 @dataclass(frozen=True, slots=True)
-class MarkedImage:
-    """An image on a wider canvas with the marker pasted on it.
+class MarkedWindow:
+    """The part of an image about the marker, with the marker pasted in its middle.
 
-    The canvas is wider than the image on every side, so that a marker at the image's border is neither cut
-    nor too close to the edge for ORB. `origin_px` is the image's top-left pixel on the canvas;
-    `paste_px` the marker's top-left pixel on the canvas.
+    The window is wider than the marker by the same margin on every side, so that a marker at the image's border is
+    neither cut nor too close to the edge for ORB. `origin_px` is the window's top left pixel (x, y) in the image, and
+    may lie outside of it.
     """
 
-    canvas_bgr: Image
+    window_bgr: Image
     origin_px: tuple[int, int]
-    paste_px: tuple[int, int]
 
 
 @lru_cache(maxsize=8)
@@ -59,20 +58,33 @@ def marker_pattern(size_px: int) -> Image:
     return pattern
 
 
-def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: int) -> MarkedImage:
+@lru_cache(maxsize=8)
+def _marker_bgr(size_px: int) -> Image:
+    """The marker with three channels alike: pasting it is a plain copy."""
+    return np.asarray(cv2.cvtColor(marker_pattern(size_px), cv2.COLOR_GRAY2BGR), np.uint8)
+
+
+def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: int) -> MarkedWindow:
     """Paste the marker with its middle at `centre_px` (x, y in px of the image, rounded to whole pixels).
 
-    The canvas grows by half a marker and `margin_px` on every side; its border repeats the image's edge,
-    which adds no corners.
+    The window, shape (size_px + 2 margin_px,) squared, repeats the image's edge where it reaches over it, which
+    adds no corners. The image itself is left alone.
     """
     height, width = image_bgr.shape[:2]
-    border = size_px // 2 + margin_px
-    canvas = np.pad(image_bgr, ((border, border), (border, border), (0, 0)), mode="edge")
-    half = (size_px - 1) / 2.0
-    x = int(np.clip(round(float(centre_px[0]) - half), -(size_px // 2), width - size_px // 2)) + border
-    y = int(np.clip(round(float(centre_px[1]) - half), -(size_px // 2), height - size_px // 2)) + border
-    canvas[y : y + size_px, x : x + size_px] = marker_pattern(size_px)[..., None]
-    return MarkedImage(canvas, (border, border), (x, y))
+    x0 = _first_px(float(centre_px[0]), size_px, width) - margin_px
+    y0 = _first_px(float(centre_px[1]), size_px, height) - margin_px
+    x1, y1 = x0 + size_px + 2 * margin_px, y0 + size_px + 2 * margin_px
+    window = image_bgr[max(y0, 0) : y1, max(x0, 0) : x1]
+    top, bottom, left, right = max(-y0, 0), max(y1 - height, 0), max(-x0, 0), max(x1 - width, 0)
+    window = np.asarray(cv2.copyMakeBorder(window, top, bottom, left, right, cv2.BORDER_REPLICATE), np.uint8)
+    window[margin_px:-margin_px, margin_px:-margin_px] = _marker_bgr(size_px)
+    return MarkedWindow(window, (x0, y0))
+
+
+def _first_px(centre_px: float, size_px: int, length_px: int) -> int:
+    """The marker's first pixel along an axis of the image; its middle is brought back to the image."""
+    first = round(centre_px - (size_px - 1) / 2.0)
+    return min(max(first, -(size_px // 2)), length_px - size_px // 2)
 
 
 def padded_template(size_px: int, margin_px: int) -> Image:

@@ -9,63 +9,62 @@ import numpy as np
 
 from svmdist.profile import ColourRegion, HsvSegmentation
 from svmdist.samples import Image
-from svmdist.vision.segmentation.exposure import levelled
-from svmdist.vision.segmentation.recent import RecentImages
 
 
 class HsvMasks:
     """The masks of one image, shape (h, w) with 0 or 255, each made when it is first asked for."""
 
-    def __init__(self, image_bgr: Image, rules: HsvSegmentation) -> None:
-        self._image_hsv = to_hsv(image_bgr)
+    def __init__(self, hsv: Image, rules: HsvSegmentation) -> None:
+        self._hsv = hsv
         self._rules = rules
 
     @cached_property
     def tissue(self) -> Image:
         """Pixels of the tissue's colour."""
-        return colour_mask(self._image_hsv, self._rules.tissue)
+        return colour_mask(self._hsv, self._rules.tissue)
 
     @cached_property
     def instrument(self) -> Image:
         """Pixels of the colour of the instrument's distal part."""
-        return colour_mask(self._image_hsv, self._rules.instrument)
+        return colour_mask(self._hsv, self._rules.instrument)
 
     @cached_property
     def shaft(self) -> Image | None:
         """Pixels as dark as the shaft; None where the profile knows no shaft."""
-        return None if self._rules.shaft is None else colour_mask(self._image_hsv, self._rules.shaft)
+        return None if self._rules.shaft is None else colour_mask(self._hsv, self._rules.shaft)
 
     @property
     def black(self) -> Image | None:
-        """None: what is as black as the border of the picture is dark enough for the shaft."""
+        """None: what is as black as the border of the view is dark enough for the shaft."""
         return None
 
 
 class HsvSegmenter:
-    """`method = "hsv"`: a box of colours for each part; with `level`, at the exposure that they were chosen at."""
+    """`method = "hsv"`: a box of colours for each part."""
 
-    def __init__(self, rules: HsvSegmentation, level: bool = True) -> None:
+    uses_colours = True
+
+    def __init__(self, rules: HsvSegmentation) -> None:
         self._rules = rules
-        self._level = level
-        self._recent = RecentImages(self._boxes)
 
-    def masks(self, image_bgr: Image) -> HsvMasks:
-        """The masks of an image, shape (h, w, 3) in BGR."""
-        return self._recent.of(image_bgr)
-
-    def _boxes(self, image_bgr: Image) -> HsvMasks:
-        return HsvMasks(levelled(image_bgr) if self._level else image_bgr, self._rules)
+    def masks(self, bgr: Image, hsv: Image | None, /) -> HsvMasks:  # noqa: ARG002
+        """The masks of an image as HSV, shape (h, w, 3); raises ValueError without it."""
+        if hsv is None:
+            raise ValueError("segmentation by colour needs the image as HSV")
+        return HsvMasks(hsv, self._rules)
 
 
-def to_hsv(image_bgr: Image) -> Image:
-    """Convert BGR, shape (h, w, 3), to OpenCV's 8-bit HSV: H in 0–179 (half degrees), S and V in 0–255."""
-    return np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2HSV), np.uint8)
+def to_grey(image_bgr: Image) -> Image:
+    """Convert BGR, shape (h, w, 3), to grey, shape (h, w)."""
+    return np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
 def colour_mask(image_hsv: Image, region: ColourRegion) -> Image:
     """Mask, shape (h, w) with 0 or 255, of the pixels inside an HSV box whose hue may wrap around 0."""
     first, last = region.hue
     (s_low, s_high), (v_low, v_high) = region.saturation, region.value
+    if (first, last, s_low, s_high) == (0, 179, 0, 255):
+        return np.asarray(cv2.inRange(cv2.extractChannel(image_hsv, 2), v_low, v_high), np.uint8)
     if first <= last:
         return _in_range(image_hsv, (first, s_low, v_low), (last, s_high, v_high))
     below = _in_range(image_hsv, (0, s_low, v_low), (last, s_high, v_high))

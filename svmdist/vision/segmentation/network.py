@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 from svmdist.errors import ProfileError, did_you_mean
 from svmdist.profile import ClassRegion, OnnxSegmentation
 from svmdist.samples import Image
-from svmdist.vision.segmentation.recent import RecentImages
 
 Labels = NDArray[np.int32]
 Tensor = NDArray[np.generic]
@@ -52,7 +52,7 @@ class ClassMasks:
 
     @cached_property
     def black(self) -> Image | None:
-        """Pixels as black as the border around an endoscope's picture, which no class stands for."""
+        """Pixels as black as the border around an endoscope's view, which no class represents."""
         return np.asarray(cv2.inRange(self._image_bgr, np.full(3, 0), np.full(3, BLACK_LEVEL)), np.uint8)
 
     def _of(self, region: ClassRegion) -> Image:
@@ -66,18 +66,20 @@ class OnnxSegmenter:
     fault of the profile shows before the first frame.
     """
 
+    uses_colours = False
+
     def __init__(self, rules: OnnxSegmentation) -> None:
         self._rules = rules
         self._net = _read(rules.model)
+        self._lock = Lock()  # a network holds its input and output while it runs
         self._output = _output_name(self._net, rules)
-        self._recent = RecentImages(self._classes)
         tried = self._run(np.zeros((rules.height_px, rules.width_px, 3), np.uint8))
         if tried.ndim == 4 and tried.shape[1] > 1:
             self._require_classes(tried.shape[1])
 
-    def masks(self, image_bgr: Image) -> ClassMasks:
-        """The masks of an image, shape (h, w, 3) in BGR."""
-        return self._recent.of(image_bgr)
+    def masks(self, bgr: Image, hsv: Image | None = None, /) -> ClassMasks:  # noqa: ARG002
+        """The masks of an image, shape (h, w, 3) in BGR as recorded."""
+        return ClassMasks(bgr, self.labels(bgr), self._rules)
 
     def labels(self, image_bgr: Image) -> Labels:
         """The class of every pixel, shape (h, w), of an image, shape (h, w, 3) in BGR."""
@@ -90,15 +92,12 @@ class OnnxSegmenter:
             cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST_EXACT), np.int32
         )
 
-    def _classes(self, image_bgr: Image) -> ClassMasks:
-        return ClassMasks(image_bgr, self.labels(image_bgr), self._rules)
-
     def _run(self, image_bgr: Image) -> Tensor:
         """The network's output, checked: (1, C, h', w') scores, or (1, 1, h', w') or (1, h', w') labels."""
         rules = self._rules
         blob = network_input(image_bgr, rules)
         try:
-            with _quiet():
+            with self._lock, _quiet():
                 self._net.setInput(blob)
                 output = np.asarray(self._net.forward(self._output))
         except (cv2.error, MemoryError) as problem:
@@ -132,8 +131,8 @@ class OnnxSegmenter:
 def network_input(image_bgr: Image, rules: OnnxSegmentation) -> NDArray[np.float32]:
     """The network's input, shape (1, 3, h, w): the image stretched to its size, (pixel - mean) * scale.
 
-    Stretched and not framed: networks for segmentation are trained so, no pixel is wasted on a frame, and who wants
-    the aspect kept gives a size of the image's aspect.
+    Stretched and not framed: networks for segmentation are trained so, and no pixel is wasted on a frame. To keep the
+    aspect ratio, choose an input size of the same ratio.
     """
     size = (rules.width_px, rules.height_px)
     if (image_bgr.shape[1], image_bgr.shape[0]) != size:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import cv2
@@ -31,59 +31,53 @@ class Masks(Protocol):
 
     @property
     def black(self) -> Image | None:
-        """What may be border around the endoscope's picture; None where the shaft's mask holds it already."""
+        """What may be border around the endoscope's view; None where the shaft's mask holds it already."""
 
 
 class Segmenter(Protocol):
     """What every method of segmentation is: one image to its masks, at the image's own resolution."""
 
-    def masks(self, image_bgr: Image) -> Masks:
-        """The masks of an image, shape (h, w, 3) in BGR; the work is done once an image."""
+    @property
+    def uses_colours(self) -> bool:
+        """Whether it takes the image as HSV; a network takes BGR as recorded, as it did in its training."""
+
+    def masks(self, bgr: Image, hsv: Image | None, /) -> Masks:
+        """The masks of an image, shape (h, w, 3) in BGR as recorded; `hsv` is it as HSV, for one that uses colours."""
 
 
-def make_segmenter(rules: Segmentation, level: bool = True) -> Segmenter:
-    """Make the segmenter that a profile asks for; raises ProfileError where its network cannot be used.
-
-    `level` brings dim and hazy images to a fair exposure before colours are told, which the paper does not. A network
-    sees the image as it is, as it did in its training.
-    """
-    return HsvSegmenter(rules, level) if isinstance(rules, HsvSegmentation) else OnnxSegmenter(rules)
+def make_segmenter(rules: Segmentation) -> Segmenter:
+    """Make the segmenter that a profile asks for; raises ProfileError where its network cannot be used."""
+    return HsvSegmenter(rules) if isinstance(rules, HsvSegmentation) else OnnxSegmenter(rules)
 
 
-@dataclass(frozen=True, slots=True)
-class OwnMasks:
-    """The masks of an image as one of several instruments sees them: without `foreign` pixels, shape (h, w)."""
+class InstrumentMasks:
+    """The masks of an image for one of several instruments: without the pixels of the others, shape (h, w)."""
 
-    masks: Masks
-    foreign: Image
+    def __init__(self, masks: Masks, others: Image) -> None:
+        self._masks = masks
+        self._others = others
 
     @property
     def tissue(self) -> Image:
         """The tissue, which all instruments share."""
-        return self.masks.tissue
+        return self._masks.tissue
 
-    @property
+    @cached_property
     def instrument(self) -> Image:
         """Its own distal part."""
-        return _without(self.masks.instrument, self.foreign)
+        return _without(self._masks.instrument, self._others)
 
-    @property
+    @cached_property
     def shaft(self) -> Image | None:
         """Its own shaft."""
-        return None if self.masks.shaft is None else _without(self.masks.shaft, self.foreign)
+        return None if self._masks.shaft is None else _without(self._masks.shaft, self._others)
 
-    @property
+    @cached_property
     def black(self) -> Image | None:
-        """What may be border, the other shafts among it: they cut the picture no less than its own."""
-        shaft, black = self.masks.shaft, self.masks.black
+        """What may be border, the other shafts among it: they cut the view no less than its own."""
+        shaft, black = self._masks.shaft, self._masks.black
         return shaft if black is None or shaft is None else np.asarray(cv2.bitwise_or(shaft, black), np.uint8)
 
 
-def own_masks(segmenter: Segmenter, image_bgr: Image, foreign: Image | None) -> Masks:
-    """The masks of an image, without the pixels that are foreign to an instrument where there are any."""
-    masks = segmenter.masks(image_bgr)
-    return masks if foreign is None else OwnMasks(masks, foreign)
-
-
-def _without(mask: Image, foreign: Image) -> Image:
-    return np.asarray(cv2.bitwise_and(mask, cv2.bitwise_not(foreign)), np.uint8)
+def _without(mask: Image, others: Image) -> Image:
+    return np.asarray(cv2.bitwise_and(mask, cv2.bitwise_not(others)), np.uint8)

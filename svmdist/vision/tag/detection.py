@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from threading import get_ident
+
 import cv2
 import numpy as np
 
 from svmdist.samples import Image
+from svmdist.settings.tag import TagSettings
 from svmdist.transforms import Array, make_transform
 
 DICTIONARIES = {
@@ -14,38 +18,52 @@ DICTIONARIES = {
     "36h10": cv2.aruco.DICT_APRILTAG_36h10,
     "36h11": cv2.aruco.DICT_APRILTAG_36h11,
 }
-PLATE = 1.45
-"""A tag's plate over its black square: the white margin of a cell or more, and the blur around it."""
+LONG_CODE_CELLS, SHORT_CODE_RATE = 5, 0.6
+"""A code of 4 x 4 cells is too short to correct as many bits: every sixth image without one showed some tag of 16h5."""
+DEFAULT = TagSettings()
 
 
-class TagFinder:
-    """Finds the one tag of a family and number."""
+def find_tags(image_grey: Image, family: str, settings: TagSettings = DEFAULT) -> dict[int, Array]:
+    """Corners, shape (4, 2) in px, of the tags of a family by number, the largest where one is found twice.
 
-    def __init__(self, family: str, tag_id: int) -> None:
-        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
-        parameters = cv2.aruco.DetectorParameters()
-        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        parameters.relativeCornerRefinmentWinSize = 0.3  # of a cell: a window that sees no other corner
-        self._detector = cv2.aruco.ArucoDetector(dictionary, parameters)
-        self._id = tag_id
+    Upper left, upper right, lower right, lower left as one reads the tag.
+    """
+    # OpenCV takes the smallest perimeter relative to the image's longer side.
+    min_perimeter = 4.0 * settings.min_side_px / max(image_grey.shape)
+    rate = settings.error_correction_rate
+    detector = _detector(family, rate, settings.corner_window_cells, min_perimeter, get_ident())
+    corners, ids, _ = detector.detectMarkers(image_grey)
+    found: dict[int, Array] = {}
+    for quadrilateral, number in zip(corners, [] if ids is None else ids.ravel(), strict=True):
+        seen = np.asarray(quadrilateral, np.float64).reshape(4, 2)
+        known = found.get(int(number))
+        if known is None or _area_px2(seen) > _area_px2(known):
+            found[int(number)] = seen
+    return found
 
-    def corners_px(self, image_grey: Image) -> Array | None:
-        """Corners, shape (4, 2) in px: upper left, upper right, lower right, lower left as one reads the tag."""
-        corners, ids, _ = self._detector.detectMarkers(image_grey)
-        if ids is None:
-            return None
-        found = [
-            np.asarray(c, np.float64).reshape(4, 2)
-            for c, i in zip(corners, ids.ravel(), strict=True)
-            if i == self._id
-        ]
-        if not found:
-            return None
-        return max(found, key=lambda c: float(cv2.contourArea(c.astype(np.float32))))
+
+@lru_cache(maxsize=32)
+def _detector(
+    family: str, error_correction_rate: float, corner_window_cells: float, min_perimeter: float, _thread: int
+) -> cv2.aruco.ArucoDetector:
+    """The detector of a family; each thread has its own, since it keeps state while it works."""
+    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
+    if dictionary.markerSize < LONG_CODE_CELLS:
+        error_correction_rate = min(error_correction_rate, SHORT_CODE_RATE)
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    parameters.relativeCornerRefinmentWinSize = corner_window_cells
+    parameters.errorCorrectionRate = error_correction_rate
+    parameters.minMarkerPerimeterRate = min_perimeter
+    return cv2.aruco.ArucoDetector(dictionary, parameters)
+
+
+def _area_px2(corners_px: Array) -> float:
+    return float(cv2.contourArea(corners_px.astype(np.float32)))
 
 
 def square_corners_m(size_m: float) -> Array:
-    """The tag's corners in its frame, shape (4, 3), in the order of `TagFinder.corners_px`."""
+    """The tag's corners in its frame, shape (4, 3), in the order of `find_tags`."""
     h = size_m / 2.0
     return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
 
@@ -67,10 +85,10 @@ def pose_candidates(corners_px: Array, size_m: float, K: Array, D: Array) -> lis
     return poses
 
 
-def tag_plate(corners_px: Array, shape: tuple[int, ...]) -> Image:
+def tag_plate(corners_px: Array, shape: tuple[int, ...], settings: TagSettings = DEFAULT) -> Image:
     """Mask, of `shape` (h, w), of the plate around a tag with these corners, shape (4, 2)."""
     middle_px = corners_px.mean(0)
-    plate_px = middle_px + PLATE * (corners_px - middle_px)
+    plate_px = middle_px + settings.plate_ratio * (corners_px - middle_px)
     mask = np.zeros(shape, np.uint8)
     cv2.fillConvexPoly(mask, np.round(plate_px).astype(np.int32), 255)
     return mask

@@ -1,4 +1,4 @@
-"""Alarms scored: what the rows of a recording would have alarmed, against the true clearance."""
+"""Alarms scored: the alarms that the rows of a recording raise, against the true clearance."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from svmdist.errors import ProfileError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
 from svmdist.profile import Profile
-from svmdist.samples import Estimate
+from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 
 
 def require_clearance(method: str, profile: Profile | None = None) -> None:
-    """Refuse alarms where no clearance is told: they would be silent, and look like safety.
+    """Refuse alarms where no clearance is estimated: no alarm would ever be raised, which looks like safety.
 
-    Raises UsageError that names the methods that tell one, and ProfileError for a profile without [instrument].
+    Raises UsageError that names the methods that estimate one, and ProfileError for a profile without [instrument].
     """
     if method in PLANAR_METHODS:
         raise UsageError(
@@ -28,17 +28,17 @@ def require_clearance(method: str, profile: Profile | None = None) -> None:
         )
     if profile is not None and profile.instrument is None:
         raise ProfileError(
-            f"profile {profile.name} has no [instrument]: alarms need a clearance, and that the instrument's sizes"
+            f"profile {profile.name} has no [instrument]: alarms need a clearance, which needs the instrument's sizes"
         )
 
 
 def score_alarms(
-    rows: Sequence[Estimate], truth: SampledDistances, stamps_ns: NDArray[np.int64], rules: AlarmRules
+    rows: Sequence[FrameResult], truth: SampledDistances, stamps_ns: NDArray[np.int64], rules: AlarmRules
 ) -> AlarmStatistics:
     """Score the alarms that all rows of a recording raise, measured or not, with the truth at their stamps.
 
-    A row without a clearance raises no alarm: where the frame is unsafe, that alarm was missed. Frames whose
-    true clearance is not known count nowhere. Raises RecordingError where that is every frame.
+    A row without a clearance raises no alarm, which misses one where the frame is unsafe. Frames whose true
+    clearance is not known are left out. Raises RecordingError where those are all frames.
     """
     known = truth.valid & np.isfinite(truth.clearance_m)
     if not known.any():

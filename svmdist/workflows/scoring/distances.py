@@ -1,8 +1,9 @@
-"""Scoring: the three distances of rows paired with their truth, and the figures of such pairs."""
+"""Rows to arrays, and the three distances of rows paired with their truth: the figures of such pairs."""
 
 from __future__ import annotations
 
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -10,26 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.metrics import ErrorStatistics, error_statistics, interval_coverage
-from svmdist.samples import Estimate
+from svmdist.results import Distance as ResultDistance
+from svmdist.results import Distances, FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array
 
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """One of the three distances: its value and its standard deviation in a row, and its truth, all in m."""
+    """One of the three distances: its value and standard deviation in a row, and its truth, all in m."""
 
     name: str
-    value_of: Callable[[Estimate], float | None]
-    std_of: Callable[[Estimate], float | None]
+    of: Callable[[Distances], ResultDistance | None]
     truth_of: Callable[[SampledDistances], Array]
 
+    def read(self, result: FrameResult) -> tuple[float, float]:
+        """Value and standard deviation in m of a result; NaN where it has none."""
+        found = self.of(result.distances)
+        if found is None:
+            return np.nan, np.nan
+        return found.value_m, np.nan if found.std_m is None else found.std_m
 
-PLANAR = Distance("planar", lambda r: r.distance_m, lambda r: r.distance_std_m, lambda t: t.planar_m)
-SPATIAL = Distance("spatial", lambda r: r.spatial_m, lambda r: r.spatial_std_m, lambda t: t.spatial_m)
-CLEARANCE = Distance(
-    "clearance", lambda r: r.clearance_m, lambda r: r.clearance_std_m, lambda t: t.clearance_m
-)
+
+PLANAR = Distance("planar", lambda found: found.planar, lambda truth: truth.planar_m)
+SPATIAL = Distance("spatial", lambda found: found.spatial, lambda truth: truth.spatial_m)
+CLEARANCE = Distance("clearance", lambda found: found.clearance, lambda truth: truth.clearance_m)
 DISTANCES = (PLANAR, SPATIAL, CLEARANCE)
 
 
@@ -68,55 +74,59 @@ class DistanceScore:
     pairs: Pairs = field(repr=False)
 
 
-def pair(
-    distance: Distance, rows: Sequence[Estimate], truth: SampledDistances, stamps_ns: NDArray[np.int64]
-) -> Pairs:
-    """Pair measured rows with the truth at their stamps, shape (n,) all; what has no value is left out."""
-    estimate_m = _column(distance.value_of(row) if row.measured else None for row in rows)
-    std_m = _column(distance.std_of(row) for row in rows)
-    return _paired(stamps_ns, estimate_m, distance.truth_of(truth), std_m, truth.valid)
-
-
 class Readings:
-    """The distances of measured rows while they come: numbers only, 56 bytes a row."""
+    """The numbers that scoring takes from rows, collected while they come: 72 bytes a row.
 
-    def __init__(self) -> None:
+    This class and `DISTANCES` are all of the scoring that knows the fields of a row.
+    """
+
+    def __init__(self, rows: Iterable[FrameResult] = (), distances: tuple[Distance, ...] = DISTANCES) -> None:
+        self._distances = distances
         self._stamps_ns = array("q")
-        self._values_m = array("d")
+        self._numbers = array("d")
+        self.rejected: Counter[str] = Counter()
+        for row in rows:
+            self.add(row)
 
     def __len__(self) -> int:
         """Count the rows."""
         return len(self._stamps_ns)
 
-    def add(self, row: Estimate) -> None:
-        """Take the value and the deviation of each distance out of a row."""
+    def add(self, row: FrameResult) -> None:
+        """Take the tool's pixel and each distance out of a row; what it does not have is NaN."""
         self._stamps_ns.append(row.stamp_ns)
-        for distance in DISTANCES:
-            value_m, std_m = distance.value_of(row), distance.std_of(row)
-            self._values_m.append(np.nan if value_m is None else value_m)
-            self._values_m.append(np.nan if std_m is None else std_m)
+        numbers = [*(row.image.tool_px or (np.nan, np.nan))]
+        for distance in self._distances:
+            numbers += distance.read(row)
+        if not row.measured:
+            self.rejected[str(row.status)] += 1
+            numbers = [np.nan] * len(numbers)
+        self._numbers.extend(numbers)
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
-        """The stamps, shape (n,)."""
+        """The stamps of the rows, shape (n,)."""
         return np.array(self._stamps_ns, np.int64)
 
-    def pairs(self, distance: Distance, truth: SampledDistances) -> Pairs:
-        """Pair one distance with the truth at the stamps; what has no value is left out."""
-        place = DISTANCES.index(distance)
-        columns = np.array(self._values_m, np.float64).reshape(-1, len(DISTANCES), 2)[:, place]
-        return _paired(self.stamps_ns, columns[:, 0], distance.truth_of(truth), columns[:, 1], truth.valid)
+    @property
+    def tool_px(self) -> Array:
+        """Where the tool was seen, shape (n, 2); NaN where it was not."""
+        return self._table[:, 0]
 
+    def pairs(
+        self, distance: Distance, truth: SampledDistances, stamps_ns: NDArray[np.int64] | None = None
+    ) -> Pairs:
+        """Pair one distance with its truth at the rows' stamps, or at others, shape (n,); pairs without a value go."""
+        estimate_m, std_m = self._table[:, 1 + self._distances.index(distance)].T
+        truth_m = distance.truth_of(truth)
+        kept = truth.valid & np.isfinite(truth_m) & np.isfinite(estimate_m)
+        at_ns = self.stamps_ns if stamps_ns is None else stamps_ns
+        return Pairs(at_ns[kept], estimate_m[kept], truth_m[kept], std_m[kept])
 
-def _paired(
-    stamps_ns: NDArray[np.int64], estimate_m: Array, true_m: Array, std_m: Array, valid: NDArray[np.bool_]
-) -> Pairs:
-    kept = valid & np.isfinite(true_m) & np.isfinite(estimate_m)
-    return Pairs(stamps_ns[kept], estimate_m[kept], true_m[kept], std_m[kept])
-
-
-def _column(values: Iterable[float | None]) -> Array:
-    return np.array([np.nan if value is None else value for value in values], np.float64)
+    @property
+    def _table(self) -> Array:
+        """Pairs of numbers, shape (n, 1 + distances, 2): the tool's pixel, then value and deviation."""
+        return np.array(self._numbers, np.float64).reshape(-1, 1 + len(self._distances), 2)
 
 
 def pooled(parts: Sequence[Pairs]) -> Pairs:

@@ -154,7 +154,7 @@ def _at(track: TransformTrack | PoseTrack, max_gap_ns: int) -> PoseAt:
 
 
 def _in_camera(recording: Recording, profile: Profile, frame: str, tool: PoseAt, max_gap_ns: int) -> PoseAt:
-    """From a frame to the camera, by the transforms that the log believes."""
+    """From a frame to the camera, by the nominal transforms of the log."""
     if frame == profile.frames.camera:
         return tool
     camera_frame = recording.transform_track(profile.frames.camera, frame)
@@ -176,12 +176,12 @@ def _tissue_track(recording: Recording, profile: Profile, rules: TruthRules) -> 
 def _from_printed_kinematics(
     recording: Recording, profile: Profile, stamps_ns: NDArray[np.int64], rules: TruthRules
 ) -> SampledDistances:
-    """eqs. (33)–(35) to the letter, on the tool in the base frame, which the identity for (28) leaves.
+    """eqs. (33)–(35) as published, on the tool in the base frame, which the identity for (28) leaves.
 
     The translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
     """
     T_base_tool = kinematic_track(recording, profile, rules.max_gap_ns)(stamps_ns)
-    displacement_cm = paper.displacement_cm_printed(T_base_tool.values[:, :3, 3])
+    displacement_cm = paper.displacement_cm_as_published(T_base_tool.values[:, :3, 3])
     planar_m = paper.planar_distance_cm(displacement_cm) / 100.0
     unknown_m = np.full(len(stamps_ns), np.nan)
     return SampledDistances(planar_m, unknown_m, unknown_m, T_base_tool.valid)

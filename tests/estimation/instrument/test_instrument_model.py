@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from svmdist.errors import KinematicsError
-from svmdist.estimation.instrument.model import InstrumentModel, build_capsules, wrist_in_tool
-from svmdist.estimation.instrument.pose import ToolPose
+from svmdist.estimation.instrument.model import InstrumentModel, build_capsules
+from svmdist.estimation.instrument.wrist import wrist_in_tool
 from svmdist.geometry.surfaces import Capsules
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, forward_kinematics
 from svmdist.kinematics.wrist import wrist_rows
 from svmdist.profile import load_profile
+from svmdist.results import ToolPose
 from svmdist.samples import JointSample
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.scene import Scene, make_scene

@@ -8,25 +8,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.estimation.planar.equations import (
-    PRINTED_MAPPING,
-    PRINTED_X,
-    PRINTED_Y,
+    PUBLISHED_MAPPING,
+    PUBLISHED_X,
+    PUBLISHED_Y,
     PlaneMapping,
     Quadratic,
     degeneracies,
     planar_distance_m,
+    screen_cm_as_published,
     screen_cm_corrected,
-    screen_cm_printed,
 )
 
-CORRECTED = PlaneMapping("corrected", PRINTED_X, PRINTED_Y)
-"""The printed quadratics of the corrected screen coordinate: what eq. (6) would mean if only (4) were fixed."""
+CORRECTED = PlaneMapping("corrected", PUBLISHED_X, PUBLISHED_Y)
+"""The published quadratics of the corrected screen coordinate: what eq. (6) would mean if only (4) were fixed."""
 
 
 @pytest.mark.parametrize(("pixel", "screen_cm"), [(0, 0.01), (1, -0.0154), (100, -2.53), (640, -16.246)])
-def test_eqs_3_4_as_printed_run_backwards(pixel, screen_cm):
+def test_eqs_3_4_as_published_run_backwards(pixel, screen_cm):
     """(1 - T * 2.54) / 100 is +0.01 at pixel 0 and -16.2 at pixel 640, and nowhere 0.0245."""
-    assert float(screen_cm_printed(pixel)) == pytest.approx(screen_cm, abs=1e-12)
+    assert float(screen_cm_as_published(pixel)) == pytest.approx(screen_cm, abs=1e-12)
 
 
 @pytest.mark.parametrize(("pixel", "screen_cm"), [(0, 0.0), (1, 0.0254), (100, 2.54), (640, 16.256)])
@@ -36,21 +36,21 @@ def test_eqs_3_4_corrected_are_pixels_at_100_dpi(pixel, screen_cm):
 
 
 @pytest.mark.parametrize("screen_cm", [-16.2, 0.0, 0.01, 2.9, 16.2])
-def test_eqs_5_6_are_the_printed_quadratics(screen_cm):
+def test_eqs_5_6_are_the_published_quadratics(screen_cm):
     """The shipped constants are those of the paper, evaluated here term by term."""
     x = -0.0036 * screen_cm**2 + 0.7938 * screen_cm - 0.0403
     y = -0.0068 * screen_cm**2 + 0.0395 * screen_cm - 0.4439
-    assert PRINTED_X(screen_cm) == pytest.approx(x, abs=1e-14)
-    assert PRINTED_Y(screen_cm) == pytest.approx(y, abs=1e-14)
+    assert PUBLISHED_X(screen_cm) == pytest.approx(x, abs=1e-14)
+    assert PUBLISHED_Y(screen_cm) == pytest.approx(y, abs=1e-14)
 
 
 def test_eq_6_turns_around_at_row_114_of_the_corrected_screen():
     """dy/dS = 0 at S = 2.904 cm, row 114; the rows on both sides are mapped alike and span 0.58 cm only."""
-    turning_cm = PRINTED_Y.turning_point_cm()
+    turning_cm = PUBLISHED_Y.turning_point_cm()
     assert turning_cm == pytest.approx(0.0395 / 0.0136)
     assert round(turning_cm / 0.0254) == 114
-    assert PRINTED_Y(turning_cm - 1.0) == pytest.approx(PRINTED_Y(turning_cm + 1.0))
-    y_cm = np.asarray(PRINTED_Y(screen_cm_corrected(np.arange(480))))
+    assert PUBLISHED_Y(turning_cm - 1.0) == pytest.approx(PUBLISHED_Y(turning_cm + 1.0))
+    y_cm = np.asarray(PUBLISHED_Y(screen_cm_corrected(np.arange(480))))
     assert int(np.argmax(y_cm)) == 114
     assert np.ptp(y_cm) == pytest.approx(0.58, abs=0.005)
 
@@ -74,10 +74,10 @@ def test_a_mapping_gives_metres_for_any_number_of_points():
     np.testing.assert_allclose(mapping.to_plane_m(points_px[1, 1]), expected_m[1][1], atol=1e-15)
 
 
-def test_the_printed_mapping_uses_the_printed_screen():
-    """At pixel (100, 50) the printed reading puts S = -2.53 and -1.26 into eqs. (5) and (6)."""
-    found_m = PRINTED_MAPPING.to_plane_m(np.array([100.0, 50.0]))
-    np.testing.assert_allclose(found_m * 100.0, [PRINTED_X(-2.53), PRINTED_Y(-1.26)], atol=1e-12)
+def test_the_published_mapping_uses_the_published_screen():
+    """At pixel (100, 50) the published reading puts S = -2.53 and -1.26 into eqs. (5) and (6)."""
+    found_m = PUBLISHED_MAPPING.to_plane_m(np.array([100.0, 50.0]))
+    np.testing.assert_allclose(found_m * 100.0, [PUBLISHED_X(-2.53), PUBLISHED_Y(-1.26)], atol=1e-12)
     assert not np.allclose(found_m, CORRECTED.to_plane_m(np.array([100.0, 50.0])))
 
 
@@ -105,18 +105,18 @@ def test_eqs_25_to_27_are_the_euclidean_distance():
     assert distances_m[0] == pytest.approx(distances_m[1], rel=1e-12)
 
 
-def test_printed_mode_says_what_its_screen_coordinate_does():
-    """The printed reading warns of S running from +0.01 to -16.2 cm over 640 px.
+def test_the_published_mode_says_what_its_screen_coordinate_does():
+    """The published reading warns of S running from +0.01 to -16.2 cm over 640 px.
 
     With that S neither quadratic turns around inside the image, so there is no second sentence.
     """
-    warnings = degeneracies(PRINTED_MAPPING, 640, 480)
+    warnings = degeneracies(PUBLISHED_MAPPING, 640, 480)
     assert len(warnings) == 1
     assert "S runs from +0.01 to -16.2 cm over 640 px" in warnings[0]
 
 
 def test_a_mapping_that_turns_around_says_where():
-    """The printed quadratics of the corrected screen warn of row 114 of 480, for the y axis only."""
+    """The published quadratics of the corrected screen warn of row 114 of 480, for the y axis only."""
     warnings = degeneracies(CORRECTED, 640, 480)
     assert warnings == [
         "eqs. (6), (24) turn around at pixel 114 of 480: positions on both sides of it are mapped to the same place"
@@ -126,4 +126,4 @@ def test_a_mapping_that_turns_around_says_where():
 
 def test_a_sound_mapping_has_nothing_to_say():
     """A monotone corrected mapping gives no warning."""
-    assert degeneracies(PlaneMapping("corrected", PRINTED_X, PRINTED_X), 640, 480) == []
+    assert degeneracies(PlaneMapping("corrected", PUBLISHED_X, PUBLISHED_X), 640, 480) == []

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.shaft import ShaftEstimator
-from svmdist.estimation.tissue.fix import require_tissue, tissue_frame
+from svmdist.estimation.tissue.pose import require_tissue, tissue_frame
 from svmdist.profile import DEFAULT_PROFILE, Profile, Tissue, load_profile, profile_path
 from svmdist.recording.reader import open_recording
 from svmdist.samples import Observation
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import make_transform, rotation_x, rotation_z
+from tests.measuring import Measuring
 
 GOLDEN_SEED = 1
 
@@ -58,7 +58,8 @@ def test_clearance_is_nearer_to_the_truth_than_with_the_dome(tmp_path: Path, gol
     truth = recording.distance_track().at(np.array([each.stamp_ns for each in seen]))
     rmse_m = []
     for profile in (shipped, meshed):
-        rows = [ShaftEstimator(profile).estimate(each) for each in seen]
+        shaft = Measuring("shaft", profile)
+        rows = [shaft.estimate(each) for each in seen]
         assert all(row.clearance_m is not None for row in rows)
         errors = np.array([row.clearance_m for row in rows], np.float64) - truth.clearance_m
         rmse_m.append(float(np.sqrt(np.mean(errors**2))))

@@ -1,0 +1,1 @@
+"""Which instrument is which, in an image and over time."""

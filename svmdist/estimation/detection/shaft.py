@@ -1,0 +1,145 @@
+"""The shaft in one image: the planes that touch it along both edges of its silhouette, and where its dark part ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.samples import Image
+from svmdist.settings.shaft import ShaftSettings
+from svmdist.transforms import Array
+from svmdist.vision.cylinder import TangentPlane, tangent_plane
+from svmdist.vision.edges import edge_blur_px, edge_points
+from svmdist.vision.lines import fit_line, undistorted
+from svmdist.vision.shading import shading_shift_px
+from svmdist.vision.shaft_segmentation import ShaftRegion, Side
+
+DEFAULT = ShaftSettings()
+MIN_LINE_POINTS, MIN_END_POINTS = 5, 4
+
+
+@dataclass(frozen=True, slots=True)
+class Contour:
+    """One side of the silhouette: the plane that touches the shaft there, and where it is.
+
+    `side` is +1 to the right of the axis as it runs to the tip, y being down, and -1 to the left.
+    """
+
+    plane: TangentPlane
+    side: int
+
+
+@dataclass(frozen=True, slots=True)
+class Rim:
+    """Where the dark shaft ends on its middle line: a pixel (2,), the unit direction to the tip (2,), px."""
+
+    pixel: Array
+    towards_tip: Array
+    std_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftDetection:
+    """Contours (none, one or two) and the rim, each as far as it is visible.
+
+    `towards_tip` (2,) is the direction of the shaft's middle line in the image, None where nothing tells it.
+    `is_stub` says that less of the shaft is visible than it is wide.
+    """
+
+    contours: tuple[Contour, ...]
+    rim: Rim | None
+    towards_tip: Array | None
+    middle_px: Array | None
+    is_stub: bool
+
+
+NO_SHAFT = ShaftDetection((), None, None, None, True)
+
+
+def detect_shaft(
+    brightness: Image, region: ShaftRegion | None, camera: Camera, settings: ShaftSettings = DEFAULT
+) -> ShaftDetection:
+    """Measure contours and rim of a shaft that was found; `NO_SHAFT` for none.
+
+    `brightness`, shape (h, w), is the brightest channel at normalised exposure.
+    """
+    if region is None:
+        return NO_SHAFT
+    towards_tip = region.first.direction + region.second.direction
+    towards_tip /= np.linalg.norm(towards_tip)
+    contours: list[Contour] = []
+    for side in (region.first, region.second):
+        contour = _contour(brightness, side, region, towards_tip, camera, settings)
+        if contour is not None and all(contour.side != other.side for other in contours):
+            contours.append(contour)
+    rim = _rim(brightness, region, towards_tip, settings) if region.end_is_free else None
+    known = towards_tip if region.end_px is not None else None
+    return ShaftDetection(tuple(contours), rim, known, region.middle_px, region.is_stub)
+
+
+def _contour(
+    brightness: Image,
+    side: Side,
+    region: ShaftRegion,
+    towards_tip: Array,
+    camera: Camera,
+    settings: ShaftSettings,
+) -> Contour | None:
+    along = side.end_px - side.start_px
+    trim = settings.side_trim_fraction * along
+    start_px, end_px = side.start_px + trim, side.end_px - trim
+    outward = 0.5 * (side.start_px + side.end_px) - region.middle_px
+    width_px = brightness.shape[1]
+    blur_reach_px = settings.blur_reach_fraction * width_px
+    blur_px = edge_blur_px(brightness, start_px, end_px, outward, blur_reach_px, settings)
+    # A threshold may cut a blurred edge two of its deviations off its middle.
+    reach_px = max(settings.min_edge_reach_px, settings.edge_reach_fraction * width_px) + 2.0 * blur_px
+    points_px = edge_points(brightness, start_px, end_px, outward, reach_px, settings, blur_px)
+    points_px = _inside_view(points_px, region.field_of_view)
+    if len(points_px) == 0:
+        return None
+    across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    across = across if across @ outward > 0.0 else -across
+    points_px = points_px - shading_shift_px(brightness, points_px, across, settings, blur_px) * across
+    unit = 1.0 / float(camera.K[0, 0])
+    line = fit_line(
+        undistorted(camera, points_px),
+        unit,
+        min_count=MIN_LINE_POINTS,
+        inlier_px=settings.line_inlier_px + settings.line_inlier_per_blur * blur_px,
+        systematic_px=float(np.hypot(settings.shading_std_px, settings.shading_std_per_blur * blur_px)),
+        correlation_px=max(settings.point_correlation_px, 2.0 * blur_px),
+        min_point_std_px=settings.min_point_std_px,
+    )
+    if line is None:
+        return None
+    plane = tangent_plane(line, undistorted(camera, region.middle_px[None])[0])
+    right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
+    return Contour(plane, 1 if right > 0 else -1)
+
+
+def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: ShaftSettings) -> Rim | None:
+    if region.end_px is None:
+        return None
+    half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
+    strip = settings.end_strip_fraction * half_width_px
+    across = np.array([-towards_tip[1], towards_tip[0]]) * strip
+    reach_px = settings.end_reach_half_widths * half_width_px
+    points_px = edge_points(
+        brightness, region.end_px - across, region.end_px + across, towards_tip, reach_px, settings
+    )
+    if len(points_px) < MIN_END_POINTS:
+        return None
+    ahead_px = (points_px - region.end_px) @ towards_tip
+    middle_px = float(np.median(ahead_px))
+    spread_px = 1.4826 * float(np.median(np.abs(ahead_px - middle_px)))
+    std_px = max(settings.min_end_std_px, spread_px)
+    return Rim(region.end_px + middle_px * towards_tip, towards_tip, std_px)
+
+
+def _inside_view(points_px: Array, view: Image) -> Array:
+    """The points, shape (n, 2), around which the endoscope shows something."""
+    column, row = np.round(points_px).astype(np.intp).T
+    return np.asarray(points_px[view[row, column] > 0])

@@ -1,0 +1,87 @@
+"""The pose of the tag on the instrument in one image: of the poses that its corners allow, the true one."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.geometry.rays import pixel_rays
+from svmdist.samples import Image
+from svmdist.settings.tag import TagSettings
+from svmdist.transforms import Array, make_transform, rotation_angle
+from svmdist.vision.tag.detection import pose_candidates
+from svmdist.vision.tag.overlay import LaidPattern, TagPixels
+from svmdist.vision.tag.pattern import TagPattern
+from svmdist.vision.tag.refinement import TagPose, lay_coarsely, refine_fit
+
+DEFAULT = TagSettings()
+
+
+def find_tag_pose(
+    image_grey: Image,
+    corners_px: Array,
+    camera: Camera,
+    pattern: TagPattern,
+    R_camera_tag_predicted: Array | None = None,
+    predicted_std_rad: float = np.inf,
+    settings: TagSettings = DEFAULT,
+) -> TagPose | None:
+    """The pose of a tag with these corners, shape (4, 2), refined on all its pixels.
+
+    None where nothing decides between the two poses that four corners allow. The residual decides where it can; else
+    the one nearest to the predicted rotation, shape (3, 3), is taken. A prediction of which `predicted_std_rad` is
+    small leaves one of them, a third of the work.
+    """
+    candidates = pose_candidates(corners_px, pattern.size_m, camera.K, camera.D)
+    pixels = _pixels_around(image_grey, corners_px, camera, settings.window_margin)
+    T_predicted = _sure_pose(candidates, R_camera_tag_predicted, predicted_std_rad, settings)
+    starts = candidates if T_predicted is None else [T_predicted]
+    fits = [lay_coarsely(pixels, T, pattern, settings) for T in starts]
+    coarse = _choose([fit for fit in fits if fit is not None], R_camera_tag_predicted, settings)
+    return None if coarse is None else refine_fit(pixels, coarse, pattern, settings)
+
+
+def _sure_pose(
+    candidates: list[Array], R_predicted: Array | None, predicted_std_rad: float, settings: TagSettings
+) -> Array | None:
+    """The predicted rotation at the place of the candidate that it is near to; None where it is not sure enough."""
+    if R_predicted is None or not predicted_std_rad < settings.sure_rad or not candidates:
+        return None
+    off_rad = [float(rotation_angle(T[:3, :3], R_predicted)) for T in candidates]
+    if min(off_rad) >= settings.predicted_within_rad:
+        return None
+    return make_transform(R_predicted, candidates[int(np.argmin(off_rad))][:3, 3])
+
+
+def _choose(fits: list[LaidPattern], R_predicted: Array | None, settings: TagSettings) -> LaidPattern | None:
+    """The fit whose residual is clearly smaller, or which the prediction is near to; None where neither tells."""
+    fits = sorted(fits, key=lambda fit: fit.misfit)
+    if len(fits) < 2 or fits[1].misfit > settings.decided_ratio * fits[0].misfit:
+        return fits[0] if fits else None
+    rotations = [fit.overlay.T_camera_tag[:3, :3] for fit in fits]
+    if float(rotation_angle(rotations[0], rotations[1])) < settings.near_rad:
+        return fits[0]
+    if R_predicted is None:
+        return None
+    off_rad = [float(rotation_angle(R, R_predicted)) for R in rotations]
+    nearest = int(np.argmin(off_rad))
+    return fits[nearest] if off_rad[nearest] < settings.predicted_within_rad else None
+
+
+def _pixels_around(image_grey: Image, corners_px: Array, camera: Camera, margin: float) -> TagPixels:
+    """The pixels inside a tag's corners and a margin, over the tag's size, around them."""
+    height, width = image_grey.shape
+    margin_px = margin * float(np.ptp(corners_px, axis=0).max())
+    x0, y0 = np.clip(np.floor(corners_px.min(0) - margin_px), 0, [width - 1, height - 1]).astype(int)
+    x1, y1 = np.clip(np.ceil(corners_px.max(0) + margin_px) + 1, 1, [width, height]).astype(int)
+    # Only what is inside the quadrilateral and its margin can lie on the tag.
+    mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    middle_px = corners_px.mean(0)
+    grown_px = middle_px + (1.0 + 2.0 * margin) * (corners_px - middle_px) - [x0, y0]
+    cv2.fillConvexPoly(mask, np.round(grown_px).astype(np.int32), 255)
+    y, x = np.nonzero(mask)
+    points_px = np.column_stack([x + x0, y + y0]).astype(np.float64)
+    brightness = image_grey[y + y0, x + x0].astype(np.float64)
+    rays = np.ascontiguousarray(pixel_rays(camera, points_px).T)
+    return TagPixels(brightness, rays, float(camera.K[0, 0]))

@@ -1,0 +1,164 @@
+"""What one moment's images show of one instrument: fiducial, distal marker, shaft, and the pose by them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.detection.lazy import detected
+from svmdist.estimation.detection.scene import Scene
+from svmdist.estimation.detection.view import View
+from svmdist.results import Failure
+from svmdist.transforms import Array
+from svmdist.vision.regions import Region, find_region
+
+if TYPE_CHECKING:  # each detection imports its detector when it is first asked for
+    from svmdist.estimation.detection.distal_marker import DistalMarker
+    from svmdist.estimation.detection.shaft import ShaftDetection
+    from svmdist.estimation.shaft_pose.fit import ShaftFit
+    from svmdist.kinematics.robot_state import RobotState
+    from svmdist.vision.shaft_segmentation import ShaftRegion
+    from svmdist.vision.tag.refinement import TagPose
+
+
+class ToolDetections:
+    """The detections of one instrument in one frame."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        scene: Scene,
+        left: View,
+        right: View | None,
+        robot: RobotState | Failure,
+    ) -> None:
+        self.ledger = scene.ledger
+        self.found: dict[str, Any] = {}
+        self._arm = arm
+        self._settings = arm.profile.settings
+        self._scene = scene
+        self._left = left
+        self._right = right
+        self._robot = robot
+
+    @detected
+    def tag_corners_px(self) -> Array | None:
+        """The corners of the instrument's own tag, shape (4, 2)."""
+        fiducial = self._arm.profile.fiducial
+        return None if fiducial is None else self._scene.tags.get(fiducial.id)
+
+    @detected
+    def region(self) -> Region | None:
+        """The coloured region of the instrument's distal part."""
+        return self._region(self._left)
+
+    @detected
+    def regions_as_recorded(self) -> tuple[Region | None, Region | None]:
+        """Tissue and distal part by the image as it is, as the paper's methods find them.
+
+        First loop: the tissue's region, if larger than its gate (eqs. 1, 2). Second loop: the instrument's (eqs. 7, 8).
+        """
+        rules, masks = self._arm.profile.segmentation, self._left.masks_as_recorded
+        outline = self._settings.outline
+        return (
+            find_region(masks.tissue, rules.tissue, outline),
+            find_region(masks.instrument, rules.instrument, outline),
+        )
+
+    @detected
+    def right_region(self) -> Region | None:
+        """The same in the right view."""
+        return None if self._right is None else self._region(self._right)
+
+    def _region(self, view: View) -> Region | None:
+        rule = self._arm.profile.segmentation.instrument
+        return find_region(view.masks.instrument, rule, self._settings.outline)
+
+    @detected
+    def distal_marker(self) -> DistalMarker | None:
+        """The coloured marker about the tool's origin; None of a tip that has none."""
+        return self._marker(self._left, self.region)
+
+    @detected
+    def right_distal_marker(self) -> DistalMarker | None:
+        """The same in the right view."""
+        return None if self._right is None else self._marker(self._right, self.right_region)
+
+    def _marker(self, view: View, region: Region | None) -> DistalMarker | None:
+        from svmdist.estimation.detection.distal_marker import detect_distal_marker
+
+        if region is None:
+            return None
+        return detect_distal_marker(
+            view.context.hsv, view.masks.instrument, region, self._settings.distal_marker
+        )
+
+    @detected
+    def tag(self) -> TagPose | None:
+        """The tag's pose by the image, its ambiguity decided by nominal kinematics where the image does not."""
+        fiducial, R_camera_tag = self._arm.profile.fiducial, None
+        if fiducial is not None and not isinstance(self._robot, Failure) and self._robot.has_camera:
+            R_camera_tag = (self._robot.T_camera_link(fiducial.link) @ fiducial.T_link_tag)[:3, :3]
+        return self.tag_turned(R_camera_tag)
+
+    def tag_turned(self, R_camera_tag: Array | None, std_rad: float = np.inf) -> TagPose | None:
+        """The tag's pose near a predicted rotation, shape (3, 3), of a standard deviation in rad."""
+        from svmdist.estimation.detection.tag import find_tag_pose
+
+        corners_px, pattern = self.tag_corners_px, self._arm.tag_pattern
+        if corners_px is None or pattern is None:
+            return None
+        return find_tag_pose(
+            self._left.context.grey,
+            corners_px,
+            self._left.camera,
+            pattern,
+            R_camera_tag,
+            std_rad,
+            self._settings.tag,
+        )
+
+    @detected
+    def shaft(self) -> ShaftDetection:
+        """The shaft's edges and end."""
+        from svmdist.estimation.detection.shaft import detect_shaft
+
+        return detect_shaft(
+            self._left.context.brightness,
+            self.shaft_region,
+            self._left.camera,
+            self._settings.shaft,
+        )
+
+    @detected
+    def shaft_region(self) -> ShaftRegion | None:
+        """The dark bar that comes in from the border, without the tag's plate on it."""
+        from svmdist.vision.shaft_segmentation import bright_fraction, find_shaft
+        from svmdist.vision.tag.detection import tag_plate
+
+        rule, masks = self._arm.profile.segmentation.shaft, self._left.masks
+        if rule is None or masks.shaft is None:
+            return None
+        corners_px, settings = self.tag_corners_px, self._settings.shaft
+        covered = None if corners_px is None else tag_plate(corners_px, masks.shaft.shape, self._settings.tag)
+        region = find_shaft(masks.shaft, rule, covered, masks.black, settings)
+        if region is None or self._arm.profile.fiducial is None or covered is not None or not region.is_stub:
+            return region
+        # The border may cut the plate, whose black print is then as wide as the shaft and ends where it does.
+        return None if bright_fraction(region, masks.shaft) > settings.max_printed_fraction else region
+
+    @detected
+    def shaft_fit(self) -> ShaftFit | Failure:
+        """The tool's pose by the shaft and the distal marker, through the wrist."""
+        from svmdist.estimation.shaft_pose.fit import fit_shaft
+        from svmdist.estimation.shaft_pose.model import shaft_model
+
+        profile, chain = self._arm.profile, self._arm.required_chain
+        if profile.instrument is None:
+            return Failure(f"profile {profile.name} has no [instrument]")
+        model = shaft_model(
+            self._robot, chain, profile.instrument, profile.kinematic_error, self._settings.shaft
+        )
+        return fit_shaft(self.shaft, self.distal_marker, model, self._left.camera, self._settings.shaft)

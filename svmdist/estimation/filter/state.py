@@ -1,0 +1,128 @@
+"""The filter's state: the correction of nominal kinematics, and the biases of measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+
+import numpy as np
+
+from svmdist.estimation.filter.corrected_links import CorrectedLink, CorrectedLinks, NominalFrames
+from svmdist.estimation.filter.correction import Correction, ErrorModel
+from svmdist.estimation.filter.linearisation import Linearised, linearise
+from svmdist.estimation.filter.measurement import LinkMeasurement
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.transforms import Array
+
+
+class ErrorState:
+    """The correction, its error state's covariance `P` with that of the bias states behind it, and their mean.
+
+    The bias states are in units of their deviations.
+    """
+
+    def __init__(self, model: ErrorModel) -> None:
+        self.model = model
+        self.correction = model.no_correction()
+        self.anchor_m: Array = np.zeros(3)
+        self.P: Array = np.zeros((model.size, model.size))
+        self.bias_mean: Array = np.zeros(0)
+        self._bias_slices: dict[str, slice] = {}
+        self._correlation_times_s: Array = np.zeros(0)
+        self._robot: RobotState | None = None
+        self._nominal: NominalFrames | None = None
+        # Links under `_linked`, the correction that they were computed for.
+        self._links: CorrectedLinks | None = None
+        self._linked: Correction | None = None
+
+    @property
+    def robot(self) -> RobotState:
+        """The robot's state now; raises ValueError before the first one."""
+        if self._robot is None:
+            raise ValueError("the filter knows no joints yet: predict comes first")
+        return self._robot
+
+    @property
+    def is_new(self) -> bool:
+        """Whether no robot state was there yet."""
+        return self._robot is None
+
+    def go_to(self, robot: RobotState) -> None:
+        """Take over the robot's state at a new instant."""
+        self._robot, self._nominal, self._linked = robot, self.model.nominal(robot), None
+
+    def start(self) -> Array:
+        """Start from the nominal kinematics, with the covariance that the profile states: gives that."""
+        self.anchor_m = self.model.anchor_m(self.robot)
+        self.correction = self.model.no_correction()
+        prior = self.model.prior(self.robot)
+        self.reset_bias_states(prior)
+        return prior
+
+    def retracted(self, x: Array) -> ErrorState:
+        """The state after a step of error state and biases, shape (n,); the covariance stays."""
+        there = copy(self)
+        there.retract(x)
+        return there
+
+    def retract(self, x: Array) -> None:
+        """Take a step of error state and biases, shape (n,), into correction and mean."""
+        size = self.model.size
+        self.correction, self.bias_mean = self.correction.retract(x[:size]), self.bias_mean + x[size:]
+
+    def update_covariance(self, K: Array, H: Array, R: Array) -> None:
+        """The covariance after an update, in Joseph's form."""
+        keep = np.eye(len(self.P)) - K @ H
+        P = keep @ self.P @ keep.T + K @ R @ K.T
+        self.P = 0.5 * (P + P.T)
+
+    def reset_bias_states(self, P: Array) -> None:
+        """Begin anew with a covariance of the correction, shape (n, n), and no biases of measurements."""
+        self.P, self.bias_mean = P, np.zeros(0)
+        self._bias_slices, self._correlation_times_s = {}, np.zeros(0)
+
+    def augment_state(self, measurements: Sequence[LinkMeasurement]) -> None:
+        """The first measurement of a kind adds its bias to the state, of variance one."""
+        for measurement in measurements:
+            if measurement.bias_name in self._bias_slices:
+                continue
+            at, count = len(self.P), measurement.bias_size
+            grown = np.eye(at + count)
+            grown[:at, :at] = self.P
+            self.P = grown
+            self._bias_slices[measurement.bias_name] = slice(at, at + count)
+            self.bias_mean = np.concatenate([self.bias_mean, np.zeros(count)])
+            self._correlation_times_s = np.concatenate(
+                [self._correlation_times_s, np.full(count, measurement.correlation_time_s)]
+            )
+
+    def propagate(self, elapsed_s: float) -> None:
+        """Time passes: the correction drifts, biases fade towards their prior, of variance one."""
+        keep = np.exp(-elapsed_s / self._correlation_times_s)
+        factor = np.concatenate([np.ones(self.model.size), keep])
+        added = np.concatenate([self.model.drift**2 * elapsed_s, 1.0 - keep**2])
+        self.P = factor[:, None] * self.P * factor + np.diag(added)
+        self.bias_mean = keep * self.bias_mean
+
+    def link(self, name: str | None) -> CorrectedLink:
+        """A link under the correction; None is the tool. Computed once for a robot's state and a correction."""
+        if self._links is None or self._linked is not self.correction:
+            nominal = self._nominal if self._nominal is not None else self.model.nominal(self.robot)
+            self._links = self.model.links(nominal, self.correction, self.anchor_m)
+            self._linked = self.correction
+        return self._links.link(name)
+
+    def linearise(self, measurements: Sequence[LinkMeasurement]) -> list[Linearised]:
+        """The measurements about the present state."""
+        return [linearise(measurement, self.link(measurement.link)) for measurement in measurements]
+
+    def full_jacobian(self, measurements: Sequence[LinkMeasurement], parts: Sequence[Linearised]) -> Array:
+        """The derivative of the residuals, one below the other, by the whole state, shape (m, n)."""
+        H = np.zeros((sum(len(part.residual) for part in parts), len(self.P)))
+        at = 0
+        for measurement, part in zip(measurements, parts, strict=True):
+            rows = slice(at, at + len(part.residual))
+            H[rows, : self.model.size] = part.H
+            H[rows, self._bias_slices[measurement.bias_name]] = part.bias_jacobian
+            at = rows.stop
+        return H

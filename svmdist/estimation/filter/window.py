@@ -1,0 +1,180 @@
+"""The first frames solved as a batch: where to linearise before anything is known (Levenberg–Marquardt)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.estimation.filter.corrected_links import CorrectedLink, NominalFrames
+from svmdist.estimation.filter.correction import Correction, ErrorModel
+from svmdist.estimation.filter.linearisation import Linearised, linearise
+from svmdist.estimation.filter.losses import Loss, geman_mcclure, huber
+from svmdist.estimation.filter.measurement import LinkMeasurement
+from svmdist.estimation.filter.stacks import MeasurementStack, stack
+from svmdist.estimation.gate import chi_square_bound
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.least_squares import Minimum, NormalEquations, Steps, minimise
+from svmdist.settings.filter import FilterSettings
+from svmdist.transforms import Array, skew
+
+FIRST_DAMPING = 1e-4
+COST_SETTLED = 1e-3
+"""A step that lowers a sum of squares by less moves nothing that a deviation would notice."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementsAt:
+    """The measurements of one frame, and the robot's state there."""
+
+    robot: RobotState
+    measurements: tuple[LinkMeasurement, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class WeightedFrame:
+    """What of a frame is visible, linearised, with the weights that a robust loss gives."""
+
+    robot: RobotState
+    measurements: tuple[LinkMeasurement, ...]
+    parts: tuple[Linearised, ...]
+    weights: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Weighed:
+    """A stack about a correction: what of it is visible, (k,), its information, (k, m, m), with noise and bias.
+
+    `deviation`, shape (k,), is the residual's normalised square over the gate's bound.
+    """
+
+    part: Linearised
+    visible: NDArray[np.bool_]
+    information: Array
+    deviation: Array
+    bound: float
+
+
+class Window:
+    """The first frames of a filter that starts at `anchor_m`, shape (3,), with a prior covariance (n, n)."""
+
+    def __init__(self, model: ErrorModel, anchor_m: Array, prior: Array, settings: FilterSettings) -> None:
+        self._model = model
+        self._anchor_m = anchor_m
+        self._prior = prior
+        self._settings = settings
+        self._prior_information = np.asarray(np.linalg.inv(prior + 1e-14 * np.eye(len(prior))), np.float64)
+        self._frames: list[MeasurementsAt] = []
+        self._stacks: list[MeasurementStack] = []
+        self._nominal: NominalFrames | None = None
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def add(self, frame: MeasurementsAt) -> None:
+        """Keep what one frame showed."""
+        self._frames.append(frame)
+        self._nominal = None
+
+    def solve(self, start: Correction) -> Correction | None:
+        """The correction that fits prior and frames best, from the start and from other depths.
+
+        From afar every residual is beyond the gate, and Huber's loss draws it in; a wild detection it would let pull
+        for ever, so that a loss without a pull far out decides.
+        """
+        is_young = len(self) <= self._settings.window_depth_offset_frames
+        offsets_m = self._settings.window_depth_offsets_m if is_young else (0.0,)
+        minima = [self._descend(start, geman_mcclure)]
+        for offset_m in offsets_m:
+            shift_m = start.shift_m + np.array([0.0, 0.0, offset_m])
+            near = self._descend(Correction(shift_m, start.turn, start.q_offset), huber)
+            if near is not None:
+                minima.append(self._descend(near.state, geman_mcclure))
+        found = [minimum for minimum in minima if minimum is not None]
+        return min(found, key=lambda minimum: minimum.equations.cost).state if found else None
+
+    def prior_at(self, at: Correction) -> Array:
+        """The prior's covariance in the error state about a correction, shape (n, n)."""
+        back = np.linalg.inv(_tangent(at))
+        return np.asarray(back @ self._prior @ back.T)
+
+    def step_to_prior(self, at: Correction) -> Array:
+        """The error state about a correction that leads to the prior's mean, shape (n,)."""
+        return np.asarray(-np.linalg.solve(_tangent(at), at.vector()))
+
+    def linearised(self, at: Correction) -> Iterator[WeightedFrame]:
+        """Every frame's measurements about a correction with weights; what is not visible is left out."""
+        found: dict[tuple[int, int], tuple[Linearised, float]] = {}
+        for members, weighed in self._weighed(at):
+            weights = geman_mcclure(weighed.deviation)[1]
+            noise = members.measurement.covariance
+            bias = np.broadcast_to(
+                weighed.part.bias_jacobian, (len(weights), *weighed.part.bias_jacobian.shape[-2:])
+            )
+            for k, (frame, place) in enumerate(zip(members.frames, members.places, strict=True)):
+                if weighed.visible[k]:
+                    part = Linearised(weighed.part.residual[k], weighed.part.H[k], bias[k], noise[k])
+                    found[int(frame), int(place)] = part, float(weights[k])
+        for index, frame in enumerate(self._frames):
+            visible = [place for place in range(len(frame.measurements)) if (index, place) in found]
+            yield WeightedFrame(
+                frame.robot,
+                tuple(frame.measurements[place] for place in visible),
+                tuple(found[index, place][0] for place in visible),
+                tuple(found[index, place][1] for place in visible),
+            )
+
+    def _descend(self, start: Correction, loss: Loss) -> Minimum[Correction] | None:
+        """The minimum from a start; None where something is not visible there."""
+        steps = Steps(self._settings.window_max_steps, damping=FIRST_DAMPING, cost_settled=COST_SETTLED)
+        return minimise(start, lambda at: self._normal(at, loss), Correction.retract, steps)
+
+    def _normal(self, at: Correction, loss: Loss) -> NormalEquations | None:
+        """Cost, gradient and information of prior and window at a correction; None where something is not visible."""
+        state, A = at.vector(), _tangent(at)
+        information = A.T @ self._prior_information @ A
+        gradient = -A.T @ self._prior_information @ state
+        cost = float(state @ self._prior_information @ state)
+        for _, weighed in self._weighed(at):
+            if not weighed.visible.all():
+                return None
+            losses, weights = loss(weighed.deviation)
+            cost += weighed.bound * float(losses.sum())
+            size = weighed.part.H.shape[-1]
+            WH = (weights[:, None, None] * (weighed.information @ weighed.part.H)).reshape(-1, size)
+            information += WH.T @ weighed.part.H.reshape(-1, size)
+            gradient += WH.T @ weighed.part.residual.ravel()
+        return NormalEquations(cost, gradient, information)
+
+    def _weighed(self, at: Correction) -> Iterator[tuple[MeasurementStack, _Weighed]]:
+        """The stacks of measurements about a correction."""
+        if self._nominal is None:
+            self._nominal = self._model.nominal_of_many([frame.robot for frame in self._frames])
+            self._stacks = stack(frame.measurements for frame in self._frames)
+        links = self._model.links(self._nominal, at, self._anchor_m)
+        for members in self._stacks:
+            link = links.link(members.measurement.link)
+            rows = members.frames
+            part = linearise(
+                members.measurement, CorrectedLink(link.T_camera_link[rows], link.derivative[rows])
+            )
+            visible = np.asarray(np.isfinite(part.residual).all(-1))
+            information = members.information
+            if information is None:
+                covariance = part.covariance
+                covariance[~visible] = np.eye(covariance.shape[-1])
+                information = np.asarray(np.linalg.inv(covariance), np.float64)
+            r = np.where(visible[:, None], part.residual, 0.0)[..., None]
+            squares = (np.swapaxes(r, -1, -2) @ information @ r)[..., 0, 0]
+            bound = chi_square_bound(r.shape[-2], self._settings.gate_z)
+            yield members, _Weighed(part, visible, information, squares / bound, bound)
+
+
+def _tangent(at: Correction) -> Array:
+    """Derivative of the correction's vector by the error state about it, shape (n, n), to first order in the turn."""
+    state = at.vector()
+    A = np.eye(len(state))
+    A[3:6, 3:6] -= 0.5 * skew(state[3:6])
+    return A

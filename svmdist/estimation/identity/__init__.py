@@ -1,1 +1,0 @@
-"""Which region of the image is which instrument, over time."""

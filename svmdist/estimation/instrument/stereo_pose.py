@@ -1,0 +1,56 @@
+"""The tool's pose from the distal marker's disparity: it corrects a pose of one view, or places the nominal one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from svmdist.estimation.detection.stereo_match import StereoMatch
+from svmdist.results import ToolPose
+from svmdist.settings.stereo import StereoSettings
+from svmdist.transforms import Array, rotation_of
+from svmdist.vision.rectified import RectifiedPair
+
+DEFAULT = StereoSettings()
+UPDATES = 4
+
+
+def refine_depth(
+    pose: ToolPose, match: StereoMatch, pair: RectifiedPair, settings: StereoSettings = DEFAULT
+) -> ToolPose | None:
+    """A pose of one view, corrected by the disparity; None where the two contradict each other.
+
+    A Kalman update with the single measurement d = f b / z, iterated, since it is far from linear.
+    """
+    P = pose.covariance
+    depth_m = float(pose.position_m[2])
+    step: Array = np.zeros(6)
+    for iteration in range(UPDATES):
+        z = depth_m + float(step[2])
+        if z <= 0.0:
+            return None
+        H = np.zeros(6)
+        H[2] = -pair.disparity_at(z) / z
+        S = float(H @ P @ H) + match.disparity_std_px**2
+        innovation = match.disparity_px - pair.disparity_at(z) + float(H @ step)
+        if iteration == 0 and abs(innovation) > settings.depth_gate_stds * np.sqrt(S):
+            return None
+        K = P @ H / S
+        step = K * innovation
+    T = pose.T_camera_tool.copy()
+    T[:3, 3] += step[:3]
+    turn = rotation_of(step[3:])
+    T[:3, :3] = turn @ T[:3, :3]
+    keep = np.eye(6) - np.outer(K, H)
+    covariance = keep @ P @ keep.T + np.outer(K, K) * match.disparity_std_px**2
+    return ToolPose(T, covariance, turn @ pose.axis)
+
+
+def nominal_orientation_pose(match: StereoMatch, pair: RectifiedPair, nominal: ToolPose) -> ToolPose:
+    """The triangulated position with the orientation, and its covariance, of the nominal kinematics."""
+    p_camera_m, J = pair.point(match.left_px, match.disparity_px)
+    T_camera_tool, covariance = nominal.T_camera_tool.copy(), np.zeros((6, 6))
+    T_camera_tool[:3, 3] = p_camera_m
+    variances = np.array([match.std_px, match.std_px, match.disparity_std_px]) ** 2
+    covariance[:3, :3] = J @ np.diag(variances) @ J.T
+    covariance[3:, 3:] = nominal.covariance[3:, 3:]
+    return ToolPose(T_camera_tool, covariance, nominal.axis)

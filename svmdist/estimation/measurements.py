@@ -1,0 +1,183 @@
+"""What the detections of one frame say to the filter: each becomes a measurement of a link, with noise and bias."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.estimation.detection.distal_marker import DistalMarker, marker_centre
+from svmdist.estimation.filter.measurements import (
+    ContourMeasurement,
+    DisparityMeasurement,
+    LinkMeasurement,
+    PointsMeasurement,
+    PoseMeasurement,
+    SizeMeasurement,
+)
+from svmdist.estimation.frame import Frame
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.results import ToolPose
+from svmdist.settings import Settings
+from svmdist.transforms import inverse
+from svmdist.vision.disc import Disc
+from svmdist.vision.regions import Region
+
+
+def measurements(frame: Frame, robot: RobotState, predicted: ToolPose) -> list[LinkMeasurement]:
+    """All measurements of the tool in a frame; `predicted` is where the filter expects it."""
+    return [
+        *_distal_marker(frame, predicted),
+        *_size(frame, predicted),
+        *_tag(frame, robot, predicted),
+        *_contours(frame),
+    ]
+
+
+def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
+    """The distal marker's centre is a point on the tool, as certain as its region is whole; and its disparity."""
+    profile, region, camera = frame.arm.profile, frame.tool.region, frame.left.camera
+    settings, stereo, instrument = profile.settings.distal_marker, profile.settings.stereo, profile.instrument
+    radius_m = instrument.knuckle_radius_m if instrument is not None else 0.0
+    if region is None:
+        return
+    whole_std_px = _centroid_std_px(camera, region, predicted, radius_m, profile.settings)
+    if whole_std_px is None:
+        return
+    depth_m, radius_px = float(predicted.position_m[2]), float(np.sqrt(region.area_px / np.pi))
+    point_std_m = settings.visible_middle * radius_m
+    shading_px = settings.shading_bias * radius_px if radius_m > 0.0 else 0.0
+    centre_px, blur_px = marker_centre(region, _disc(frame.tool.distal_marker), camera, depth_m, radius_m)
+    std_px = float(np.hypot(whole_std_px, settings.border_std_per_blur * blur_px))
+    covariance = std_px**2 * np.eye(2)
+    lasts_s = profile.settings.filter.point_correlation_time_s
+    yield PointsMeasurement(
+        "distal marker",
+        None,
+        camera,
+        np.zeros((1, 3)),
+        centre_px[None],
+        covariance,
+        point_std_m,
+        shading_px,
+        correlation_time_s=lasts_s,
+    )
+
+    right, other, geometry = frame.right, frame.tool.right_region, frame.scene.observation.right
+    if right is None or other is None or geometry is None:
+        return
+    if abs(other.centroid_px[1] - region.centroid_px[1]) > stereo.row_tolerance_px:
+        return
+    if _centroid_std_px(right.camera, other, predicted, radius_m, profile.settings) is None:
+        return
+    # What one view shows more of moves its centroid by up to half of it.
+    uneven = abs(region.area_px - other.area_px) / (region.area_px + other.area_px)
+    std_px = radius_px * float(
+        np.hypot(stereo.tracked_disparity_noise, max(0.0, uneven - stereo.even_area_fraction))
+    )
+    other_px, _ = marker_centre(other, _disc(frame.tool.right_distal_marker), right.camera, depth_m, radius_m)
+    yield DisparityMeasurement(
+        "disparity",
+        None,
+        camera,
+        right.camera,
+        inverse(geometry.T_left_right),
+        float(centre_px[0] - other_px[0]),
+        np.array([[std_px**2]]),
+        point_std_m,
+        shading_px,
+        correlation_time_s=lasts_s,
+    )
+
+
+def _centroid_std_px(
+    camera: Camera, region: Region, predicted: ToolPose, radius_m: float, settings: Settings
+) -> float | None:
+    """How far the marker's centroid may be off, by what part of it is missing; None where too much is."""
+    marker = settings.distal_marker
+    x, y, width, height = cv2.boundingRect(region.hull)
+    if x <= 0 or y <= 0 or x + width >= camera.width_px or y + height >= camera.height_px:
+        return None
+    depth_m, depth_std_m = predicted.position_m[2], np.sqrt(predicted.covariance[2, 2])
+    if radius_m == 0.0 or depth_m <= 0.0 or depth_std_m > settings.fused.depth_known_fraction * depth_m:
+        return marker.unknown_shape_std_px
+    radius_px = camera.K[0, 0] * radius_m / depth_m
+    whole = region.area_px / (np.pi * radius_px**2)
+    if whole < marker.min_visible_fraction:
+        return None
+    # What is missing, or too much, lies on one side: at worst it moves the centroid by half of it.
+    wrong = max(0.0, abs(1.0 - whole) - marker.whole_area_spread)
+    return float(radius_px * np.hypot(marker.centre_noise, 0.5 * wrong))
+
+
+def _size(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
+    """The whole marker's radius: a depth right within some percent, where nothing better tells one yet."""
+    settings, instrument = frame.arm.profile.settings.distal_marker, frame.arm.profile.instrument
+    depth_std_m = np.sqrt(predicted.covariance[2, 2])
+    if instrument is None or depth_std_m < settings.min_relative_depth_std * predicted.position_m[2]:
+        return
+    marker = frame.tool.distal_marker
+    if marker is not None and marker.radius_px is not None:
+        yield SizeMeasurement(
+            "size",
+            None,
+            frame.left.camera,
+            instrument.knuckle_radius_m,
+            marker.radius_px,
+            np.array([[0.25 * marker.radius_std_px**2]]),
+            marker.radius_std_px,
+            frame.arm.profile.settings.filter.point_correlation_time_s,
+        )
+
+
+def _tag(frame: Frame, robot: RobotState, predicted: ToolPose) -> Iterator[LinkMeasurement]:
+    """The tag's pose; the predicted tool tells how the tag is turned, but for the wrist's joints between them."""
+    fiducial = frame.arm.profile.fiducial
+    if fiducial is None or frame.tool.tag_corners_px is None:
+        return
+    T_base_tag = robot.T_base_link(fiducial.link) @ fiducial.T_link_tag
+    R_camera_tag = predicted.T_camera_tool[:3, :3] @ robot.T_base_tool[:3, :3].T @ T_base_tag[:3, :3]
+    std_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[3:, 3:])[-1]))
+    tag = frame.tool.tag_turned(R_camera_tag, std_rad)
+    if tag is not None:
+        share = frame.arm.profile.settings.fused.lasting_share
+        yield PoseMeasurement(
+            "tag",
+            fiducial.link,
+            fiducial.T_link_tag,
+            tag.T_camera_tag,
+            (1.0 - share) * tag.covariance,
+            share * tag.covariance,
+            frame.arm.profile.settings.filter.pose_correlation_time_s,
+        )
+
+
+def _contours(frame: Frame) -> Iterator[LinkMeasurement]:
+    """Both edges of a shaft that is longer than wide; on a stub something else is easily taken for one."""
+    instrument, axis, shaft = frame.arm.profile.instrument, frame.arm.shaft_axis, frame.tool.shaft
+    if instrument is None or axis is None or shaft.is_stub:
+        return
+    share = frame.arm.profile.settings.fused.lasting_share
+    for contour in shaft.contours:
+        _, axes = np.linalg.eigh(contour.plane.covariance)
+        across = axes[:, 1:].T
+        covariance = across @ contour.plane.covariance @ across.T
+        yield ContourMeasurement(
+            f"edge {contour.side:+d}",
+            axis.link,
+            contour.plane.normal,
+            across,
+            (1.0 - share) * covariance,
+            axis.p_axis_m,
+            axis.axis,
+            instrument.shaft_radius_m,
+            contour.side,
+            share * covariance,
+            frame.arm.profile.settings.filter.edge_correlation_time_s,
+        )
+
+
+def _disc(marker: DistalMarker | None) -> Disc | None:
+    return None if marker is None else marker.disc

@@ -1,0 +1,125 @@
+"""The shaft's pose by weighted least squares over everything that an image and the wrist tell of it.
+
+Unknown are the six of the shaft's frame and two of the wrist's bend. `first_shaft` starts the iteration; Gauss–Newton
+ends it, and the inverse of its normal matrix is the covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.estimation.detection.distal_marker import DistalMarker
+from svmdist.estimation.detection.shaft import ShaftDetection
+from svmdist.estimation.shaft_pose.model import ShaftModel
+from svmdist.estimation.shaft_pose.residuals import (
+    BentTool,
+    Landmarks,
+    Residual,
+    ShaftState,
+    contour_residual,
+    marker_residuals,
+    prior_residual,
+    rim_residual,
+)
+from svmdist.estimation.shaft_pose.start import first_shaft
+from svmdist.least_squares import NormalEquations, Steps, minimise
+from svmdist.results import Failure, ToolPose
+from svmdist.settings.shaft import ShaftSettings
+from svmdist.transforms import Array
+
+DEFAULT = ShaftSettings()
+STEPS = Steps(max_steps=12, settled=1e-5)
+"""A step below `settled`, in m and rad, ends the iteration: the next would be its square."""
+MAX_TURN_RAD = 0.5
+"""Of one step: beyond it the derivatives of the residuals say nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftFit:
+    """The tool's pose, the shaft's frame `T_camera_shaft`, and the measurements that carried them."""
+
+    pose: ToolPose
+    T_camera_shaft: Array
+    used: tuple[str, ...]
+
+
+def fit_shaft(
+    shaft: ShaftDetection,
+    marker: DistalMarker | None,
+    model: ShaftModel,
+    camera: Camera,
+    settings: ShaftSettings = DEFAULT,
+) -> ShaftFit | Failure:
+    """The pose that fits most of what was seen without contradiction; or why there is none."""
+    failure = None
+    for trusted in _readings(Landmarks(shaft, marker)):
+        fit = _fit(trusted, model, camera, settings)
+        if isinstance(fit, ShaftFit):
+            return fit
+        failure = failure or fit
+    return failure or Failure("nothing of the shaft is to be seen")
+
+
+def _readings(seen: Landmarks) -> Iterator[Landmarks]:
+    """What may be taken for true, the whole first: a wrong landmark must not cost the frame."""
+    yield seen
+    shaft, marker = seen.shaft, seen.marker
+    without_rim = replace(shaft, rim=None)
+    if shaft.rim is not None:
+        yield Landmarks(without_rim, marker)
+    if shaft.contours and marker is not None:
+        is_whole = marker.radius_px is not None
+        # The marker's size and a long shaft's width tell a mistake of the other; a stub is easily mistaken.
+        if is_whole and not shaft.is_stub:
+            yield Landmarks(without_rim, replace(marker, radius_px=None))
+        if is_whole:
+            yield Landmarks(replace(without_rim, contours=()), marker)
+        if shaft.rim is not None and not shaft.is_stub:
+            yield Landmarks(shaft, None)
+
+
+def _fit(seen: Landmarks, model: ShaftModel, camera: Camera, settings: ShaftSettings) -> ShaftFit | Failure:
+    start = first_shaft(seen.shaft, seen.marker, model, camera)
+    if isinstance(start, Failure):
+        return start
+    whitenings = [contour.plane.whitening for contour in seen.shaft.contours]
+
+    def residuals(state: ShaftState) -> list[Residual]:
+        found = [
+            contour_residual(contour, whitening, state, model.radius_m)
+            for contour, whitening in zip(seen.shaft.contours, whitenings, strict=True)
+        ]
+        if seen.shaft.rim is not None:
+            found.append(rim_residual(seen.shaft.rim, state, model, camera, settings))
+        if seen.marker is not None:
+            found += marker_residuals(seen.marker, BentTool.of(state, model), model, camera)
+        return [*found, prior_residual(state, start, model)]
+
+    def linearise(state: ShaftState) -> NormalEquations:
+        found = residuals(state)
+        r = np.concatenate([residual.whitened for residual in found])
+        J = np.concatenate([residual.derivative for residual in found])
+        return NormalEquations(float(r @ r), J.T @ r, J.T @ J)
+
+    least = minimise(ShaftState(start, np.zeros(2)), linearise, _retracted, STEPS)
+    if least is None:
+        return Failure("the fit does not converge")
+    found = residuals(least.state)
+    squares = [float(residual.whitened @ residual.whitened) for residual in found]
+    worst = int(np.argmax(squares))
+    if squares[worst] > settings.gate_chi2:
+        return Failure(f"{found[worst].name} does not fit the rest")
+    tool = BentTool.of(least.state, model)
+    covariance = tool.derivative @ np.linalg.inv(least.equations.information) @ tool.derivative.T
+    T = least.state.T
+    pose = ToolPose(tool.T, covariance, T[:3, 2].copy())
+    return ShaftFit(pose, T, tuple(residual.name for residual in found))
+
+
+def _retracted(state: ShaftState, step: Array) -> ShaftState:
+    turn_rad = float(np.linalg.norm(step[3:]))
+    return state.retracted(step * min(1.0, MAX_TURN_RAD / max(turn_rad, 1e-12)))

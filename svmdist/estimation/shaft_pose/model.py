@@ -1,0 +1,103 @@
+"""What is known of a shaft before looking: its sizes, its frame, the wrist's bend, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.errors import ProfileError
+from svmdist.estimation.instrument.model import NECK_PER_RADIUS
+from svmdist.kinematics.dh import DHChain, frame_transforms
+from svmdist.kinematics.jacobian import joint_axis
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.kinematics.wrist import rows_behind_insertion
+from svmdist.profile import Instrument, KinematicError
+from svmdist.results import Failure
+from svmdist.settings.shaft import ShaftSettings
+from svmdist.transforms import Array, inverse, make_transform
+
+DEFAULT = ShaftSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftModel:
+    """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip.
+
+    `T_shaft_tool` is the wrist as the joints bend it, `bend_std_rad` how wrong that may be about each axis
+    across the shaft. `R_camera_shaft` (3, 3) is that of the nominal kinematics, None without the robot's base,
+    with `rotation_std_rad`. The dark part ends `neck_m` behind the hinge.
+    """
+
+    T_shaft_tool: Array
+    bend_std_rad: float
+    R_camera_shaft: Array | None
+    rotation_std_rad: float
+    radius_m: float
+    neck_m: float
+    knuckle_radius_m: float
+
+
+def shaft_model(
+    robot: RobotState | Failure,
+    chain: DHChain,
+    instrument: Instrument,
+    error: KinematicError,
+    settings: ShaftSettings = DEFAULT,
+) -> ShaftModel:
+    """What is known before looking: the instrument's sizes, the wrist's bend, and the nominal rotation."""
+    state = robot if isinstance(robot, RobotState) else None
+    q = None if state is None else state.q
+    roll = roll_row(chain)
+    T_base_shaft, T_shaft_tool = shaft_frames(chain, np.zeros(len(chain.joint_names)) if q is None else q)
+    R_nominal, rotation_std_rad, bend_std_rad = None, np.pi, settings.unknown_bend_rad
+    if state is not None and state.T_camera_base is not None:
+        R_nominal = np.asarray((state.T_camera_base @ T_base_shaft)[:3, :3])
+        moving = [row.name for row in chain.rows]
+        first = moving.index(error.first_moving_joint) if error.first_moving_joint in moving else 0
+        turning = sum(row.joint == "revolute" for row in chain.rows[first : roll + 1])
+        rotation_std_rad = float(np.hypot(error.camera_base_std_rad, error.joint_std_rad * np.sqrt(turning)))
+        bend_std_rad = error.joint_std_rad
+    elif q is not None:
+        # How much the wrist is bent is known, but not to which side in the camera frame.
+        tool = T_shaft_tool[:3, 3]
+        bend_std_rad = max(0.05, float(np.arctan2(np.hypot(tool[0], tool[1]), tool[2])))
+        T_shaft_tool = make_transform(np.eye(3), [0.0, 0.0, float(np.linalg.norm(tool))]) @ make_transform(
+            T_shaft_tool[:3, :3], np.zeros(3)
+        )
+    return ShaftModel(
+        T_shaft_tool,
+        bend_std_rad,
+        R_nominal,
+        rotation_std_rad,
+        instrument.shaft_radius_m,
+        instrument.shaft_end_m or NECK_PER_RADIUS * instrument.wrist_radius_m,
+        instrument.knuckle_radius_m,
+    )
+
+
+def roll_row(chain: DHChain) -> int:
+    """The row whose joint turns the shaft about itself; the wrist is behind it."""
+    turns = rows_behind_insertion(chain)
+    if len(turns) < 2:
+        raise ProfileError(
+            "the method shaft needs a chain that slides along its shaft, turns it, and has a wrist"
+        )
+    return turns[0]
+
+
+def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
+    """`T_base_shaft` and `T_shaft_tool` at joints `q`, shape (n_joints,).
+
+    The shaft's frame: z along the roll's axis, which is the insertion's, to the tip; its origin is the point of that
+    axis next to the wrist's pitch axis.
+    """
+    frames = frame_transforms(chain, q)
+    roll = roll_row(chain)
+    z, on_axis_m = joint_axis(chain, frames, roll)
+    _, hinge_m = joint_axis(chain, frames, roll + 1)
+    x = frames[roll, :3, 0] - z * float(z @ frames[roll, :3, 0])
+    x /= np.linalg.norm(x)
+    origin_m = on_axis_m + z * float(z @ (hinge_m - on_axis_m))
+    T_base_shaft = make_transform(np.stack([x, np.cross(z, x), z], -1), origin_m)
+    return T_base_shaft, inverse(T_base_shaft) @ frames[-1] @ chain.T_last_tool

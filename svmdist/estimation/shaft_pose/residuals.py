@@ -1,0 +1,161 @@
+"""What an image and nominal kinematics say of a shaft's pose, as residuals and their derivatives.
+
+The state is the shaft's frame `T_camera_shaft` and the wrist's bend about two axes across it; its tangent space is
+(δp, δθ, δbend), shape (8,), in m and rad, in the camera frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.estimation.detection.distal_marker import DistalMarker
+from svmdist.estimation.detection.shaft import Contour, Rim, ShaftDetection
+from svmdist.estimation.shaft_pose.model import ShaftModel
+from svmdist.settings.shaft import ShaftSettings
+from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, skew
+from svmdist.vision.cylinder import tangent_normal_with_derivatives
+from svmdist.vision.sphere import apparent_radius_px
+
+FREE_RAD, FREE_M = 3.0, 0.1
+"""Standard deviations of an angle and of a place of which nothing is known: half a turn, a whole scene."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftState:
+    """The shaft's frame, shape (4, 4), and the wrist's bend about its x and y axes, shape (2,), in rad."""
+
+    T: Array
+    bend: Array
+
+    def retracted(self, step: Array) -> ShaftState:
+        """The state after a step of the tangent space, shape (8,)."""
+        T = make_transform(rotation_of(step[3:6]) @ self.T[:3, :3], self.T[:3, 3] + step[:3])
+        return ShaftState(T, self.bend + step[6:])
+
+
+@dataclass(frozen=True, slots=True)
+class Landmarks:
+    """What of the image a fit takes for true."""
+
+    shaft: ShaftDetection
+    marker: DistalMarker | None
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """Measured minus predicted over its standard deviation, shape (k,), and the prediction's derivative, (k, 8)."""
+
+    name: str
+    whitened: Array
+    derivative: Array
+
+
+@dataclass(frozen=True, slots=True)
+class BentTool:
+    """The tool behind the bent wrist: `T_camera_tool`, shape (4, 4), and its derivative (δp, δθ), shape (6, 8)."""
+
+    T: Array
+    derivative: Array
+
+    @staticmethod
+    def of(state: ShaftState, model: ShaftModel) -> BentTool:
+        """The tool of a state."""
+        bend = np.array([state.bend[0], state.bend[1], 0.0])
+        R = state.T[:3, :3] @ rotation_of(bend)
+        arm_m = R @ model.T_shaft_tool[:3, 3]
+        derivative = np.zeros((6, 8))
+        derivative[:3, :3] = derivative[3:, 3:6] = np.eye(3)
+        derivative[3:, 6:] = state.T[:3, :3] @ left_jacobian(bend)[:, :2]
+        derivative[:3, 3:] = -skew(arm_m) @ derivative[3:, 3:]
+        return BentTool(make_transform(R @ model.T_shaft_tool[:3, :3], state.T[:3, 3] + arm_m), derivative)
+
+
+def contour_residual(contour: Contour, whitening: Array, state: ShaftState, radius_m: float) -> Residual:
+    """The plane that touches the shaft along one side; `whitening`, shape (2, 3), is the plane's own."""
+    d = state.T[:3, 2]
+    normal, by_point, by_direction = tangent_normal_with_derivatives(
+        state.T[:3, 3], d, radius_m, contour.side
+    )
+    derivative = np.zeros((2, 8))
+    derivative[:, :3] = whitening @ by_point
+    derivative[:, 3:6] = -whitening @ by_direction @ skew(d)
+    return Residual(f"side {contour.side:+d}", whitening @ (contour.plane.normal - normal), derivative)
+
+
+def rim_residual(
+    rim: Rim, state: ShaftState, model: ShaftModel, camera: Camera, settings: ShaftSettings
+) -> Residual:
+    """Where the dark part ends: the end of the generatrix that faces the camera."""
+    hinge_m, d = state.T[:3, 3], state.T[:3, 2]
+    along_m = float(d @ hinge_m)
+    foot_m = hinge_m - along_m * d
+    distance_m = float(np.linalg.norm(foot_m))
+    facing = foot_m / distance_m
+    point_m = hinge_m - model.neck_m * d - model.radius_m * facing
+    across = (np.eye(3) - np.outer(facing, facing)) / distance_m
+    by_hinge = np.eye(3) - model.radius_m * across @ (np.eye(3) - np.outer(d, d))
+    by_direction = -model.neck_m * np.eye(3) + model.radius_m * across @ (
+        along_m * np.eye(3) + np.outer(d, hinge_m)
+    )
+    pixel, by_point = camera.project_with_derivative(point_m)
+    model_std_px = settings.end_model_std_m * camera.K[0, 0] / point_m[2]
+    std_px = float(np.hypot(rim.std_px, model_std_px))
+    off = float((rim.pixel - pixel) @ rim.towards_tip) / std_px
+    # The deviation depends on the depth, too.
+    slope = rim.towards_tip @ by_point / std_px
+    slope[2] -= off * model_std_px**2 / (point_m[2] * std_px**2)
+    derivative = np.zeros((1, 8))
+    derivative[0, :3] = slope @ by_hinge
+    derivative[0, 3:6] = -slope @ by_direction @ skew(d)
+    return Residual("rim", np.array([off]), derivative)
+
+
+def marker_residuals(
+    marker: DistalMarker, tool: BentTool, model: ShaftModel, camera: Camera
+) -> list[Residual]:
+    """The marker's middle at the tool's origin, and its radius where the whole of it is visible."""
+    tool_m, by_state = tool.T[:3, 3], tool.derivative[:3]
+    pixel, by_point = camera.project_with_derivative(tool_m)
+    found = [
+        Residual(
+            "distal marker", (marker.centre_px - pixel) / marker.std_px, by_point @ by_state / marker.std_px
+        )
+    ]
+    if marker.radius_px is not None:
+        radius_px = float(apparent_radius_px(tool_m, model.knuckle_radius_m, camera))
+        slope = radius_px * 0.5 * tool_m / float(tool_m @ tool_m)
+        slope[2] -= 1.5 * radius_px / tool_m[2]
+        off = np.array([(marker.radius_px - radius_px) / marker.radius_std_px])
+        found.append(Residual("size", off, (slope @ by_state / marker.radius_std_px)[None]))
+    return found
+
+
+def prior_residual(state: ShaftState, start: Array, model: ShaftModel) -> Residual:
+    """Nominal kinematics: the shaft's rotation, the wrist's bend, and no more than a scene's size from the start."""
+    is_known = model.R_camera_shaft is not None
+    R_prior = model.R_camera_shaft if model.R_camera_shaft is not None else start[:3, :3]
+    std_rad = model.rotation_std_rad if is_known else FREE_RAD
+    turn = rotation_vector(state.T[:3, :3] @ R_prior.T)
+    away_m = state.T[:3, 3] - start[:3, 3]
+    off = -np.concatenate([turn / std_rad, state.bend / model.bend_std_rad, away_m / FREE_M])
+    derivative = np.zeros((8, 8))
+    derivative[:3, 3:6] = np.linalg.inv(left_jacobian(turn)) / std_rad
+    derivative[3:5, 6:] = np.eye(2) / model.bend_std_rad
+    derivative[5:, :3] = np.eye(3) / FREE_M
+    return Residual("nominal kinematics", off, derivative)
+
+
+def left_jacobian(vector_rad: Array) -> Array:
+    """J, shape (3, 3), with exp([v + δ]) = exp([J δ]) exp([v]) to first order, for a rotation vector v, (3,).
+
+    I + (1 - cos θ) / θ² [v] + (θ - sin θ) / θ³ [v]² (Solà 2018, "A micro Lie theory", eq. 145).
+    """
+    K = skew(vector_rad)
+    angle = float(np.linalg.norm(vector_rad))
+    if angle < 1e-4:  # the next terms of the series are below 1e-13
+        return np.asarray(np.eye(3) + 0.5 * K + K @ K / 6.0)
+    first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + first * K + second * (K @ K))

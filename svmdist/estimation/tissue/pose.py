@@ -1,0 +1,133 @@
+"""The tissue in 3D from its outline in one image: where it lies on the known plane, and its surface.
+
+One image has no depth; the profile's plane supplies it. The tissue's origin is where the ray through the
+completed outline's centroid meets that plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.errors import ProfileError
+from svmdist.estimation.tissue.dome import DomeModel
+from svmdist.geometry.mesh_files import read_closed_mesh
+from svmdist.geometry.rays import meet_plane, pixel_rays
+from svmdist.geometry.surfaces import Mesh, Plane, Surface
+from svmdist.profile import Profile, Tissue
+from svmdist.transforms import Array, make_transform
+from svmdist.vision.completion import CompletedOutline
+
+METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+ACROSS = 0.99
+"""Cosine between normal and axis from which on the axis has no direction on the plane."""
+
+
+@dataclass(frozen=True, slots=True)
+class TissuePose:
+    """The tissue's origin in the camera frame, shape (3,) in m, with covariance (3, 3), and its surface there.
+
+    `surface_std_m` is how far the surface may stand off the real one, beside the origin's error and what a `dome`,
+    where the surface is one, states of its own shape.
+    """
+
+    position_m: Array
+    covariance: Array
+    surface: Surface
+    surface_std_m: float = 0.0
+    dome: DomeModel | None = None
+
+    def with_dome(self, dome: DomeModel) -> TissuePose:
+        """The same place under a dome of another shape."""
+        return replace(self, surface=dome.mesh(), dome=dome)
+
+    def surface_variance_m2(self, point_m: Array, direction: Array) -> float:
+        """By how much the surface may stand off at one of its points, shape (3,), along a unit vector, shape (3,)."""
+        variance_m2 = self.surface_std_m**2
+        return variance_m2 if self.dome is None else variance_m2 + self.dome.variance_m2(point_m, direction)
+
+
+def require_tissue(profile: Profile) -> Tissue:
+    """The profile's tissue; raises ProfileError where it has none, or a mesh that cannot be used."""
+    if profile.tissue is None:
+        raise ProfileError(
+            f"profile {profile.name} has no [tissue]: a distance in 3D from one camera needs the plane that the"
+            " tissue lies on (plane_normal, plane_distance_m)"
+        )
+    if profile.tissue.mesh is not None:
+        tissue_mesh(profile.tissue)  # read once, and told of before the first frame if it cannot be
+    return profile.tissue
+
+
+def tissue_pose(outline: CompletedOutline, camera: Camera, tissue: Tissue) -> TissuePose | None:
+    """Place tissue and surface by an outline; None where its centroid's ray does not meet the plane."""
+    plane = tissue_plane(tissue)
+    position_m = meet_plane(pixel_rays(camera, outline.centroid_px), plane)[0]
+    if not np.all(np.isfinite(position_m)):
+        return None
+    covariance = _position_covariance(position_m, outline, camera, plane, tissue)
+    dome = _dome(position_m, outline, camera, plane, tissue)
+    if dome is not None:
+        return TissuePose(position_m, covariance, dome.mesh(), tissue.surface_std_m, dome)
+    surface: Surface = plane
+    if tissue.mesh is not None:
+        surface = tissue_mesh(tissue).transformed(
+            tissue_frame(position_m, plane.normal) @ tissue.T_tissue_mesh
+        )
+    return TissuePose(position_m, covariance, surface, tissue.surface_std_m)
+
+
+def tissue_plane(tissue: Tissue) -> Plane:
+    """The profile's plane, the tissue's side below it."""
+    return Plane(np.array(tissue.plane_normal), -tissue.plane_distance_m)
+
+
+def tissue_frame(origin_m: Array, normal: Array) -> Array:
+    """`T_camera_tissue`, shape (4, 4): z along the plane's normal, x the camera's x axis laid onto the plane.
+
+    Of a plane that stands across the camera's x axis, the camera's y axis takes its place.
+    """
+    along = np.eye(3)[0 if abs(normal[0]) < ACROSS else 1]
+    x = along - normal * float(normal @ along)
+    x /= np.linalg.norm(x)
+    return make_transform(np.stack([x, np.cross(normal, x), normal], -1), origin_m)
+
+
+def tissue_mesh(tissue: Tissue) -> Mesh:
+    """The profile's mesh in its own frame, in m; raises ProfileError where its file cannot be used."""
+    if tissue.mesh is None:
+        raise ProfileError("the profile has no tissue.mesh")
+    return read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
+
+
+def _dome(
+    position_m: Array, outline: CompletedOutline, camera: Camera, plane: Plane, tissue: Tissue
+) -> DomeModel | None:
+    if tissue.dome is None:
+        return None
+    outline_m = meet_plane(pixel_rays(camera, outline.curve_px), plane)
+    if not np.all(np.isfinite(outline_m)) or len(outline_m) < 3:
+        return None
+    return DomeModel.over(outline_m, tissue_frame(position_m, plane.normal), tissue.dome)
+
+
+def _position_covariance(
+    position_m: Array, outline: CompletedOutline, camera: Camera, plane: Plane, tissue: Tissue
+) -> Array:
+    """Pixels, distance and tilt of the plane, to first order: X = offset / (n · ray) ray."""
+    ray = position_m / position_m[2]
+    slope = float(plane.normal @ ray)
+    nudged = pixel_rays(
+        camera, outline.centroid_px + np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+    )
+    on_plane = meet_plane(nudged, plane)
+    J_px = np.stack([on_plane[0] - on_plane[1], on_plane[2] - on_plane[3]], -1)
+    covariance = J_px @ outline.covariance_px2 @ J_px.T
+    along = ray / slope  # dX by the offset
+    covariance += tissue.plane_distance_std_m**2 * np.outer(along, along)
+    # A tilt about the foot of the camera's perpendicular moves the plane at X by tilt · (X - foot).
+    from_foot = position_m - plane.offset_m * plane.normal
+    arm2_m2 = float(from_foot @ from_foot) * tissue.plane_tilt_std_rad**2
+    return np.asarray(covariance + arm2_m2 * np.outer(along, along))

@@ -1,0 +1,114 @@
+"""What the robot reports at one instant, and what follows from it: the poses of its links, computed once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from svmdist.errors import KinematicsError
+from svmdist.kinematics.dh import DHChain, frame_transforms, select_joints
+from svmdist.kinematics.jacobian import jacobian_of_frames, joint_axis, row_index
+from svmdist.results import Failure
+from svmdist.samples import JointSample
+from svmdist.transforms import Array
+
+NO_JOINTS = Failure("no joints near the image")
+NO_CAMERA = Failure("no transform from the camera to the base")
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """Joints of a chain at a stamp, and where the camera stands: the nominal (uncorrected) kinematics of one frame.
+
+    `q`, shape (n_joints,), is in the chain's order, in rad or m. `T_camera_base`, shape (4, 4), maps the base's
+    coordinates to the camera's. Without it (`has_camera` is false, `camera_failure` says why) everything in the base
+    frame is still there, and what needs the camera raises ValueError.
+    """
+
+    chain: DHChain
+    stamp_ns: int
+    q: Array
+    T_camera_base: Array | None = None
+
+    @classmethod
+    def of(
+        cls, chain: DHChain, joints: JointSample | None, T_camera_base: Array | None, stamp_ns: int
+    ) -> RobotState | Failure:
+        """The state by a sample's joints, or what they lack; the camera's transform may be missing."""
+        if joints is None:
+            return NO_JOINTS
+        try:
+            q = select_joints(chain, joints.names, joints.positions)
+        except KinematicsError as problem:
+            return Failure(str(problem))
+        return cls(chain, stamp_ns, q, T_camera_base)
+
+    @property
+    def has_camera(self) -> bool:
+        """Whether poses in the camera frame can be told."""
+        return self.T_camera_base is not None
+
+    @property
+    def camera_failure(self) -> Failure | None:
+        """Why no pose in the camera frame can be told; None where it can."""
+        return None if self.has_camera else NO_CAMERA
+
+    @cached_property
+    def frames(self) -> Array:
+        """Poses of all row frames in the base frame, shape (n_rows, 4, 4), not to be written to."""
+        frames = frame_transforms(self.chain, self.q)
+        frames.setflags(write=False)
+        return frames
+
+    @cached_property
+    def frames_in_camera(self) -> Array:
+        """Poses of all row frames in the camera frame, shape (n_rows, 4, 4)."""
+        return np.asarray(self.base_in_camera @ self.frames)
+
+    @cached_property
+    def T_base_tool(self) -> Array:
+        """Pose of the tool in the base frame, shape (4, 4)."""
+        return np.asarray(self.frames[-1] @ self.chain.T_last_tool)
+
+    @cached_property
+    def T_camera_tool(self) -> Array:
+        """Pose of the tool in the camera frame, shape (4, 4)."""
+        return np.asarray(self.base_in_camera @ self.T_base_tool)
+
+    @cached_property
+    def joint_axes(self) -> tuple[tuple[Array, Array], ...]:
+        """For each row the direction and a point of the axis that its joint moves about or along, in the base frame.
+
+        Shapes (3,); a fixed row has the axis that a joint there would have.
+        """
+        return tuple(joint_axis(self.chain, self.frames, index) for index in range(len(self.chain.rows)))
+
+    def T_base_link(self, link: str | None) -> Array:
+        """Pose of the frame of the DH row `link` in the base frame, shape (4, 4); of the tool for None."""
+        return self.T_base_tool if link is None else np.asarray(self.frames[row_index(self.chain, link)])
+
+    def T_camera_link(self, link: str | None) -> Array:
+        """Pose of the frame of the DH row `link` in the camera frame, shape (4, 4); of the tool for None."""
+        if link is None:
+            return self.T_camera_tool
+        return np.asarray(self.frames_in_camera[row_index(self.chain, link)])
+
+    def jacobian(self, link: str | None = None) -> Array:
+        """Derivative of a link's (δp, δθ) in the base frame by the joints, shape (6, n_joints)."""
+        cached = self._jacobians.get(link)
+        if cached is None:
+            cached = self._jacobians[link] = jacobian_of_frames(self.chain, self.frames, link)
+        return cached
+
+    @cached_property
+    def _jacobians(self) -> dict[str | None, Array]:
+        return {}
+
+    @property
+    def base_in_camera(self) -> Array:
+        """`T_camera_base`, shape (4, 4); raises ValueError without it."""
+        if self.T_camera_base is None:
+            raise ValueError(NO_CAMERA.reason)
+        return self.T_camera_base

@@ -1,0 +1,199 @@
+"""The plan of a recording: all that is settled before the first image, and its division into blocks.
+
+A plan holds no physics world and can be sent to another process. A block is one image with all samples up to the
+next; each can be made by itself, so that the content does not depend on who makes it, or in which order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.errors import UsageError
+from svmdist.profile import Profile, Simulation
+from svmdist.simulation.arm import Arm, ArmTopicNames
+from svmdist.simulation.extras import Extras
+from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.motion.trajectory import make_trajectory
+from svmdist.simulation.nominal import draw_nominal_kinematics
+from svmdist.simulation.scene import Scene, make_scene
+from svmdist.simulation.second_arm import OtherArm, make_other_arms
+from svmdist.transforms import Array
+
+START_NS = 1_700_000_000_000_000_000
+"""The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
+CAMERA_INFO_PERIOD_NS = 1_000_000_000
+MAX_NOISE_LEVELS = 64.0
+
+
+@dataclass(frozen=True)
+class TopicNames:
+    """The topics of a simulated log: the profile's names, else those of a dVRK."""
+
+    image: str
+    camera_info: str
+    right_image: str
+    right_camera_info: str
+    arm: ArmTopicNames
+    tf: str
+    ground_truth_tf: str
+
+
+@dataclass(frozen=True)
+class Block:
+    """The stamps from number `begin` to before `end`; the first of them is that of image number `frame`."""
+
+    frame: int
+    begin: int
+    end: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A recording before it is made.
+
+    All arrays have one entry for each stamp: `stamps_ns` (n,), whether an image, joints or the cameras' calibration
+    come with it (n,), and the retractor's poses (n, 4, 4), or None where there is none. The first arm's scene is
+    the world's.
+    """
+
+    profile: Profile
+    scene: Scene
+    arms: tuple[Arm, ...]
+    topics: TopicNames
+    seed: int
+    renderer: str
+    noise: float
+    extras: Extras
+    stamps_ns: NDArray[np.int64]
+    with_image: NDArray[np.bool_]
+    with_joints: NDArray[np.bool_]
+    with_camera_info: NDArray[np.bool_]
+    T_world_retractor: Array | None
+
+    @property
+    def blocks(self) -> list[Block]:
+        """All blocks in the order of time; the first image has the first stamp."""
+        begins = np.nonzero(self.with_image)[0].tolist()
+        ends = [*begins[1:], len(self.stamps_ns)]
+        return [Block(frame, *span) for frame, span in enumerate(zip(begins, ends, strict=True))]
+
+
+def make_plan(
+    scenario: Scenario,
+    profile: Profile,
+    *,
+    renderer: str = "tiny",
+    noise: float = 0.0,
+    extras: Extras | None = None,
+) -> Plan:
+    """Plan a recording; `noise` is a standard deviation in 8-bit levels.
+
+    Joints, poses and truth come at the profile's joint rate and at every image's stamp exactly (truth only).
+    Raises UsageError for noise out of range, and SimulationError where PyBullet is missing and needed, or the profile
+    cannot be simulated.
+    """
+    if not 0.0 <= noise <= MAX_NOISE_LEVELS:
+        raise UsageError(
+            f"noise is a standard deviation from 0 to {MAX_NOISE_LEVELS:g} levels, found {noise:g}"
+        )
+    extras = extras or Extras()
+    scene = make_scene(profile, scenario.seed, extras)
+    settings = profile.simulation
+    assert settings is not None  # make_scene has checked it
+    images, joints = _stamps(scenario.frame_count, scenario.rate_hz), _joint_stamps(scenario, settings)
+    stamps = np.union1d(images, joints)
+    progress = np.clip((stamps - START_NS) / (scenario.duration_s * 1e9), 0.0, 1.0)
+    trajectory = make_trajectory(scene, scenario, settings.working_height_m, progress)
+    topics = topic_names(profile)
+    nominal = draw_nominal_kinematics(
+        scene.chain, scene.T_camera_base, profile, scenario.seed, extras.kinematic_error
+    )
+    first = Arm(profile, scene, topics.arm, trajectory.q, nominal)
+    others: tuple[OtherArm, ...] = ()
+    if extras.arms > 1:
+        others = make_other_arms(
+            profile, scene, scenario.seed, extras, first.q, progress, scenario.duration_s
+        )
+    arms = (
+        first,
+        *(_further_arm(other, index, scenario.seed, extras) for index, other in enumerate(others, start=1)),
+    )
+    return Plan(
+        profile=profile,
+        scene=scene,
+        arms=arms,
+        topics=topics,
+        seed=scenario.seed,
+        renderer=renderer,
+        noise=noise,
+        extras=extras,
+        stamps_ns=stamps,
+        with_image=np.isin(stamps, images),
+        with_joints=np.isin(stamps, joints),
+        with_camera_info=_first_of_each_period(stamps),
+        T_world_retractor=trajectory.T_world_retractor,
+    )
+
+
+def topic_names(profile: Profile) -> TopicNames:
+    """Take the profile's topic names, with defaults for those it leaves open."""
+    topics = profile.topics
+    return TopicNames(
+        topics.image or "/ECM/left/image",
+        topics.camera_info or "/ECM/left/camera_info",
+        topics.right_image or "/ECM/right/image",
+        topics.right_camera_info or "/ECM/right/camera_info",
+        _arm_topic_names(profile, "/ground_truth/distance"),
+        topics.tf or "/tf",
+        topics.ground_truth_tf or "/ground_truth/tf",
+    )
+
+
+def between_topic(first: str, second: str) -> str:
+    """The topic of the true distances between two instruments."""
+    return f"/ground_truth/{first}/{second}/distance"
+
+
+def _arm_topic_names(profile: Profile, distance: str) -> ArmTopicNames:
+    topics, name = profile.topics, profile.instrument_name
+    return ArmTopicNames(
+        topics.joints or f"/{name}/measured_js",
+        topics.pose or f"/{name}/measured_cp",
+        topics.ground_truth_distance or distance,
+    )
+
+
+def _further_arm(other: OtherArm, index: int, seed: int, extras: Extras) -> Arm:
+    scene, profile = other.scene, other.profile
+    nominal = draw_nominal_kinematics(
+        scene.chain, scene.T_camera_base, profile, seed, extras.kinematic_error, arm=(index,)
+    )
+    topics = _arm_topic_names(profile, f"/ground_truth/{other.name}/distance")
+    return Arm(profile, scene, topics, other.q, nominal, prefix=f"{other.name}_")
+
+
+def _stamps(count: int, rate_hz: float) -> NDArray[np.int64]:
+    return np.asarray(START_NS + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64))
+
+
+def _joint_stamps(scenario: Scenario, settings: Simulation) -> NDArray[np.int64]:
+    """Joint stamps up to the end of the recording, so that every image lies between two of them."""
+    count = int(np.ceil(scenario.duration_s * settings.joint_rate_hz)) + 1
+    return _stamps(count, settings.joint_rate_hz)
+
+
+def _first_of_each_period(stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which stamps are the first at or after a multiple of the cameras' period; shape (n,).
+
+    A stamp stands for one period at most: after a gap of several, those after it make up for them.
+    """
+    chosen = np.zeros(len(stamps), np.bool_)
+    next_ns = START_NS
+    for index, stamp in enumerate(stamps.tolist()):
+        if stamp >= next_ns:
+            chosen[index] = True
+            next_ns += CAMERA_INFO_PERIOD_NS
+    return chosen

@@ -1,0 +1,207 @@
+"""A tag's pattern laid over the pixels of an image: what is left over, and how it changes with pose, blur and light."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.least_squares import NormalEquations, scale_of
+from svmdist.settings.tag import TagSettings
+from svmdist.transforms import Array
+from svmdist.vision.tag.pattern import TagPattern
+
+GREY = 100.0
+"""Grey levels that count as one in a step of brightness or contrast: the elements of a step are then alike in size."""
+RIDGE = 1e-9 * np.eye(9)
+FADE_CELLS = 0.2
+"""Pixels count the less the nearer they are to the rim of what is compared: the loss does not jump when they leave."""
+TINY_LEVEL = 1e-6
+"""Grey levels; keeps what is divided by a standard deviation finite on an image that the pattern fits exactly."""
+
+
+@dataclass(frozen=True, slots=True)
+class TagPixels:
+    """n pixels around a tag: brightness, shape (n,), rays in the camera frame, shape (3, n), and the focal length."""
+
+    brightness: Array
+    rays: Array
+    focal_px: float
+
+    def thinned(self, count: int) -> TagPixels:
+        """About so many of them, or up to twice as many, evenly spread."""
+        every = max(1, len(self.brightness) // count)
+        return TagPixels(self.brightness[::every], np.ascontiguousarray(self.rays[:, ::every]), self.focal_px)
+
+
+@dataclass(frozen=True, slots=True)
+class Overlay:
+    """How the pattern is laid over an image: pose, blur, and the grey levels offset + contrast · pattern."""
+
+    T_camera_tag: Array
+    blur_px: float
+    offset: float
+    contrast: float
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """A robust loss of residuals in grey levels: Huber's, or Tukey's biweight, beyond `limit`."""
+
+    limit: float
+    is_biweight: bool
+
+    def __call__(self, residual: Array, share: Array) -> tuple[Array, float]:
+        """Weights, shape (n,), and the mean loss, of pixels that count by their share, shape (n,)."""
+        if self.is_biweight:
+            inlier = np.maximum(0.0, 1.0 - (residual / self.limit) ** 2)
+            weight = share * inlier * inlier
+            return weight, self.limit**2 / 6.0 * (1.0 - float(weight @ inlier) / float(share.sum()))
+        size = np.abs(residual)
+        within = np.minimum(1.0, self.limit / np.maximum(size, TINY_LEVEL))
+        weight = share * within
+        return weight, float(weight @ (size * size * (1.0 - 0.5 * within))) / float(share.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class LaidPattern(NormalEquations):
+    """The pattern laid over n pixels: residual (n,), its derivatives (9, n), weights (n,), the pixels' cells (n,).
+
+    The derivatives are by the pose in the tag's frame, in tag sides and rad, by the blur in px, and by offset and
+    contrast in GREY. `std` is the residual's standard deviation on the pattern's edges, in grey levels.
+    """
+
+    overlay: Overlay
+    residual: Array
+    derivatives: Array
+    weight: Array
+    cell: NDArray[np.int64]
+    std: float
+
+    @property
+    def misfit(self) -> float:
+        """The root mean square of the residual, with its weights, over the contrast."""
+        return math.sqrt(self.variance) / self.overlay.contrast
+
+    @property
+    def variance(self) -> float:
+        """The mean square of the residual, with its weights."""
+        return float((self.weight * self.residual) @ self.residual) / max(len(self.residual) - 9, 1)
+
+    def covariance(self, cluster_inflation: float) -> Array:
+        """Covariance of the parameters, shape (9, 9), by clusters (White 1980; Liang and Zeger 1986).
+
+        What is left over lies along the edges and is alike along each of them, for sampling and printing err
+        together there: pixels of one cell count as one observation, and what they say is taken as it is.
+        """
+        inverse = np.linalg.inv(self.information)
+        weighted = self.weight * self.residual
+        scores = np.stack([np.bincount(self.cell, weighted * d) for d in self.derivatives])
+        count = int(np.count_nonzero(np.bincount(self.cell)))
+        spread = scores @ scores.T * (count / max(count - 9, 1))
+        return np.asarray(cluster_inflation * (inverse @ spread @ inverse) + self.variance * inverse)
+
+
+class _PixelsOnTag(NamedTuple):
+    """Pixels on the tag: brightness (n,) and the share by which each counts (n,).
+
+    In the tag's frame their rays' x/z and y/z, shape (2, n), and their feet in cells, shape (2, n).
+    """
+
+    brightness: Array
+    share: Array
+    slope: Array
+    xy_cells: Array
+
+
+def start_overlay(
+    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings
+) -> tuple[Overlay, float] | None:
+    """The blur, brightness and contrast that fit best at a first pose, and the standard deviation on the edges.
+
+    None where the tag is not on the pixels.
+    """
+    on_tag = _pixels_on_tag(pixels, T_camera_tag, pattern, settings)
+    if on_tag is None:
+        return None
+    px_per_cell = _px_per_cell(pixels, T_camera_tag, pattern)
+    brightness = on_tag.brightness - on_tag.brightness.mean()
+    starts = []
+    for blur_px in settings.blur_starts_px:
+        model, by_x, by_y, _ = pattern.sample(on_tag.xy_cells, blur_px / px_per_cell)
+        centred = model - model.mean()
+        contrast = float(centred @ brightness) / max(float(centred @ centred), 1e-12)
+        residual = brightness - contrast * centred
+        offset = float(on_tag.brightness.mean() - contrast * model.mean())
+        std = _std_on_edges(residual, by_x, by_y, settings)
+        starts.append((float(residual @ residual), std, Overlay(T_camera_tag, blur_px, offset, contrast)))
+    _, std, overlay = min(starts, key=lambda start: start[0])
+    return overlay, std
+
+
+def lay_pattern(
+    pixels: TagPixels, overlay: Overlay, pattern: TagPattern, loss: Loss, settings: TagSettings
+) -> LaidPattern | None:
+    """Residual and derivatives of the pattern laid so; None where it is off the pixels or has no contrast."""
+    T, contrast = overlay.T_camera_tag, overlay.contrast
+    on_tag = _pixels_on_tag(pixels, T, pattern, settings)
+    if on_tag is None or not contrast >= settings.min_contrast:
+        return None
+    px_per_cell = _px_per_cell(pixels, T, pattern)
+    model, by_x, by_y, by_blur = pattern.sample(on_tag.xy_cells, overlay.blur_px / px_per_cell)
+    residual = on_tag.brightness - overlay.offset - contrast * model
+
+    # A ray meets the plane z = 0 at (x, y). A tag that moves by m = δp + δθ x (x, y, 0) moves the foot, in its own
+    # frame, by slope · m_z - (m_x, m_y).
+    x, y = on_tag.xy_cells / pattern.cell_count
+    per_side = contrast * pattern.cell_count
+    J = np.empty((9, len(residual)))
+    J[0], J[1] = -per_side * by_x, -per_side * by_y
+    J[2] = -(J[0] * on_tag.slope[0] + J[1] * on_tag.slope[1])
+    J[3], J[4], J[5] = y * J[2], -x * J[2], x * J[1] - y * J[0]
+    J[6], J[7], J[8] = contrast / px_per_cell * by_blur, GREY, GREY * model
+
+    weight, cost = loss(residual, on_tag.share)
+    weighted = weight * J
+    # The ridge keeps the blur's row regular where an image is sharper than any blur is seen.
+    information = weighted @ J.T + RIDGE
+    # Clusters of the size of a cell about the cells' corners, so that no edge lies between two.
+    clusters_across = pattern.cell_count + 3 + 2 * int(settings.margin_cells)
+    column, row = (on_tag.xy_cells + 0.5 * clusters_across).astype(np.int64)
+    std = _std_on_edges(residual, by_x, by_y, settings)
+    cell = row * clusters_across + column
+    return LaidPattern(cost, weighted @ residual, information, overlay, residual, J, weight, cell, std)
+
+
+def _std_on_edges(residual: Array, by_x: Array, by_y: Array, settings: TagSettings) -> float:
+    steepness = by_x * by_x + by_y * by_y
+    return scale_of(residual[steepness > settings.edge_slope**2 * steepness.max()]) + TINY_LEVEL
+
+
+def _pixels_on_tag(
+    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings
+) -> _PixelsOnTag | None:
+    """The pixels on the tag and some of its margin; None where they are too few, or the tag is behind the camera."""
+    if T_camera_tag[2, 3] <= 0.0:
+        return None
+    R_tag_camera = T_camera_tag[:3, :3].T
+    t_cells = R_tag_camera @ T_camera_tag[:3, 3] * (pattern.cell_count / pattern.size_m)
+    rays = R_tag_camera @ pixels.rays
+    depth_cells = t_cells[2] / rays[2]
+    x, y = rays[0] * depth_cells - t_cells[0], rays[1] * depth_cells - t_cells[1]
+    inward_cells = pattern.cell_count / 2.0 + settings.margin_cells - np.maximum(np.abs(x), np.abs(y))
+    inside = np.flatnonzero(inward_cells > 0.0)
+    if len(inside) < settings.min_pixels:
+        return None
+    share = np.minimum(1.0, inward_cells[inside] / FADE_CELLS)
+    xy_cells = np.stack([x[inside], y[inside]])
+    return _PixelsOnTag(
+        pixels.brightness[inside], share, (xy_cells + t_cells[:2, None]) / t_cells[2], xy_cells
+    )
+
+
+def _px_per_cell(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> float:
+    return pattern.size_m / pattern.cell_count * pixels.focal_px / float(T_camera_tag[2, 3])

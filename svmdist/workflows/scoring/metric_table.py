@@ -1,0 +1,202 @@
+"""Every metric, declared once: tables, CSV, JSON, baselines and docs/metrics.md are made from these declarations.
+
+A new metric is one entry in one of the tuples below. Give it `is_late=True`: columns may be added at the end only.
+"""
+
+from __future__ import annotations
+
+from operator import attrgetter
+
+from svmdist.alarm_metrics import AlarmStatistics
+from svmdist.estimation.lag import LagEstimate
+from svmdist.metrics import ErrorStatistics, Interval
+from svmdist.workflows.runs import Figures
+from svmdist.workflows.scoring.distances import DistanceScore
+from svmdist.workflows.scoring.metric import (
+    Better,
+    Metric,
+    Output,
+    Tolerance,
+    Unit,
+    of_distance,
+    of_part,
+)
+from svmdist.workflows.scoring.score import Score
+
+COUNT = Unit()
+RATIO = Unit("1", digits=4)
+SHARE = Unit("1", "%", factor=100.0, digits=1)
+LENGTH = Unit("m", "mm", 1e3, 2)
+SECONDS = Unit("s", "s", digits=2)
+
+LOWER, HIGHER = Better.LOWER, Better.HIGHER
+SCORES, FIGURES = Output.SCORES, Output.FIGURES
+SCORE_TABLE = SCORES | Output.SCORE_TABLE
+ALARM_TABLE = SCORES | Output.ALARM_TABLE
+REPLAY = FIGURES | Output.FIGURE_TABLE
+EVERYWHERE = SCORE_TABLE | Output.DISTANCE_TABLE | REPLAY
+IN_3D = SCORES | REPLAY
+
+# Room for another build of OpenCV, which moves a homography's corners by up to 1e-3 px and may flip a match; not for
+# another result. A frame that is no longer measured has no such excuse.
+R_SQUARED_TOLERANCE = Tolerance(absolute=0.002)
+RMSE_TOLERANCE = Tolerance(absolute=2e-5, relative=0.02)
+P95_TOLERANCE = Tolerance(absolute=5e-5, relative=0.05)
+COVERAGE_TOLERANCE = Tolerance(absolute=0.0)
+ALARM_TOLERANCE = Tolerance(absolute=0.005)
+
+KUENSCH = "moving-block bootstrap, Künsch 1989"
+
+
+# fmt: off
+FRAME_COUNT: Metric[Score | Figures] = Metric(
+    "frame_count", COUNT, lambda s: s.frame_count, "Number of frames.", outputs=SCORES | FIGURES)
+COVERAGE: Metric[Score | Figures] = Metric(
+    "coverage", SHARE, lambda s: s.coverage, "Share of the frames that were measured.",
+    HIGHER, "cov. %", SCORE_TABLE | REPLAY, COVERAGE_TOLERANCE)
+
+COUNTS: tuple[Metric[Score], ...] = (
+    Metric("sample_count", COUNT, lambda s: s.sample_count, "Measured frames with a truth.",
+           title="n", outputs=SCORE_TABLE),
+    Metric("rejected_count", COUNT, lambda s: s.rejected_count, "Frames that could not be measured.", LOWER),
+    COVERAGE,
+)
+"""How many frames `validate` scored."""
+
+ERRORS: tuple[Metric[DistanceScore], ...] = (
+    Metric("count", COUNT, lambda d: d.statistics.count, "Number of pairs.",
+           title="n", outputs=Output.DISTANCE_TABLE),
+    Metric("r_squared", RATIO, lambda d: d.statistics.r_squared,
+           "Coefficient of determination, 1 - SS_res / SS_tot against the identity line; grows with the truth's range.",
+           HIGHER, "R²", EVERYWHERE, R_SQUARED_TOLERANCE, FIGURES, source="the paper's eq. (36)"),
+    Metric("rmse_m", LENGTH, lambda d: d.statistics.rmse, "Root of the mean squared error.",
+           LOWER, "RMSE", EVERYWHERE, RMSE_TOLERANCE, IN_3D, RMSE_TOLERANCE),
+    Metric("mae_m", LENGTH, lambda d: d.statistics.mae, "Mean of the absolute error.",
+           LOWER, "MAE", SCORE_TABLE),
+    Metric("median_abs_error_m", LENGTH, lambda d: d.statistics.median_abs_error,
+           "Median of the absolute error.", LOWER, "med.", SCORE_TABLE),
+    Metric("p95_abs_error_m", LENGTH, lambda d: d.statistics.p95_abs_error,
+           "95th percentile of the absolute error.", LOWER, "p95", EVERYWHERE, P95_TOLERANCE, IN_3D),
+    Metric("max_abs_error_m", LENGTH, lambda d: d.statistics.max_abs_error, "Largest absolute error.",
+           LOWER, "max", SCORE_TABLE),
+    Metric("bias_m", LENGTH, lambda d: d.statistics.bias, "Mean of estimate minus truth; best at 0.",
+           title="bias", outputs=SCORE_TABLE | Output.DISTANCE_TABLE, outputs_in_3d=SCORES),
+    Metric("truth_std_m", LENGTH, lambda d: d.statistics.truth_std, "Standard deviation of the truth.",
+           title="σ", outputs=SCORE_TABLE | Output.DISTANCE_TABLE),
+    Metric("pearson_r", RATIO, lambda d: d.statistics.pearson_r,
+           "Pearson's correlation of estimate and truth.", HIGHER, "r", SCORE_TABLE),
+)
+"""How far the estimates of a distance are from the truth."""
+
+INTERVALS: tuple[Metric[DistanceScore], ...] = (
+    Metric("interval_coverage", SHARE, lambda d: d.interval_coverage,
+           "Share of truths inside the stated 95 % interval, estimate ± 1.96 standard deviations; best at 0.95.",
+           title="in 95 %", narrow_title="∈95 %",
+           outputs=SCORES | Output.DISTANCE_TABLE | REPLAY, outputs_in_3d=IN_3D),
+)
+"""Whether the stated standard deviations of a distance are honest."""
+
+FRAMES: tuple[Metric[Score], ...] = (
+    FRAME_COUNT,
+    Metric("unpaired_count", COUNT, lambda s: s.unpaired_count, "Measured frames without a truth."),
+)
+RMSE_BOUNDS: tuple[Metric[Interval], ...] = (
+    Metric("rmse_low_m", LENGTH, lambda i: i.low, "Lower bound of the 95 % interval of `rmse_m`.", source=KUENSCH),
+    Metric("rmse_high_m", LENGTH, lambda i: i.high, "Upper bound of the 95 % interval of `rmse_m`.", source=KUENSCH),
+)
+R_SQUARED_BOUNDS: tuple[Metric[Interval], ...] = (
+    Metric("r_squared_low", RATIO, lambda i: i.low, "Lower bound of the 95 % interval of `r_squared`.",
+           source=KUENSCH),
+    Metric("r_squared_high", RATIO, lambda i: i.high, "Upper bound of the 95 % interval of `r_squared`.",
+           source=KUENSCH),
+)
+MARKS: tuple[Metric[Score], ...] = (
+    Metric("fitted_on", COUNT, lambda s: s.fitted_on,
+           "Whether the calibration was fitted on this log, which is then left out of the overall score."),
+    Metric("rejected", COUNT, lambda s: " ".join(f"{reason}={count}" for reason, count in s.rejected.items()),
+           "The frames that could not be measured: a count for each status."),
+)
+LAG: tuple[Metric[LagEstimate], ...] = (
+    Metric("lag_s", SECONDS, lambda lag: lag.lag_s, "Time by which image stamps are late; it was taken off."),
+    Metric("lag_confidence", RATIO, lambda lag: lag.confidence,
+           "How much better this lag explains the images than its best rival: 1 - J_best / J_rival.", HIGHER),
+)
+UNCORRECTED: tuple[Metric[ErrorStatistics], ...] = (
+    Metric("r_squared_uncorrected", RATIO, lambda e: e.r_squared, "`r_squared` with the lag left in.", HIGHER),
+    Metric("rmse_uncorrected_m", LENGTH, lambda e: e.rmse, "`rmse_m` with the lag left in.", LOWER),
+)
+
+ALARMS: tuple[Metric[AlarmStatistics], ...] = (
+    Metric("unsafe", COUNT, lambda a: f"{a.unsafe_count} of {a.frame_count}", "Unsafe frames, and all.",
+           title="unsafe", outputs=Output.ALARM_TABLE),
+    Metric("alarm_frame_count", COUNT, lambda a: a.frame_count, "Frames with a true clearance."),
+    Metric("alarm_unsafe_count", COUNT, lambda a: a.unsafe_count,
+           "Unsafe frames: those whose true clearance is below the threshold."),
+    Metric("alarm_unjudged_count", COUNT, lambda a: a.unjudged_count,
+           "Frames without an estimated clearance, which raise no alarm.", LOWER),
+    Metric("alarm_precision", SHARE, lambda a: a.precision, "Share of the alarmed frames that are unsafe.",
+           HIGHER, "precision", ALARM_TABLE),
+    Metric("alarm_recall", SHARE, lambda a: a.recall, "Share of the unsafe frames that are alarmed.",
+           HIGHER, "recall", ALARM_TABLE, ALARM_TOLERANCE),
+    Metric("false_alarm_fraction", SHARE, lambda a: a.false_alarm_fraction,
+           "Share of the safe frames that are alarmed.", LOWER, "safe alarmed", ALARM_TABLE, ALARM_TOLERANCE),
+    Metric("false_alarms_per_minute", Unit("1/min", "1/min", digits=1), lambda a: a.false_alarms_per_minute,
+           "Unbroken stretches of alarmed frames without an unsafe frame, per minute of recording.",
+           LOWER, "false/min", ALARM_TABLE),
+    Metric("warned", COUNT, lambda a: f"{len(a.lead_times_s)} of {a.event_count}", "Events with an alarm, and all.",
+           title="warned", outputs=Output.ALARM_TABLE),
+    Metric("alarm_event_count", COUNT, lambda a: a.event_count,
+           "Events: unbroken stretches of unsafe frames that begin inside the recording."),
+    Metric("alarm_missed_event_count", COUNT, lambda a: a.missed_event_count, "Events without an alarm.", LOWER),
+    Metric("alarm_lead_median_s", SECONDS, lambda a: a.median_lead_s,
+           "Median time from the start of an alarm to its event; negative where the alarm came late.",
+           HIGHER, "lead", ALARM_TABLE),
+    Metric("alarm_lead_min_s", SECONDS, lambda a: a.min_lead_s,
+           "Shortest time from the start of an alarm to its event.", HIGHER, "least", ALARM_TABLE),
+)
+"""How alarms did, with `--alarm-below`. Recall is stored with the share of false alarms: alarming always has a
+recall of 1."""
+
+REPLAYS: tuple[Metric[Figures], ...] = (
+    FRAME_COUNT,
+    Metric("measured_count", COUNT, lambda f: f.measured_count, "Measured frames.", HIGHER, outputs=FIGURES),
+    COVERAGE,
+    Metric("ms_per_frame", Unit("ms", "ms", digits=0), lambda f: f.ms_per_frame,
+           "Time per frame of the method alone, without reading, decoding and degrading.", LOWER, "ms", REPLAY),
+)
+"""What `compare` and the degradation grid tell beside the distances."""
+# fmt: on
+
+
+def score_metrics() -> list[Metric[Score]]:
+    """All metrics of a score of `validate`, in the order of its columns."""
+    return [
+        *COUNTS,
+        *of_distance(ERRORS, "planar"),
+        *FRAMES,
+        *of_part(RMSE_BOUNDS, attrgetter("rmse_interval_m")),
+        *of_part(R_SQUARED_BOUNDS, attrgetter("r_squared_interval")),
+        *MARKS,
+        *of_part(LAG, attrgetter("lag")),
+        *of_part(UNCORRECTED, attrgetter("uncorrected")),
+        *of_distance(INTERVALS, "planar"),
+        *of_distance(distance_metrics(), "spatial"),
+        *of_distance(distance_metrics(), "clearance"),
+        *of_part(ALARMS, attrgetter("alarms")),
+    ]
+
+
+def distance_metrics() -> tuple[Metric[DistanceScore], ...]:
+    """All metrics of one distance."""
+    return ERRORS + INTERVALS
+
+
+def figure_metrics() -> list[Metric[Figures]]:
+    """All metrics of the figures of a replay, in the order of their columns."""
+    distances = (of_distance(distance_metrics(), distance) for distance in ("planar", "spatial", "clearance"))
+    return [*REPLAYS, *(metric for metrics in distances for metric in metrics)]
+
+
+def stored_metrics() -> list[Metric[Score]]:
+    """The metrics that a baseline stores."""
+    return [metric for metric in score_metrics() if metric.tolerance is not None]

@@ -1,0 +1,97 @@
+"""One instrument's detections in a drawn frame: where they were drawn, and none where nothing was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.detection.scene import Scene
+from svmdist.estimation.detection.tool import ToolDetections
+from svmdist.estimation.detection.view import View
+from svmdist.results import Failure
+from svmdist.samples import Image, Observation, RightView
+from svmdist.transforms import inverse, make_transform
+from svmdist.vision.segmentation.segmenter import make_segmenter
+from tests.shipped import PROFILE
+from tests.synthetic import START_NS, make_scene
+
+SCENE = make_scene()
+TOOL_PX = SCENE.camera.project(SCENE.T_camera_tool_at(0.3)[:3, 3])[0]
+T_LEFT_RIGHT = make_transform(np.eye(3), [0.005, 0.0, 0.0])
+RIGHT_SCENE = replace(SCENE, T_camera_base=inverse(T_LEFT_RIGHT) @ SCENE.T_camera_base)
+NO_ROBOT = Failure("no joints near the image")
+
+
+def detections(image: Image, right: bool = False, others: Image | None = None) -> ToolDetections:
+    beside = RightView(RIGHT_SCENE.frame_at(0.3), SCENE.camera, T_LEFT_RIGHT) if right else None
+    observation = Observation(START_NS, image, SCENE.camera, None, beside)
+    scene = Scene(observation, PROFILE, make_segmenter(PROFILE.segmentation))
+    view = None if scene.right is None else View(SCENE.camera, scene.right)
+    return ToolDetections(Arm(PROFILE), scene, View(SCENE.camera, scene.left, others), view, NO_ROBOT)
+
+
+def test_the_marker_is_where_it_was_drawn() -> None:
+    """To half a pixel, in both views; the disc's 9 px to 1 px, since the whole sphere is taken as 3 % larger."""
+    tool = detections(SCENE.frame_at(0.3), right=True)
+    left, right = tool.distal_marker, tool.right_distal_marker
+    assert left is not None
+    assert right is not None
+    np.testing.assert_allclose(left.centre_px, TOOL_PX, atol=0.5)
+    place_m = RIGHT_SCENE.T_camera_tool_at(0.3)[:3, 3]
+    np.testing.assert_allclose(right.centre_px, SCENE.camera.project(place_m)[0], atol=0.5)
+    assert left.radius_px == pytest.approx(9.0, abs=1.0)
+
+
+def test_what_is_not_there_is_none() -> None:
+    """Of a grey image, and of the right view of a log that has none."""
+    tool = detections(np.full((480, 640, 3), 120, np.uint8))
+    assert tool.region is None
+    assert tool.distal_marker is None
+    assert tool.tag_corners_px is None
+    assert tool.tag is None
+    assert tool.tag_turned(np.eye(3)) is None
+    assert tool.shaft_region is None
+    assert tool.shaft.contours == ()
+    assert isinstance(tool.shaft_fit, Failure)
+    assert tool.regions_as_recorded == (None, None)
+    whole = detections(SCENE.frame_at(0.3))
+    assert whole.right_region is None
+    assert whole.right_distal_marker is None
+
+
+def test_another_instrument_s_pixels_are_none_of_its_own() -> None:
+    """Marked as another's, the marker is gone; the tissue, which all share, stays."""
+    others = np.full((480, 640), 255, np.uint8)
+    tool = detections(SCENE.frame_at(0.3), others=others)
+    assert tool.region is None
+    assert tool.distal_marker is None
+    tissue, instrument = tool.regions_as_recorded
+    assert tissue is not None
+    assert instrument is None
+
+
+def test_detections_are_kept_and_accounted_for_with_the_scene() -> None:
+    """The same object again; the ledger is the scene's, so that a method pays for both."""
+    tool = detections(SCENE.frame_at(0.3))
+    assert tool.region is tool.region
+    assert tool.distal_marker is tool.distal_marker
+    assert set(tool.found) == {"region", "distal_marker"}
+    costs: list[float] = []
+    with tool.ledger.method(costs.append):
+        _ = tool.distal_marker
+    assert costs[0] > 0.0
+
+
+def test_without_sizes_there_is_no_fit() -> None:
+    """It says which part of the profile is missing."""
+    profile = PROFILE.model_copy(update={"instrument": None})
+    scene = Scene(
+        Observation(START_NS, SCENE.frame_at(0.3), SCENE.camera),
+        profile,
+        make_segmenter(profile.segmentation),
+    )
+    tool = ToolDetections(Arm(profile), scene, View(SCENE.camera, scene.left), None, NO_ROBOT)
+    assert tool.shaft_fit == Failure(f"profile {profile.name} has no [instrument]")

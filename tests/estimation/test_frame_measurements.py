@@ -1,0 +1,122 @@
+"""What a drawn frame says to the filter: which measurements, of what size, and that they fit the true pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from svmdist.camera import Camera
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.filter.measurements import LinkMeasurement
+from svmdist.estimation.frame import Frame, frame_of
+from svmdist.estimation.measurements import measurements
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.kinematics.shaft_axis import shaft_of
+from svmdist.results import ToolPose
+from svmdist.samples import Image, JointSample, Observation, RightView
+from svmdist.transforms import Array, inverse, make_transform
+from svmdist.vision.segmentation.segmenter import make_segmenter
+from tests.shaft_images import ShaftImage, entering_from
+from tests.shipped import CHAIN, PROFILE
+from tests.synthetic import START_NS, make_scene
+
+SCENE = make_scene()
+SECONDS = 0.3
+TRUTH = SCENE.T_camera_tool_at(SECONDS)
+SEGMENTER = make_segmenter(PROFILE.segmentation)
+T_LEFT_RIGHT = make_transform(np.eye(3), [0.005, 0.0, 0.0])
+
+
+def observed(image: Image | None = None, right: bool = False) -> Observation:
+    beside = None
+    if right:
+        other = replace(SCENE, T_camera_base=inverse(T_LEFT_RIGHT) @ SCENE.T_camera_base)
+        beside = RightView(other.frame_at(SECONDS), SCENE.camera, T_LEFT_RIGHT)
+    joints = JointSample(START_NS, CHAIN.joint_names, SCENE.joints_at(SECONDS))
+    drawn = SCENE.frame_at(SECONDS) if image is None else image
+    return Observation(START_NS, drawn, SCENE.camera, joints, beside, SCENE.T_camera_base)
+
+
+def said(observation: Observation, depth_std_m: float) -> tuple[Frame, dict[str, LinkMeasurement]]:
+    """The measurements by name, of a filter that expects the tool where it is."""
+    frame = frame_of(observation, Arm(PROFILE), SEGMENTER)
+    assert isinstance(frame.robot, RobotState)
+    covariance = np.diag([1e-3, 1e-3, depth_std_m, 0.02, 0.02, 0.02]) ** 2
+    found = measurements(frame, frame.robot, ToolPose(TRUTH, covariance, TRUTH[:3, 2]))
+    assert len({one.name for one in found}) == len(found)
+    return frame, {one.name: one for one in found}
+
+
+def deviation(measurement: LinkMeasurement, T: Array) -> float:
+    """The residual at a pose over what noise and bias together allow for each number, the worst of them."""
+    residual = measurement.linearise(T)
+    B = measurement.bias_jacobian(T, residual.derivative)
+    variance = np.diag(measurement.covariance + B @ np.swapaxes(B, -1, -2))
+    return float(np.max(np.abs(residual.residual) / np.sqrt(variance)))
+
+
+@pytest.mark.parametrize("depth_std_m", [1e-4, 0.03])
+@pytest.mark.parametrize("right", [False, True])
+def test_what_is_seen_is_said(depth_std_m: float, right: bool) -> None:
+    """The marker always, its disparity with a right view, its size while the depth is unknown."""
+    _, found = said(observed(right=right), depth_std_m)
+    assert ("disparity" in found) == right
+    assert ("size" in found) == (depth_std_m > 1e-3)
+    assert set(found) - {"disparity", "size"} == {"distal marker"}
+    for name, size in (("distal marker", 2), ("disparity", 1), ("size", 1)):
+        if name in found:
+            seen = found[name].linearise(TRUTH)
+            assert seen.residual.shape == (size,)
+            assert seen.derivative.shape == (size, 6)
+            assert found[name].covariance.shape == (size, size)
+            assert found[name].link is None
+
+
+def test_residuals_vanish_at_the_true_pose() -> None:
+    """Within three deviations of marker and disparity; the drawn disc of 9 px has not the size of the sphere."""
+    for depth_std_m in (1e-4, 0.03):
+        _, found = said(observed(right=True), depth_std_m)
+        for name in ("distal marker", "disparity"):
+            assert deviation(found[name], TRUTH) < 3.0, name
+        off = TRUTH.copy()
+        off[0, 3] += 5e-3
+        assert deviation(found["distal marker"], off) > 5.0
+
+
+def test_a_frame_that_shows_nothing_says_nothing() -> None:
+    _, found = said(observed(np.full((480, 640, 3), 120, np.uint8)), 0.03)
+    assert not found
+
+
+def test_a_marker_at_the_border_says_nothing() -> None:
+    """A part of it is outside, nobody knows how much."""
+    image = SCENE.frame_at(SECONDS)
+    u = round(float(SCENE.camera.project(TRUTH[:3, 3])[0, 0]))
+    _, found = said(observed(np.roll(image, 640 - u, axis=1)), 0.03)
+    assert "distal marker" not in found
+
+
+def test_both_edges_of_a_shaft_touch_it() -> None:
+    """Contours of a drawn shaft, about a link that carries it: within three deviations, one for each side."""
+    camera = Camera.from_horizontal_fov(640, 480, np.pi / 3)
+    drawn = ShaftImage(camera, *entering_from(np.pi + 0.15, camera))
+    frame, found = said(replace(observed(drawn.draw(2)), camera=camera), 0.03)
+    shaft, axis = frame.tool.shaft, shaft_of(CHAIN)
+    assert len(shaft.contours) == 2
+    assert axis is not None
+    R = _rotation_between(axis.axis, drawn.direction)
+    T = make_transform(R, drawn.hinge_m - R @ axis.p_axis_m)
+    for name in ("edge +1", "edge -1"):
+        assert found[name].link == axis.link
+        assert deviation(found[name], T) < 3.0, name
+    beside = T.copy()
+    beside[:3, 3] += 2e-3 * np.cross(drawn.direction, [0.0, 0.0, 1.0])
+    assert min(deviation(found[name], beside) for name in ("edge +1", "edge -1")) > 5.0
+
+
+def _rotation_between(a: Array, b: Array) -> Array:
+    """A rotation that takes the unit vector a to b: two reflections."""
+    middle = a + b
+    return np.asarray(2.0 * np.outer(middle, middle) / (middle @ middle) - np.eye(3))

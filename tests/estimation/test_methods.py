@@ -1,0 +1,149 @@
+"""Every method behind the one interface: made by its name, honest about what it asks for and whether it remembers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.errors import ProfileError, UsageError
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.detection.lazy import detected
+from svmdist.estimation.detection.scene import Scene
+from svmdist.estimation.detection.tool import ToolDetections
+from svmdist.estimation.fiducial import FiducialEstimator
+from svmdist.estimation.frame import Frame, frame_of
+from svmdist.estimation.fused import FusedEstimator
+from svmdist.estimation.kinematic import KinematicEstimator
+from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
+from svmdist.estimation.planar.centroid import CentroidEstimator
+from svmdist.estimation.planar.overlay import OverlayEstimator
+from svmdist.estimation.shaft import ShaftEstimator
+from svmdist.estimation.stereo import StereoEstimator
+from svmdist.recording.reader import open_recording
+from svmdist.samples import Observation
+from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE
+from tests.shipped import PROFILE
+
+CLASSES = {
+    "overlay": OverlayEstimator,
+    "centroid": CentroidEstimator,
+    "fiducial": FiducialEstimator,
+    "shaft": ShaftEstimator,
+    "stereo": StereoEstimator,
+    "kinematic": KinematicEstimator,
+    "fused": FusedEstimator,
+}
+REQUIRES = {
+    "fiducial": ("robot", "tissue", "fiducial"),
+    "shaft": ("robot", "tissue", "instrument"),
+    "stereo": ("robot", "tissue"),
+    "kinematic": ("robot", "tissue"),
+    "fused": ("robot", "tissue"),
+}
+"""Parts of a profile without which a method refuses to start."""
+
+
+def made(method: str) -> Estimator:
+    return make_estimator(method, Arm(PROFILE), PIXELS_AS_THEY_ARE if method in PLANAR_METHODS else None)
+
+
+@pytest.fixture(scope="module")
+def seen(golden: Path) -> list[Observation]:
+    """The first frames of a rendered log with both views, joints and transforms."""
+    found: list[Observation] = []
+    for one in open_recording(golden / "3d" / "contact.mcap", PROFILE).observations():
+        assert isinstance(one, Observation)
+        found.append(one)
+        if len(found) == 3:
+            break
+    return found
+
+
+def frames(seen: list[Observation]) -> Iterator[Frame]:
+    """Fresh frames, of which nothing is detected yet."""
+    arm, segmenter = Arm(PROFILE), make_segmenter(PROFILE.segmentation)
+    for one in seen:
+        yield frame_of(one, arm, segmenter)
+
+
+def test_every_method_has_a_class_and_a_name() -> None:
+    assert tuple(CLASSES) == METHODS
+    for method, expected in CLASSES.items():
+        estimator = made(method)
+        assert type(estimator) is expected
+        assert estimator.name == method
+
+
+def test_a_name_that_is_none_lists_the_names() -> None:
+    with pytest.raises(UsageError, match="fused"):
+        make_estimator("fuse", Arm(PROFILE))
+    for method in PLANAR_METHODS:
+        with pytest.raises(UsageError, match="calibration"):
+            make_estimator(method, Arm(PROFILE))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_needs_are_detections(method: str) -> None:
+    """Each name is a detection of scene or tool, so that it can be computed ahead and is accounted for."""
+    needs = made(method).needs
+    for names, source in ((needs.scene, Scene), (needs.tool, ToolDetections)):
+        for name in names:
+            assert isinstance(getattr(source, name), detected), name
+        assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_what_is_needed_is_used(method: str, seen: list[Observation]) -> None:
+    """Where a frame is measured, all of it was asked for: nothing is computed ahead in vain. No frame shows the tag."""
+    estimator = made(method)
+    for frame in frames(seen[:1]):
+        result = estimator.estimate(frame)
+        assert set(estimator.needs.scene) <= set(frame.scene.found)
+        assert result.stamp_ns == frame.stamp_ns
+        assert result.measured == (method != "fiducial")
+        if result.measured:
+            assert set(estimator.needs.tool) <= set(frame.tool.found)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_what_is_not_needed_is_not_looked_at(method: str, seen: list[Observation]) -> None:
+    """A method that says so does without joints, transforms, or the right view, and gives the same."""
+    estimator, blind = made(method), made(method)
+    for one in seen:
+        less = Observation(
+            one.stamp_ns,
+            one.image_bgr,
+            one.camera,
+            one.joints if estimator.needs.robot else None,
+            one.right if estimator.needs.right_view else None,
+            one.T_camera_base if estimator.needs.robot else None,
+        )
+        whole, partial = (
+            each.estimate(frame) for each, frame in zip((estimator, blind), frames([one, less]), strict=True)
+        )
+        assert whole.status == partial.status
+        assert whole.distances == partial.distances
+        assert whole.image == partial.image
+
+
+@pytest.mark.parametrize("method", [method for method in METHODS if not made(method).keeps_state])
+def test_a_method_without_state_forgets(method: str, seen: list[Observation]) -> None:
+    """A frame after others, in whatever order, gives what a fresh estimator gives, bit for bit."""
+    used = made(method)
+    for index in (2, 0, 1, 0):
+        old, new = (next(frames(seen[index : index + 1])) for _ in range(2))
+        first, second = used.estimate(old), made(method).estimate(new)
+        assert (first.status, first.image, first.distances) == (second.status, second.image, second.distances)
+        if first.tool is not None and second.tool is not None:
+            np.testing.assert_array_equal(first.tool.pose.T_camera_tool, second.tool.pose.T_camera_tool)
+
+
+@pytest.mark.parametrize(("method", "key"), [(m, key) for m, keys in REQUIRES.items() for key in keys])
+def test_a_profile_without_what_a_method_needs_is_refused(method: str, key: str) -> None:
+    """At once, not at the first frame; the error names the part."""
+    with pytest.raises(ProfileError, match=key):
+        make_estimator(method, Arm(PROFILE.model_copy(update={key: None})))

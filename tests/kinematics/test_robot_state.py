@@ -1,0 +1,72 @@
+"""The robot's state: what a sample lacks is told, and every pose is the product that its name says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from svmdist.kinematics.dh import forward_kinematics, frame_transforms
+from svmdist.kinematics.jacobian import joint_axis, pose_jacobian, row_index
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.results import Failure
+from svmdist.samples import JointSample
+from svmdist.transforms import make_transform, rotation_of
+from tests.shipped import CHAIN, POSTURE
+
+T_CAMERA_BASE = make_transform(rotation_of([0.4, -0.7, 0.2]), [0.1, -0.2, 0.9])
+JOINTS = JointSample(7, tuple(reversed(CHAIN.joint_names)), POSTURE[::-1])
+
+
+def state_of(joints: JointSample | None = JOINTS, T_camera_base=T_CAMERA_BASE) -> RobotState:
+    """The state by a sample; it must be there."""
+    state = RobotState.of(CHAIN, joints, T_camera_base, 7)
+    assert isinstance(state, RobotState)
+    return state
+
+
+def test_joints_are_brought_into_the_chains_order() -> None:
+    """A sample in another order gives the posture, at the stamp that was asked for."""
+    state = state_of()
+    np.testing.assert_array_equal(state.q, POSTURE)
+    assert state.stamp_ns == 7
+    assert state.has_camera
+    assert state.camera_failure is None
+
+
+def test_what_a_sample_lacks_is_told() -> None:
+    """No sample, or one without the chain's joints: a failure in words."""
+    assert RobotState.of(CHAIN, None, T_CAMERA_BASE, 0) == Failure("no joints near the image")
+    few = RobotState.of(CHAIN, JointSample(0, ("elbow",), np.zeros(1)), T_CAMERA_BASE, 0)
+    assert isinstance(few, Failure)
+    assert few.reason.startswith("the chain needs the joints")
+    assert few.reason.endswith("the log has elbow")
+
+
+def test_a_state_without_the_camera_still_knows_its_base_frame() -> None:
+    """Poses in the base frame are there; what needs the camera raises ValueError with the reason."""
+    state = state_of(T_camera_base=None)
+    assert not state.has_camera
+    assert state.camera_failure == Failure("no transform from the camera to the base")
+    np.testing.assert_array_equal(state.T_base_tool, state_of().T_base_tool)
+    with pytest.raises(ValueError, match="no transform from the camera to the base"):
+        _ = state.T_camera_tool
+
+
+def test_poses_are_those_of_forward_kinematics() -> None:
+    """Frames, tool, axes and Jacobians equal the functions of `dh` and `jacobian` within 1e-13, and are kept."""
+    state, link = state_of(), CHAIN.rows[8].name
+    frames = frame_transforms(CHAIN, POSTURE)
+    np.testing.assert_allclose(state.frames, frames, atol=1e-13)
+    np.testing.assert_allclose(state.T_base_tool, forward_kinematics(CHAIN, POSTURE), atol=1e-13)
+    np.testing.assert_allclose(state.T_camera_tool, T_CAMERA_BASE @ state.T_base_tool, atol=1e-13)
+    np.testing.assert_allclose(state.T_camera_link(link), T_CAMERA_BASE @ state.T_base_link(link), atol=1e-13)
+    np.testing.assert_allclose(state.T_base_link(link), frames[row_index(CHAIN, link)], atol=1e-13)
+    np.testing.assert_allclose(state.T_camera_link(None), state.T_camera_tool, atol=1e-13)
+    for row, (direction, point_m) in enumerate(state.joint_axes):
+        expected = joint_axis(CHAIN, frames, row)
+        np.testing.assert_allclose(direction, expected[0], atol=1e-13)
+        np.testing.assert_allclose(point_m, expected[1], atol=1e-13)
+    for name in (None, link):
+        np.testing.assert_allclose(state.jacobian(name), pose_jacobian(CHAIN, POSTURE, name), atol=1e-13)
+        assert state.jacobian(name) is state.jacobian(name)
+    assert state.frames is state.frames

@@ -1,0 +1,64 @@
+"""A method with all that it needs around it: one observation in, one flat row out."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.frame import frame_of
+from svmdist.estimation.methods import make_estimator
+from svmdist.estimation.planar.equations import PlaneMapping
+from svmdist.profile import Profile
+from svmdist.results import FrameResult, as_vector
+from svmdist.samples import Observation
+from svmdist.vision.segmentation.segmenter import make_segmenter
+
+
+class Measuring:
+    """An estimator of a profile's only instrument, with a segmenter."""
+
+    def __init__(self, method: str, profile: Profile, mapping: PlaneMapping | None = None) -> None:
+        self.arm = Arm(profile)
+        self.segmenter = make_segmenter(profile.segmentation)
+        self.estimator = make_estimator(method, self.arm, mapping)
+
+    def result(self, observation: Observation) -> FrameResult:
+        """Measure one frame."""
+        return self.estimator.estimate(frame_of(observation, self.arm, self.segmenter))
+
+    def estimate(self, observation: Observation) -> Any:
+        """Measure one frame, as a flat row."""
+        return flat(self.result(observation))
+
+
+def flat(result: FrameResult) -> Any:
+    """A result with its numbers side by side, named as the columns of `svmdist estimate` are."""
+    image, distances = result.image, result.distances
+    row: dict[str, Any] = {
+        "stamp_ns": result.stamp_ns,
+        "status": result.status,
+        "detail": result.detail,
+        "measured": result.measured,
+        "instrument": result.instrument,
+        "tool_area_px": image.tool_area_px,
+        "tissue_area_px": image.tissue_area_px,
+        "keypoint_count": image.keypoint_count,
+        "match_count": image.match_count,
+        "inlier_count": image.inlier_count,
+    }
+    row["tool_x_px"], row["tool_y_px"] = image.tool_px or (None, None)
+    row["tissue_x_px"], row["tissue_y_px"] = image.tissue_px or (None, None)
+    for name, distance in (
+        ("distance", distances.planar),
+        ("spatial", distances.spatial),
+        ("clearance", distances.clearance),
+        ("instrument_clearance", distances.to_instrument),
+    ):
+        row[f"{name}_m"] = distance.value_m if distance else None
+        row[f"{name}_std_m"] = distance.std_m if distance else None
+        row[f"{name}_direction"] = distance.direction if distance else None
+    tool = result.tool if result.measured else None
+    row["tool_position_m"] = as_vector(tool.pose.position_m) if tool else None
+    row["tool_axis"] = as_vector(tool.pose.axis) if tool else None
+    return SimpleNamespace(**row)

@@ -1,0 +1,141 @@
+"""The databases of rosbag2: rows in their order, and nothing but plain tables is asked."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from svmdist.errors import RecordingError
+from svmdist.profile import Limits
+from svmdist.recording.health import LossKind
+from svmdist.recording.rosbag.sqlite_source import SqliteSource
+
+LIMITS = Limits()
+SCHEMA = """
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB);
+INSERT INTO topics VALUES (1, '/js', 'sensor_msgs/msg/JointState', 'cdr'), (2, '/tf', 'tf2_msgs/msg/TFMessage', 'cdr');
+"""
+Row = tuple[object, object, object, object]
+MESSAGES: list[Row] = [
+    (number, 1 + number % 2, 1000 + number, bytes([number]) * number) for number in range(1, 8)
+]
+
+
+def write(path: Path, rows: Sequence[Row] = MESSAGES) -> Path:
+    """A database with these rows of messages."""
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(SCHEMA)
+        database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", rows)
+        database.commit()
+    return path
+
+
+def delivered(source: SqliteSource, *topics: str) -> list[tuple[str, int, bytes]]:
+    """What the source gives of all messages, or of those of some topics."""
+    return [(raw.topic, raw.log_time_ns, bytes(raw.data)) for raw in source.messages(topics or None)]
+
+
+def test_rows_are_messages_in_the_order_of_their_ids(tmp_path: Path) -> None:
+    source = SqliteSource(write(tmp_path / "a b#?.db3", MESSAGES[::-1]), LIMITS)
+    expected = [("/js" if topic == 1 else "/tf", time, data) for _, topic, time, data in MESSAGES]
+    assert delivered(source) == expected
+    assert delivered(source, "/tf") == [each for each in expected if each[0] == "/tf"]
+    assert [(info.topic, info.message_count) for info in source.topics()] == [("/js", 3), ("/tf", 4)]
+    assert source.health.is_clean
+    assert source.metadata() == {}
+
+
+def test_topics_without_messages_are_listed(tmp_path: Path) -> None:
+    source = SqliteSource(write(tmp_path / "a.db3", []), LIMITS)
+    assert [info.message_count for info in source.topics()] == [0, 0]
+    assert delivered(source) == []
+
+
+def test_a_row_that_is_missing_or_belongs_to_no_topic_is_a_loss(tmp_path: Path) -> None:
+    """The others are delivered, with the losses before them."""
+    rows = [MESSAGES[0], MESSAGES[2], (4, 9, 0, b""), MESSAGES[4]]
+    source = SqliteSource(write(tmp_path / "a.db3", rows), LIMITS)
+    assert [raw.losses_before for raw in source.messages()] == [0, 1, 2]
+    details = [loss.detail for loss in source.health.losses]
+    assert details == ["a.db3: message 3 follows message 1", "message 4 belongs to no topic"]
+
+
+@pytest.mark.parametrize(
+    ("time", "data"),
+    [("soon", b""), (1.5, b""), (1, "text"), (1, None), (1, 7), (1, bytes(1025))],
+    ids=["text time", "fraction", "text", "nothing", "number", "large"],
+)
+def test_a_row_of_another_kind_is_a_loss(tmp_path: Path, time: object, data: object) -> None:
+    """SQLite stores any value in any column; a blob above the limit is never read."""
+    rows = [MESSAGES[0], (2, 1, time, data), MESSAGES[2]]
+    source = SqliteSource(write(tmp_path / "a.db3", rows), Limits(record_bytes=1024))
+    assert [raw.log_time_ns for raw in source.messages()] == [MESSAGES[0][2], MESSAGES[2][2]]
+    (loss,) = source.health.losses
+    assert (loss.kind, loss.topic) == (LossKind.RECORD, "/js")
+    assert "malformed or above the limit" in loss.detail
+
+
+@pytest.mark.parametrize(
+    "schema",
+    [
+        "CREATE TABLE other(id INTEGER);",
+        "CREATE TABLE topics(id INTEGER); CREATE VIEW messages AS SELECT 1 AS id;",
+        "CREATE VIEW topics AS SELECT 1 AS id; CREATE VIEW messages AS SELECT 1 AS id;",
+    ],
+    ids=["other", "one view", "two views"],
+)
+def test_a_database_without_the_plain_tables_is_refused(tmp_path: Path, schema: str) -> None:
+    """A view could run anything, and for ever."""
+    path = tmp_path / "a.db3"
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(schema)
+    source = SqliteSource(path, LIMITS)
+    with pytest.raises(RecordingError, match="an SQLite database, but not of rosbag2"):
+        delivered(source)
+    with pytest.raises(RecordingError, match="not of rosbag2"):
+        source.topics()
+
+
+def test_tables_without_the_columns_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.db3"
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript("CREATE TABLE topics(id INTEGER); CREATE TABLE messages(id INTEGER);")
+    with pytest.raises(RecordingError, match="no usable rosbag2 database: no such column"):
+        delivered(SqliteSource(path, LIMITS))
+
+
+def test_a_truncated_file_is_refused_at_any_end(tmp_path: Path) -> None:
+    """SQLite takes zeros for a missing part of the last page; here the header's count of pages decides."""
+    data = write(tmp_path / "whole.db3").read_bytes()
+    path = tmp_path / "a.db3"
+    for end in (0, 50, 99, 100, len(data) // 2, len(data) - 1):
+        path.write_bytes(data[:end])
+        with pytest.raises(RecordingError, match=f"truncated at byte {end}"):
+            SqliteSource(path, LIMITS)
+    with pytest.raises(RecordingError, match="cannot read: No such file"):
+        SqliteSource(tmp_path / "none.db3", LIMITS)
+
+
+def test_what_an_interrupted_recorder_left_is_told(tmp_path: Path) -> None:
+    """An empty journal holds nothing that could be missing."""
+    path = write(tmp_path / "a.db3")
+    path.with_name("a.db3-wal").write_bytes(b"")
+    assert SqliteSource(path, LIMITS).health.is_clean
+    path.with_name("a.db3-journal").write_bytes(b"left")
+    (loss,) = SqliteSource(path, LIMITS).health.losses
+    assert loss.kind is LossKind.STRUCTURE
+    assert loss.detail.startswith("a.db3-journal was left by an interrupted recorder")
+
+
+def test_the_file_is_not_changed(tmp_path: Path) -> None:
+    """Nor is a journal made beside it."""
+    path = write(tmp_path / "a.db3")
+    before = path.read_bytes()
+    delivered(SqliteSource(path, LIMITS))
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,187 @@
+"""Observations that are decoded ahead in threads are the same as those decoded one by one, losses included."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+
+from svmdist.camera import Camera
+from svmdist.profile import Profile
+from svmdist.recording.encoded import LEFT_IMAGES, Needs
+from svmdist.recording.health import Health, Loss, LossKind
+from svmdist.recording.messages.encoding import encode
+from svmdist.recording.reader import Recording, open_recording
+from svmdist.samples import CameraSample, ImageSample, Observation, Rejection
+
+from .builders import CAMERA, scene, write_messages, write_scene
+from .test_stereo import right_camera, with_right
+from .test_video import KEY_INTERVAL, frame_image, packets  # noqa: F401  (a fixture)
+
+CALIBRATION, IMAGE = "foxglove.CameraCalibration", "foxglove.CompressedImage"
+
+
+def decoded_backwards(recording: Recording) -> Iterator[tuple[Observation, ...] | Rejection]:
+    """Decode everything in threads, hand in the losses in reverse, and give the rest in order."""
+    with ThreadPoolExecutor(3) as pool:
+        decoded = list(
+            pool.map(lambda one: one.decode(), recording.encoded_observations(recording.instruments))
+        )
+    found = [recording.record_losses(one) for one in reversed(decoded)]
+    return reversed(found)
+
+
+def assert_same(
+    mine: tuple[Observation, ...] | Rejection, other: tuple[Observation, ...] | Rejection
+) -> None:
+    if isinstance(mine, Rejection) or isinstance(other, Rejection):
+        assert mine == other
+        return
+    for one, two in zip(mine, other, strict=True):
+        assert one.stamp_ns == two.stamp_ns
+        np.testing.assert_array_equal(one.image_bgr, two.image_bgr)
+        assert (one.joints is None) == (two.joints is None)
+        if one.joints is not None and two.joints is not None:
+            np.testing.assert_array_equal(one.joints.positions, two.joints.positions)
+        assert (one.right is None) == (two.right is None)
+        if one.right is not None and two.right is not None:
+            np.testing.assert_array_equal(one.right.image_bgr, two.right.image_bgr)
+
+
+def damaged(path: Path) -> Path:
+    """A log of 60 images, every third of them broken in a way of its own, among joints that are broken too."""
+    rows = [("/ECM/left/camera_info", CALIBRATION, "protobuf", encode(CameraSample(1, CAMERA)), 1)]
+    rng = np.random.default_rng(3)
+    for frame in range(60):
+        good = encode(
+            ImageSample(frame + 1, "camera", np.asarray(rng.integers(0, 256, (24, 32, 3)), np.uint8))
+        )
+        data = good
+        if frame % 3 == 0:
+            short = CompressedImage.FromString(good)
+            short.data = short.data[: -20 - frame]
+            data = short.SerializeToString()
+        rows.append(("/ECM/left/image", IMAGE, "protobuf", data, frame + 1))
+        joints = JointStates(joints=[{"name": "a", "position": float("nan") if frame % 4 == 0 else 1.0}])
+        joints.timestamp.nanos = frame + 1
+        rows.append(
+            (
+                "/PSM1/measured_js",
+                "foxglove.JointStates",
+                "protobuf",
+                joints.SerializeToString(),
+                frame + 1,
+            )
+        )
+    return write_messages(path, rows)
+
+
+def test_threads_change_nothing(tmp_path: Path, profile: Profile) -> None:
+    path = write_scene(tmp_path / "pair.mcap", with_right(scene(12)))
+    one_by_one, ahead = open_recording(path, profile), open_recording(path, profile)
+    for mine, other in zip(
+        one_by_one.observations_of(one_by_one.instruments), decoded_backwards(ahead), strict=True
+    ):
+        assert_same(mine, other)
+
+
+def test_losses_are_listed_in_file_order_whenever_they_are_found(tmp_path: Path, profile: Profile) -> None:
+    path = damaged(tmp_path / "a.mcap")
+    one_by_one, ahead = open_recording(path, profile), open_recording(path, profile)
+    pairs = zip(one_by_one.observations_of(one_by_one.instruments), decoded_backwards(ahead), strict=True)
+    for mine, other in pairs:
+        assert_same(mine, other)
+    losses = one_by_one.health.losses
+    assert {loss.kind for loss in losses} == {LossKind.IMAGE, LossKind.MESSAGE}
+    assert ahead.health.losses == losses
+
+
+def test_what_is_not_needed_is_checked_and_left_out(tmp_path: Path, profile: Profile) -> None:
+    """A planar method gets images alone; a broken joint state is a loss all the same."""
+    recording = open_recording(damaged(tmp_path / "a.mcap"), profile)
+    found = list(recording.observations_of(recording.instruments, LEFT_IMAGES))
+    assert len(found) == 60
+    assert all(item[0].joints is None for item in found if not isinstance(item, Rejection))
+    assert {loss.topic for loss in recording.health.losses} == {"/ECM/left/image", "/PSM1/measured_js"}
+
+
+@pytest.mark.parametrize("missing", ["joints", "transforms", "right"])
+def test_each_need_stands_for_itself(tmp_path: Path, profile: Profile, missing: str) -> None:
+    recording = open_recording(write_scene(tmp_path / "pair.mcap", with_right(scene(8))), profile)
+    full = [item for item in recording.observations() if isinstance(item, Observation)]
+    found = [
+        item[0]
+        for item in recording.observations_of(recording.instruments, Needs(**{missing: False}))
+        if not isinstance(item, Rejection)
+    ]
+    assert len(found) == len(full) == 8
+    for less, more in zip(found, full, strict=True):
+        np.testing.assert_array_equal(less.image_bgr, more.image_bgr)
+        assert (less.joints is None) == (missing == "joints")
+        assert (less.right is None) == (missing == "right")
+
+
+def test_frames_of_a_video_are_decoded_in_order_for_any_thread(
+    tmp_path: Path,
+    profile: Profile,
+    packets: list[bytes],  # noqa: F811
+) -> None:
+    """The right frames of which two have no left ones: the next ones refer to these, and are decoded right."""
+    size = {"width_px": 128, "height_px": 96}
+    rows = [
+        (
+            f"/ECM/{side}/camera_info",
+            CALIBRATION,
+            "protobuf",
+            encode(CameraSample(1, _resized(camera, **size))),
+            1,
+        )
+        for side, camera in (("left", CAMERA), ("right", right_camera()))
+    ]
+    alone = (KEY_INTERVAL + 2, KEY_INTERVAL + 3)
+    for number, data in enumerate(packets):
+        stamp_ns = 10**9 * (number + 1)
+        message = CompressedVideo(data=data, format="h264")
+        message.timestamp.seconds = number + 1
+        rows.append(
+            (
+                "/ECM/right/image",
+                "foxglove.CompressedVideo",
+                "protobuf",
+                message.SerializeToString(),
+                stamp_ns,
+            )
+        )
+        if number not in alone:
+            image = ImageSample(stamp_ns, "camera", frame_image(number))
+            rows.append(("/ECM/left/image", IMAGE, "protobuf", encode(image), stamp_ns))
+    recording = open_recording(write_messages(tmp_path / "a.mcap", rows), profile)
+    found = list(decoded_backwards(recording))
+    assert len(found) == len(packets) - len(alone)
+    for item in found:
+        assert not isinstance(item, Rejection)
+        assert item[0].right is not None
+        expected = frame_image(item[0].stamp_ns // 10**9 - 1).astype(int)
+        assert np.abs(item[0].right.image_bgr.astype(int) - expected).mean() < 4  # lossy, as in test_video
+    assert recording.health.is_clean
+
+
+def _resized(camera: Camera, width_px: int, height_px: int) -> Camera:
+    return replace(camera, width_px=width_px, height_px=height_px)
+
+
+def test_a_loss_that_is_found_late_is_listed_at_its_place() -> None:
+    health = Health()
+    place = health.next_place()
+    late, early = Loss(LossKind.IMAGE, "late"), Loss(LossKind.CHUNK, "early")
+    health.add(early)
+    health.add(late, place)
+    health.add(late)
+    assert health.losses == (late, early)

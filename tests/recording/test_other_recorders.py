@@ -1,0 +1,231 @@
+"""Logs of other recorders hold the same scene: the same images, joints, camera and transforms come out."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Bag1Writer
+from rosbags.rosbag2 import StoragePlugin
+
+from svmdist.errors import RecordingError
+from svmdist.profile import Profile
+from svmdist.recording.health import LossKind
+from svmdist.recording.reader import open_recording
+from svmdist.samples import ImageSample, Observation
+
+from .builders import Entry, pose, scene
+from .other_recorders import (
+    header,
+    rigid,
+    ros_image,
+    ros_messages,
+    write_foxglove_json,
+    write_ros2_mcap,
+    write_rosbag1,
+    write_rosbag2,
+)
+
+WRITERS: dict[str, Callable[[Path, list[Entry]], Path]] = {
+    "ros2 mcap": lambda folder, entries: write_ros2_mcap(folder / "a.mcap", ros_messages(entries)),
+    "ros2 mcap without /msg/": lambda folder, entries: write_ros2_mcap(
+        folder / "a.mcap", ros_messages(entries), with_msg=False
+    ),
+    "rosbag2 sqlite": lambda folder, entries: write_rosbag2(
+        folder / "a", ros_messages(entries), StoragePlugin.SQLITE3
+    ),
+    "rosbag2 sqlite compressed": lambda folder, entries: write_rosbag2(
+        folder / "a", ros_messages(entries), StoragePlugin.SQLITE3, compressed=True
+    ),
+    "rosbag2 mcap": lambda folder, entries: write_rosbag2(
+        folder / "a", ros_messages(entries), StoragePlugin.MCAP
+    ),
+    "rosbag2 mcap compressed": lambda folder, entries: write_rosbag2(
+        folder / "a", ros_messages(entries), StoragePlugin.MCAP, compressed=True
+    ),
+    "bare db3": lambda folder, entries: next(
+        write_rosbag2(folder / "a", ros_messages(entries), StoragePlugin.SQLITE3).glob("*.db3")
+    ),
+    "ros1 bag": lambda folder, entries: write_rosbag1(folder / "a.bag", ros_messages(entries)),
+    "ros1 bag lz4": lambda folder, entries: write_rosbag1(
+        folder / "a.bag", ros_messages(entries), Bag1Writer.CompressionFormat.LZ4
+    ),
+    "ros1 bag bz2": lambda folder, entries: write_rosbag1(
+        folder / "a.bag", ros_messages(entries), Bag1Writer.CompressionFormat.BZ2
+    ),
+    "foxglove json": lambda folder, entries: write_foxglove_json(folder / "a.mcap", entries),
+}
+
+
+@pytest.mark.parametrize("recorder", WRITERS)
+def test_the_same_scene_comes_out(
+    tmp_path: Path, native: Path, entries: list[Entry], profile: Profile, recorder: str
+) -> None:
+    ours = open_recording(native, profile)
+    theirs = open_recording(WRITERS[recorder](tmp_path, entries), profile)
+    for mine, other in zip(ours.observations(), theirs.observations(), strict=True):
+        assert isinstance(mine, Observation)
+        assert isinstance(other, Observation)
+        assert mine.stamp_ns == other.stamp_ns
+        np.testing.assert_array_equal(mine.image_bgr, other.image_bgr)
+        assert mine.joints is not None
+        assert other.joints is not None
+        np.testing.assert_array_equal(mine.joints.positions, other.joints.positions)
+    for name in ("K", "D", "P"):
+        np.testing.assert_array_equal(getattr(ours.camera, name), getattr(theirs.camera, name))
+    assert ours.camera.frame_id == theirs.camera.frame_id
+    for ground_truth in (False, True):
+        mine_track = ours.transform_track("camera", "tool", ground_truth=ground_truth)
+        other_track = theirs.transform_track("camera", "tool", ground_truth=ground_truth)
+        np.testing.assert_array_equal(mine_track.stamps_ns, other_track.stamps_ns)
+        np.testing.assert_allclose(mine_track.T_parent_child, other_track.T_parent_child, atol=1e-15)
+    np.testing.assert_allclose(ours.pose_track().T_frame_pose, theirs.pose_track().T_frame_pose, atol=1e-15)
+    np.testing.assert_array_equal(ours.joint_track().positions, theirs.joint_track().positions)
+    assert theirs.health.losses == ()
+    assert len(theirs.sha256()) == 64
+
+
+def image_message(fields: dict[str, object]) -> list[tuple[str, str, dict[str, object], int]]:
+    """One image message."""
+    return [("/image", "sensor_msgs/msg/Image", {"header": header(5, "camera"), **fields}, 5)]
+
+
+BGR = np.random.default_rng(3).integers(0, 256, (6, 8, 3), np.uint8)
+GREY = BGR[:, :, 0]
+
+
+@pytest.mark.parametrize(
+    ("encoding", "stored", "expected"),
+    [
+        ("bgr8", BGR, BGR),
+        ("rgb8", BGR[:, :, ::-1], BGR),
+        ("mono8", GREY, np.repeat(GREY[:, :, None], 3, 2)),
+        ("rgba8", np.dstack([BGR[:, :, ::-1], GREY]), BGR),
+        ("bgra8", np.dstack([BGR, GREY]), BGR),
+    ],
+)
+def test_raw_encodings(
+    tmp_path: Path, profile: Profile, encoding: str, stored: np.ndarray, expected: np.ndarray
+) -> None:
+    path = write_ros2_mcap(tmp_path / "a.mcap", image_message(ros_image(stored, encoding)))
+    (image,) = open_recording(path, profile).images()
+    assert isinstance(image, ImageSample)
+    np.testing.assert_array_equal(image.image_bgr, expected)
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_bayer_patterns_give_the_colour_they_were_taken_of(
+    tmp_path: Path, profile: Profile, pattern: str
+) -> None:
+    """An even colour, seen through the filter, comes back as that colour in every pixel."""
+    colour = {"b": 20, "g": 120, "r": 220}
+    cell = np.array([[colour[c] for c in pattern[:2]], [colour[c] for c in pattern[2:]]], np.uint8)
+    stored = np.tile(cell, (6, 6))
+    path = write_ros2_mcap(tmp_path / "a.mcap", image_message(ros_image(stored, f"bayer_{pattern}8")))
+    (image,) = open_recording(path, profile).images()
+    assert isinstance(image, ImageSample)
+    np.testing.assert_array_equal(image.image_bgr[2:-2, 2:-2], np.broadcast_to([20, 120, 220], (8, 8, 3)))
+
+
+def test_compressed_images_of_ros(tmp_path: Path, profile: Profile) -> None:
+    smooth = cv2.resize(BGR, (64, 48), interpolation=cv2.INTER_CUBIC)
+    messages = []
+    for number, suffix in enumerate((".png", ".jpg")):
+        data = cv2.imencode(suffix, smooth)[1].ravel()
+        fields = {"header": header(number + 1, "camera"), "format": suffix[1:], "data": data}
+        messages.append(("/image", "sensor_msgs/msg/CompressedImage", fields, number + 1))
+    images = list(open_recording(write_ros2_mcap(tmp_path / "a.mcap", messages), profile).images())
+    assert all(isinstance(image, ImageSample) for image in images)
+    np.testing.assert_array_equal(images[0].image_bgr, smooth)  # type: ignore[union-attr]
+    assert np.abs(images[1].image_bgr.astype(int) - smooth).mean() < 3  # type: ignore[union-attr]
+
+
+def test_a_stamped_transform_is_a_pose(tmp_path: Path, profile: Profile) -> None:
+    fields = {
+        "header": header(7, "base"),
+        "child_frame_id": "tool",
+        "transform": rigid(pose(3), "translation", "rotation"),
+    }
+    messages = [("/PSM1/measured_cp", "geometry_msgs/msg/TransformStamped", fields, 7)]
+    track = open_recording(write_ros2_mcap(tmp_path / "a.mcap", messages), profile).pose_track()
+    assert (track.frame_id, track.stamps_ns.tolist()) == ("base", [7])
+    np.testing.assert_allclose(track.T_frame_pose[0], pose(3), atol=1e-15)
+
+
+def test_a_bare_file_with_compressed_messages_says_to_open_the_folder(
+    tmp_path: Path, entries: list[Entry], profile: Profile
+) -> None:
+    for storage, suffix in ((StoragePlugin.MCAP, "mcap"), (StoragePlugin.SQLITE3, "db3")):
+        folder = write_rosbag2(tmp_path / suffix, ros_messages(entries), storage, compressed=True)
+        (bare,) = folder.glob(f"*.{suffix}")
+        with pytest.raises(RecordingError, match="open the folder"):
+            open_recording(bare, profile)
+
+
+def test_a_cut_ros1_bag_gives_what_is_there(tmp_path: Path, profile: Profile) -> None:
+    path = write_rosbag1(tmp_path / "a.bag", ros_messages(scene(20)))
+    data = path.read_bytes()
+    whole = open_recording(path, profile).joint_track().stamps_ns
+    for size_bytes in range(4200, len(data), 3371):
+        path.write_bytes(data[:size_bytes])
+        recording = open_recording(path, profile)
+        kinds = {loss.kind for loss in recording.health.losses}
+        assert LossKind.TRUNCATED in kinds
+        try:
+            stamps_ns = recording.joint_track().stamps_ns
+        except RecordingError:
+            continue
+        np.testing.assert_array_equal(stamps_ns, whole[: len(stamps_ns)])
+
+
+def test_a_missing_part_of_a_folder_is_a_loss(tmp_path: Path, entries: list[Entry], profile: Profile) -> None:
+    folder = write_rosbag2(tmp_path / "a", ros_messages(entries), StoragePlugin.SQLITE3)
+    metadata = folder / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("- a.db3", "- a.db3\n    - a_1.db3"))
+    recording = open_recording(folder, profile)
+    assert "a_1.db3" in recording.health.describe()[0]
+
+
+def test_a_file_that_lacks_messages_is_a_loss(tmp_path: Path, entries: list[Entry], profile: Profile) -> None:
+    """SQLite delivers what is left without a word: the numbers of the rows and the folder's counts show it."""
+    for name, condition, where in (("end", ">", "declares"), ("middle", "=", "follows")):
+        folder = write_rosbag2(tmp_path / name, ros_messages(entries), StoragePlugin.SQLITE3)
+        with closing(sqlite3.connect(next(folder.glob("*.db3")))) as database:
+            database.execute(f"DELETE FROM messages WHERE id {condition} 20")
+            database.commit()
+        recording = open_recording(folder, profile)
+        recording.joint_track()
+        assert where in recording.health.describe()[0]
+
+
+def test_a_cut_database_is_refused_and_an_unmerged_one_is_a_loss(
+    tmp_path: Path, entries: list[Entry], profile: Profile
+) -> None:
+    folder = write_rosbag2(tmp_path / "a", ros_messages(entries), StoragePlugin.SQLITE3)
+    (file,) = folder.glob("*.db3")
+    data = file.read_bytes()
+    for size_bytes in (50, 5000, len(data) // 2, len(data) - 4000, len(data) - 1):
+        file.write_bytes(data[:size_bytes])
+        with pytest.raises(RecordingError, match=f"truncated at byte {size_bytes}"):
+            open_recording(folder, profile)
+    file.write_bytes(data)
+    Path(f"{file}-wal").write_bytes(b"left")
+    assert "a.db3-wal" in open_recording(folder, profile).health.describe()[0]
+
+
+def test_an_unsupported_rosbag2_says_what_it_is(
+    tmp_path: Path, entries: list[Entry], profile: Profile
+) -> None:
+    folder = write_rosbag2(tmp_path / "a", ros_messages(entries), StoragePlugin.SQLITE3)
+    (file,) = folder.glob("*.db3")
+    file.rename(folder / "a.db3.zstd")
+    with pytest.raises(RecordingError, match=r"zstd -d a\.db3\.zstd"):
+        open_recording(folder, profile)
+    (folder / "a.db3.zstd").rename(folder / "a.other")
+    with pytest.raises(RecordingError, match="its storage is sqlite3"):
+        open_recording(folder, profile)

@@ -1,0 +1,134 @@
+"""Broken logs of other recorders: a result, a counted loss or a clear error, and nothing else."""
+
+from __future__ import annotations
+
+import json
+import random
+import sqlite3
+import time
+from collections.abc import Callable
+from contextlib import closing, suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag1 import Writer as Bag1Writer
+from rosbags.rosbag2 import StoragePlugin
+
+from svmdist.errors import RecordingError
+from svmdist.profile import Limits, Profile
+from svmdist.recording.mcap_file.source import McapSource
+from svmdist.recording.messages.checks import DecodeError, EncodedImage
+from svmdist.recording.messages.decoding import SCHEMAS, Decoder
+from svmdist.recording.messages.images import ImageError
+from svmdist.recording.reader import open_recording
+from svmdist.recording.sources import RawMessage
+
+from .builders import scene
+from .faults import mutate_body
+from .other_recorders import ros_messages, write_foxglove_json, write_ros2_mcap, write_rosbag1, write_rosbag2
+from .test_faults import read_everything
+
+LOGS: dict[str, Callable[[Path], Path]] = {
+    "bag": lambda folder: write_rosbag1(folder / "a.bag", ros_messages(scene(3))),
+    "bag bz2": lambda folder: write_rosbag1(
+        folder / "a.bag", ros_messages(scene(3)), Bag1Writer.CompressionFormat.BZ2
+    ),
+    "bag lz4": lambda folder: write_rosbag1(
+        folder / "a.bag", ros_messages(scene(3)), Bag1Writer.CompressionFormat.LZ4
+    ),
+    "db3": lambda folder: next(
+        write_rosbag2(folder / "a", ros_messages(scene(3)), StoragePlugin.SQLITE3).glob("*.db3")
+    ),
+    "ros2": lambda folder: write_ros2_mcap(folder / "a.mcap", ros_messages(scene(3))),
+}
+
+
+@pytest.mark.parametrize("count", [150, pytest.param(4000, marks=pytest.mark.fault)])
+@pytest.mark.parametrize("kind", LOGS)
+def test_mutants_of_other_recorders_logs(tmp_path: Path, profile: Profile, kind: str, count: int) -> None:
+    rng = random.Random(6)
+    data = LOGS[kind](tmp_path).read_bytes()
+    path = tmp_path / "mutant"
+    for number in range(count):
+        mutant = data
+        for _ in range(rng.choice((1, 1, 3))):
+            start = rng.randrange(len(mutant))
+            end = min(len(mutant), start + rng.choice((8, 64, 512)))
+            mutant = mutant[:start] + mutate_body(mutant[start:end], rng) + mutant[end:]
+        path.write_bytes(mutant if rng.random() < 0.8 else mutant[: rng.randrange(1, len(mutant))])
+        started_s = time.process_time()
+        read_everything(path, profile)
+        assert time.process_time() - started_s < 5.0, number
+
+
+def test_a_database_that_is_a_program_is_refused(tmp_path: Path, profile: Profile) -> None:
+    path = tmp_path / "a.db3"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("CREATE TABLE topics (id, name, type, serialization_format)")
+        endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i AS id, i AS topic_id FROM n"
+        database.execute(f"CREATE VIEW messages AS {endless}")
+        database.commit()
+    with pytest.raises(RecordingError, match="not of rosbag2"):
+        open_recording(path, profile)
+
+
+def decode_anything(raw: RawMessage) -> None:
+    """Decode a message with all its pixels; only the two expected errors may come out."""
+    with suppress(DecodeError, ImageError):
+        sample = Decoder(Limits()).decode(raw)
+        if isinstance(sample, EncodedImage):
+            sample.decode()
+
+
+ALL_SCHEMAS = [(encoding, schema) for encoding, schemas in SCHEMAS.items() for schema in schemas]
+
+
+@settings(max_examples=300)
+@given(st.sampled_from(ALL_SCHEMAS), st.binary(max_size=200), st.integers(0, 2**64 - 1))
+def test_random_bytes_as_any_message(kind: tuple[str, str], data: bytes, log_time_ns: int) -> None:
+    decode_anything(RawMessage("/t", kind[1], kind[0], log_time_ns, data))
+    decode_anything(RawMessage("/t", kind[1], kind[0], log_time_ns, b"\0\1\0\0" + data))
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(
+            st.sampled_from(
+                ["timestamp", "sec", "nsec", "data", "joints", "pose", "K", "transforms", "name"]
+            ),
+            inner,
+        )
+    ),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=300)
+@given(st.sampled_from(sorted(SCHEMAS["json"])), json_values)
+def test_any_json_as_any_message(schema: str, document: object) -> None:
+    decode_anything(RawMessage("/t", schema, "json", 1, json.dumps(document).encode()))
+
+
+def test_deeply_nested_json_is_refused() -> None:
+    raw = RawMessage("/t", "foxglove.JointStates", "json", 1, b"[" * 100_000)
+    with pytest.raises(DecodeError):
+        Decoder(Limits()).decode(raw)
+
+
+@pytest.mark.parametrize("count", [10, pytest.param(300, marks=pytest.mark.fault)])
+def test_mutants_of_whole_messages(tmp_path: Path, count: int) -> None:
+    rng = random.Random(7)
+    writers = (
+        lambda: write_ros2_mcap(tmp_path / "a.mcap", ros_messages(scene(1))),
+        lambda: write_foxglove_json(tmp_path / "b.mcap", scene(1)),
+    )
+    for write in writers:
+        for raw in McapSource(write(), Limits()).messages():
+            data = bytes(raw.data)
+            for _ in range(count):
+                mutant = mutate_body(data, rng)
+                decode_anything(RawMessage(raw.topic, raw.schema, raw.message_encoding, 1, mutant))

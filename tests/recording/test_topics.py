@@ -1,0 +1,118 @@
+"""Which topic plays a role: the caller's, else the profile's, else the only one whose schema fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+
+from svmdist.errors import RecordingError, UsageError
+from svmdist.profile import Topics
+from svmdist.recording.sources import TopicInfo
+from svmdist.recording.topics import KINDS, NAMED, Role, TopicChoice
+
+IMAGE, RAW = "foxglove.CompressedImage", "sensor_msgs/msg/Image"
+JOINTS, TRANSFORMS = "foxglove.JointStates", "foxglove.FrameTransforms"
+
+
+def info(topic: str, schema: str, message_encoding: str = "protobuf") -> TopicInfo:
+    """A topic of a log."""
+    return TopicInfo(topic, schema, message_encoding)
+
+
+def choice(
+    *infos: TopicInfo,
+    wanted: Topics | None = None,
+    overrides: Mapping[str, str] | None = None,
+    claimed: frozenset[str] = frozenset(),
+) -> TopicChoice:
+    """A choice among some topics of a log called a.mcap."""
+    return TopicChoice(infos, wanted or Topics(), overrides or {}, "a.mcap", claimed)
+
+
+def test_every_role_has_a_key_in_a_profile_and_a_kind() -> None:
+    assert {str(role) for role in Role} == set(Topics.model_fields)
+    assert set(KINDS) == set(Role)
+    assert set(Role) >= NAMED
+
+
+def test_the_only_topic_that_fits_is_taken_whatever_its_encoding() -> None:
+    """By its schema, in Foxglove's encoding and in those of ROS."""
+    assert choice(info("/a", IMAGE), info("/j", JOINTS)).require(Role.IMAGE) == "/a"
+    assert (
+        choice(info("/a", RAW, "cdr"), info("/x", "std_msgs/msg/String", "cdr")).require(Role.IMAGE) == "/a"
+    )
+    assert choice(info("/a", "sensor_msgs/Image", "ros1")).require(Role.IMAGE) == "/a"
+
+
+def test_a_schema_of_another_encoding_does_not_fit() -> None:
+    topics = choice(info("/a", RAW, "protobuf"), info("/b", IMAGE, "cdr"))
+    assert topics.find(Role.IMAGE) is None
+
+
+def test_the_callers_topic_comes_before_the_profiles_and_that_before_any_other() -> None:
+    infos = [info(topic, IMAGE) for topic in ("/a", "/b", "/c")]
+    wanted = Topics(image="/b")
+    assert choice(*infos, wanted=wanted, overrides={"image": "/c"}).require(Role.IMAGE) == "/c"
+    assert choice(*infos, wanted=wanted).require(Role.IMAGE) == "/b"
+    assert choice(infos[0], wanted=wanted).require(Role.IMAGE) == "/a"
+
+
+def test_several_that_fit_are_listed_and_none_is_taken() -> None:
+    topics = choice(info("/b", IMAGE), info("/a", IMAGE), wanted=Topics(image="/left"))
+    assert topics.find(Role.IMAGE) is None
+    with pytest.raises(RecordingError, match=r"a.mcap: several .*expects /left\); choose one of /a, /b$"):
+        topics.require(Role.IMAGE)
+
+
+def test_where_none_fits_the_topics_are_listed() -> None:
+    """Names are sanitized, for they come from the file."""
+    with pytest.raises(
+        RecordingError, match=r"no topic with images for image; the topics are /j\\n \(no schema\)"
+    ):
+        choice(info("/j\n", "")).require(Role.IMAGE)
+    with pytest.raises(RecordingError, match="the recording has no topics"):
+        choice().require(Role.JOINTS)
+
+
+def test_an_override_that_does_not_fit_is_an_error_even_where_a_topic_is_optional() -> None:
+    topics = choice(info("/j", JOINTS), overrides={"image": "/j"})
+    for ask in (topics.require, topics.find):
+        with pytest.raises(RecordingError, match="topic /j carries no images"):
+            ask(Role.IMAGE)
+    with pytest.raises(UsageError, match="no role imag for a topic: did you mean image"):
+        choice(overrides={"imag": "/a"})
+
+
+@pytest.mark.parametrize("role", sorted(NAMED))
+def test_a_role_that_must_be_named_takes_no_topic_by_its_schema(role: Role) -> None:
+    schema = {
+        Role.GROUND_TRUTH_TF: TRANSFORMS,
+        Role.RIGHT_IMAGE: IMAGE,
+        Role.RIGHT_CAMERA_INFO: "foxglove.CameraCalibration",
+    }[role]
+    assert choice(info("/x", schema)).find(role) is None
+    assert choice(info("/x", schema), wanted=Topics(**{role: "/x"})).find(role) == "/x"
+
+
+def test_a_topic_of_another_role_or_of_another_arm_stands_in_for_none() -> None:
+    wanted = Topics(ground_truth_tf="/truth")
+    assert choice(info("/truth", TRANSFORMS), wanted=wanted).find(Role.TF) is None
+    assert choice(info("/truth", TRANSFORMS), info("/tf", TRANSFORMS), wanted=wanted).find(Role.TF) == "/tf"
+    arms = (info("/PSM1/js", JOINTS), info("/PSM2/js", JOINTS))
+    assert choice(*arms, claimed=frozenset({"/PSM2/js"})).find(Role.JOINTS) == "/PSM1/js"
+    assert choice(arms[1], claimed=frozenset({"/PSM2/js"})).find(Role.JOINTS) is None
+
+
+def test_a_log_of_the_right_camera_alone_has_it_for_the_image() -> None:
+    wanted = Topics(image="/left", right_image="/right")
+    assert choice(info("/right", IMAGE), wanted=wanted).require(Role.IMAGE) == "/right"
+    both = choice(info("/right", IMAGE), info("/other", IMAGE), wanted=wanted)
+    assert both.require(Role.IMAGE) == "/other"
+
+
+def test_static_transforms_are_known_by_their_name_and_play_no_other_role() -> None:
+    infos = [info("/tf_static", TRANSFORMS), info("/b/tf_static", TRANSFORMS), info("/x_tf_static", JOINTS)]
+    assert choice(*infos).static_transforms() == ("/b/tf_static", "/tf_static")
+    assert choice(*infos).find(Role.TF) is None
+    assert choice(*infos, info("/tf", TRANSFORMS)).find(Role.TF) == "/tf"

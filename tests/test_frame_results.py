@@ -1,0 +1,92 @@
+"""Results: what is added or taken leaves the rest as it is, and nobody's result is changed behind their back."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, fields, replace
+
+import numpy as np
+import pytest
+
+from svmdist.results import (
+    Distance,
+    Distances,
+    FrameResult,
+    ImageFindings,
+    ToolEstimate,
+    ToolPose,
+    as_pixel,
+    as_vector,
+)
+from svmdist.samples import Rejection, Status
+from svmdist.transforms import make_transform
+
+POSE = ToolPose(
+    make_transform(np.eye(3), [1.0, 2.0, 3.0]), np.diag(np.arange(6.0)), np.array([0.0, 0.0, 1.0])
+)
+WHOLE = FrameResult(
+    7,
+    Status.OK,
+    ImageFindings((1.0, 2.0), (3.0, 4.0), 5, 6, 7, 8, 9),
+    ToolEstimate(POSE, None, has_plate=True),
+    Distances(Distance(0.1), Distance(0.2, 0.01), Distance(0.3, 0.02, (0.0, 0.0, 1.0)), Distance(0.4)),
+    "so far",
+    "PSM1",
+)
+
+
+def test_a_rejection_keeps_all_but_status_and_detail() -> None:
+    """And is undone by putting these back."""
+    rejected = WHOLE.rejected(Status.NO_STEREO, "why")
+    assert (rejected.status, rejected.detail, rejected.measured) == (Status.NO_STEREO, "why", False)
+    assert replace(rejected, status=WHOLE.status, detail=WHOLE.detail) == WHOLE
+    assert WHOLE.rejected(Status.NO_STEREO).detail == ""
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(ImageFindings)])
+def test_findings_are_added_one_by_one(name: str) -> None:
+    """A field that is named is new, all others stay; None takes one back."""
+    added = WHOLE.with_image(**{name: None})
+    assert getattr(added.image, name) is None
+    for field in fields(ImageFindings):
+        if field.name != name:
+            assert getattr(added.image, field.name) == getattr(WHOLE.image, field.name)
+    assert added.with_image(**{name: getattr(WHOLE.image, name)}) == WHOLE
+
+
+def test_a_finding_that_there_is_none_of_is_refused() -> None:
+    with pytest.raises(TypeError, match="colour"):
+        WHOLE.with_image(colour=3)
+
+
+@pytest.mark.parametrize("status", Status)
+def test_only_ok_is_measured(status: Status) -> None:
+    assert WHOLE.rejected(status).measured == (status is Status.OK)
+
+
+def test_a_lost_image_s_result_is_its_rejection() -> None:
+    """Stamp, status and detail, under the instrument's name; nothing is found in it."""
+    result = FrameResult.of_rejection(Rejection(11, Status.CORRUPT_IMAGE, "no PNG"), "PSM2")
+    assert result == FrameResult(11, Status.CORRUPT_IMAGE, detail="no PNG", instrument="PSM2")
+    assert not result.measured
+    assert result.image == ImageFindings()
+    assert result.distances == Distances()
+
+
+def test_results_cannot_be_written_to() -> None:
+    with pytest.raises(FrozenInstanceError):
+        WHOLE.detail = "other"  # type: ignore[misc]
+
+
+def test_a_pose_s_position_is_its_transform_s() -> None:
+    np.testing.assert_array_equal(POSE.position_m, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(POSE.position_covariance, np.diag([0.0, 1.0, 2.0]))
+
+
+def test_points_become_plain_numbers() -> None:
+    """As JSON and columns take them."""
+    assert as_pixel(np.array([1.5, 2.0])) == (1.5, 2.0)
+    vector = as_vector(np.array([1.0, 2.0, 3.0], np.float32))
+    assert vector == (1.0, 2.0, 3.0)
+    assert all(type(value) is float for value in vector)
+    with pytest.raises(ValueError, match="unpack"):
+        as_vector(np.zeros(2))

@@ -1,0 +1,165 @@
+"""The parts of a profile by themselves: topics and limits, other instruments, and rules of segmentation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from svmdist.errors import ProfileError
+from svmdist.profile_instruments import ARM_TOPICS, ArmTopics, OtherInstrument
+from svmdist.profile_log import Frames, Limits, Topics
+from svmdist.profile_segmentation import (
+    AreaGate,
+    ClassRegion,
+    ColourRegion,
+    HsvSegmentation,
+    OnnxSegmentation,
+)
+from svmdist.toml_model import MIB, Angle, NeighbourFile, Size, StrictModel, parse_toml
+
+NETWORK: dict[str, Any] = {
+    "method": "onnx",
+    "model": "net.onnx",
+    "width_px": 64,
+    "height_px": 48,
+    "tissue": {"class_ids": [1], "min_area_px": 5},
+    "instrument": {"class_ids": [2, 3], "min_area_px": 5},
+}
+
+
+class Inner(StrictModel):
+    """A table."""
+
+    width_px: int = 3
+
+
+class Document(StrictModel):
+    """A file with one of each kind of value."""
+
+    size: Size = 4 * MIB
+    angle: Angle = 0.0
+    file: NeighbourFile | None = None
+    inner: Inner = Inner()
+
+
+def parsed(folder: Path, text: str) -> Document:
+    path = folder / "document.toml"
+    path.write_text(text, "utf-8")
+    return parse_toml(path, Document, ProfileError)
+
+
+def test_an_empty_file_is_the_defaults(tmp_path: Path) -> None:
+    assert parsed(tmp_path, "") == Document()
+
+
+def test_values_are_read_in_their_units(tmp_path: Path) -> None:
+    """Bytes with a unit, an angle as a multiple of pi, and a file beside the document, wherever that is."""
+    found = parsed(tmp_path, 'size = "2 MiB"\nangle = "-pi/2"\nfile = "a/b.stl"\n[inner]\nwidth_px = 4\n')
+    assert found.size == 2 * MIB
+    assert found.angle == pytest.approx(-1.5707963267948966, abs=1e-15)
+    assert found.file == tmp_path / "a" / "b.stl"
+    assert found.inner.width_px == 4
+    absolute = tmp_path.resolve() / "c.stl"
+    assert parsed(tmp_path, f'file = "{absolute.as_posix()}"').file == absolute
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[inner]\nwidth = 4", ["unknown key inner.width", "width_px"]),
+        ("[inner]\nwidth_px = 4.5", ["inner.width_px", "4.5"]),
+        ('size = "2 MB"', ["size", "512 MiB"]),
+        ("angle = nan", ["angle"]),
+        ("angle = [", ["not a TOML file"]),
+    ],
+)
+def test_a_mistake_names_file_and_key(tmp_path: Path, text: str, words: list[str]) -> None:
+    with pytest.raises(ProfileError) as caught:
+        parsed(tmp_path, text)
+    for word in ["document.toml", *words]:
+        assert word in str(caught.value)
+
+
+def test_models_are_frozen() -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        Document().size = MIB
+
+
+def test_an_instrument_is_known_by_its_topics() -> None:
+    """Joints or pose, either is enough; a distance alone is nobody's."""
+    for named in ({"joints": "/j"}, {"pose": "/p"}, {"joints": "/j", "pose": "/p"}):
+        topics = ArmTopics(**named)
+        assert topics.named == named
+        assert topics.are_in({"/other", *list(named.values())[:1]})
+        assert not topics.are_in({"/other"})
+        assert not topics.are_in(set())
+    with pytest.raises(ValidationError, match="joints or pose"):
+        ArmTopics(ground_truth_distance="/d")
+
+
+def test_an_instrument_s_topics_are_some_of_the_log_s() -> None:
+    """Of the same names, so that one instrument's take the place of the profile's."""
+    assert set(ARM_TOPICS) == set(ArmTopics.model_fields)
+    assert set(ARM_TOPICS) < set(Topics.model_fields)
+    frames = {"base": "b", "tool": "t"}
+    assert set(frames) < set(Frames.model_fields)
+    other = OtherInstrument(name="PSM2", topics={"joints": "/j"}, frames=frames)  # type: ignore[arg-type]
+    assert (other.robot, other.instrument, other.fiducial_id) == (None, None, None)
+    with pytest.raises(ValidationError, match="name"):
+        OtherInstrument(name="", topics={"joints": "/j"}, frames=frames)  # type: ignore[arg-type]
+
+
+def test_limits_are_bounded_themselves() -> None:
+    """No profile can ask for an image that OpenCV refuses, or for a limit that lets nothing through."""
+    assert Limits().image_pixels <= 1 << 26
+    for wrong in ({"image_pixels": (1 << 26) + 1}, {"chunk_records": 0}, {"record_bytes": 1}):
+        with pytest.raises(ValidationError):
+            Limits(**wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["saturation", "value"])
+def test_a_box_is_not_empty(name: str) -> None:
+    """A hue may wrap around, a saturation or value may not."""
+    assert ColourRegion(hue=(170, 8), min_area_px=1).hue == (170, 8)
+    with pytest.raises(ValidationError, match="empty"):
+        ColourRegion(hue=(0, 8), min_area_px=1, **{name: (9, 8)})  # type: ignore[arg-type]
+
+
+def test_the_gate_is_the_same_for_colours_and_classes() -> None:
+    """Every way to segment has all of the gate's fields."""
+    for rule in (ColourRegion, ClassRegion):
+        assert set(AreaGate.model_fields) < set(rule.model_fields)
+    with pytest.raises(ValidationError, match="min_area_px"):
+        AreaGate(min_area_px=0)
+
+
+def test_a_network_s_parts_and_scale() -> None:
+    """One number scales all channels; the parts are those that are given."""
+    rules = OnnxSegmentation.model_validate({**NETWORK, "scale": 0.5})
+    assert rules.scale == (0.5, 0.5, 0.5)
+    assert set(rules.parts) == {"tissue", "instrument"}
+    with_shaft = OnnxSegmentation.model_validate({**NETWORK, "shaft": {"class_ids": [4], "min_area_px": 5}})
+    assert set(with_shaft.parts) == {"tissue", "instrument", "shaft"}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"scale": 0}, "see nothing"),
+        ({"instrument": {"class_ids": [1, 2], "min_area_px": 5}}, "class 1 cannot be tissue and instrument"),
+        ({"method": "svm"}, "expected 'hsv' or 'onnx'"),
+        ({"tissue": {"class_ids": [], "min_area_px": 5}}, "class_ids"),
+    ],
+)
+def test_a_network_that_cannot_work_is_refused(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        OnnxSegmentation.model_validate({**NETWORK, **change})
+
+
+def test_colours_are_the_default() -> None:
+    region = {"hue": (0, 8), "min_area_px": 5}
+    rules = HsvSegmentation.model_validate({"tissue": region, "instrument": region})
+    assert (rules.method, rules.shaft) == ("hsv", None)

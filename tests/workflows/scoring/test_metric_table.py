@@ -1,0 +1,169 @@
+"""The declared metrics: the columns that users rely on, and that a declaration alone brings a metric everywhere."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from svmdist.alarm_metrics import alarm_statistics
+from svmdist.estimation.alarms import AlarmRules
+from svmdist.report.comparison import compare_keys, compare_row, compare_tables
+from svmdist.report.degradation_grid import grid_keys, grid_row, grid_table
+from svmdist.report.metric_docs import metrics_table
+from svmdist.report.table import csv_lines, render
+from svmdist.report.validation import score_keys, score_row, validation_document
+from svmdist.report.validation_tables import validation_tables
+from svmdist.workflows.baseline import Baseline, find_regressions, make_baseline
+from svmdist.workflows.compare import Group, MethodScore
+from svmdist.workflows.conditions import CLEAN
+from svmdist.workflows.degradation_grid import GridCell
+from svmdist.workflows.runs import Figures
+from svmdist.workflows.scoring import metric_table
+from svmdist.workflows.scoring.distances import DistanceScore, Pairs, score_pairs
+from svmdist.workflows.scoring.metric import Better, Metric, Output, Tolerance, of_part
+from svmdist.workflows.scoring.metric_table import EVERYWHERE, IN_3D, LENGTH, figure_metrics, score_metrics
+from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.truth import Reference
+from svmdist.workflows.validate import Validation
+
+SCORE_COLUMNS = """
+recording method equations reference sample_count rejected_count coverage r_squared rmse_m mae_m median_abs_error_m
+p95_abs_error_m max_abs_error_m bias_m truth_std_m pearson_r frame_count unpaired_count rmse_low_m rmse_high_m
+r_squared_low r_squared_high fitted_on rejected lag_s lag_confidence r_squared_uncorrected rmse_uncorrected_m
+interval_coverage spatial_rmse_m spatial_p95_abs_error_m spatial_bias_m spatial_interval_coverage clearance_rmse_m
+clearance_p95_abs_error_m clearance_bias_m clearance_interval_coverage alarm_frame_count alarm_unsafe_count
+alarm_unjudged_count alarm_precision alarm_recall false_alarm_fraction false_alarms_per_minute alarm_event_count
+alarm_missed_event_count alarm_lead_median_s alarm_lead_min_s instrument
+"""
+FIGURE_COLUMNS = """
+frame_count measured_count coverage ms_per_frame r_squared rmse_m p95_abs_error_m interval_coverage
+spatial_r_squared spatial_rmse_m spatial_p95_abs_error_m spatial_interval_coverage
+clearance_r_squared clearance_rmse_m clearance_p95_abs_error_m clearance_interval_coverage
+"""
+
+
+def pairs(error_m: float = 1e-3) -> Pairs:
+    """Twenty pairs; the k-th of them is off by k times an error."""
+    truth_m = np.linspace(0.01, 0.03, 20)
+    stamps_ns = np.arange(20, dtype=np.int64) * 100_000_000
+    return Pairs(stamps_ns, truth_m + error_m * np.arange(20), truth_m, np.full(20, 5e-3))
+
+
+def validation(error_m: float = 1e-3) -> Validation:
+    """A validation with a score in 3D and alarms."""
+    planar, rules = pairs(error_m), AlarmRules(0.02)
+    distance = score_pairs(planar)
+    alarms = alarm_statistics(planar.stamps_ns / 1e9, planar.estimate_m < 0.02, planar.truth_m, 0.02)
+    score = Score(
+        *("a", "fused", "corrected", Reference.GROUND_TRUTH, 20, {}, planar),
+        spatial=distance,
+        clearance=distance,
+        alarms=alarms,
+    )
+    return Validation((score,), (replace(score, recording="overall"),), (), rules)
+
+
+def figures() -> Figures:
+    """The same distances as a replay's."""
+    distance = score_pairs(pairs())
+    return Figures(20, 20, distance, distance, distance, 3.0)
+
+
+def test_columns_stay() -> None:
+    """The columns of version 0.1, in their order: a column is neither renamed nor moved nor removed."""
+    assert list(score_keys()) == SCORE_COLUMNS.split()
+    figure_columns = FIGURE_COLUMNS.split()
+    assert list(grid_keys()) == ["method", "degradation", "severity", *figure_columns]
+    assert list(compare_keys()) == [
+        "group",
+        "method",
+        *figure_columns,
+        "scenario",
+        "degradation",
+        "instrument",
+    ]
+
+
+def test_declarations_are_complete() -> None:
+    """A key is declared once, a meaning is a sentence, and what a baseline compares says which way is better."""
+    for metrics in (score_metrics(), figure_metrics()):
+        keys = [metric.key for metric in metrics]
+        assert len(keys) == len(set(keys))
+        for metric in metrics:
+            assert metric.meaning.endswith(".")
+            assert metric.better or metric.tolerance is None
+            assert metric.title or not metric.outputs & ~(Output.SCORES | Output.FIGURES)
+
+
+@pytest.fixture
+def added(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The key of a metric that is declared in one place, and nowhere else: the 99th percentile of the error."""
+    metric: Metric[DistanceScore] = Metric(
+        "p99_abs_error_m",
+        LENGTH,
+        lambda d: float(np.percentile(np.abs(d.pairs.estimate_m - d.pairs.truth_m), 99)),
+        "99th percentile of the absolute error.",
+        Better.LOWER,
+        "p99",
+        EVERYWHERE,
+        Tolerance(absolute=1e-5),
+        IN_3D,
+        Tolerance(absolute=1e-5),
+        is_late=True,
+    )
+    monkeypatch.setattr(metric_table, "ERRORS", (*metric_table.ERRORS, metric))
+    return metric.key
+
+
+def test_a_new_metric_is_declared_once(added: str) -> None:
+    """It stands in all tables, CSV, JSON, baselines and the documentation; its columns are the last ones."""
+    keys = [added, f"spatial_{added}", f"clearance_{added}"]
+    expected = np.percentile(1e-3 * np.arange(20), 99)
+    made = validation()
+    assert list(score_keys())[-4:] == ["instrument", *keys]
+    row = score_row(made.scores[0])
+    assert [row[key] for key in keys] == pytest.approx([expected] * 3)
+    header, cells = (line.split(",") for line in csv_lines(score_keys(), [row]))
+    assert header[-1].strip() == keys[-1]
+    assert float(cells[-1]) == pytest.approx(expected)
+    document = json.loads(json.dumps(validation_document(made)))
+    assert document["overall"][added] == pytest.approx(expected)
+    planar, in_3d, _ = (render(table) for table in validation_tables(made))
+    for shown in (planar, in_3d):
+        assert "p99" in shown
+        assert f"{expected * 1e3:.2f}" in shown
+    assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | m | lower | 1e-05 m |" in metrics_table()
+
+
+def test_a_new_metric_stands_in_replays(added: str) -> None:
+    """`compare` and the grid show it for each distance."""
+    compared = MethodScore(Group("sweep"), "fused", figures())
+    cell = GridCell("fused", CLEAN, figures())
+    assert compare_keys()[-4:] == ("instrument", added, f"spatial_{added}", f"clearance_{added}")
+    assert grid_keys()[-1] == f"clearance_{added}"
+    assert {*compare_keys()} == {*compare_row(compared)}
+    assert {*grid_keys()} == {*grid_row(cell)}
+    for shown in (render(compare_tables([compared])[0]), render(grid_table("grid", [cell]))):
+        assert shown.count("p99") == 3
+
+
+def test_a_new_metric_is_in_baselines(added: str) -> None:
+    """It is stored with its tolerance and read again, and a loss of it is found."""
+    stored = make_baseline(validation())
+    assert stored.tolerances[added] == Tolerance(absolute=1e-5)
+    stored = Baseline.model_validate_json(json.dumps(stored.model_dump(mode="json", by_alias=True)))
+    assert stored.scores[0].figures[added] == pytest.approx(np.percentile(1e-3 * np.arange(20), 99))
+    assert find_regressions(validation(), stored, complete=True) == []
+    assert added in {r.metric for r in find_regressions(validation(2e-3), stored, complete=True)}
+
+
+def test_a_part_that_is_missing_has_no_figures() -> None:
+    """A metric of a part is None where the whole lacks the part, and the part's own where it has it."""
+    half: Metric[float] = Metric("half", LENGTH, lambda value: value / 2, "Half of it.")
+    (of_first,) = of_part([half], lambda values: values[0])
+    assert of_first.of((3.0,)) == 1.5
+    assert of_first.of((None,)) is None

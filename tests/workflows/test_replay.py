@@ -1,0 +1,197 @@
+"""Replay: results do not depend on threads, on company, on order where nothing is remembered, or on the clock.
+
+Equal means bit for bit: threads change who computes a detection, and nothing of how.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from svmdist.errors import RecordingError
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.methods import METHODS
+from svmdist.recording.reader import open_recording
+from svmdist.samples import ImageSample, Sample, Status
+from svmdist.vision.degradations import Degradation
+from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.estimate import estimate
+from svmdist.workflows.replay import MultiInstrumentEstimator, Replayed, replay
+from svmdist.workflows.setup import Setup, prepare
+from tests.synthetic import START_NS, write_log
+
+FRAMES = 8
+NOISE = Condition(Degradation.NOISE, 2)
+
+
+def flattened(value: Any) -> Any:
+    """A result as nested tuples of numbers and bytes: equal where every bit is."""
+    if isinstance(value, np.ndarray):
+        return value.shape, value.tobytes()
+    if is_dataclass(value) and not isinstance(value, type):
+        return tuple(flattened(getattr(value, field.name)) for field in fields(value))
+    if isinstance(value, tuple):
+        return tuple(map(flattened, value))
+    return value
+
+
+def outcomes(lanes: Sequence[tuple[Replayed, ...]]) -> list[Any]:
+    """What was measured, without what it cost."""
+    return [[flattened(replayed.results) for replayed in lane] for lane in lanes]
+
+
+@pytest.fixture(scope="module")
+def setups() -> list[Setup]:
+    return [prepare(method=method) for method in METHODS]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short log drawn with OpenCV."""
+    return write_log(tmp_path_factory.mktemp("replay") / "short.mcap", frame_count=FRAMES)
+
+
+def replayed(log: Path, setups: Sequence[Setup], **kwargs: Any) -> list[tuple[Replayed, ...]]:
+    return list(replay(open_recording(log, setups[0].profile), setups, **kwargs))
+
+
+@pytest.fixture(scope="module")
+def alone(log: Path, setups: list[Setup]) -> list[tuple[Replayed, ...]]:
+    """Every method under both conditions, by one thread."""
+    return replayed(log, setups, conditions=(CLEAN, NOISE), jobs=1)
+
+
+def test_every_image_has_a_result_of_every_lane(alone: list[tuple[Replayed, ...]]) -> None:
+    """Conditions first, then methods; and some frames of these drawings are measured."""
+    assert len(alone) == FRAMES
+    assert {len(lane) for lane in alone} == {2 * len(METHODS)}
+    assert all(len(one.results) == len(one.seconds) == len(one.frames) == 1 for lane in alone for one in lane)
+    for method in ("centroid", "overlay", "kinematic", "fused"):
+        at = METHODS.index(method)
+        assert all(lane[at].results[0].measured for lane in alone), method
+
+
+@pytest.mark.parametrize("jobs", [2, 4])
+def test_threads_change_nothing(
+    log: Path, setups: list[Setup], alone: list[tuple[Replayed, ...]], jobs: int
+) -> None:
+    assert outcomes(replayed(log, setups, conditions=(CLEAN, NOISE), jobs=jobs)) == outcomes(alone)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_company_changes_nothing(
+    log: Path, setups: list[Setup], alone: list[tuple[Replayed, ...]], method: str
+) -> None:
+    """A method by itself, and under one condition alone, gives what it gives beside all others under both."""
+    at = METHODS.index(method)
+    for index, condition in enumerate((CLEAN, NOISE)):
+        single = outcomes(replayed(log, [setups[at]], conditions=(condition,), jobs=1))
+        assert single == [[lane[index * len(METHODS) + at]] for lane in outcomes(alone)]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_golden_log_s_methods_with_memory(golden: Path, jobs: int) -> None:
+    """The first frames of a rendered log: `fused` and `stereo` remember, and give the same beside each other."""
+    both = [prepare(method=method) for method in ("fused", "stereo")]
+    recording = golden / "3d" / "contact.mcap"
+    together = list(islice(replay(open_recording(recording, both[0].profile), both, jobs=jobs), 5))
+    for at, setup in enumerate(both):
+        single = list(islice(replay(open_recording(recording, setup.profile), [setup], jobs=1), 5))
+        assert outcomes(single) == [[lane[at]] for lane in outcomes(together)]
+        assert all(lane[at].results[0].measured for lane in together)
+
+
+def test_methods_without_state_do_not_care_for_order(log: Path, setups: list[Setup]) -> None:
+    """One estimator fed with shuffled frames gives every frame the result that it has in order."""
+    frames = [lane[0].frames for lane in replayed(log, setups, jobs=1)]
+    shuffled = np.random.default_rng(1).permutation(len(frames))
+    checked = 0
+    for setup in setups:
+        estimator = MultiInstrumentEstimator(setup, [Arm(setup.profile)])
+        if estimator.keeps_state:
+            continue
+        checked += 1
+        in_order = [flattened(estimator.estimate(seen).results) for seen in frames]
+        again = {index: flattened(estimator.estimate(frames[index]).results) for index in shuffled}
+        assert [again[index] for index in range(len(frames))] == in_order
+    assert checked >= 3
+
+
+def test_costs_are_the_clock_s_and_each_method_s_own(log: Path, setups: list[Setup]) -> None:
+    """A clock that stands still makes everything free; with one that ticks at every look nothing is."""
+
+    class Ticking:
+        """One tick at every look."""
+
+        def __init__(self) -> None:
+            self.ticks = 0
+
+        def __call__(self) -> float:
+            self.ticks += 1
+            return float(self.ticks)
+
+    still = replayed(log, setups, jobs=1, clock=lambda: 0.0)
+    assert all(one.seconds == (0.0,) for lane in still for one in lane)
+    ticking = replayed(log, setups, jobs=1, clock=Ticking())
+    assert all(one.seconds[0] >= 1.0 for lane in ticking for one in lane)
+
+
+def test_an_image_that_cannot_be_used_is_a_result_of_every_lane(tmp_path: Path, setups: list[Setup]) -> None:
+    """By any number of threads; without memory every other frame is measured as if it were whole."""
+
+    def cut(_topic: str, sample: Sample) -> Sample | None:
+        if isinstance(sample, ImageSample) and sample.stamp_ns == START_NS + 100_000_000:
+            return replace(sample, image_bgr=sample.image_bgr[:10, :10])
+        return sample
+
+    chosen = [setups[METHODS.index(method)] for method in ("centroid", "fused")]
+    whole = outcomes(replayed(write_log(tmp_path / "whole.mcap", frame_count=4), chosen, jobs=1))
+    path = write_log(tmp_path / "cut.mcap", frame_count=4, change=cut)
+    lanes = replayed(path, chosen, jobs=1)
+    assert len(lanes) == 4
+    assert [one.results[0].status for one in lanes[1]] == [Status.CORRUPT_IMAGE] * 2
+    assert [(one.frames, one.seconds) for one in lanes[1]] == [((), (0.0,))] * 2
+    for index in (0, 2, 3):
+        assert outcomes(lanes)[index][0] == whole[index][0]
+    assert outcomes(replayed(path, chosen, jobs=2)) == outcomes(lanes)
+
+
+def test_frames_without_images_are_no_frames(tmp_path: Path, setups: list[Setup]) -> None:
+    """A log of joints alone has no result; dropping images drops their results, and changes no stateless other."""
+    dropped = 0
+
+    def every_second(_topic: str, sample: Sample) -> Sample | None:
+        nonlocal dropped
+        if isinstance(sample, ImageSample):
+            dropped += 1
+            return sample if dropped % 2 else None
+        return sample
+
+    half = write_log(tmp_path / "half.mcap", frame_count=6, change=every_second)
+    whole = write_log(tmp_path / "whole.mcap", frame_count=6)
+    centroid = [setups[METHODS.index("centroid")]]
+    assert outcomes(replayed(half, centroid, jobs=2)) == outcomes(replayed(whole, centroid, jobs=2))[::2]
+
+
+def test_estimate_is_replay_of_one_method(
+    log: Path, setups: list[Setup], alone: list[tuple[Replayed, ...]]
+) -> None:
+    """One result an image, in order, each the replay's."""
+    at = METHODS.index("fused")
+    results = list(estimate(open_recording(log, setups[at].profile), setups[at], jobs=2))
+    assert [flattened((result,)) for result in results] == [flattened(lane[at].results) for lane in alone]
+    stamps = [result.stamp_ns for result in results]
+    assert stamps == sorted(stamps)
+
+
+def test_an_unknown_instrument_is_told_at_once(log: Path, setups: list[Setup]) -> None:
+    """Before any image is read."""
+    recording = open_recording(log, setups[0].profile)
+    with pytest.raises(RecordingError, match="PSM9"):
+        replay(recording, [setups[0]], wanted=["PSM9"])
