@@ -107,13 +107,3 @@ def _step(equations: NormalEquations, damping: float, limit: Array | None) -> Ar
     except np.linalg.LinAlgError:
         step = np.asarray(np.linalg.lstsq(information, equations.gradient, rcond=None)[0], np.float64)
     return step if limit is None else np.clip(step, -limit, limit)
-
-
-def huber_weights(deviation: Array, bound: float) -> Array:
-    """Weights, shape (n,), of residuals in standard deviations: those beyond the bound count singly (Huber 1964)."""
-    return np.minimum(1.0, bound / np.maximum(np.abs(deviation), 1e-12))
-
-
-def scale_of(values: Array) -> float:
-    """Standard deviation of values about zero, shape (n,), that half of them may spoil: 1.4826 times the median."""
-    return float(1.4826 * np.median(np.abs(values)))

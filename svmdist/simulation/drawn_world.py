@@ -7,8 +7,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +17,7 @@ from svmdist.errors import SimulationError
 from svmdist.samples import Image
 from svmdist.simulation.bodies.meshes import DrawnMesh
 from svmdist.simulation.bullet import BulletClient, quiet_stdout
+from svmdist.simulation.closing import Closing
 from svmdist.simulation.scene import Scene, make_floor
 from svmdist.simulation.urdf import LinkVisual, urdf_of
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
@@ -48,7 +48,7 @@ class _Arm:
     plate: int | None
 
 
-class DrawnWorld:
+class DrawnWorld(Closing):
     """A physics world in which bodies are drawn; a context manager.
 
     `still` puts the tissue and the floor into it, `moving` the robots with their plates and the retractor.
@@ -197,14 +197,6 @@ class DrawnWorld:
             self._plugin = -1
         self.client.close()
         self._folder.cleanup()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _pose(T: Array) -> tuple[list[float], list[float]]:

@@ -8,14 +8,14 @@ which of the two is in front. The result is that of one picture of everything, t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import TracebackType
-from typing import Literal, Self
+from typing import Literal
 
 import cv2
 import numpy as np
 
 from svmdist.errors import SimulationError, did_you_mean
 from svmdist.samples import Image
+from svmdist.simulation.closing import Closing
 from svmdist.simulation.drawn_world import DrawnWorld, Picture
 from svmdist.simulation.scene import Scene
 from svmdist.simulation.views import PIXEL_SHIFT, projection_matrix, view_matrix
@@ -31,7 +31,7 @@ DEPTH_TIE = 2.5e-7
 them for its depth buffer. Surfaces that are nearer to each other than that are drawn in one picture again."""
 
 
-class Renderer:
+class Renderer(Closing):
     """Draws robot, further robots, retractor, tissue and floor; a context manager.
 
     `frame_of` poses the robot and returns a BGR image, shape (height, width, 3); `right_frame` then draws the
@@ -117,14 +117,6 @@ class Renderer:
         for world in (self.world, self._still, self._whole):
             if world is not None:
                 world.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _through_optics(image_bgr: Image) -> Image:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 from svmdist.profile import Profile
 from svmdist.samples import CameraSample, ImageSample, Sample, TransformSample, TransformsSample
 from svmdist.simulation.arm import ArmPoses, distances
 from svmdist.simulation.clearance.meters import BetweenMeter, ClearanceMeter
+from svmdist.simulation.closing import Closing
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.plan import Block, Plan, between_topic, make_plan
@@ -50,7 +49,7 @@ def simulate(
             yield from simulator.samples(block, simulator.draw_noise())
 
 
-class Simulator:
+class Simulator(Closing):
     """Makes the samples of a plan, block by block in any order; a context manager with physics worlds of its own.
 
     Only the noise has an order: `draw_noise` gives that of the next image, and `noise_states` tells where the random
@@ -155,11 +154,3 @@ class Simulator:
     def close(self) -> None:
         """Leave the physics worlds; a second call does nothing."""
         self._stack.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from svmdist.robust import huber_weights, median, scale_of
 from svmdist.samples import Image
 from svmdist.settings.distal_marker import DistalMarkerSettings
 from svmdist.transforms import Array
@@ -105,14 +106,14 @@ def _circle(
     points_px: Array, centre_px: Array, blur_px: float, origin_px: Array, min_agreeing: float
 ) -> Disc | None:
     """The circle through most points, shape (n, 2), by Gauss-Newton with Huber's weights."""
-    radius_px = float(np.median(np.linalg.norm(points_px - centre_px, axis=1)))
+    radius_px = median(np.linalg.norm(points_px - centre_px, axis=1))
     weight, scale_px = np.ones(len(points_px)), 0.1
     for _ in range(FIT_STEPS):
         offset = points_px - centre_px
         distance_px = np.linalg.norm(offset, axis=1)
         residual_px = distance_px - radius_px
-        scale_px = max(1.4826 * float(np.median(np.abs(residual_px))), 0.1)
-        weight = np.minimum(1.0, (HUBER * scale_px / np.maximum(np.abs(residual_px), 1e-9)) ** 2)
+        scale_px = max(scale_of(residual_px), 0.1)
+        weight = huber_weights(residual_px, HUBER * scale_px) ** 2
         J = np.column_stack([offset / distance_px[:, None], np.ones(len(offset))])
         step = np.linalg.solve(J.T @ (weight[:, None] * J) + 1e-9 * np.eye(3), J.T @ (weight * residual_px))
         centre_px, radius_px = centre_px + step[:2], radius_px + float(step[2])

@@ -67,7 +67,7 @@ class FrameContext:
     @cached_property
     def grey(self) -> Image:
         """Grey levels of the image as it is, shape (h, w): features and tags need no exposure."""
-        return np.asarray(cv2.cvtColor(self.bgr_as_recorded, cv2.COLOR_BGR2GRAY), np.uint8)
+        return to_grey(self.bgr_as_recorded)
 
     @cached_property
     def masks(self) -> Masks:
@@ -93,3 +93,8 @@ class FrameContext:
 def to_hsv(bgr: Image) -> Image:
     """Convert BGR, shape (h, w, 3), to OpenCV's 8-bit HSV: H in 0–179 (half degrees), S and V in 0–255."""
     return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV), np.uint8)
+
+
+def to_grey(bgr: Image) -> Image:
+    """Convert BGR, shape (h, w, 3), to grey, shape (h, w)."""
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)

@@ -18,9 +18,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.robust import median, scale_of
 from svmdist.samples import Image
 from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array
+from svmdist.vision.semi_global import match_region
 
 DEFAULT = StereoSettings()
 DEGREE = 3
@@ -37,8 +39,6 @@ SETTLED_PX = 0.005
 SCALE_STRIDE = 4
 """The offset and the spread of the images' difference are medians over every fourth pixel: right within a percent."""
 RIDGE = 1e-3
-SPECKLE_PX2 = 100
-"""Patches of matches up to this area, in pixels of the original image, that stand alone are mistakes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,21 +60,6 @@ class DisparitySurface:
         return np.asarray(_basis(points_px, self.centre_px) @ self.coefficients)
 
 
-@dataclass(frozen=True, slots=True)
-class _Matches:
-    """Disparities on a grid of pixels of the left image: columns (w,), rows (h,), both in px, values (h, w) in px.
-
-    A value stands for a cell of `step_px` squared about its pixel; `is_core`, shape (h, w), says which cells lie in
-    the region. Values are NaN outside it and where nothing matched.
-    """
-
-    columns_px: Array
-    rows_px: Array
-    disparity_px: Array
-    is_core: NDArray[np.bool_]
-    step_px: int
-
-
 def fit_surface(
     left_grey: Image,
     right_grey: Image,
@@ -91,7 +76,7 @@ def fit_surface(
     """
     side_px = 2 * settings.margin_px + 1
     core = np.asarray(cv2.erode(region, np.ones((side_px, side_px), np.uint8)), np.uint8)
-    matches = _matched(left_grey, right_grey, core, min_px, max_px, settings)
+    matches = match_region(left_grey, right_grey, core, min_px, max_px, settings)
     if matches is None:
         return None
     is_matched = np.isfinite(matches.disparity_px)
@@ -119,76 +104,6 @@ def fit_surface(
     return DisparitySurface(coefficients, centre_px, mismatch_px, matched_fraction)
 
 
-def match_semi_global(
-    left_grey: Image,
-    right_grey: Image,
-    min_px: int,
-    max_px: int,
-    block_px: int = DEFAULT.block_px,
-    speckle_px2: int = SPECKLE_PX2,
-) -> Array:
-    """Disparity of every left pixel, shape (h, w) in px; NaN where there is none.
-
-    `min_px` and `max_px` bound the search; OpenCV searches a multiple of 16.
-    """
-    if left_grey.shape[1] < _least_width_px(min_px, max_px, block_px):
-        return np.full(left_grey.shape, np.nan)
-    count = 16 * int(np.ceil((max_px - min_px) / 16))
-    matcher = cv2.StereoSGBM.create(
-        minDisparity=min_px,
-        numDisparities=count,
-        blockSize=block_px,
-        P1=8 * block_px**2,
-        P2=64 * block_px**2,
-        disp12MaxDiff=2,
-        uniquenessRatio=3,
-        speckleWindowSize=speckle_px2,
-        speckleRange=2,
-        mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
-    )
-    fixed_point = np.asarray(matcher.compute(left_grey, right_grey), np.float64)
-    return np.where(fixed_point >= 16 * min_px, fixed_point / 16.0, np.nan)
-
-
-def _least_width_px(min_px: int, max_px: int, block_px: int) -> int:
-    """Width below which OpenCV's matcher has no column with all disparities in it, and fails."""
-    return max(abs(min_px), abs(max_px)) + (max_px - min_px) + 16 + 2 * block_px
-
-
-def _matched(
-    left_grey: Image, right_grey: Image, core: Image, min_px: int, max_px: int, settings: StereoSettings
-) -> _Matches | None:
-    """Matches in the region's core, on images reduced until the search spans the settings' number of disparities."""
-    # Matching costs most of all; only the region's rows, and the columns that its matches can lie in, are needed.
-    x, y, width, height = cv2.boundingRect(core)
-    step = max(1, round((max_px - min_px) / settings.matched_disparities))
-    low, high = int(np.floor(min_px / step)), int(np.ceil(max_px / step))
-    least_px = step * _least_width_px(low, high, settings.block_px)
-    left_px = max(0, min(x - max(max_px, 0), core.shape[1] - least_px))
-    right_px = min(max(x + width - min(min_px, 0), left_px + least_px), core.shape[1])
-    shape = (height // step, (right_px - left_px) // step)
-    if min(shape) == 0:
-        return None
-    window = np.s_[y : y + step * shape[0], left_px : left_px + step * shape[1]]
-    left, right = (_reduced(image[window], step) for image in (left_grey, right_grey))
-    disparity_px = step * match_semi_global(
-        left, right, low, high, settings.block_px, max(1, SPECKLE_PX2 // step**2)
-    )
-    middle = (step - 1) // 2
-    is_core = core[window][middle::step, middle::step] > 0
-    columns_px, rows_px = (
-        first + step * np.arange(count, dtype=np.float64) + 0.5 * (step - 1)
-        for first, count in ((left_px, shape[1]), (y, shape[0]))
-    )
-    return _Matches(columns_px, rows_px, np.where(is_core, disparity_px, np.nan), is_core, step)
-
-
-def _reduced(image: Image, step: int) -> Image:
-    """An image of which each pixel is the mean of `step` squared ones; its sides are multiples of that."""
-    size = (image.shape[1] // step, image.shape[0] // step)
-    return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
 def _basis(points_px: Array, centre_px: Array) -> Array:
     u, v = ((points_px - centre_px) / SCALE_PX).T
     return np.stack([u**i * v**j for i, j in TERMS], -1)
@@ -203,7 +118,7 @@ def _fit_robustly(B: Array, disparity_px: Array) -> Array:
         normal = weighted.T @ B + RIDGE * np.eye(B.shape[1])
         coefficients = np.asarray(np.linalg.solve(normal, weighted.T @ disparity_px), np.float64)
         error = disparity_px - B @ coefficients
-        weight = np.asarray(1.0 / (1.0 + (error / (2.0 * _spread(error) + 1e-3)) ** 2), np.float64)
+        weight = np.asarray(1.0 / (1.0 + (error / (2.0 * scale_of(error) + 1e-3)) ** 2), np.float64)
     return coefficients
 
 
@@ -242,8 +157,8 @@ def _align(
         if count < 10 * len(TERMS):
             break
         seen = error[usable][::SCALE_STRIDE]
-        middle = float(np.median(seen))
-        residual = _spread(seen - middle)
+        middle = median(seen)
+        residual = scale_of(seen - middle)
         error = np.asarray(np.where(usable, error - middle, 0.0), np.float64)
         slope_rms = float(np.sqrt(np.mean(slope[usable] ** 2)))
         weight = np.asarray(usable * slope / (1.0 + (error / (2.0 * residual + 0.5)) ** 2), np.float64)
@@ -305,8 +220,3 @@ def _step(weight: Array, pull: Array, u: Array, v: Array, damping: float) -> Arr
     normal = moments[i[:, None] + i, j[:, None] + j]
     gradient = (u[:, : DEGREE + 1].T @ pull.T @ v[:, : DEGREE + 1])[i, j]
     return np.asarray(np.linalg.solve(normal + damping * np.eye(len(TERMS)), gradient), np.float64)
-
-
-def _spread(values: Array) -> float:
-    """Median absolute deviation, scaled to a normal's standard deviation."""
-    return float(1.4826 * np.median(np.abs(values)))

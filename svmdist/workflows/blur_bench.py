@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 
 from svmdist.estimation.frame import Frame
@@ -15,6 +14,7 @@ from svmdist.results import FrameResult
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.blur import Blur
+from svmdist.vision.frame_context import to_grey
 from svmdist.vision.marker.features import EDGE_MARGIN_PX, detect_orb
 from svmdist.vision.marker.pattern import paste_marker
 from svmdist.vision.regions import find_region
@@ -135,7 +135,7 @@ def _count(frame: Frame, result: FrameResult, tally: _Tally) -> None:
 def _marker_keypoint_count(image_bgr: Image, centre_px: Array, profile: Profile) -> int:
     size_px = profile.marker.size_px
     marked = paste_marker(image_bgr, centre_px, size_px, EDGE_MARGIN_PX)
-    grey = np.asarray(cv2.cvtColor(marked.window_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
+    grey = to_grey(marked.window_bgr)
     points_px = detect_orb(grey, profile.features.feature_count).points_px - EDGE_MARGIN_PX
     return int(np.count_nonzero(np.all((points_px >= 0) & (points_px < size_px), axis=1)))
 

@@ -14,7 +14,8 @@ from svmdist.recording.writer import RecordingWriter
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.plan import make_plan
-from svmdist.workflows.record_workers import WorkerDiedError, encoded_samples, usable_cores
+from svmdist.workflows.ahead import usable_cores
+from svmdist.workflows.record_workers import WorkerDiedError, encoded_samples
 
 VERSIONED_PACKAGES = ("svmdist", "pybullet", "numpy", "opencv-python-headless")
 

@@ -8,7 +8,6 @@ its noise first and says where the stream stands then, so that the next task can
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 import sys
 import traceback
@@ -25,6 +24,7 @@ from svmdist.recording.messages.encoding import EncodedSample, encode_all
 from svmdist.simulation.plan import Block, Plan
 from svmdist.simulation.sensor import NoiseState
 from svmdist.simulation.simulate import Simulator
+from svmdist.workflows.ahead import one_opencv_thread
 
 Encoded = list[tuple[str, EncodedSample]]
 
@@ -71,11 +71,6 @@ class _Failed:
     error: Exception
 
 
-def usable_cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def encoded_samples(
     plan: Plan, jobs: int, jpeg_quality: int | None = None
 ) -> Generator[tuple[str, EncodedSample]]:
@@ -85,7 +80,7 @@ def encoded_samples(
     killed, and what a worker raised. The workers end with the iterator.
     """
     workers = min(jobs, len(plan.blocks) // FRAMES_PER_WORKER)
-    with _one_opencv_thread():
+    with one_opencv_thread():  # the cores are taken, and a forked process has no threads but its own
         if workers <= 1:
             with Simulator(plan) as simulator:
                 for block in plan.blocks:
@@ -94,17 +89,6 @@ def encoded_samples(
         with closing(_Pool(plan, workers, jpeg_quality)) as pool:
             for samples in pool.results():
                 yield from samples
-
-
-@contextmanager
-def _one_opencv_thread() -> Iterator[None]:
-    """Let OpenCV use one thread: the cores are taken, and a forked process has no threads but its own."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def _tasks(plan: Plan) -> list[tuple[Block, ...]]:

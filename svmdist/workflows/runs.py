@@ -165,23 +165,11 @@ class _Tally:
         self.readings = Readings()
 
 
-@dataclass(frozen=True)
-class _Part:
-    """What one process does: one recording under some of the conditions."""
-
-    recording: Recording
-    setups: tuple[Setup, ...]
-    conditions: tuple[Condition, ...]
-
-    def __call__(self) -> tuple[list[Run], Health, int]:
-        """Measure; gives the runs, what was lost in reading, and the number of measurements."""
-        done = count()
-        runs = _runs(self.recording, self.setups, self.conditions, 1, None, lambda: _count(done))
-        return runs, self.recording.health, next(done)
-
-
-def _count(done: Iterator[int]) -> None:
-    next(done)
+def _measure_part(
+    recording: Recording, setups: Sequence[Setup], conditions: Sequence[Condition]
+) -> tuple[list[Run], Health]:
+    """What one process does: one recording under some of the conditions. Gives what was lost in reading, too."""
+    return _runs(recording, setups, conditions, 1, None, lambda: None), recording.health
 
 
 def _in_processes(
@@ -196,17 +184,18 @@ def _in_processes(
     parts = [(recording, chunk) for recording in recordings for chunk in chunks]
     # A fresh interpreter: threads and OpenCV's state do not survive a fork.
     with ProcessPoolExecutor(min(jobs, len(parts)), get_context("spawn")) as pool:
-        futures = [pool.submit(_Part(recording, tuple(setups), chunk).__call__) for recording, chunk in parts]
+        futures = [pool.submit(_measure_part, recording, tuple(setups), chunk) for recording, chunk in parts]
         try:
             for future in as_completed(futures):
-                for _ in range(future.result()[2]):
+                runs, _ = future.result()
+                for _ in range(sum(run.frame_count for run in runs if run.instrument == runs[0].instrument)):
                     advance()
         except BaseException:
             for future in futures:
                 future.cancel()
             raise
     for (recording, _), future in zip(parts, futures, strict=True):
-        runs, health, _ = future.result()
+        runs, health = future.result()
         for loss in health.losses:
             recording.health.add(loss)
         yield from (replace(run, recording=recording) for run in runs)

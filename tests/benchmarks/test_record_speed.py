@@ -27,8 +27,8 @@ from svmdist.simulation.drawn_world import DrawnWorld
 from svmdist.simulation.plan import Plan, make_plan
 from svmdist.simulation.renderer import Renderer
 from svmdist.simulation.simulate import Simulator
+from svmdist.workflows.ahead import usable_cores
 from svmdist.workflows.record import record
-from svmdist.workflows.record_workers import usable_cores
 
 FRAMES = 32
 

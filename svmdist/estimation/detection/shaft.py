@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.robust import median, scale_of
 from svmdist.samples import Image
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
@@ -133,9 +134,8 @@ def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: S
     if len(points_px) < MIN_END_POINTS:
         return None
     ahead_px = (points_px - region.end_px) @ towards_tip
-    middle_px = float(np.median(ahead_px))
-    spread_px = 1.4826 * float(np.median(np.abs(ahead_px - middle_px)))
-    std_px = max(settings.min_end_std_px, spread_px)
+    middle_px = median(ahead_px)
+    std_px = max(settings.min_end_std_px, scale_of(ahead_px - middle_px))
     return Rim(region.end_px + middle_px * towards_tip, towards_tip, std_px)
 
 

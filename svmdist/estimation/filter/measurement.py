@@ -81,3 +81,15 @@ class LinkMeasurement(Protocol):
 
     def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
         """Derivative of the residual by the bias, (..., m, bias_size), from the pose and the pose's derivative."""
+
+
+class ConstantBias:
+    """What measurements have in common whose bias Jacobian is the same for all poses: a bias of their own name."""
+
+    is_bias_constant: ClassVar[bool] = True
+    name: str
+
+    @property
+    def bias_name(self) -> str:
+        """It shares its bias with measurements of the same name only."""
+        return self.name

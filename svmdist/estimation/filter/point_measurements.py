@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter.measurement import MIN_DEPTH_M, PoseResidual
+from svmdist.estimation.filter.measurement import MIN_DEPTH_M, ConstantBias, PoseResidual
 from svmdist.settings.filter import FilterSettings
 from svmdist.transforms import Array, skew
 from svmdist.vision.sphere import apparent_radius_px
@@ -18,8 +19,30 @@ AHEAD_M = np.array([0.0, 0.0, 1.0])
 POINT_CORRELATION_TIME_S = FilterSettings().point_correlation_time_s
 
 
+class _PointBias(ABC):
+    """The bias of a point: an offset in its link's frame, and what shading does to its pixels."""
+
+    bias_size: ClassVar[int] = 4
+    is_bias_constant: ClassVar[bool] = False
+    point_std_m: float
+    shading_bias_px: float
+
+    def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
+        """Derivative by offset and shading, shape (..., m, 4), in units of their deviations."""
+        # An offset in the link's frame moves the point as the link's own motion would; shading goes with the tilt.
+        bias = np.empty((*derivative.shape[:-1], 4))
+        bias[..., :3] = derivative[..., :3] @ T_camera_link[..., :3, :3]
+        bias[..., :3] *= -np.asarray(self.point_std_m)[..., None, None]
+        bias[..., 3] = np.asarray(self.shading_bias_px)[..., None] * self._tilt()
+        return bias
+
+    @abstractmethod
+    def _tilt(self) -> Array:
+        """Tilt of the measured rays, shape (..., m): what shading is proportional to."""
+
+
 @dataclass(frozen=True)
-class PointsMeasurement:
+class PointsMeasurement(_PointBias):
     """Points of a link seen at pixels: the coloured region's centroid, or the corners of a tag.
 
     `p_link_m` has shape (n, 3), `pixels` (n, 2), the covariance (2n, 2n) in px², rows x1, y1, x2, … The points may
@@ -34,8 +57,6 @@ class PointsMeasurement:
         "point_std_m",
         "shading_bias_px",
     )
-    bias_size: ClassVar[int] = 4
-    is_bias_constant: ClassVar[bool] = False
 
     name: str
     link: str | None
@@ -64,15 +85,14 @@ class PointsMeasurement:
             visible, (self.pixels - projected).reshape(shape), derivative.reshape(*shape, 6)
         )
 
-    def bias_jacobian(self, T_camera_link: Array, derivative: Array) -> Array:
-        """Derivative by offset and shading, shape (..., 2n, 4), in units of their deviations."""
+    def _tilt(self) -> Array:
         K = self.camera.K
         tilt = (self.pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
-        return _bias_of_point(self, T_camera_link, derivative, tilt.reshape(*tilt.shape[:-2], -1))
+        return np.asarray(tilt.reshape(*tilt.shape[:-2], -1))
 
 
 @dataclass(frozen=True)
-class DisparityMeasurement:
+class DisparityMeasurement(_PointBias):
     """How far apart, in px along x, the two views of a stereo pair show the origin of a link.
 
     `T_right_left` maps the left camera's coordinates to the right one's; the covariance has shape (1, 1) in px².
@@ -86,8 +106,6 @@ class DisparityMeasurement:
         "point_std_m",
         "shading_bias_px",
     )
-    bias_size: ClassVar[int] = 4
-    is_bias_constant: ClassVar[bool] = False
 
     name: str
     link: str | None
@@ -117,25 +135,12 @@ class DisparityMeasurement:
         derivative[..., :3] = J_right[..., :1, :] @ R_right_left - J_left[..., :1, :]
         return PoseResidual.where_visible(visible, residual[..., None], derivative)
 
-    def bias_jacobian(self, T_camera_link: Array, derivative: Array) -> Array:
-        """Derivative by offset and shading, shape (..., 1, 4), in units of their deviations."""
-        tilt = np.asarray(self.disparity_px / self.left.K[0, 0])[..., None]
-        return _bias_of_point(self, T_camera_link, derivative, tilt)
-
-
-def _bias_of_point(
-    point: PointsMeasurement | DisparityMeasurement, T_camera_link: Array, derivative: Array, tilt: Array
-) -> Array:
-    """An offset in the link's frame moves the point as the link's own motion would; shading goes with the tilt."""
-    bias = np.empty((*derivative.shape[:-1], 4))
-    bias[..., :3] = derivative[..., :3] @ T_camera_link[..., :3, :3]
-    bias[..., :3] *= -np.asarray(point.point_std_m)[..., None, None]
-    bias[..., 3] = np.asarray(point.shading_bias_px)[..., None] * tilt
-    return bias
+    def _tilt(self) -> Array:
+        return np.asarray(self.disparity_px / self.left.K[0, 0])[..., None]
 
 
 @dataclass(frozen=True)
-class SizeMeasurement:
+class SizeMeasurement(ConstantBias):
     """The radius in px of the disc that a sphere of `radius_m` about a link's origin shows.
 
     The covariance has shape (1, 1) in px²; `bias_std_px` is how far the radius is off for good, by what is hidden.
@@ -143,7 +148,6 @@ class SizeMeasurement:
 
     STACKED: ClassVar[tuple[str, ...]] = ("radius_m", "radius_px", "covariance", "bias_std_px")
     bias_size: ClassVar[int] = 1
-    is_bias_constant: ClassVar[bool] = True
 
     name: str
     link: str | None
@@ -153,11 +157,6 @@ class SizeMeasurement:
     covariance: Array
     bias_std_px: float
     correlation_time_s: float = POINT_CORRELATION_TIME_S
-
-    @property
-    def bias_name(self) -> str:
-        """A size has a bias of its own."""
-        return self.name
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus predicted, shape (..., 1), about poses (..., 4, 4)."""

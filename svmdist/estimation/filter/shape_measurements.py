@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from svmdist.estimation.filter.measurement import PoseResidual
+from svmdist.estimation.filter.measurement import ConstantBias, PoseResidual
 from svmdist.settings.filter import FilterSettings
 from svmdist.transforms import Array, cross, inverse_right_jacobian, rotation_vector, skew
 
@@ -16,8 +16,22 @@ EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s
 POSE_CORRELATION_TIME_S = FilterSettings().pose_correlation_time_s
 
 
+class _MatrixBias(ConstantBias):
+    """A bias of the residual itself, of covariance `bias_covariance`, shape (m, m)."""
+
+    bias_covariance: Array
+
+    @cached_property
+    def _bias_root(self) -> Array:
+        return np.asarray(np.linalg.cholesky(self.bias_covariance))
+
+    def bias_jacobian(self, _T_camera_link: Array, _derivative: Array, /) -> Array:
+        """Derivative by the bias, shape (..., m, m)."""
+        return self._bias_root
+
+
 @dataclass(frozen=True)
-class ContourMeasurement:
+class ContourMeasurement(_MatrixBias):
     """One edge of the shaft's silhouette: the plane through the camera's centre and the edge touches the shaft.
 
     `normal`, shape (3,), is that plane's unit normal in the camera frame, turned to the shaft's side; `across`, shape
@@ -32,7 +46,6 @@ class ContourMeasurement:
         "normal", "across", "covariance", "p_axis_m", "axis", "radius_m", "side", "bias_covariance",
     )  # fmt: skip
     bias_size: ClassVar[int] = 2
-    is_bias_constant: ClassVar[bool] = True
 
     name: str
     link: str | None
@@ -45,19 +58,6 @@ class ContourMeasurement:
     side: int
     bias_covariance: Array
     correlation_time_s: float = EDGE_CORRELATION_TIME_S
-
-    @property
-    def bias_name(self) -> str:
-        """Each edge has a bias of its own."""
-        return self.name
-
-    @cached_property
-    def _bias_root(self) -> Array:
-        return np.asarray(np.linalg.cholesky(self.bias_covariance))
-
-    def bias_jacobian(self, _T_camera_link: Array, _derivative: Array, /) -> Array:
-        """Derivative by the bias, shape (..., 2, 2)."""
-        return self._bias_root
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """By what the normal is off the predicted one, shape (..., 2) in rad, about poses (..., 4, 4).
@@ -89,7 +89,7 @@ class ContourMeasurement:
 
 
 @dataclass(frozen=True)
-class PoseMeasurement:
+class PoseMeasurement(_MatrixBias):
     """A pose that was measured as a whole: `T_camera_frame` of a frame fixed on a link by `T_link_frame`, (4, 4).
 
     The covariances, shape (6, 6), are those of (δp, δθ) in the camera frame, as in `ToolPose`: of the noise, and of
@@ -98,7 +98,6 @@ class PoseMeasurement:
 
     STACKED: ClassVar[tuple[str, ...]] = ("T_link_frame", "T_camera_frame", "covariance", "bias_covariance")
     bias_size: ClassVar[int] = 6
-    is_bias_constant: ClassVar[bool] = True
 
     name: str
     link: str | None
@@ -107,19 +106,6 @@ class PoseMeasurement:
     covariance: Array
     bias_covariance: Array
     correlation_time_s: float = POSE_CORRELATION_TIME_S
-
-    @property
-    def bias_name(self) -> str:
-        """Each measured frame has a bias of its own."""
-        return self.name
-
-    @cached_property
-    def _bias_root(self) -> Array:
-        return np.asarray(np.linalg.cholesky(self.bias_covariance))
-
-    def bias_jacobian(self, _T_camera_link: Array, _derivative: Array, /) -> Array:
-        """Derivative by the bias, shape (..., 6, 6)."""
-        return self._bias_root
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """(δp, δθ) from predicted to measured, shape (..., 6) in m and rad, about poses (..., 4, 4)."""

@@ -117,11 +117,6 @@ class Rods:
         return Capsules(self.start @ vectors, self.end @ vectors, self.radius_m)
 
 
-def build_capsules(instrument: Instrument, wrist: Wrist) -> Capsules:
-    """Shaft, collar, fork, distal marker and both jaws about a wrist, in its frame."""
-    return Rods.of(instrument).about(wrist)
-
-
 def _rods(instrument: Instrument, wrist: Wrist) -> list[tuple[Array, Array, float]]:
     """Start, end and radius of every rod.
 

@@ -12,7 +12,7 @@ from svmdist.profile import Marker
 from svmdist.samples import Image, Status
 from svmdist.settings.marker import MarkerSettings
 from svmdist.transforms import Array
-from svmdist.vision.frame_context import to_hsv
+from svmdist.vision.frame_context import to_grey, to_hsv
 from svmdist.vision.marker.features import EDGE_MARGIN_PX, Features, detect_orb, match_features
 from svmdist.vision.marker.homography import fit_homography, is_plausible, square_corners, transfer
 from svmdist.vision.marker.pattern import MarkedWindow, padded_template, paste_marker
@@ -65,7 +65,7 @@ def detect_marker(
     settings: MarkerSettings = DEFAULT,
 ) -> MarkerDetection:
     """Find the marker in its window, draw its outline, and take the outline's centroid by colour."""
-    grey = np.asarray(cv2.cvtColor(marked.window_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
+    grey = to_grey(marked.window_bgr)
     features = detect_orb(grey, rules.feature_count)
     if len(features) == 0:
         return MarkerDetection(Status.NO_FEATURES, 0)

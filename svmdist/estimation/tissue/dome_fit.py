@@ -6,6 +6,7 @@ import numpy as np
 
 from svmdist.estimation.detection.stereo_surface import StereoSurface
 from svmdist.estimation.tissue.dome import DomeModel
+from svmdist.robust import median, scale_of
 from svmdist.settings.stereo import StereoSettings
 from svmdist.vision.stereo import DEGREE
 
@@ -33,7 +34,7 @@ def fit_dome(dome: DomeModel, surface: StereoSurface, settings: StereoSettings =
     for _ in range(FIT_STEPS):
         now = dome.shaped(shape_m, dome.covariance)
         error_m = height_m - now.height_m(flat_m)
-        std_m = max(surface.std_m, 1.4826 * float(np.median(np.abs(error_m - np.median(error_m)))))
+        std_m = max(surface.std_m, scale_of(error_m - median(error_m)))
         J = now.derivative(flat_m)
         weight = (
             FREEDOM

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from svmdist.simulation.bodies.meshes import DrawnMesh
 from svmdist.simulation.bullet import BulletClient
 from svmdist.simulation.clearance.bounds import HalfSpaces, PartBounds
 from svmdist.simulation.clearance.relief_meter import ReliefMeter
+from svmdist.simulation.closing import Closing
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation, transform_points
 
@@ -27,7 +26,7 @@ SLACK_M = 1e-5
 """Bounds count as so much lower: Bullet's distances are right within some µm of the meshes' own."""
 
 
-class _Meter:
+class _Meter(Closing):
     """A physics world of convex bodies in millimetres; a context manager."""
 
     def __init__(self) -> None:
@@ -60,14 +59,6 @@ class _Meter:
     def close(self) -> None:
         """Leave the physics world; a second call does nothing."""
         self._client.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class ClearanceMeter(_Meter):

@@ -54,11 +54,6 @@ class HsvSegmenter:
         return HsvMasks(hsv, self._rules)
 
 
-def to_grey(image_bgr: Image) -> Image:
-    """Convert BGR, shape (h, w, 3), to grey, shape (h, w)."""
-    return np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-
-
 def colour_mask(image_hsv: Image, region: ColourRegion) -> Image:
     """Mask, shape (h, w) with 0 or 255, of the pixels inside an HSV box whose hue may wrap around 0."""
     first, last = region.hue

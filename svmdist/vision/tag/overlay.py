@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.least_squares import NormalEquations, scale_of
+from svmdist.least_squares import NormalEquations
+from svmdist.robust import huber_weights, scale_of
 from svmdist.settings.tag import TagSettings
 from svmdist.transforms import Array
 from svmdist.vision.tag.pattern import TagPattern
@@ -61,7 +62,7 @@ class Loss:
             weight = share * inlier * inlier
             return weight, self.limit**2 / 6.0 * (1.0 - float(weight @ inlier) / float(share.sum()))
         size = np.abs(residual)
-        within = np.minimum(1.0, self.limit / np.maximum(size, TINY_LEVEL))
+        within = huber_weights(residual, self.limit)
         weight = share * within
         return weight, float(weight @ (size * size * (1.0 - 0.5 * within))) / float(share.sum())
 

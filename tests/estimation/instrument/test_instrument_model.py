@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import KinematicsError
-from svmdist.estimation.instrument.model import InstrumentModel, build_capsules
+from svmdist.estimation.instrument.model import InstrumentModel, Rods
 from svmdist.estimation.instrument.wrist import wrist_in_tool
 from svmdist.geometry.surfaces import Capsules
 from svmdist.kinematics.chain import chain_of
@@ -45,7 +45,7 @@ def test_capsules_reach_as_far_as_the_meshes() -> None:
     for _ in range(60):
         q = bent(rng)
         wrist = wrist_in_tool(SCENE.chain, q)
-        capsules = build_capsules(PROFILE.instrument, wrist)
+        capsules = Rods.of(PROFILE.instrument).about(wrist)
         points = mesh_points_m(SCENE, q)
         for direction in rng.normal(size=(20, 3)):
             d = direction / np.linalg.norm(direction)

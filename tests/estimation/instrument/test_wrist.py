@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from svmdist.estimation.instrument.model import Rods, build_capsules
+from svmdist.estimation.instrument.model import Rods
 from svmdist.estimation.instrument.wrist import Wrist, WristKinematics, joints_of, wrist_in_tool
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import frame_transforms
@@ -47,7 +47,7 @@ def test_capsules_move_with_the_wrist() -> None:
     T = make_transform(rotation_x(0.7) @ rotation_z(-0.4), [0.02, -0.01, 0.12])
     vectors = wrist.vectors() @ T[:3, :3].T
     vectors[:2] += T[:3, 3]
-    there = build_capsules(PROFILE.instrument, Wrist.of(vectors))
+    there = Rods.of(PROFILE.instrument).about(Wrist.of(vectors))
     moved = Rods.of(PROFILE.instrument).about(wrist).transformed(T)
     np.testing.assert_allclose(there.start_m, moved.start_m, atol=EXACT)
     np.testing.assert_allclose(there.end_m, moved.end_m, atol=EXACT)
