@@ -71,6 +71,12 @@ class Health:
             return
         self._losses[loss] = place if known is None else min(place, known)
 
+    def join(self, other: Health) -> None:
+        """Take in what another process lost of the same recording."""
+        for loss in other.losses:
+            self.add(loss)
+        self.unlisted_count = max(self.unlisted_count, other.unlisted_count)
+
     @property
     def losses(self) -> tuple[Loss, ...]:
         """The losses in the order of their places."""

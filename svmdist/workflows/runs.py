@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from itertools import count
-from multiprocessing import get_context
+from itertools import count, product
 
 from svmdist.estimation.detection.lazy import Clock
 from svmdist.metrics import coverage
@@ -15,6 +13,7 @@ from svmdist.recording.reader import Recording
 from svmdist.recording.topics import Role
 from svmdist.workflows.ahead import usable_cores
 from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.processes import in_processes
 from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.distances import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 from svmdist.workflows.setup import Setup
@@ -24,6 +23,10 @@ Progress = Callable[[int, int | None], None]
 
 CHUNKS_PER_PROCESS = 2
 """Conditions are dealt out in so many parts a process: each part decodes the images once more, few parts wait."""
+
+WITH_FUSED = ("fused", "fiducial")
+"""Where methods are shared by two processes: `fused` takes as long as most others together, and finds tags already.
+`shaft` and `stereo` share the pose by the shaft's edges, which is what they spend most on."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +90,8 @@ def measure_runs(
 ) -> Iterator[Run]:
     """Yield a run for every recording, condition, setup and instrument, in that order.
 
-    Conditions are independent of each other: with several of them, and several jobs, processes share them. Otherwise
-    `jobs` threads work ahead. The figures are the same. Raises RecordingError where a recording has no ground-truth
+    With several jobs, processes share recordings, conditions, or methods; what cannot be shared `jobs` threads work
+    ahead of. The figures are the same. Raises RecordingError where a recording has no ground-truth
     distances; another instrument than the first is left out where it has none.
     """
     jobs = usable_cores() if jobs is None else jobs
@@ -105,9 +108,11 @@ def measure_runs(
         if on_progress is not None:
             on_progress(number, total)
 
-    if jobs > 1 and len(conditions) > 1 and clock is None:
-        yield from _in_processes(recordings, setups, conditions, jobs, advance)
-        return
+    if jobs > 1 and clock is None and all(recording.origin for recording in recordings):
+        parts = _parts(recordings, setups, conditions, jobs)
+        if len(parts) > 1:
+            yield from _in_processes(parts, recordings, jobs, advance)
+            return
     for recording in recordings:
         yield from _runs(recording, setups, conditions, jobs, clock, advance)
 
@@ -165,40 +170,77 @@ class _Tally:
         self.readings = Readings()
 
 
-def _measure_part(
-    recording: Recording, setups: Sequence[Setup], conditions: Sequence[Condition]
-) -> tuple[list[Run], Health]:
-    """What one process does: one recording under some of the conditions. Gives what was lost in reading, too."""
-    return _runs(recording, setups, conditions, 1, None, lambda: None), recording.health
+@dataclass(frozen=True)
+class _Part:
+    """What one process measures: some methods on one recording under some of the conditions, by `jobs` threads.
+
+    `places` are those of the methods among all setups, `first_condition` that of the conditions among all.
+    """
+
+    recording: Recording
+    number: int
+    conditions: tuple[Condition, ...]
+    first_condition: int
+    setups: tuple[Setup, ...]
+    places: tuple[int, ...]
+    jobs: int
+
+    def measure(self, advance: Callable[[], None]) -> tuple[list[Run], Health]:
+        """The runs, and what was lost in reading."""
+        runs = _runs(self.recording, self.setups, self.conditions, self.jobs, None, advance)
+        return runs, self.recording.health
+
+    def order(self, run_count: int) -> list[tuple[int, ...]]:
+        """Where each run belongs: the numbers of recording, condition, setup and instrument."""
+        conditions = range(self.first_condition, self.first_condition + len(self.conditions))
+        instruments = range(run_count // (len(self.conditions) * len(self.places)))
+        return list(product([self.number], conditions, self.places, instruments))
+
+
+def _parts(
+    recordings: Sequence[Recording], setups: Sequence[Setup], conditions: Sequence[Condition], jobs: int
+) -> list[_Part]:
+    """Deal the work out to processes: by recordings and conditions, and by methods where those are too few.
+
+    A part reads and decodes its recording once more, so that there are no more of them than even the load.
+    """
+    chunk_count = min(len(conditions), -(-CHUNKS_PER_PROCESS * jobs // len(recordings)))
+    size = -(-len(conditions) // chunk_count)
+    starts = range(0, len(conditions), size)
+    groups = [tuple(range(len(setups)))]
+    if len(recordings) * len(starts) < jobs:
+        with_fused = tuple(at for at, setup in enumerate(setups) if setup.method in WITH_FUSED)
+        groups = [group for group in (with_fused, tuple(sorted({*groups[0]} - {*with_fused}))) if group]
+    threads = max(1, jobs // (len(recordings) * len(starts) * len(groups)))
+    return [
+        _Part(
+            recording,
+            number,
+            tuple(conditions[start : start + size]),
+            start,
+            tuple(setups[at] for at in places),
+            places,
+            threads,
+        )
+        for number, recording in enumerate(recordings)
+        for start in starts
+        for places in groups
+    ]
 
 
 def _in_processes(
-    recordings: Sequence[Recording],
-    setups: Sequence[Setup],
-    conditions: Sequence[Condition],
-    jobs: int,
-    advance: Callable[[], None],
+    parts: Sequence[_Part], recordings: Sequence[Recording], jobs: int, advance: Callable[[], None]
 ) -> Iterator[Run]:
-    size = -(-len(conditions) // (CHUNKS_PER_PROCESS * jobs))
-    chunks = [tuple(conditions[at : at + size]) for at in range(0, len(conditions), size)]
-    parts = [(recording, chunk) for recording in recordings for chunk in chunks]
-    # A fresh interpreter: threads and OpenCV's state do not survive a fork.
-    with ProcessPoolExecutor(min(jobs, len(parts)), get_context("spawn")) as pool:
-        futures = [pool.submit(_measure_part, recording, tuple(setups), chunk) for recording, chunk in parts]
-        try:
-            for future in as_completed(futures):
-                runs, _ = future.result()
-                for _ in range(sum(run.frame_count for run in runs if run.instrument == runs[0].instrument)):
-                    advance()
-        except BaseException:
-            for future in futures:
-                future.cancel()
-            raise
-    for (recording, _), future in zip(parts, futures, strict=True):
-        runs, health = future.result()
-        for loss in health.losses:
-            recording.health.add(loss)
-        yield from (replace(run, recording=recording) for run in runs)
+    measured = in_processes(_Part.measure, parts, jobs, advance)
+    # Methods that need both views lose what others lose, and right images: their list has all in the file's order.
+    for part, (_, health) in sorted(zip(parts, measured, strict=True), key=lambda of: -len(of[1][1].losses)):
+        recordings[part.number].health.join(health)
+    placed = {
+        place: replace(run, recording=recordings[part.number])
+        for part, (runs, _) in zip(parts, measured, strict=True)
+        for place, run in zip(part.order(len(runs)), runs, strict=True)
+    }
+    yield from (placed[place] for place in sorted(placed))
 
 
 def _with_truth(recording: Recording) -> list[str]:

@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError
+from svmdist.recording.messages.encoding import encode_all
 from svmdist.recording.reader import Recording, open_recording
-from svmdist.samples import DistanceSample, Sample
+from svmdist.recording.writer import RecordingWriter
+from svmdist.samples import CameraSample, DistanceSample, ImageSample, Sample
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.runs import Run, measure_runs, pooled_figures
 from svmdist.workflows.setup import prepare
-from tests.synthetic import write_log
+from tests.synthetic import START_NS, make_scene, samples, write_log
 
 SETUPS = [prepare(method="centroid"), prepare(method="kinematic")]
 CONDITIONS = [CLEAN, Condition(Degradation.NOISE, 2)]
@@ -66,9 +68,49 @@ def test_processes_and_threads_give_the_same(recordings: list[Recording], one_th
 
 
 def test_threads_give_the_same(recordings: list[Recording], one_thread: list[Run]) -> None:
-    """Under one condition two jobs are threads."""
-    clean = list(measure_runs(recordings, SETUPS, jobs=2))
-    assert [figures(run) for run in clean] == [figures(run) for run in one_thread if not str(run.condition)]
+    """One method on one log under one condition has nothing to share: two jobs are threads."""
+    clean = list(measure_runs(recordings[:1], SETUPS[:1], jobs=2))
+    assert [figures(run) for run in clean] == [figures(one_thread[0])]
+
+
+@pytest.mark.parametrize("jobs", [2, 3, 8])
+@pytest.mark.parametrize("conditions", [CONDITIONS[:1], CONDITIONS])
+def test_methods_are_shared_too(recordings: list[Recording], conditions: list[Condition], jobs: int) -> None:
+    """Few logs and conditions: processes take methods each, and the runs are those of one thread, in its order."""
+    setups = [prepare(method=method) for method in ("fused", "centroid", "fiducial", "kinematic")]
+    for logs in (recordings[:1], recordings):
+        one = list(measure_runs(logs, setups, conditions, jobs=1))
+        shared = list(measure_runs(logs, setups, conditions, jobs=jobs))
+        assert [figures(run) for run in shared] == [figures(run) for run in one]
+
+
+def test_losses_are_told_once_in_the_file_s_order(tmp_path: Path) -> None:
+    """One process reads right images too, another does not; what both lost stands between what one alone lost."""
+    path = tmp_path / "lossy.mcap"
+    scene, broken = make_scene(), {("right", 1), ("left", 2), ("right", 3)}
+    P = np.hstack([scene.camera.K, scene.camera.K @ [[-0.005], [0.0], [0.0]]])
+    right_camera = replace(scene.camera, P=P, frame_id="camera_right")
+    with RecordingWriter(path, {"scenario": "synthetic"}) as writer:
+        writer.write("/ECM/right/camera_info", CameraSample(START_NS, right_camera))
+        frame = -1
+        for topic, sample in samples(scene, 5):
+            if not isinstance(sample, ImageSample):
+                writer.write(topic, sample)
+                continue
+            frame += 1
+            right = replace(sample, frame_id="camera_right")
+            for side, to, image in (("left", topic, sample), ("right", "/ECM/right/image", right)):
+                ((_, encoded),) = encode_all([(to, image)])
+                data = encoded.data.replace(b"IHDR", b"XXXX") if (side, frame) in broken else encoded.data
+                writer.write(to, replace(encoded, data=data))
+    setups = [prepare(method=method) for method in ("centroid", "fused")]
+    told = []
+    for jobs in (1, 2):
+        recording = open_recording(path, setups[0].profile)
+        list(measure_runs([recording], setups, jobs=jobs))
+        told.append(recording.health.losses)
+    assert told[1] == told[0]
+    assert [loss.topic for loss in told[0]] == ["/ECM/right/image", "/ECM/left/image", "/ECM/right/image"]
 
 
 def test_runs_come_by_recording_condition_and_method(
