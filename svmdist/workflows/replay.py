@@ -25,7 +25,7 @@ from svmdist.recording.encoded import Needs as ReadNeeds
 from svmdist.recording.reader import Recording
 from svmdist.results import FrameResult
 from svmdist.samples import Observation, Rejection
-from svmdist.workflows.ahead import in_order, one_opencv_thread, usable_cores
+from svmdist.workflows.ahead import in_order, keep_freed_memory, one_opencv_thread, usable_cores
 from svmdist.workflows.conditions import CLEAN, ReplayCondition
 from svmdist.workflows.setup import Setup
 
@@ -158,6 +158,7 @@ class _Replay:
         robot, right = self._needs.robot or several, self._needs.right_view
         logged = ReadNeeds(joints=robot, transforms=robot, right=right)
         numbered = enumerate(self._recording.encoded_observations(self._recording.instruments, logged))
+        keep_freed_memory()
         with one_opencv_thread():
             for prepared in in_order(self._prepare, numbered, jobs):
                 yield tuple(self._measure(prepared))

@@ -7,9 +7,16 @@ import time
 from collections.abc import Iterator
 
 import cv2
+import numpy as np
 import pytest
 
-from svmdist.workflows.ahead import LOOK_AHEAD, in_order, one_opencv_thread, usable_cores
+from svmdist.workflows.ahead import (
+    LOOK_AHEAD,
+    in_order,
+    keep_freed_memory,
+    one_opencv_thread,
+    usable_cores,
+)
 
 WORKERS = (1, 2, 3, 8)
 COUNT = 40
@@ -124,3 +131,10 @@ def test_opencv_has_its_threads_back() -> None:
 
 def test_there_is_a_core() -> None:
     assert usable_cores() >= 1
+
+
+def test_freed_memory_is_kept_where_the_c_library_lets_it() -> None:
+    """Nothing but time depends on it: asking twice, or where the C library knows no such thing, does no harm."""
+    keep_freed_memory()
+    keep_freed_memory()
+    assert np.ones((480, 640, 3)).sum() == 480 * 640 * 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -89,11 +90,11 @@ def least_squares_homography(start: Array, template_px: Array, frame_px: Array) 
     (sec. 4.4.4), without which the normal equations would lose half of the digits. None where there is no minimum
     near the start.
     """
-    S_template, S_frame = _normalisation(template_px), _normalisation(frame_px)
-    if S_template is None or S_frame is None:
+    template, frame = _normalised(template_px), _normalised(frame_px)
+    if template is None or frame is None:
         return None
-    p, q = transfer(S_template, template_px), transfer(S_frame, frame_px)
-    start = S_frame @ start @ np.linalg.inv(S_template)
+    (p, to_template_px), (q, to_frame_px) = template, frame
+    start = _inverse_similarity(to_frame_px) @ start @ to_template_px
     if abs(start[2, 2]) < 1e-12:
         return None
     found = minimise(
@@ -101,7 +102,8 @@ def least_squares_homography(start: Array, template_px: Array, frame_px: Array) 
     )
     if found is None:
         return None
-    fitted = np.linalg.inv(S_frame) @ np.append(found.state, 1.0).reshape(3, 3) @ S_template
+    fitted = np.append(found.state, 1.0).reshape(3, 3)
+    fitted = to_frame_px @ fitted @ _inverse_similarity(to_template_px)
     if not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
         return None
     return np.asarray(fitted / fitted[2, 2])
@@ -113,26 +115,35 @@ def _normal_equations(h: Array, p: Array, q: Array) -> NormalEquations | None:
     if w.min() <= 1e-9:  # a point at infinity, or beyond
         return None
     terms = np.empty((3, len(p)))
-    terms[0], terms[1], terms[2] = p[:, 0] / w, p[:, 1] / w, 1.0 / w
-    u, v = h[:3] @ terms, h[3:6] @ terms
-    off_u, off_v = q[:, 0] - u, q[:, 1] - v
+    np.divide(p.T, w, terms[:2])
+    np.divide(1.0, w, terms[2])
+    mapped = h[:6].reshape(2, 3) @ terms
     J = np.zeros((8, 2, len(p)))
     J[:3, 0] = terms
     J[3:6, 1] = terms
-    J[6:, 0] = -u * terms[:2]
-    J[6:, 1] = -v * terms[:2]
+    np.multiply(-mapped, terms[:2, None], J[6:])
     by_element = J.reshape(8, -1)
-    off = np.concatenate([off_u, off_v])
+    off = (q.T - mapped).ravel()
     return NormalEquations(float(off @ off), by_element @ off, by_element @ by_element.T)
 
 
-def _normalisation(points_px: Array) -> Array | None:
-    """The similarity, shape (3, 3), that gives points zero mean and a mean square of 1; None where all are alike."""
-    mean = points_px.mean(0)
-    size = float(np.sqrt(np.square(points_px - mean).mean()))
+def _normalised(points_px: Array) -> tuple[Array, Array] | None:
+    """Points, shape (n, 2), of zero mean and a mean square of 1, and the similarity (3, 3) that takes them back to px.
+
+    None where all points are alike.
+    """
+    mean = points_px.sum(0) / len(points_px)
+    off = points_px - mean
+    size = math.sqrt(float(np.vdot(off, off)) / off.size)
     if not size > 0.0:
         return None
-    return np.array([[1.0, 0.0, -mean[0]], [0.0, 1.0, -mean[1]], [0.0, 0.0, size]]) / size
+    return off / size, np.array([[size, 0.0, mean[0]], [0.0, size, mean[1]], [0.0, 0.0, 1.0]])
+
+
+def _inverse_similarity(S: Array) -> Array:
+    """The inverse of a similarity without rotation, shape (3, 3)."""
+    size, x, y = S[0, 0], S[0, 2], S[1, 2]
+    return np.asarray(np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, size]]) / size)
 
 
 def transfer(H: Array, points_px: Array) -> Array:
