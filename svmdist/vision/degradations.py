@@ -116,7 +116,7 @@ def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int)
         case Degradation.JPEG:
             _, data = cv2.imencode(".jpg", image_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY[level]])
             return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
-    return np.clip(np.rint(degraded), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(degraded, out=degraded), 0, 255, out=degraded).astype(np.uint8)
 
 
 def _filtered(image_bgr: Image, kernel: Array) -> Image:

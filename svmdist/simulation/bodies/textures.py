@@ -90,4 +90,5 @@ def _grow_vessel(
 
 
 def _as_image(colour: Array) -> Image:
-    return np.clip(np.rint(colour), 0, 255).astype(np.uint8)
+    rounded = np.rint(colour)
+    return np.clip(rounded, 0, 255, out=rounded).astype(np.uint8)
