@@ -69,18 +69,35 @@ class Loss:
 
 @dataclass(frozen=True, slots=True)
 class LaidPattern(NormalEquations):
-    """The pattern laid over n pixels: residual (n,), its derivatives (9, n), weights (n,), the pixels' cells (n,).
+    """The pattern laid over n pixels: residual (n,), its derivatives (9, n), weights (n,).
 
     The derivatives are by the pose in the tag's frame, in tag sides and rad, by the blur in px, and by offset and
-    contrast in GREY. `std` is the residual's standard deviation on the pattern's edges, in grey levels.
+    contrast in GREY. `xy_cells` are the pixels' feet, shape (2, n), and `slope` is the pattern's there, shape (n,) by x
+    and by y. What only the last step of a minimisation is asked for is computed then.
     """
 
     overlay: Overlay
     residual: Array
     derivatives: Array
     weight: Array
-    cell: NDArray[np.int64]
-    std: float
+    xy_cells: Array
+    slope: tuple[Array, Array]
+    clusters_across: int
+    edge_slope: float
+
+    @property
+    def std(self) -> float:
+        """The residual's standard deviation on the pattern's edges, in grey levels."""
+        return _std_on_edges(self.residual, *self.slope, self.edge_slope)
+
+    @property
+    def cell(self) -> NDArray[np.int64]:
+        """The cluster of each pixel, shape (n,): of the size of a cell about the cells' corners.
+
+        No edge lies between two of them.
+        """
+        column, row = (self.xy_cells + 0.5 * self.clusters_across).astype(np.int64)
+        return np.asarray(row * self.clusters_across + column)
 
     @property
     def misfit(self) -> float:
@@ -100,8 +117,9 @@ class LaidPattern(NormalEquations):
         """
         inverse = np.linalg.inv(self.information)
         weighted = self.weight * self.residual
-        scores = np.stack([np.bincount(self.cell, weighted * d) for d in self.derivatives])
-        count = int(np.count_nonzero(np.bincount(self.cell)))
+        cell = self.cell
+        scores = np.stack([np.bincount(cell, weighted * d) for d in self.derivatives])
+        count = int(np.count_nonzero(np.bincount(cell)))
         spread = scores @ scores.T * (count / max(count - 9, 1))
         return np.asarray(cluster_inflation * (inverse @ spread @ inverse) + self.variance * inverse)
 
@@ -137,7 +155,7 @@ def start_overlay(
         contrast = float(centred @ brightness) / max(float(centred @ centred), 1e-12)
         residual = brightness - contrast * centred
         offset = float(on_tag.brightness.mean() - contrast * model.mean())
-        std = _std_on_edges(residual, by_x, by_y, settings)
+        std = _std_on_edges(residual, by_x, by_y, settings.edge_slope)
         starts.append((float(residual @ residual), std, Overlay(T_camera_tag, blur_px, offset, contrast)))
     _, std, overlay = min(starts, key=lambda start: start[0])
     return overlay, std
@@ -169,17 +187,25 @@ def lay_pattern(
     weighted = weight * J
     # The ridge keeps the blur's row regular where an image is sharper than any blur is seen.
     information = weighted @ J.T + RIDGE
-    # Clusters of the size of a cell about the cells' corners, so that no edge lies between two.
     clusters_across = pattern.cell_count + 3 + 2 * int(settings.margin_cells)
-    column, row = (on_tag.xy_cells + 0.5 * clusters_across).astype(np.int64)
-    std = _std_on_edges(residual, by_x, by_y, settings)
-    cell = row * clusters_across + column
-    return LaidPattern(cost, weighted @ residual, information, overlay, residual, J, weight, cell, std)
+    return LaidPattern(
+        cost,
+        weighted @ residual,
+        information,
+        overlay,
+        residual,
+        J,
+        weight,
+        on_tag.xy_cells,
+        (by_x, by_y),
+        clusters_across,
+        settings.edge_slope,
+    )
 
 
-def _std_on_edges(residual: Array, by_x: Array, by_y: Array, settings: TagSettings) -> float:
+def _std_on_edges(residual: Array, by_x: Array, by_y: Array, edge_slope: float) -> float:
     steepness = by_x * by_x + by_y * by_y
-    return scale_of(residual[steepness > settings.edge_slope**2 * steepness.max()]) + TINY_LEVEL
+    return scale_of(residual[steepness > edge_slope**2 * steepness.max()]) + TINY_LEVEL
 
 
 def _pixels_on_tag(

@@ -43,14 +43,6 @@ class TagPose:
     blur_px: float
 
 
-def refine_pose(
-    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings = DEFAULT
-) -> TagPose | None:
-    """The pose that lays the pattern over pixels, from a first pose; None where it does not hold."""
-    coarse = lay_coarsely(pixels, T_camera_tag, pattern, settings)
-    return None if coarse is None else refine_fit(pixels, coarse, pattern, settings)
-
-
 def lay_coarsely(
     pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings = DEFAULT
 ) -> LaidPattern | None:

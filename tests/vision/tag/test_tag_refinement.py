@@ -12,7 +12,7 @@ from svmdist.transforms import Array, make_transform, rotation_vector, rotation_
 from svmdist.vision.tag.detection import DICTIONARIES
 from svmdist.vision.tag.overlay import TagPixels
 from svmdist.vision.tag.pattern import TagPattern
-from svmdist.vision.tag.refinement import nudged, on_tag, refine_pose
+from svmdist.vision.tag.refinement import lay_coarsely, nudged, on_tag, refine_fit
 from tests.rotations import rotation_y
 
 SIZE_M = 0.007
@@ -80,7 +80,9 @@ def test_the_covariance_is_what_the_errors_are(
         brightness, rays = seen(T, rng, noise, samples_per_side)
         start = nudged(T, np.concatenate([rng.normal(0.0, 1e-4, 3), rng.normal(0.0, 5e-3, 3)]))
         pixels = TagPixels(brightness, np.ascontiguousarray(rays.T), float(CAMERA.K[0, 0]))
-        found = refine_pose(pixels, start, PATTERN)
+        coarse = lay_coarsely(pixels, start, PATTERN)
+        assert coarse is not None
+        found = refine_fit(pixels, coarse, PATTERN)
         assert found is not None
         turn = rotation_vector(T[:3, :3] @ found.T_camera_tag[:3, :3].T)
         error = np.concatenate([T[:3, 3] - found.T_camera_tag[:3, 3], turn])

@@ -1,0 +1,81 @@
+"""Settings act: what a detector or an estimator does changes where its setting says so."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from svmdist.estimation.detection.distal_marker import detect_distal_marker
+from svmdist.estimation.tissue.pose import TissuePose
+from svmdist.estimation.tissue.tracking import TissueTracker
+from svmdist.geometry.surfaces import Plane
+from svmdist.profile import load_profile
+from svmdist.recording.reader import open_recording
+from svmdist.settings import Settings
+from svmdist.settings.distal_marker import DistalMarkerSettings
+from svmdist.settings.fused import FusedSettings
+from svmdist.settings.marker import MarkerSettings
+from svmdist.settings.tissue import TissueTrackingSettings
+from svmdist.vision.frame_context import to_hsv
+from svmdist.vision.marker.homography import is_plausible
+from svmdist.vision.regions import find_region
+from svmdist.vision.segmentation.colour import colour_mask
+from svmdist.workflows.estimate import estimate
+from svmdist.workflows.setup import Setup
+
+
+@pytest.mark.parametrize("limit", [2.0, 4.0])
+def test_a_homography_may_change_the_area_by_the_setting(limit: float) -> None:
+    """Just below the limit it is plausible, larger or smaller; just above it is not."""
+    settings = MarkerSettings(max_area_ratio=limit)
+    for ratio, plausible in ((0.97 * limit, True), (1.03 * limit, False)):
+        for scale in (np.sqrt(ratio), 1.0 / np.sqrt(ratio)):
+            assert is_plausible(np.diag([scale, scale, 1.0]), 96, settings) is plausible
+
+
+def test_a_marker_must_be_as_saturated_as_the_setting_says() -> None:
+    """A cyan disc on red: found by default, bare steel where more saturation is asked for than it has."""
+    image = np.full((96, 128, 3), (60, 60, 190), np.uint8)
+    cv2.circle(image, (64, 48), 12, (178, 158, 40), -1)
+    hsv, rule = to_hsv(cv2.GaussianBlur(image, (0, 0), 1.0)), load_profile().segmentation.instrument
+    mask = colour_mask(hsv, rule)
+    region = find_region(mask, rule)
+    found = detect_distal_marker(hsv, mask, region)
+    assert found is not None
+    assert found.radius_px == pytest.approx(12.0 / DistalMarkerSettings().visible_radius, abs=0.5)
+    halved = detect_distal_marker(hsv, mask, region, DistalMarkerSettings(visible_radius=0.75))
+    assert halved is not None
+    assert halved.radius_px == pytest.approx(found.radius_px * 0.97 / 0.75)
+    assert detect_distal_marker(hsv, mask, region, DistalMarkerSettings(min_saturation=230.0)) is None
+
+
+@pytest.mark.parametrize("moved_count", [1, 3])
+def test_the_tissue_has_moved_after_as_many_poses(moved_count: int) -> None:
+    def pose_at(x_m: float) -> TissuePose:
+        plane = Plane(np.array([0.0, 0.0, -1.0]), -0.1)
+        return TissuePose(np.array([x_m, 0.0, 0.1]), 1e-8 * np.eye(3), plane)
+
+    tracker = TissueTracker(TissueTrackingSettings(moved_count=moved_count))
+    tracker.add(pose_at(0.0))
+    known = [tracker.add(pose_at(0.01)) for _ in range(moved_count)]
+    assert [pose is not None and pose.position_m[0] == pytest.approx(0.01) for pose in known] == [
+        *(False,) * (moved_count - 1),
+        True,
+    ]
+
+
+def test_what_lasts_is_not_averaged_away(golden) -> None:
+    """`fused` on a log with a tag: the larger the share of an error that lasts, the wider the interval in the end."""
+    profile = load_profile()
+    last_m = []
+    for share in (0.1, 0.9):
+        settings = Settings(fused=FusedSettings(lasting_share=share))
+        setup = Setup(profile.model_copy(update={"settings": settings}), "fused", "corrected", None)
+        recording = open_recording(golden / "3d" / "contact.mcap", setup.profile)
+        spatial = [row.distances.spatial for row in estimate(recording, setup) if row.distances.spatial]
+        last_m.append(spatial[-1].std_m)
+    assert 0.0 < last_m[0] < last_m[1]
+    with pytest.raises(ValidationError):
+        FusedSettings(lasting_share=1.0)
