@@ -60,8 +60,8 @@ def in_order(function: Callable[[Item], Result], items: Iterable[Item], workers:
 def keep_freed_memory() -> None:
     """Let this process keep the memory of an image for the next one, as far as its C library can be told (glibc).
 
-    By default it is given back and asked for again, page by page, many times a frame: a fifth of the time that
-    degrading an image takes.
+    By default it is given back and asked for again, page by page, many times a frame: a sixth of the time of a
+    method on degraded images.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt

@@ -1,4 +1,4 @@
-"""Compare: all methods on the same recordings, in one pass over the images."""
+"""Compare: all methods on the same recordings; those that one process measures share a pass over the images."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def compare(
     clock: Clock | None = None,
     on_progress: Progress | None = None,
 ) -> list[MethodScore]:
-    """Run every setup on every recording under every condition; each image is decoded once.
+    """Run every setup on every recording under every condition; each process decodes an image once.
 
     Scores stand per scenario and degradation; then, where there are several of both, per degradation over all
     scenarios; then over all. Raises RecordingError where a recording has no ground-truth distances, and

@@ -36,8 +36,12 @@ def one_is_killed(part: int, _advance: Advance) -> None:
     time.sleep(LONG_S)
 
 
-def test_results_come_in_the_parts_order() -> None:
-    """From other processes, no more of them than asked for; every step is told once."""
+@pytest.mark.parametrize("start", ["fork", "spawn"])
+def test_results_come_in_the_parts_order(start: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From other processes, forked or not, no more of them than asked for; every step is told once."""
+    if start not in multiprocessing.get_all_start_methods():
+        pytest.skip(f"this system cannot {start}")
+    monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: [start])
     told: list[int] = []
     parts = [8, 2, 0, 5, 1]
     results = in_processes(steps, parts, 2, lambda: told.append(1))
