@@ -37,7 +37,8 @@ class ArmPoses:
 class Arm:
     """An arm of a scene: profile and scene as it sees them, its topics, its exact joints (n, n_joints) at all stamps.
 
-    `prefix` stands before the names of its links in transforms; the first arm's have none.
+    `reported` are the joints that it reports at the same stamps, (n, n_joints). `prefix` stands before the names of its
+    links in transforms; the first arm's have none.
     """
 
     profile: Profile
@@ -45,15 +46,15 @@ class Arm:
     topics: ArmTopicNames
     q: Array
     nominal: NominalKinematics
+    reported: Array
     prefix: str = ""
 
     def poses(self, begin: int, end: int) -> ArmPoses:
         """Where the arm is, and where it reports to be, from one stamp to before another."""
-        q = self.q[begin:end]
-        reported = q + self.nominal.joint_offsets
+        q, reported = self.q[begin:end], self.reported[begin:end]
         return ArmPoses(
             reported,
-            forward_kinematics(self.scene.chain, reported),
+            forward_kinematics(self.nominal.chain, reported),
             self.scene.T_camera_base @ forward_kinematics(self.scene.chain, q),
         )
 
@@ -75,7 +76,7 @@ class Arm:
 
     def nominal_transforms(self, stamp_ns: int, poses: ArmPoses, at: int) -> tuple[TransformSample, ...]:
         """The nominal camera-to-base transform, then the whole chain as the reported joints place it."""
-        frames, chain = self.profile.frames, self.scene.chain
+        frames, chain = self.profile.frames, self.nominal.chain
         names = [self.prefix + row.name for row in chain.rows]
         links = link_transforms(chain, poses.reported[at])
         children = [*names[:-1], frames.tool]

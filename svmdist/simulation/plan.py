@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import UsageError
+from svmdist.kinematics.chain import chain_of
+from svmdist.perturbations.shape import built_profile
 from svmdist.profile import Profile, Simulation
 from svmdist.simulation.arm import Arm, ArmTopicNames
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.motion.trajectory import make_trajectory
-from svmdist.simulation.nominal import draw_nominal_kinematics
+from svmdist.simulation.nominal import NominalKinematics, draw_nominal_kinematics
+from svmdist.simulation.reports import reported_joints
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.simulation.second_arm import OtherArm, make_other_arms
 from svmdist.transforms import Array
@@ -100,26 +103,24 @@ def make_plan(
             f"noise is a standard deviation from 0 to {MAX_NOISE_LEVELS:g} levels, found {noise:g}"
         )
     extras = extras or Extras()
-    scene = make_scene(profile, scenario.seed, extras)
-    settings = profile.simulation
+    built = built_profile(profile, extras.perturbations, scenario.seed)
+    scene = make_scene(built, scenario.seed, extras)
+    settings = built.simulation
     assert settings is not None  # make_scene has checked it
     images, joints = _stamps(scenario.frame_count, scenario.rate_hz), _joint_stamps(scenario, settings)
     stamps = np.union1d(images, joints)
     progress = np.clip((stamps - START_NS) / (scenario.duration_s * 1e9), 0.0, 1.0)
     trajectory = make_trajectory(scene, scenario, settings.working_height_m, progress)
     topics = topic_names(profile)
-    nominal = draw_nominal_kinematics(
-        scene.chain, scene.T_camera_base, profile, scenario.seed, extras.kinematic_error
-    )
-    first = Arm(profile, scene, topics.arm, trajectory.q, nominal)
+    with_joints = np.isin(stamps, joints)
+    reporting = _Reporting(stamps, with_joints, scenario.seed, extras)
+    first = reporting.arm(0, profile, scene, topics.arm, trajectory.q)
     others: tuple[OtherArm, ...] = ()
     if extras.arms > 1:
-        others = make_other_arms(
-            profile, scene, scenario.seed, extras, first.q, progress, scenario.duration_s
-        )
+        others = make_other_arms(built, scene, scenario.seed, extras, first.q, progress, scenario.duration_s)
     arms = (
         first,
-        *(_further_arm(other, index, scenario.seed, extras) for index, other in enumerate(others, start=1)),
+        *(_further_arm(profile, other, reporting, index) for index, other in enumerate(others, start=1)),
     )
     return Plan(
         profile=profile,
@@ -132,7 +133,7 @@ def make_plan(
         extras=extras,
         stamps_ns=stamps,
         with_image=np.isin(stamps, images),
-        with_joints=np.isin(stamps, joints),
+        with_joints=with_joints,
         with_camera_info=_first_of_each_period(stamps),
         T_world_retractor=trajectory.T_world_retractor,
     )
@@ -166,13 +167,42 @@ def _arm_topic_names(profile: Profile, distance: str) -> ArmTopicNames:
     )
 
 
-def _further_arm(other: OtherArm, index: int, seed: int, extras: Extras) -> Arm:
-    scene, profile = other.scene, other.profile
-    nominal = draw_nominal_kinematics(
-        scene.chain, scene.T_camera_base, profile, seed, extras.kinematic_error, arm=(index,)
-    )
-    topics = _arm_topic_names(profile, f"/ground_truth/{other.name}/distance")
-    return Arm(profile, scene, topics, other.q, nominal, prefix=f"{other.name}_")
+@dataclass(frozen=True)
+class _Reporting:
+    """Makes arms of a recording that report at the stamps, shape (n,), their joints at some of them."""
+
+    stamps_ns: NDArray[np.int64]
+    with_joints: NDArray[np.bool_]
+    seed: int
+    extras: Extras
+
+    def arm(
+        self, number: int, profile: Profile, scene: Scene, topics: ArmTopicNames, q: Array, prefix: str = ""
+    ) -> Arm:
+        """The arm of a number that moves by `q`, shape (n, n_joints), and takes itself for the profile's."""
+        nominal = self._nominal(number, profile, scene)
+        exact = q + nominal.joint_offsets
+        reported = reported_joints(
+            exact, self.stamps_ns, self.with_joints, profile, self.extras.perturbations, self.seed, number
+        )
+        return Arm(profile, scene, topics, q, nominal, reported, prefix)
+
+    def _nominal(self, number: int, profile: Profile, scene: Scene) -> NominalKinematics:
+        assert profile.robot is not None  # the scene has checked it
+        return draw_nominal_kinematics(
+            chain_of(profile.robot),
+            scene.T_camera_base,
+            profile,
+            self.seed,
+            self.extras.kinematic_error,
+            arm=(number,) if number else (),
+        )
+
+
+def _further_arm(profile: Profile, other: OtherArm, reporting: _Reporting, number: int) -> Arm:
+    view = profile.for_instrument(other.name)
+    topics = _arm_topic_names(view, f"/ground_truth/{other.name}/distance")
+    return reporting.arm(number, view, other.scene, topics, other.q, prefix=f"{other.name}_")
 
 
 def _stamps(count: int, rate_hz: float) -> NDArray[np.int64]:

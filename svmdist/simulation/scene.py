@@ -13,6 +13,8 @@ from svmdist.camera import Camera
 from svmdist.errors import SimulationError
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, frame_transforms
+from svmdist.perturbations.calibration import zoomed_camera
+from svmdist.perturbations.shape import plane_tilt
 from svmdist.profile import Profile
 from svmdist.samples import Image
 from svmdist.simulation.bodies.instrument import Part, make_parts
@@ -106,14 +108,15 @@ def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Sce
         rotation_z(place.uniform(-np.pi, np.pi)),
         [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0],
     )
+    camera = Camera.from_horizontal_fov(
+        settings.width_px, settings.height_px, settings.horizontal_fov_rad, profile.frames.camera
+    )
     return Scene(
         chain=chain,
         posture=np.array([settings.posture[name] for name in chain.joint_names]),
-        camera=Camera.from_horizontal_fov(
-            settings.width_px, settings.height_px, settings.horizontal_fov_rad, profile.frames.camera
-        ),
+        camera=zoomed_camera(camera, zoom) if (zoom := extras.perturbations["zoom"]) != 1.0 else camera,
         T_world_base=make_transform(rotation_z(settings.base_yaw_rad), settings.base_position_m),
-        T_world_camera=make_transform(R_WORLD_CAMERA, [0.0, 0.0, settings.camera_height_m]),
+        T_world_camera=_camera_pose(settings.camera_height_m, extras, seed),
         T_world_tissue=T_world_tissue,
         organ=make_organ(shape, relief),
         parts=make_parts(
@@ -125,6 +128,15 @@ def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Sce
         baseline_m=settings.stereo_baseline_m,
         plate=make_plate(profile.fiducial) if extras.tag and profile.fiducial is not None else None,
     )
+
+
+def _camera_pose(height_m: float, extras: Extras, seed: int) -> Array:
+    """Where the camera stands, shape (4, 4): so high above the floor, whose origin is on its optical axis."""
+    if not extras.perturbations.has("plane_tilt"):
+        return make_transform(R_WORLD_CAMERA, [0.0, 0.0, height_m])
+    # In these axes the floor's normal is the stated one, turned back.
+    R = R_WORLD_CAMERA @ plane_tilt(extras.perturbations, seed)
+    return make_transform(R, height_m / R[2, 2] * R[:, 2])
 
 
 def make_floor() -> DrawnMesh:

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cached_property
 
+from svmdist.camera import Camera, stereo_transform
+from svmdist.perturbations.calibration import stated_camera, stated_right_camera, zoomed_camera
+from svmdist.perturbations.perturbation import Place
 from svmdist.profile import Profile
 from svmdist.samples import CameraSample, ImageSample, Sample, TransformSample, TransformsSample
 from svmdist.simulation.arm import ArmPoses, distances
@@ -100,10 +104,28 @@ class Simulator(Closing):
                 yield from self._images(stamp, index, block.frame, noise)
 
     def _cameras(self, stamp_ns: int) -> Iterator[tuple[str, Sample]]:
-        scene, topics = self._plan.scene, self._plan.topics
-        yield topics.camera_info, CameraSample(stamp_ns, scene.camera)
+        left, right = self._stated_cameras
+        yield self._plan.topics.camera_info, CameraSample(stamp_ns, left)
         if self._plan.extras.stereo:
-            yield topics.right_camera_info, CameraSample(stamp_ns, scene.right_camera)
+            yield self._plan.topics.right_camera_info, CameraSample(stamp_ns, right)
+
+    @cached_property
+    def _stated_cameras(self) -> tuple[Camera, Camera]:
+        """The left and the right camera as the log says that they are."""
+        scene, perturbations = self._plan.scene, self._plan.extras.perturbations
+        left, right, zoom = scene.camera, scene.right_camera, perturbations["zoom"]
+        if zoom != 1.0:  # the log does not say so
+            left, right = zoomed_camera(left, 1.0 / zoom), zoomed_camera(right, 1.0 / zoom)
+        return stated_camera(left, perturbations), stated_right_camera(right, perturbations)
+
+    @cached_property
+    def _stated_T_camera_right(self) -> Array:
+        """Where the log says that the right camera stands, shape (4, 4)."""
+        if not self._plan.extras.perturbations.changes(Place.CALIBRATION):
+            return self._plan.scene.T_camera_right
+        stated = stereo_transform(*self._stated_cameras)
+        assert stated is not None  # the baseline is not 0
+        return stated
 
     def _clearances_m(self, q: list[Array]) -> _Clearances:
         """Those of a block's moments, by the joints of each arm, shape (n, n_joints)."""
@@ -134,7 +156,7 @@ class Simulator(Closing):
         right = []
         if self._plan.extras.stereo:
             camera, right_frame = scene.camera.frame_id, scene.right_camera.frame_id
-            right = [TransformSample(stamp_ns, camera, right_frame, scene.T_camera_right)]
+            right = [TransformSample(stamp_ns, camera, right_frame, self._stated_T_camera_right)]
         return TransformsSample(
             stamp_ns, (*transforms[0], *right, *(sample for other in transforms[1:] for sample in other))
         )
