@@ -69,9 +69,11 @@ class Arm:
         frames = self.profile.frames
         return TransformSample(stamp_ns, frames.camera, frames.tool, poses.T_camera_tool[at])
 
-    def true_distances(self, tool: TransformSample, clearance_m: float) -> tuple[str, DistanceSample]:
+    def true_distances(
+        self, tool: TransformSample, tissue: TransformSample, clearance_m: float
+    ) -> tuple[str, DistanceSample]:
         """How far the tool is from the tissue."""
-        between = tool.T_parent_child[:3, 3] - self.scene.T_camera_tissue[:3, 3]
+        between = tool.T_parent_child[:3, 3] - tissue.T_parent_child[:3, 3]
         return self.topics.ground_truth_distance, distances(tool.stamp_ns, between, clearance_m)
 
     def nominal_transforms(self, stamp_ns: int, poses: ArmPoses, at: int) -> tuple[TransformSample, ...]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from svmdist.errors import UsageError
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, World, require_at_record
+from svmdist.simulation.room.settings import Room
 from svmdist.vision.degradations import require_degradation
 
 MAX_ARMS = 2
@@ -48,6 +49,11 @@ class Extras:
         for name, severity in self.degradations:
             require_degradation(name, severity)
         require_at_record(self.perturbations)
+
+    @property
+    def room(self) -> Room:
+        """What of the perturbations images and tissue show."""
+        return Room.of(self.perturbations)
 
     def metadata(self) -> dict[str, str]:
         """Name what is set, for a recording's metadata; a plain recording names nothing."""
