@@ -96,7 +96,7 @@ IMAGES: tuple[Perturbation, ...] = (
         "Round black border: at 0 it touches the corners, at 1 the left and right side.",
         1.5,
         Uniform(0.0, 0.6),
-        "Münzer et al. 2013",
+        "Münzer et al. 2018; Budd et al. 2022: scopes with rod lenses show a circle",
     ),
     _image(
         "vignette",
@@ -137,6 +137,6 @@ IMAGES: tuple[Perturbation, ...] = (
         "Highlights of the lamp on wet tissue, which move with the eye.",
         3.0,
         Uniform(0.5, 1.5),
-        "Arnold et al. 2010",
+        "Arnold et al. 2010: tissue is wet, and its highlights saturate",
     ),
 )

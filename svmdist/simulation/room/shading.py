@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from svmdist.camera import Camera
 from svmdist.samples import Image
 from svmdist.simulation.room.settings import Room
-from svmdist.simulation.room.surfaces import Surfaces, metric_depth_m
+from svmdist.simulation.room.surfaces import Points, Surfaces, metric_depth_m
 from svmdist.transforms import Array, inverse, transform_points
 
 LAMP_M = np.array([0.0025, -0.005, 0.0])
@@ -44,13 +44,13 @@ _BUMP_STREAM, _BLOOD_STREAM = 105, 106
 
 @dataclass(frozen=True)
 class Lamp:
-    """The lamp as one camera sees it, shape (3,) in m, and what it sees of moving things, from the camera's K.
+    """The lamp as one camera sees it, shape (3,) in m, and what it sees of moving things, with the camera's K.
 
-    `depth_m`, shape (h, w), has the depths of a pinhole camera at the lamp's place; None where no shadow is asked for.
+    `depth_m`, float32 (h, w), has the depths of a pinhole camera at the lamp's place; None where there is no shadow.
     """
 
     place_m: Array
-    depth_m: Array | None
+    depth_m: NDArray[np.float32] | None
 
     @staticmethod
     def of(place_m: Array, buffer: NDArray[np.float32] | None) -> Lamp:
@@ -82,18 +82,18 @@ class Shader:
         if room.blood:
             self._stain(levels, surfaces)
         behind_m = surfaces.points_m(surfaces.behind_m)
-        gain = np.ones(surfaces.depth_m.shape)
+        gain = np.ones(surfaces.depth_m.shape, np.float32)
         if room.light:
-            d_m = np.linalg.norm(surfaces.points_m(surfaces.depth_m) - lamp.place_m, axis=-1)
+            d_m = _lengths(surfaces.points_m(surfaces.depth_m) - lamp.place_m.astype(np.float32))
             gain *= (FULL_LIGHT_M / d_m) ** (2.0 * room.light / GAMMA)
         unlit = np.zeros_like(gain)
         if lamp.depth_m is not None:
             unlit = room.shadow * shadow(surfaces.camera, behind_m, lamp)
             gain *= np.where(surfaces.is_still, (1.0 - UMBRA * unlit) ** (1.0 / GAMMA), 1.0)
-        levels *= gain[..., None].astype(np.float32)
+        levels *= gain[..., None]
         if room.wet:
             glints = self._glints(behind_m, lamp, T_camera_tissue) * (1.0 - unlit) * surfaces.is_still
-            levels += (HIGHLIGHT * room.wet * glints)[..., None].astype(np.float32)
+            levels += (HIGHLIGHT * room.wet * glints)[..., None]
         return np.asarray(cv2.convertScaleAbs(np.clip(levels, 0.0, 255.0)), np.uint8)
 
     def _stain(self, levels: NDArray[np.float32], surfaces: Surfaces) -> None:
@@ -111,39 +111,34 @@ class Shader:
             shade = 0.6 + 0.4 * levels[here].mean(axis=1, keepdims=True) / 128.0
             levels[here] = (1.0 - share) * levels[here] + share * BLOOD_BGR * shade
 
-    def _glints(self, points_m: Array, lamp: Lamp, T_camera_tissue: Array) -> Array:
+    def _glints(self, points_m: Points, lamp: Lamp, T_camera_tissue: Array) -> NDArray[np.float32]:
         """Blinn's highlights of the lamp on the film over tissue and floor, 0 to about 1, shape (h, w)."""
-        normals = _normals(points_m)
-        on_tissue_px = transform_points(inverse(T_camera_tissue), points_m.reshape(-1, 3))[:, :2]
-        on_tissue_px = np.mod(on_tissue_px / BUMP_SPAN_M * BUMP_PX, BUMP_PX).astype(np.float32)
-        column_px, row_px = np.moveaxis(on_tissue_px.reshape(*points_m.shape[:2], 2), -1, 0)
-        slopes = np.asarray(
-            cv2.remap(
-                self._slopes,
-                np.ascontiguousarray(column_px),
-                np.ascontiguousarray(row_px),
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_WRAP,
+        T_tissue_camera = inverse(T_camera_tissue).astype(np.float32)
+        column_px, row_px = (
+            np.mod(
+                (points_m @ T_tissue_camera[k, :3] + T_tissue_camera[k, 3]) * (BUMP_PX / BUMP_SPAN_M), BUMP_PX
             )
+            for k in range(2)
         )
-        normals += slopes[..., :1] * T_camera_tissue[:3, 0] + slopes[..., 1:] * T_camera_tissue[:3, 1]
-        normals = _unit(normals)
-        half = _unit(_unit(lamp.place_m - points_m) + _unit(-points_m))
-        cosine = np.clip(np.einsum("ijk,ijk->ij", normals, half), 0.0, 1.0)
-        d_m = np.linalg.norm(points_m - lamp.place_m, axis=-1)
-        return np.asarray(cosine**SHININESS * (FULL_LIGHT_M / d_m) ** (2.0 / GAMMA))
+        slopes = np.asarray(
+            cv2.remap(self._slopes, column_px, row_px, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        )
+        normals = np.asarray(_normals(points_m) + slopes @ T_tissue_camera[:2, :3], np.float32)
+        to_lamp = lamp.place_m.astype(np.float32) - points_m
+        d_m = _lengths(to_lamp)
+        half = to_lamp / d_m[..., None] - points_m / _lengths(points_m)[..., None]
+        cosine = np.einsum("ijk,ijk->ij", normals, half) / (_lengths(normals) * _lengths(half))
+        return np.asarray(np.clip(cosine, 0.0, 1.0) ** SHININESS * (FULL_LIGHT_M / d_m) ** (2.0 / GAMMA))
 
 
-def shadow(camera: Camera, points_m: Array, lamp: Lamp) -> Array:
+def shadow(camera: Camera, points_m: Points, lamp: Lamp) -> NDArray[np.float32]:
     """How much of the lamp is hidden from points of the camera's frame, shape (h, w, 3): 0 to 1, shape (h, w)."""
     assert lamp.depth_m is not None
-    from_lamp_m = points_m - lamp.place_m
-    K = camera.K
-    column_px, row_px = (
-        (from_lamp_m[..., k] / from_lamp_m[..., 2] * K[k, k] + K[k, 2]).astype(np.float32) for k in range(2)
-    )
+    from_lamp_m = points_m - lamp.place_m.astype(np.float32)
+    K = camera.K.astype(np.float32)
+    column_px, row_px = (from_lamp_m[..., k] / from_lamp_m[..., 2] * K[k, k] + K[k, 2] for k in range(2))
     first_m = cv2.remap(
-        lamp.depth_m.astype(np.float32),
+        lamp.depth_m,
         column_px,
         row_px,
         cv2.INTER_NEAREST,
@@ -151,15 +146,22 @@ def shadow(camera: Camera, points_m: Array, lamp: Lamp) -> Array:
         borderValue=1e3,
     )
     hidden = (first_m < from_lamp_m[..., 2] - BIAS_M).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(hidden, (0, 0), PENUMBRA_PX), np.float64)
+    return np.asarray(cv2.GaussianBlur(hidden, (0, 0), PENUMBRA_PX), np.float32)
 
 
-def _normals(points_m: Array) -> Array:
+def _normals(points_m: Points) -> Points:
     """Unit normals towards the camera, shape (h, w, 3), smooth over the facets of meshes."""
     smooth_m = cv2.GaussianBlur(points_m, (0, 0), NORMAL_SIGMA_PX)
     along_x, along_y = np.gradient(smooth_m, axis=1), np.gradient(smooth_m, axis=0)
-    return _unit(np.cross(along_y, along_x))
+    across = np.stack(
+        [
+            along_y[..., j] * along_x[..., k] - along_y[..., k] * along_x[..., j]
+            for j, k in ((1, 2), (2, 0), (0, 1))
+        ],
+        -1,
+    )
+    return np.asarray(across / _lengths(across)[..., None])
 
 
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+def _lengths(vectors: Points) -> NDArray[np.float32]:
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))

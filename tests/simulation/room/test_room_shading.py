@@ -24,7 +24,7 @@ T_CAMERA_TISSUE = make_transform(np.diag([1.0, -1.0, -1.0]), [0.0, 0.0, FLOOR_M]
 
 def floor(depth_m: float = FLOOR_M) -> Surfaces:
     """A floor across the camera's axis, and nothing before it."""
-    depths = np.full(SHAPE, depth_m)
+    depths = np.full(SHAPE, depth_m, np.float32)
     return Surfaces(CAMERA, depths, depths, np.ones(SHAPE, bool), np.full(SHAPE, NO_PART, np.int16), ())
 
 
@@ -39,7 +39,7 @@ def test_depth_buffers_are_metric() -> None:
     buffer = np.array([[0.0, 0.25, 0.5, 1.0]], np.float32)
     depth_m = metric_depth_m(buffer)
     assert depth_m[0, [0, -1]] == pytest.approx([NEAR_M, FAR_M])
-    np.testing.assert_allclose(1 / depth_m[0], 1 / NEAR_M + buffer[0] * (1 / FAR_M - 1 / NEAR_M))
+    np.testing.assert_allclose(1 / depth_m[0], 1 / NEAR_M + buffer[0] * (1 / FAR_M - 1 / NEAR_M), rtol=1e-6)
 
 
 @pytest.mark.parametrize("depth_m", [0.06, 0.1, 0.112])
@@ -62,8 +62,8 @@ def test_a_shadow_lies_where_the_lamp_throws_it() -> None:
     x_m = (column - CAMERA.K[0, 2]) / CAMERA.K[0, 0] * at_m[2]
     y_m = (row - CAMERA.K[1, 2]) / CAMERA.K[1, 1] * at_m[2]
     is_there = (abs(x_m - at_m[0]) < half_m) & (abs(y_m - at_m[1]) < half_m)
-    lamp_depth_m = np.where(is_there, at_m[2], FAR_M)
-    hidden = shadow(CAMERA, floor().points_m(np.full(SHAPE, FLOOR_M)), Lamp(LAMP_M, lamp_depth_m))
+    lamp_depth_m = np.where(is_there, at_m[2], FAR_M).astype(np.float32)
+    hidden = shadow(CAMERA, floor().points_m(floor().depth_m), Lamp(LAMP_M, lamp_depth_m))
     rows, columns = np.nonzero(hidden > 0.5)
     expected_m = LAMP_M + at_m / at_m[2] * FLOOR_M
     np.testing.assert_allclose([columns.mean(), rows.mean()], CAMERA.project(expected_m[None])[0], atol=0.6)
