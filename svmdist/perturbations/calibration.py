@@ -26,7 +26,7 @@ def stated_right_camera(camera: Camera, perturbations: Perturbations) -> Camera:
     """The right camera of a pair as a log says it is and stands."""
     stated = stated_camera(camera, perturbations)
     P, R = stated.P, stated.R_rectified_camera
-    if P is not None and perturbations.has("baseline"):
+    if P is not None and P[0, 3] and perturbations.has("baseline"):  # a pair
         P = P.copy()
         P[0, 3] -= P[0, 0] * 1e-3 * perturbations["baseline"]
     if perturbations.has("right_yaw", "right_pitch", "right_roll"):

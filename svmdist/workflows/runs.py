@@ -14,7 +14,7 @@ from svmdist.recording.health import Health
 from svmdist.recording.reader import Recording
 from svmdist.recording.topics import Role
 from svmdist.workflows.ahead import usable_cores
-from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.conditions import CLEAN, Condition, PerturbedCondition
 from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.distances import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 from svmdist.workflows.setup import Setup
@@ -35,7 +35,7 @@ class Run:
     """
 
     recording: Recording
-    condition: Condition
+    condition: Condition | PerturbedCondition
     method: str
     frame_count: int
     measured_count: int
@@ -79,7 +79,7 @@ def pooled_figures(runs: Sequence[Run]) -> Figures:
 def measure_runs(
     recordings: Sequence[Recording],
     setups: Sequence[Setup],
-    conditions: Sequence[Condition] = (CLEAN,),
+    conditions: Sequence[Condition | PerturbedCondition] = (CLEAN,),
     *,
     jobs: int | None = None,
     clock: Clock | None = None,
@@ -115,7 +115,24 @@ def measure_runs(
 def _runs(
     recording: Recording,
     setups: Sequence[Setup],
-    conditions: Sequence[Condition],
+    conditions: Sequence[Condition | PerturbedCondition],
+    jobs: int,
+    clock: Clock | None,
+    advance: Callable[[], None],
+) -> list[Run]:
+    """One pass over the log for all conditions of its images, and one for every other world."""
+    passes: list[Sequence[Condition | PerturbedCondition]] = [
+        [condition for condition in conditions if not isinstance(condition, PerturbedCondition)],
+        *([condition] for condition in conditions if isinstance(condition, PerturbedCondition)),
+    ]
+    runs = [run for of in passes if of for run in _pass(recording, setups, of, jobs, clock, advance)]
+    return sorted(runs, key=lambda run: conditions.index(run.condition))
+
+
+def _pass(
+    recording: Recording,
+    setups: Sequence[Setup],
+    conditions: Sequence[Condition | PerturbedCondition],
     jobs: int,
     clock: Clock | None,
     advance: Callable[[], None],
@@ -123,7 +140,12 @@ def _runs(
     names = _with_truth(recording)
     lanes = [(condition, setup) for condition in conditions for setup in setups]
     tallies = [{name: _Tally() for name in names} for _ in lanes]
-    for replayed in replay(recording, setups, conditions, wanted=names, jobs=jobs, clock=clock):
+    seen, told = recording, setups
+    for condition in conditions:
+        if isinstance(condition, PerturbedCondition):  # alone
+            seen = recording.perturbed(condition.perturbations, setups[0].profile)
+            told = [setup.perturbed(condition.perturbations, seen.world_seed) for setup in setups]
+    for replayed in replay(seen, told, conditions, wanted=names, jobs=jobs, clock=clock):
         for lane, of_lane in zip(replayed, tallies, strict=True):
             for result, seconds, tally in zip(lane.results, lane.seconds, of_lane.values(), strict=True):
                 tally.frame_count += 1
@@ -166,7 +188,7 @@ class _Tally:
 
 
 def _measure_part(
-    recording: Recording, setups: Sequence[Setup], conditions: Sequence[Condition]
+    recording: Recording, setups: Sequence[Setup], conditions: Sequence[Condition | PerturbedCondition]
 ) -> tuple[list[Run], Health]:
     """What one process does: one recording under some of the conditions. Gives what was lost in reading, too."""
     return _runs(recording, setups, conditions, 1, None, lambda: None), recording.health
@@ -175,7 +197,7 @@ def _measure_part(
 def _in_processes(
     recordings: Sequence[Recording],
     setups: Sequence[Setup],
-    conditions: Sequence[Condition],
+    conditions: Sequence[Condition | PerturbedCondition],
     jobs: int,
     advance: Callable[[], None],
 ) -> Iterator[Run]:
