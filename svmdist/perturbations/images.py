@@ -2,17 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
+from svmdist.camera import Camera
+from svmdist.perturbations.calibration import right_turn
 from svmdist.perturbations.chosen import Perturbations
-from svmdist.samples import Image
+from svmdist.samples import Image, RightView
+from svmdist.transforms import Array
 
 
 def perturbed_image(image_bgr: Image, perturbations: Perturbations) -> Image:
     """Do to an image of either camera, shape (height, width, 3), what can be done at replay."""
     zoom = perturbations["zoom"]
     return image_bgr if zoom == 1.0 else zoomed_image(image_bgr, zoom)
+
+
+def perturbed_right_view(right: RightView, perturbations: Perturbations) -> RightView:
+    """Do the same to the right view, and what concerns the right camera alone."""
+    image_bgr = right.image_bgr
+    if perturbations.has("right_yaw", "right_pitch", "right_roll"):
+        image_bgr = turned_image(image_bgr, right.camera, right_turn(perturbations))
+    return replace(right, image_bgr=perturbed_image(image_bgr, perturbations))
+
+
+def turned_image(image_bgr: Image, camera: Camera, R_camera_turned: Array) -> Image:
+    """The image of a camera that is turned about its centre, by what it showed before; the border is black.
+
+    Pixels move by a homography, K Rᵀ K⁻¹ (Hartley & Zisserman, Multiple View Geometry, sec. 8.4). The lens' distortion
+    is taken to turn along.
+    """
+    H = camera.K @ R_camera_turned.T @ np.linalg.inv(camera.K)
+    size = (camera.width_px, camera.height_px)
+    return np.asarray(cv2.warpPerspective(image_bgr, H, size, flags=cv2.INTER_CUBIC), np.uint8)
 
 
 def zoomed_image(image_bgr: Image, zoom: float) -> Image:

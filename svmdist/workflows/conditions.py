@@ -82,9 +82,14 @@ class PerturbedCondition:
 
     def apply(self, observation: Observation, _frame: int) -> Observation:
         """Change the images; joints and calibration are those of `Recording.perturbed`."""
-        from svmdist.perturbations.images import perturbed_image
+        from svmdist.perturbations.images import perturbed_image, perturbed_right_view
 
-        return _changed(observation, lambda image, _: perturbed_image(image, self.perturbations))
+        image, right = observation.image_bgr, observation.right
+        return replace(
+            observation,
+            image_bgr=perturbed_image(image, self.perturbations),
+            right=None if right is None else perturbed_right_view(right, self.perturbations),
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from svmdist.camera import Camera, stereo_transform
-from svmdist.perturbations.calibration import stated_camera, stated_right_camera, zoomed_camera
+from svmdist.perturbations.calibration import right_turn, stated_camera, stated_right_camera, zoomed_camera
 from svmdist.perturbations.chosen import UNPERTURBED, parse_perturbations
-from svmdist.perturbations.images import perturbed_image, zoomed_image
+from svmdist.perturbations.images import perturbed_image, perturbed_right_view, zoomed_image
 from svmdist.perturbations.shape import TURN_DEG_PER_MM, built_profile, plane_tilt, stated_profile
 from svmdist.profile import Profile, load_profile
+from svmdist.samples import RightView
 from svmdist.transforms import rotation_angle, rotation_vector
 from tests.synthetic import make_scene
 
@@ -52,13 +53,13 @@ def test_focal_length_and_principal_point_are_off_in_K_and_P_and_leave_the_pair(
     assert stated_camera(LEFT, parse_perturbations("baseline=1")) is LEFT
 
 
-def test_the_right_camera_is_said_to_stand_and_turn_elsewhere() -> None:
+def test_the_right_camera_is_said_to_stand_elsewhere_and_not_to_be_turned() -> None:
     np.testing.assert_allclose(pair("baseline=0.2")[:3, 3], [0.0052, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(pair("focal=3,baseline=0.2")[:3, 3], [0.0052, 0.0, 0.0], atol=1e-12)
     for axis, name in enumerate(("right_pitch", "right_yaw", "right_roll")):
-        T = pair(f"{name}=0.3")
-        np.testing.assert_allclose(rotation_vector(T[:3, :3]), np.radians(0.3) * np.eye(3)[axis], atol=1e-12)
-        np.testing.assert_allclose(T[:3, 3], [0.005, 0.0, 0.0], atol=1e-12)
+        turn = right_turn(parse_perturbations(f"{name}=0.3"))
+        np.testing.assert_allclose(rotation_vector(turn), np.radians(0.3) * np.eye(3)[axis], atol=1e-12)
+        np.testing.assert_array_equal(pair(f"{name}=0.3"), pair("lag=1"))  # it is not said
     alone = stated_right_camera(right_of(LEFT, 0.0), parse_perturbations("baseline=0.2"))
     assert stereo_transform(LEFT, alone) is None  # two cameras that are no pair do not become one
 
@@ -68,12 +69,8 @@ def test_a_zoomed_image_is_that_of_a_zoomed_camera(zoom: float) -> None:
     """A blob that the true camera shows at a point is in the enlarged image where the zoomed camera projects it."""
     scene = make_scene(640, 480)
     point_m = np.array([[0.01, -0.015, 0.1]])
-    at_px = scene.camera.project(point_m)[0]
-    y, x = np.mgrid[:480, :640]
-    blob = 255.0 * np.exp(-((x - at_px[0]) ** 2 + (y - at_px[1]) ** 2) / 18.0)
-    image = np.repeat(blob[..., None], 3, axis=2).astype(np.uint8)
-    enlarged = perturbed_image(image, parse_perturbations(f"zoom={zoom}"))[..., 0].astype(float)
-    found = np.array([(enlarged * x).sum(), (enlarged * y).sum()]) / enlarged.sum()
+    image = blob_image(scene.camera.project(point_m)[0])
+    found = middle_px(perturbed_image(image, parse_perturbations(f"zoom={zoom}")))
     np.testing.assert_allclose(found, zoomed_camera(scene.camera, zoom).project(point_m)[0], atol=0.1)
     np.testing.assert_array_equal(zoomed_image(image, 1.0), image)
     assert perturbed_image(image, parse_perturbations("focal=1")) is image
@@ -82,6 +79,33 @@ def test_a_zoomed_image_is_that_of_a_zoomed_camera(zoom: float) -> None:
 EVERYTHING = (
     "plane={p},plane_tilt={t},shaft_radius={s},wrist_length={w},knuckle_radius={k},tag_size={g},tag_mount={m}"
 )
+
+
+@pytest.mark.parametrize("name", ["right_yaw", "right_pitch", "right_roll"])
+def test_a_turned_image_is_that_of_a_turned_camera(name: str) -> None:
+    """A blob is where the turned camera projects its point, all three axes alike."""
+    camera = make_scene(640, 480).camera
+    turn = right_turn(parse_perturbations(f"{name}=2"))
+    point_m = np.array([[0.012, -0.015, 0.1]])
+    image = blob_image(camera.project(point_m)[0])
+    before = RightView(image, camera, np.eye(4))
+    after = perturbed_right_view(before, parse_perturbations(f"{name}=2,zoom=1.05"))
+    expected = zoomed_camera(camera, 1.05).project(point_m @ turn)[0]
+    assert np.linalg.norm(expected - camera.project(point_m)[0]) > 2.0
+    np.testing.assert_allclose(middle_px(after.image_bgr), expected, atol=0.1)
+    assert perturbed_right_view(before, parse_perturbations("focal=1")).image_bgr is image
+
+
+def blob_image(at_px: np.ndarray) -> np.ndarray:
+    y, x = np.mgrid[:480, :640]
+    blob = 255.0 * np.exp(-((x - at_px[0]) ** 2 + (y - at_px[1]) ** 2) / 18.0)
+    return np.repeat(blob[..., None], 3, axis=2).astype(np.uint8)
+
+
+def middle_px(image: np.ndarray) -> np.ndarray:
+    y, x = np.mgrid[:480, :640]
+    weight = image[..., 0].astype(float)
+    return np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
 
 
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 7), st.integers(0, 99))
