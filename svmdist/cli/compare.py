@@ -71,11 +71,11 @@ def compare_command(
     from svmdist.report.figures import FIGURE_NOTE
     from svmdist.vision.degradations import require_degradation
     from svmdist.workflows.compare import compare
-    from svmdist.workflows.conditions import CLEAN, Condition, PerturbedCondition
+    from svmdist.workflows.conditions import CLEAN, Condition, LogCondition, PerturbedCondition
     from svmdist.workflows.setup import prepare
 
     require_output(output, files or ())
-    conditions: list[Condition | PerturbedCondition] = [CLEAN]
+    conditions: list[LogCondition] = [CLEAN]
     conditions += [
         Condition(require_degradation(name, severity), severity)
         for name, severity in dict.fromkeys(parse_degradations("--degrade", degrade))

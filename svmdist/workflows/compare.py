@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from svmdist.errors import RecordingError
 from svmdist.estimation.detection.lazy import Clock
 from svmdist.recording.reader import Recording
-from svmdist.workflows.conditions import CLEAN, Condition, PerturbedCondition
+from svmdist.workflows.conditions import CLEAN, LogCondition
 from svmdist.workflows.runs import Figures, Progress, Run, measure_runs, pooled_figures
 from svmdist.workflows.setup import Setup
 
@@ -45,9 +45,7 @@ class MethodScore:
     instrument: str = ""
 
 
-def group_of(
-    recording: Recording, condition: Condition | PerturbedCondition = CLEAN, instrument: str = ""
-) -> Group:
+def group_of(recording: Recording, condition: LogCondition = CLEAN, instrument: str = "") -> Group:
     """What a recording is compared as: its scenario, or its name where it names none, and its degradations.
 
     Those are what it was recorded with, `degrade` and `perturb` of its metadata, and then what is done to it now. Of a
@@ -65,7 +63,7 @@ def group_of(
 def compare(
     recordings: Sequence[Recording],
     setups: Sequence[Setup],
-    conditions: Sequence[Condition | PerturbedCondition] = (CLEAN,),
+    conditions: Sequence[LogCondition] = (CLEAN,),
     *,
     jobs: int | None = None,
     clock: Clock | None = None,

@@ -92,6 +92,10 @@ class PerturbedCondition:
         )
 
 
+LogCondition = Condition | PerturbedCondition
+"""What a log can be compared under."""
+
+
 @dataclass(frozen=True, slots=True)
 class BlurCondition:
     """One of the paper's blurs with a kernel in px."""

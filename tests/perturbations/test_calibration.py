@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from svmdist.camera import Camera, stereo_transform
+from svmdist.errors import UsageError
 from svmdist.perturbations.calibration import right_turn, stated_camera, stated_right_camera, zoomed_camera
 from svmdist.perturbations.chosen import UNPERTURBED, parse_perturbations
 from svmdist.perturbations.images import perturbed_image, perturbed_right_view, zoomed_image
@@ -159,6 +160,13 @@ def test_the_camera_is_built_as_far_from_the_floor_as_is_not_said() -> None:
     built = built_profile(PROFILE, parse_perturbations("plane=1"), 1)
     assert built.simulation is not None
     assert built.simulation.camera_height_m == pytest.approx(0.111)
+
+
+def test_a_plane_stays_before_the_camera() -> None:
+    assert PROFILE.tissue is not None
+    near = PROFILE.model_copy(update={"tissue": PROFILE.tissue.model_copy(update={"plane_distance_m": 0.01})})
+    with pytest.raises(UsageError, match="10 mm behind the camera"):
+        stated_profile(near, parse_perturbations("plane=-20"), 1)
 
 
 def test_a_profile_without_these_parts_has_nothing_to_be_wrong_about() -> None:
