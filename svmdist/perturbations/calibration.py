@@ -25,17 +25,18 @@ def stated_camera(camera: Camera, perturbations: Perturbations) -> Camera:
 def stated_right_camera(camera: Camera, perturbations: Perturbations) -> Camera:
     """The right camera of a pair as a log says it is and stands."""
     stated = stated_camera(camera, perturbations)
-    P, R = stated.P, stated.R_rectified_camera
-    if P is not None and perturbations.has("baseline"):
+    P = stated.P
+    if P is not None and P[0, 3] and perturbations.has("baseline"):  # a pair
         P = P.copy()
         P[0, 3] -= P[0, 0] * 1e-3 * perturbations["baseline"]
-    if perturbations.has("right_yaw", "right_pitch", "right_roll"):
-        R = right_turn(perturbations) @ (np.eye(3) if R is None else R)
-    return replace(stated, P=P, R_rectified_camera=R)
+    return replace(stated, P=P)
 
 
 def right_turn(perturbations: Perturbations) -> Array:
-    """How the right camera is said to be turned, in the rectified frame, shape (3, 3)."""
+    """How the right camera is turned against what is said, in its own axes, shape (3, 3).
+
+    A log says that its pair is rectified: it is the pair that is not, and no method would take one of which it is said.
+    """
     axes = ("right_pitch", "right_yaw", "right_roll")  # about x, y and z
     return rotation_of(np.deg2rad([perturbations[name] for name in axes]))
 

@@ -28,9 +28,30 @@ CALIBRATION = (
     _stated(
         "baseline", "mm", "Stated distance of the right camera, too large by this much.", 2.0, 0.05, ZHANG
     ),
-    _stated("right_yaw", "deg", "Stated turn of the right camera about its y axis.", 5.0, 0.03, ZHANG),
-    _stated("right_pitch", "deg", "Stated turn of the right camera about its x axis.", 5.0, 0.03, ZHANG),
-    _stated("right_roll", "deg", "Stated turn of the right camera about its z axis.", 5.0, 0.03, ZHANG),
+    _stated(
+        "right_yaw",
+        "deg",
+        "The right camera is turned about its y axis, which is not said.",
+        5.0,
+        0.03,
+        ZHANG,
+    ),
+    _stated(
+        "right_pitch",
+        "deg",
+        "The right camera is turned about its x axis, which is not said.",
+        5.0,
+        0.03,
+        ZHANG,
+    ),
+    _stated(
+        "right_roll",
+        "deg",
+        "The right camera is turned about its z axis, which is not said.",
+        5.0,
+        0.03,
+        ZHANG,
+    ),
     _stated(
         "plane",
         "mm",

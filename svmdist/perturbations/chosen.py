@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 
 from svmdist.errors import UsageError
-from svmdist.perturbations.perturbation import Perturbation, Place
+from svmdist.perturbations.perturbation import Place
 from svmdist.perturbations.table import TABLE, find_perturbation, require_strength
 from svmdist.transforms import Array
 
@@ -109,11 +109,6 @@ def require_at_record(perturbations: Perturbations) -> None:
 def merged(several: Iterable[Perturbations]) -> Perturbations:
     """Several together; raises UsageError for a name in two of them."""
     return Perturbations(tuple(pair for one in several for pair in one.strengths))
-
-
-def described(entries: Iterable[Perturbation]) -> str:
-    """Names and units, for a help text."""
-    return ", ".join(f"{entry.name} ({entry.unit})" for entry in entries)
 
 
 def _require(perturbations: Perturbations, possible: list[str], when: str) -> None:

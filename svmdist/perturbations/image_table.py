@@ -1,6 +1,6 @@
 """Perturbations of what the cameras see: lens, tissue, the looks of the instrument, video, light.
 
-`svmdist/simulation/room/` draws them; it cannot be done to images that are recorded already.
+`svmdist/simulation/room/` draws them. Few can be done to images that are recorded already.
 """
 
 from __future__ import annotations
@@ -15,15 +15,17 @@ VIDEO = "ITU-R BT.601: first-generation endoscopes give 4:2:2 fields; recorders 
 TIP = "Collins & Bartoli 2012; Okatani & Deguchi 1997: the endoscope carries the light"
 
 
-def _image(name: str, unit: str, meaning: str, high: float, real: Law | None, source: str) -> Perturbation:
-    return Perturbation(name, unit, Place.IMAGES, meaning, 0.0, high, real, source, at_replay=False)
+def _image(
+    name: str, unit: str, meaning: str, high: float, real: Law | None, source: str, at_replay: bool = False
+) -> Perturbation:
+    return Perturbation(name, unit, Place.IMAGES, meaning, 0.0, high, real, source, at_replay=at_replay)
 
 
 IMAGES: tuple[Perturbation, ...] = (
     _image(
         "lens",
         "times",
-        "Distortion of both lenses, times k1 = -0.2, k2 = 0.05; camera_info tells it.",
+        "Distortion of both lenses, times k1 = -0.2, k2 = 0.05; camera_info tells it (D, plumb_bob).",
         1.25,
         Uniform(0.5, 1.2),
         "after Barreto et al. 2009 and Zhang 2000: endoscopes bend lines towards barrels",
@@ -55,7 +57,7 @@ IMAGES: tuple[Perturbation, ...] = (
     _image(
         "tissue_shape",
         "of the height",
-        "Random waves on the organ's height; a fifth of it on the outline's radius.",
+        "Random waves of 14 to 32 mm multiply the organ's height, a fifth of it the outline's radius.",
         0.5,
         Uniform(0.05, 0.25),
         "assumed: no organ is of the profile's family",
@@ -63,7 +65,7 @@ IMAGES: tuple[Perturbation, ...] = (
     _image(
         "tissue_ellipsoid",
         "of the way",
-        "From the profile's dome, 0, to an ellipsoid, 1.",
+        "From the profile's dome, 0, to an ellipsoid, 1, and beyond.",
         1.5,
         Uniform(0.0, 1.0),
         "assumed: no organ is of the profile's family",
@@ -84,12 +86,19 @@ IMAGES: tuple[Perturbation, ...] = (
     _image(
         "jaw",
         "deg",
-        "The jaws open up to so much further than is reported.",
+        "The jaws open up to so much further, at 0.3 Hz, than is reported.",
         45.0,
         Uniform(0.0, 5.0),
         "Haghighipanah et al. 2015: cable stretch, most in the wrist",
     ),
-    _image("blood", "of the surface", "Red patches on the instrument.", 0.9, Uniform(0.0, 0.15), TOOLS),
+    _image(
+        "blood",
+        "of the surface",
+        "Red patches that stay on the instrument's parts, the tag among them.",
+        0.9,
+        Uniform(0.0, 0.15),
+        TOOLS,
+    ),
     _image(
         "border",
         "of the way",
@@ -97,6 +106,7 @@ IMAGES: tuple[Perturbation, ...] = (
         1.5,
         Uniform(0.0, 0.6),
         "Münzer et al. 2018; Budd et al. 2022: scopes with rod lenses show a circle",
+        at_replay=True,
     ),
     _image(
         "vignette",
@@ -105,12 +115,21 @@ IMAGES: tuple[Perturbation, ...] = (
         0.95,
         Uniform(0.1, 0.4),
         "Kang & Weiss 2000: off-axis light falls with the fourth power of the cosine, and vignetting adds to it",
+        at_replay=True,
     ),
-    _image("chroma", "of the way", "Colour at half the resolution (4:2:0).", 1.0, Always(1.0), VIDEO),
+    _image(
+        "chroma",
+        "of the way",
+        "Colour at half the resolution (4:2:0).",
+        1.0,
+        Always(1.0),
+        VIDEO,
+        at_replay=True,
+    ),
     _image(
         "interlace",
         "1/60 s",
-        "Odd rows are so much later than even ones.",
+        "Odd rows show everything so much later than even ones.",
         6.0,
         Always(1.0),
         VIDEO,
@@ -126,7 +145,7 @@ IMAGES: tuple[Perturbation, ...] = (
     _image(
         "shadow",
         "of the light",
-        "What instruments keep of the lamp's light from tissue.",
+        "What instruments keep of the lamp's light from tissue and floor.",
         1.0,
         Uniform(0.5, 1.0),
         TIP,

@@ -5,9 +5,8 @@ from __future__ import annotations
 from svmdist.perturbations.laws import Always, Normal, Uniform
 from svmdist.perturbations.perturbation import Perturbation, Place
 
-CABLES = (
-    "Haghighipanah et al. 2015 and Hwang et al. 2020: cable stretch, friction and backlash, most in the wrist"
-)
+CABLES = "Hwang et al. 2020; Peng et al. 2024: 0.4° to 0.5° and 0.5 mm in cable-driven joints behind a constant offset"
+SLACK = "assumed; Haghighipanah et al. 2015, Richter et al. 2021: errors of cables change with load and time"
 
 JOINTS = (
     Perturbation(
@@ -28,7 +27,7 @@ JOINTS = (
         0.0,
         10.0,
         Always(0.2),
-        CABLES,
+        SLACK,
     ),
     Perturbation(
         "joint_noise",
@@ -38,7 +37,7 @@ JOINTS = (
         0.0,
         5.0,
         Always(0.02),
-        "assumed: what differentiated potentiometers and encoders of such arms leave",
+        "assumed: vibration, and play of a joint that is driven",
     ),
     Perturbation(
         "quantisation",
@@ -48,7 +47,7 @@ JOINTS = (
         0.0,
         5.0,
         Always(0.02),
-        "Kazanzides et al. 2014: motor encoders, behind gears and cables",
+        "assumed, coarse: encoders are on the motors (Kazanzides et al. 2014), but logs may be rounded",
     ),
 )
 

@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from svmdist.errors import UsageError
 from svmdist.perturbations.chosen import Perturbations, direction
 from svmdist.profile import Fiducial, Instrument, Profile, Robot, Tissue
 from svmdist.toml_model import StrictModel
@@ -102,11 +103,14 @@ def _fiducial(
 def _tissue(tissue: Tissue | None, perturbations: Perturbations, seed: int, sign: int) -> Tissue | None:
     if tissue is None or not perturbations.has("plane", "plane_tilt"):
         return tissue
+    distance_m = tissue.plane_distance_m + sign * 1e-3 * perturbations["plane"]
+    if distance_m <= 0.0:
+        raise UsageError(f"perturbation plane: the plane would be {-1e3 * distance_m:g} mm behind the camera")
     R = plane_tilt(perturbations, seed)
     normal = (R if sign > 0 else R.T) @ tissue.plane_normal
     return _with(
         tissue,
-        plane_distance_m=tissue.plane_distance_m + sign * 1e-3 * perturbations["plane"],
+        plane_distance_m=distance_m,
         plane_normal=tuple((normal / np.linalg.norm(normal)).tolist()),
     )
 

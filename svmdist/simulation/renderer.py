@@ -15,16 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import SimulationError, did_you_mean
+from svmdist.perturbations.video import dimmed
 from svmdist.samples import Image
 from svmdist.simulation.closing import Closing
 from svmdist.simulation.drawn_world import DrawnWorld, Picture
 from svmdist.simulation.plan import Moment
 from svmdist.simulation.room.shading import LAMP_M, Lamp, Shader
 from svmdist.simulation.room.surfaces import Surfaces, metric_depth_m
-from svmdist.simulation.room.video import dimmed, light_left
 from svmdist.simulation.scene import Scene, risen
 from svmdist.simulation.views import PIXEL_SHIFT, projection_matrix, view_matrix
-from svmdist.transforms import Array, inverse, make_transform
+from svmdist.transforms import Array, inverse, make_transform, transform_points
 
 RendererName = Literal["tiny", "egl"]
 RENDERERS: tuple[RendererName, ...] = ("tiny", "egl")
@@ -67,7 +67,6 @@ class Renderer(Closing):
         self._turn = 0
         self._moment: Moment | None = None
         self._shader = Shader(scene.room, seed) if scene.room.needs_surfaces else None
-        self._light_left = light_left(scene.room, scene.camera.width_px, scene.camera.height_px)
         self.world = DrawnWorld(scene, others, egl=not self._is_tiny, still=not self._is_tiny, moving=True)
 
     @property
@@ -102,8 +101,8 @@ class Renderer(Closing):
         image_bgr = self._pinhole(camera, turn)
         if self._scene.lens is not None:
             image_bgr = self._scene.lens.image(image_bgr)
-        image_bgr = _through_optics(image_bgr)
-        return image_bgr if self._light_left is None else dimmed(image_bgr, self._light_left)
+        room = self._scene.room
+        return dimmed(_through_optics(image_bgr), room.border, room.vignette)
 
     def _pinhole(self, camera: int, turn: int) -> Image:
         """What a pinhole shows of everything."""
@@ -145,7 +144,8 @@ class Renderer(Closing):
             part,
             tuple(T_camera_world @ T for T in T_world_part),
         )
-        T_world_lamp = self._scene.T_world_camera @ make_transform(np.eye(3), LAMP_M)
+        lamp_world_m = transform_points(self._scene.T_world_camera, LAMP_M[None])[0]
+        T_world_lamp = make_transform(self._T_world_cameras[camera][:3, :3], lamp_world_m)
         seen = None
         if self._scene.room.shadow:
             seen = self.world.picture(view_matrix(T_world_lamp), self.projection, turn).depth

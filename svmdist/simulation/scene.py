@@ -14,7 +14,7 @@ from svmdist.camera import Camera
 from svmdist.errors import SimulationError
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, frame_transforms
-from svmdist.perturbations.calibration import zoomed_camera
+from svmdist.perturbations.calibration import right_turn, zoomed_camera
 from svmdist.perturbations.shape import plane_tilt
 from svmdist.profile import Profile
 from svmdist.samples import Image
@@ -60,6 +60,7 @@ class Scene:
     tissue_texture: Image
     floor_texture: Image
     baseline_m: float
+    R_camera_right: Array
     plate: Plate | None = None
     room: Room = IDEAL
     distortion: Array = field(default_factory=lambda: np.zeros(5))
@@ -76,7 +77,7 @@ class Scene:
 
     @property
     def right_camera(self) -> Camera:
-        """The right camera of a rectified pair: the left one's intrinsics, and the baseline in P."""
+        """The right camera of a rectified pair, as it is meant: the left one's intrinsics, and the baseline in P."""
         P = np.hstack([self.camera.K, np.zeros((3, 1))])
         P[0, 3] = -self.camera.K[0, 0] * self.baseline_m
         return replace(self.camera, P=P, frame_id=f"{self.camera.frame_id}_right")
@@ -84,7 +85,7 @@ class Scene:
     @property
     def T_camera_right(self) -> Array:
         """Where the right camera stands for the left one, shape (4, 4)."""
-        return make_transform(np.eye(3), [self.baseline_m, 0.0, 0.0])
+        return make_transform(self.R_camera_right, [self.baseline_m, 0.0, 0.0])
 
     @property
     def T_camera_base(self) -> Array:
@@ -158,6 +159,7 @@ def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Sce
         tissue_texture=colour if relief is None else fine_tissue_texture(speckle, colour, relief),
         floor_texture=floor_texture(dull),
         baseline_m=settings.stereo_baseline_m,
+        R_camera_right=right_turn(extras.perturbations),
         plate=make_plate(profile.fiducial) if extras.tag and profile.fiducial is not None else None,
         room=room,
         distortion=coefficients(room.lens + room.lens_untold),

@@ -7,9 +7,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from svmdist.perturbations.video import subsampled
 from svmdist.samples import Image
 from svmdist.simulation.extras import Extras
-from svmdist.simulation.room.video import subsampled
 from svmdist.transforms import Array
 from svmdist.vision.degradations import Degradation, degrade, image_seed
 
@@ -32,7 +32,7 @@ class Sensor:
         self._seed = seed
         self._noise = noise
         self._degradations = tuple((Degradation(name), severity) for name, severity in extras.degradations)
-        self._chroma = extras.room.chroma
+        self._chroma = extras.perturbations["chroma"]
         self._rng = np.random.default_rng([seed, _NOISE_STREAMS[camera]])
 
     @property

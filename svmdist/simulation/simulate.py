@@ -19,7 +19,7 @@ from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.plan import Block, Moment, Plan, between_topic, make_plan
 from svmdist.simulation.renderer import Renderer
-from svmdist.simulation.room.video import FIELD_NS, interlaced
+from svmdist.simulation.room.fields import FIELD_NS, interlaced
 from svmdist.simulation.sensor import NoiseState, Sensor
 from svmdist.transforms import Array
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import count
 from multiprocessing import get_context
 
@@ -14,7 +15,7 @@ from svmdist.recording.health import Health
 from svmdist.recording.reader import Recording
 from svmdist.recording.topics import Role
 from svmdist.workflows.ahead import usable_cores
-from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.distances import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 from svmdist.workflows.setup import Setup
@@ -31,11 +32,12 @@ class Run:
     """One method on one instrument of one recording under one condition.
 
     A distance that method or truth cannot tell is None. `seconds` is the method's processor time alone, with every
-    detection that it asked for, without reading, decoding and degrading the image.
+    detection that it asked for, without reading, decoding and degrading the image. `statuses` counts the frames by how
+    they ended.
     """
 
     recording: Recording
-    condition: Condition
+    condition: LogCondition
     method: str
     frame_count: int
     measured_count: int
@@ -44,6 +46,7 @@ class Run:
     clearance: DistanceScore | None
     seconds: float
     instrument: str = ""
+    statuses: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ def pooled_figures(runs: Sequence[Run]) -> Figures:
 def measure_runs(
     recordings: Sequence[Recording],
     setups: Sequence[Setup],
-    conditions: Sequence[Condition] = (CLEAN,),
+    conditions: Sequence[LogCondition] = (CLEAN,),
     *,
     jobs: int | None = None,
     clock: Clock | None = None,
@@ -115,7 +118,24 @@ def measure_runs(
 def _runs(
     recording: Recording,
     setups: Sequence[Setup],
-    conditions: Sequence[Condition],
+    conditions: Sequence[LogCondition],
+    jobs: int,
+    clock: Clock | None,
+    advance: Callable[[], None],
+) -> list[Run]:
+    """One pass over the log for all conditions of its images, and one for every other world."""
+    passes: list[Sequence[LogCondition]] = [
+        [condition for condition in conditions if not isinstance(condition, PerturbedCondition)],
+        *([condition] for condition in conditions if isinstance(condition, PerturbedCondition)),
+    ]
+    runs = [run for of in passes if of for run in _pass(recording, setups, of, jobs, clock, advance)]
+    return sorted(runs, key=lambda run: conditions.index(run.condition))
+
+
+def _pass(
+    recording: Recording,
+    setups: Sequence[Setup],
+    conditions: Sequence[LogCondition],
     jobs: int,
     clock: Clock | None,
     advance: Callable[[], None],
@@ -123,11 +143,17 @@ def _runs(
     names = _with_truth(recording)
     lanes = [(condition, setup) for condition in conditions for setup in setups]
     tallies = [{name: _Tally() for name in names} for _ in lanes]
-    for replayed in replay(recording, setups, conditions, wanted=names, jobs=jobs, clock=clock):
+    seen, told = recording, setups
+    for condition in conditions:
+        if isinstance(condition, PerturbedCondition):  # alone
+            seen = recording.perturbed(condition.perturbations, setups[0].profile)
+            told = [setup.perturbed(condition.perturbations, seen.world_seed) for setup in setups]
+    for replayed in replay(seen, told, conditions, wanted=names, jobs=jobs, clock=clock):
         for lane, of_lane in zip(replayed, tallies, strict=True):
             for result, seconds, tally in zip(lane.results, lane.seconds, of_lane.values(), strict=True):
                 tally.frame_count += 1
                 tally.seconds += seconds
+                tally.statuses[str(result.status)] += 1
                 if result.measured:
                     tally.readings.add(result)
             advance()
@@ -151,6 +177,7 @@ def _runs(
                     clearance,
                     tally.seconds,
                     name,
+                    dict(tally.statuses),
                 )
             )
     return runs
@@ -162,11 +189,12 @@ class _Tally:
     def __init__(self) -> None:
         self.frame_count = 0
         self.seconds = 0.0
+        self.statuses: Counter[str] = Counter()
         self.readings = Readings()
 
 
 def _measure_part(
-    recording: Recording, setups: Sequence[Setup], conditions: Sequence[Condition]
+    recording: Recording, setups: Sequence[Setup], conditions: Sequence[LogCondition]
 ) -> tuple[list[Run], Health]:
     """What one process does: one recording under some of the conditions. Gives what was lost in reading, too."""
     return _runs(recording, setups, conditions, 1, None, lambda: None), recording.health
@@ -175,7 +203,7 @@ def _measure_part(
 def _in_processes(
     recordings: Sequence[Recording],
     setups: Sequence[Setup],
-    conditions: Sequence[Condition],
+    conditions: Sequence[LogCondition],
     jobs: int,
     advance: Callable[[], None],
 ) -> Iterator[Run]:

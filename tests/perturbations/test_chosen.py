@@ -18,7 +18,7 @@ from svmdist.perturbations.chosen import (
 )
 from svmdist.perturbations.laws import Always, Normal, Uniform
 from svmdist.perturbations.perturbation import Place
-from svmdist.perturbations.table import TABLE
+from svmdist.perturbations.table import TABLE, real_std
 
 SEEDS = range(1000)
 
@@ -103,6 +103,28 @@ def test_real_strengths_follow_their_law(name: str) -> None:
             assert np.abs(strengths).max() <= limit
         case _:
             raise AssertionError(law)
+
+
+def test_stated_deviations_are_told_for_normal_strengths_only() -> None:
+    stated = {
+        "focal": 0.3,
+        "principal_point": 1.5,
+        "baseline": 0.05,
+        "right_yaw": 0.03,
+        "plane": 1.0,
+        "plane_tilt": 1.0,
+    }
+    stated |= {
+        "shaft_radius": 2.0,
+        "wrist_length": 0.3,
+        "knuckle_radius": 3.0,
+        "tag_size": 0.5,
+        "tag_mount": 0.3,
+    }
+    assert {name: real_std(name) for name in stated} == stated
+    assert real_std("lag") == 20.0
+    with pytest.raises(ValueError, match="backlash"):
+        real_std("backlash")
 
 
 def test_names_are_drawn_apart_from_each_other() -> None:

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from svmdist.perturbations.chosen import parse_perturbations
+from svmdist.perturbations.images import perturbed_image
+from svmdist.perturbations.video import border_radius_px, dimmed, light_left, subsampled
 from svmdist.profile import Profile
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.room.settings import Room
-from svmdist.simulation.room.video import FIELD_NS, border_radius_px, dimmed, light_left, subsampled
+from svmdist.simulation.room.fields import FIELD_NS
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.plan import make_plan
@@ -23,19 +24,30 @@ WIDTH, HEIGHT = 640, 480
 
 def test_the_border_is_round_and_black_outside() -> None:
     """At 1 its circle reaches the image's left and right side; 2 px inside nothing is darker, 2 px outside all is."""
-    left = light_left(Room(border=1.0), WIDTH, HEIGHT)
-    assert left is not None
-    image = dimmed(np.full((HEIGHT, WIDTH, 3), 200, np.uint8), left)
+    plain = np.full((HEIGHT, WIDTH, 3), 200, np.uint8)
+    image = dimmed(plain, 1.0, 0.0)
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]
     radius_px = np.hypot(columns - 319.5, rows - 239.5)
     assert (image[radius_px > 322.0] == 0).all()
     assert (image[radius_px < 318.0] == 200).all()
     assert border_radius_px(WIDTH, HEIGHT, 0.0) == pytest.approx(400.0)
-    outside = light_left(Room(border=0.0, vignette=0.3), WIDTH, HEIGHT)
-    assert outside is not None
-    assert outside.min() == pytest.approx(0.7, abs=1e-12)
-    assert outside.max() > 0.9999
-    assert light_left(Room(), WIDTH, HEIGHT) is None
+    left = light_left(0.0, 0.3, WIDTH, HEIGHT)
+    assert left.min() == pytest.approx(0.7, abs=1e-12)
+    assert left.max() > 0.9999
+    assert dimmed(plain, 0.0, 0.0) is plain
+
+
+def test_a_log_is_replayed_as_it_would_have_been_recorded(profile: Profile) -> None:
+    """Border, corners and colour done to an image of the ideal world are those of a recording, bit by bit."""
+    chosen = parse_perturbations("border=0.8,vignette=0.3,chroma=1")
+    drawn = []
+    for extras in (Extras(), Extras(perturbations=chosen)):
+        plan = make_plan(Scenario("sweep", 1, 0.2, 5.0), profile, extras=extras)
+        with Simulator(plan) as simulator:
+            samples = simulator.samples(plan.blocks[0], (None,))
+            drawn.append(next(s.image_bgr for _, s in samples if hasattr(s, "image_bgr")))
+    np.testing.assert_array_equal(perturbed_image(drawn[0], chosen), drawn[1])
+    assert (drawn[0] != drawn[1]).any(axis=2).mean() > 0.5
 
 
 def test_colour_is_kept_for_two_by_two_pixels() -> None:
