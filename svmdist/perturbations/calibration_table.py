@@ -5,7 +5,7 @@ from __future__ import annotations
 from svmdist.perturbations.laws import Normal
 from svmdist.perturbations.perturbation import Perturbation, Place
 
-ZHANG = "after Zhang 2000, with the few images and the short focal length of an endoscope"
+ZHANG = "assumed, after Zhang 2000: with the few images and the short focal length of an endoscope"
 MADE = "assumed: what a calliper and a maker's drawing leave"
 
 
