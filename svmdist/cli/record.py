@@ -34,10 +34,11 @@ class WorldName(StrEnum):
 
 
 class Renderer(StrEnum):
-    """`--renderer`: software, the same everywhere; or OpenGL, faster."""
+    """`--renderer`: software, the same everywhere; OpenGL, faster; or path tracing, slower."""
 
     TINY = "tiny"
     EGL = "egl"
+    MITSUBA = "mitsuba"
 
 
 def record_command(
@@ -146,7 +147,11 @@ def record_command(
     ] = None,
     renderer: Annotated[
         Renderer,
-        typer.Option("--renderer", help="tiny: software, the same result everywhere; egl: OpenGL, faster."),
+        typer.Option(
+            "--renderer",
+            help="tiny: software, the same result everywhere; egl: OpenGL, faster; mitsuba: path tracing, seconds an "
+            "image (pip install 'svmdist[photo]').",
+        ),
     ] = Renderer.TINY,
     jobs: Annotated[
         int | None,

@@ -19,6 +19,7 @@ from svmdist.perturbations.video import dimmed
 from svmdist.samples import Image
 from svmdist.simulation.closing import Closing
 from svmdist.simulation.drawn_world import DrawnWorld, Picture
+from svmdist.simulation.photo import PhotoRenderer
 from svmdist.simulation.plan import Moment
 from svmdist.simulation.room.shading import LAMP_M, Lamp, Shader
 from svmdist.simulation.room.surfaces import Surfaces, metric_depth_m
@@ -26,8 +27,8 @@ from svmdist.simulation.scene import Scene, risen
 from svmdist.simulation.views import PIXEL_SHIFT, projection_matrix, view_matrix
 from svmdist.transforms import Array, inverse, make_transform, transform_points
 
-RendererName = Literal["tiny", "egl"]
-RENDERERS: tuple[RendererName, ...] = ("tiny", "egl")
+RendererName = Literal["tiny", "egl", "mitsuba"]
+RENDERERS: tuple[RendererName, ...] = ("tiny", "egl", "mitsuba")
 
 OPTICS_SIGMA_PX = 0.8
 """Blur of the optics: no lens draws edges of one pixel, and it hides the renderer's stairs."""
@@ -53,7 +54,7 @@ class Renderer(Closing):
     def __init__(
         self, scene: Scene, name: str = "tiny", others: Sequence[Scene] = (), *, seed: int = 0
     ) -> None:
-        if name not in RENDERERS:
+        if name not in PIXEL_SHIFT:  # which are PyBullet's own
             raise SimulationError(f"no renderer named {name}: {did_you_mean(name, RENDERERS)}")
         self._scene, self._others = scene, tuple(others)
         self._is_tiny = name == "tiny"
@@ -190,3 +191,10 @@ class Renderer(Closing):
 
 def _through_optics(image_bgr: Image) -> Image:
     return np.asarray(cv2.GaussianBlur(image_bgr, (0, 0), OPTICS_SIGMA_PX), np.uint8)
+
+
+def make_renderer(scene: Scene, name: str, others: Sequence[Scene], seed: int) -> Renderer | PhotoRenderer:
+    """The renderer of a name; raises SimulationError for a name that there is not, or one that is not installed."""
+    if name == "mitsuba":
+        return PhotoRenderer(scene, others)
+    return Renderer(scene, name, others, seed=seed)

@@ -18,7 +18,7 @@ from svmdist.simulation.closing import Closing
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.plan import Block, Moment, Plan, between_topic, make_plan
-from svmdist.simulation.renderer import Renderer
+from svmdist.simulation.renderer import make_renderer
 from svmdist.simulation.room.fields import FIELD_NS, interlaced
 from svmdist.simulation.sensor import NoiseState, Sensor
 from svmdist.transforms import Array
@@ -69,7 +69,8 @@ class Simulator(Closing):
         with ExitStack() as stack:
             self._meters = [stack.enter_context(ClearanceMeter(arm.scene)) for arm in plan.arms]
             self._between = [stack.enter_context(BetweenMeter(scene, other)) for other in others]
-            self._view = stack.enter_context(Renderer(scene, plan.renderer, others, seed=plan.seed))
+            self._view = make_renderer(scene, plan.renderer, others, plan.seed)
+            stack.enter_context(self._view)
             self._stack = stack.pop_all()
 
     @property
