@@ -20,6 +20,7 @@ from svmdist.cli.options import (
     TopicOption,
     topics_of,
 )
+from svmdist.cli.perturbations import parse_perturb_groups
 from svmdist.cli.progress import progress_bar
 
 
@@ -43,6 +44,16 @@ def compare_command(
             show_default=False,
         ),
     ] = None,
+    perturb: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--perturb",
+            metavar="NAME=STRENGTH",
+            help="Also measure in a world that is not as log and profile say, as in focal=1 or lag=30. May be "
+            "repeated; each is applied alone, NAME=STRENGTH,NAME=STRENGTH together. Names: docs/simulation.md.",
+            show_default=False,
+        ),
+    ] = None,
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
@@ -52,22 +63,25 @@ def compare_command(
 ) -> None:
     """Measure with all methods side by side.
 
-    Each image is read once for all methods. The metrics are given per scenario and degradation, and over all frames.
-    Without FILE, every log in recordings/ is measured.
+    Each image is read once for all methods. The metrics are given per scenario and degradation or perturbation,
+    and over all frames. Without FILE, every log in recordings/ is measured.
     """
     from svmdist.recording.reader import open_recording
     from svmdist.report.comparison import compare_keys, compare_row, compare_tables
     from svmdist.report.figures import FIGURE_NOTE
     from svmdist.vision.degradations import require_degradation
     from svmdist.workflows.compare import compare
-    from svmdist.workflows.conditions import CLEAN, Condition
+    from svmdist.workflows.conditions import CLEAN, Condition, LogCondition, PerturbedCondition
     from svmdist.workflows.setup import prepare
 
     require_output(output, files or ())
-    conditions = [CLEAN] + [
+    conditions: list[LogCondition] = [CLEAN]
+    conditions += [
         Condition(require_degradation(name, severity), severity)
         for name, severity in dict.fromkeys(parse_degradations("--degrade", degrade))
     ]
+    worlds = dict.fromkeys(parse_perturb_groups("--perturb", perturb))
+    conditions += [PerturbedCondition(perturbations) for perturbations in worlds]
     methods = list(dict.fromkeys(method)) if method else list(Method)
     planar = (Method.OVERLAY, Method.CENTROID)
     setups = [

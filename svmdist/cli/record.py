@@ -11,6 +11,7 @@ import typer
 from svmdist.cli.console import require_output, say
 from svmdist.cli.degradations import parse_degradations
 from svmdist.cli.options import ProfileOption, parse_length_m
+from svmdist.cli.perturbations import parse_perturb
 from svmdist.cli.progress import progress_bar
 
 
@@ -25,11 +26,19 @@ class ScenarioName(StrEnum):
     RANDOM = "random"
 
 
+class WorldName(StrEnum):
+    """`--world`."""
+
+    IDEAL = "ideal"
+    REAL = "real"
+
+
 class Renderer(StrEnum):
-    """`--renderer`: software, the same everywhere; or OpenGL, faster."""
+    """`--renderer`: software, the same everywhere; OpenGL, faster; or path tracing, slower."""
 
     TINY = "tiny"
     EGL = "egl"
+    MITSUBA = "mitsuba"
 
 
 def record_command(
@@ -108,6 +117,23 @@ def record_command(
             show_default=False,
         ),
     ] = None,
+    perturb: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--perturb",
+            metavar="NAME=STRENGTH",
+            help="Make something other than log and profile say, as in focal=1 or backlash=0.5; may be repeated. "
+            "Names and units: docs/simulation.md.",
+            show_default=False,
+        ),
+    ] = None,
+    world: Annotated[
+        WorldName,
+        typer.Option(
+            "--world",
+            help="ideal: log and profile are exact; real: everything is off as on real robots, drawn by seed.",
+        ),
+    ] = WorldName.IDEAL,
     jpeg: Annotated[
         int | None,
         typer.Option(
@@ -121,7 +147,11 @@ def record_command(
     ] = None,
     renderer: Annotated[
         Renderer,
-        typer.Option("--renderer", help="tiny: software, the same result everywhere; egl: OpenGL, faster."),
+        typer.Option(
+            "--renderer",
+            help="tiny: software, the same result everywhere; egl: OpenGL, faster; mitsuba: path tracing, seconds an "
+            "image (pip install 'svmdist[photo]').",
+        ),
     ] = Renderer.TINY,
     jobs: Annotated[
         int | None,
@@ -151,6 +181,7 @@ def record_command(
 
     The recording holds images, joint states, the robot's nominal transforms, and ground truth.
     """
+    from svmdist.perturbations.chosen import World, draw_world
     from svmdist.profile import load_profile
     from svmdist.simulation.extras import Extras
     from svmdist.simulation.motion.scenarios import Scenario
@@ -160,6 +191,16 @@ def record_command(
     path = output or Path(f"{scenario.value}-{seed}.mcap")
     require_output(path)
     plan = Scenario(scenario.value, seed, duration, rate)
+    extras = Extras(
+        stereo,
+        tag,
+        kinematic_error,
+        parse_degradations("--degrade", degrade),
+        arms,
+        relief_m,
+        draw_world(World(world.value), seed, parse_perturb("--perturb", perturb)),
+        World(world.value),
+    )
     with progress_bar(f"{scenario.value}, seed {seed}", "frames") as advance:
         result = record(
             plan,
@@ -167,9 +208,7 @@ def record_command(
             path,
             renderer=renderer.value,
             noise=noise,
-            extras=Extras(
-                stereo, tag, kinematic_error, parse_degradations("--degrade", degrade), arms, relief_m
-            ),
+            extras=extras,
             force=force,
             jpeg_quality=jpeg,
             jobs=jobs,

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from svmdist.camera import Camera, stereo_transform
+from svmdist.perturbations.replayed import ReplayedJoints, ReplayedWorld
 from svmdist.recording.arms import LoggedArm
 from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
 from svmdist.recording.encoded import (
@@ -35,11 +36,14 @@ from svmdist.samples import ImageSample, JointSample, Rejection
 
 
 class Observer:
-    """Puts together what an estimator may see; memory does not grow with the log."""
+    """Puts together what an estimator may see, in another world if one is given; memory does not grow with the log."""
 
-    def __init__(self, messages: DecodedMessages, choice: TopicChoice) -> None:
+    def __init__(
+        self, messages: DecodedMessages, choice: TopicChoice, world: ReplayedWorld | None = None
+    ) -> None:
         self._messages = messages
         self._choice = choice
+        self._world = world
 
     def images(self, topic: str) -> Iterator[ImageSample | Rejection]:
         """Yield every image of a topic in file order, decoded; a Rejection stands for one that cannot be."""
@@ -75,6 +79,8 @@ class Observer:
         has_transforms = needs.transforms and self._moving_tf() is not None
         matcher = Matcher(buffers, has_right=right is not None, has_transforms=has_transforms)
         items = self.items(image_topic, joint_topics, None if right is None else right.topic, with_tf=True)
+        if self._world is not None:
+            items = _in_world(items, [self._world.joints_of(arm.name) for arm in arms])
         for matched in matcher.match(item for item in items if _is_needed(item, needs)):
             place = self._messages.health.next_place()
             yield EncodedObservation(_decoded_in_order(matched), camera, image_topic, right, place)
@@ -123,6 +129,16 @@ class Observer:
         right = right_camera()
         T_left_right = None if right is None else stereo_transform(camera, right)
         return None if right is None or T_left_right is None else RightCamera(topic, right, T_left_right)
+
+
+def _in_world(items: Iterator[Item], joints: Sequence[ReplayedJoints | None]) -> Iterator[Item]:
+    """The same with the joints of each arm perturbed."""
+    for item in items:
+        replayed = joints[item.arm] if isinstance(item, LoggedJoints) else None
+        if replayed is None or not isinstance(item, LoggedJoints):
+            yield item
+        else:
+            yield from (LoggedJoints(sample, item.arm) for sample in replayed.replayed(item.sample))
 
 
 def _is_needed(item: Item, needs: Needs) -> bool:

@@ -10,6 +10,9 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError, did_you_mean
+from svmdist.perturbations.calibration import stated_camera, stated_right_camera
+from svmdist.perturbations.chosen import Perturbations
+from svmdist.perturbations.replayed import ReplayedWorld
 from svmdist.profile import Limits, Profile
 from svmdist.recording.arms import LoggedArm, find_arms
 from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
@@ -65,13 +68,20 @@ class Recording:
     same log as another one sees it.
     """
 
-    def __init__(self, source: Source, arms: Sequence[LoggedArm], limits: Limits) -> None:
+    def __init__(
+        self,
+        source: Source,
+        arms: Sequence[LoggedArm],
+        limits: Limits,
+        world: ReplayedWorld | None = None,
+    ) -> None:
         self._source = source
         self._arms = tuple(arms)
         self._limits = limits
         self._choice = arms[0].choice
         self._messages = DecodedMessages(source, limits)
-        self._observer = Observer(self._messages, self._choice)
+        self._world = world
+        self._observer = Observer(self._messages, self._choice, world)
         self.origin: tuple[Path, Profile, Limits, dict[str, str]] | None = None
         """What it was opened by, so that another process can open it too."""
 
@@ -88,7 +98,22 @@ class Recording:
 
     def for_instrument(self, name: str) -> Recording:
         """The same log as one of its instruments sees it; RecordingError lists those that there are."""
-        return Recording(self._source, [self._arm(name)], self._limits)
+        return Recording(self._source, [self._arm(name)], self._limits, self._world)
+
+    def perturbed(self, perturbations: Perturbations, profile: Profile) -> Recording:
+        """The same log as it would be in a perturbed world: joints, their stamps, and what it says of its cameras.
+
+        Images and ground truth stay. `profile` is the one that the log was opened with. What is drawn, as noise is,
+        is drawn by the seed that `record` wrote into the log, else by 0.
+        """
+        seed = self.metadata.get("seed", "")
+        world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0)
+        return Recording(self._source, self._arms, self._limits, world)
+
+    @property
+    def world_seed(self) -> int:
+        """The seed of what is drawn of a perturbed world; 0 for the log as it is."""
+        return 0 if self._world is None else self._world.seed
 
     def _arm(self, name: str) -> LoggedArm:
         for arm in self._arms:
@@ -127,7 +152,13 @@ class Recording:
 
     @cached_property
     def camera(self) -> Camera:
-        """The first camera calibration; RecordingError where there is none."""
+        """The first camera calibration, as a perturbed world states it; RecordingError where there is none."""
+        camera = self.logged_camera
+        return camera if self._world is None else stated_camera(camera, self._world.perturbations)
+
+    @cached_property
+    def logged_camera(self) -> Camera:
+        """The first camera calibration as the file has it; RecordingError where there is none."""
         topic = self._choice.require(Role.CAMERA_INFO)
         camera = self._first_camera(topic)
         if camera is None:
@@ -140,7 +171,10 @@ class Recording:
         topic = self._choice.find(Role.RIGHT_CAMERA_INFO)
         if topic is None or topic == self._choice.find(Role.CAMERA_INFO):
             return None
-        return self._first_camera(topic)
+        camera = self._first_camera(topic)
+        if camera is None or self._world is None:
+            return camera
+        return stated_right_camera(camera, self._world.perturbations)
 
     def images(self) -> Iterator[ImageSample | Rejection]:
         """Yield every image in file order, decoded; a Rejection stands for one that cannot be."""
@@ -191,13 +225,14 @@ class Recording:
         """Read all joint states."""
         topic = self._choice.require(Role.JOINTS)
         samples: list[JointSample] = []
+        replayed = None if self._world is None else self._world.joints_of(self._arms[0].name)
         for raw, sample in self._messages.samples(topic):
             if not isinstance(sample, JointSample):
                 continue
             if samples and sample.names != samples[0].names:
                 self._messages.record_loss(LossKind.MESSAGE, OTHER_JOINTS, raw)
                 continue
-            samples.append(sample)
+            samples += [sample] if replayed is None else replayed.replayed(sample)
         if not samples:
             raise RecordingError(f"{self.path.name}: no usable joint states on {sanitize(topic)}")
         stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)

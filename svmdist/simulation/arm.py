@@ -37,7 +37,8 @@ class ArmPoses:
 class Arm:
     """An arm of a scene: profile and scene as it sees them, its topics, its exact joints (n, n_joints) at all stamps.
 
-    `prefix` stands before the names of its links in transforms; the first arm's have none.
+    `reported` are the joints that it reports at the same stamps, (n, n_joints). `prefix` stands before the names of its
+    links in transforms; the first arm's have none.
     """
 
     profile: Profile
@@ -45,15 +46,15 @@ class Arm:
     topics: ArmTopicNames
     q: Array
     nominal: NominalKinematics
+    reported: Array
     prefix: str = ""
 
     def poses(self, begin: int, end: int) -> ArmPoses:
         """Where the arm is, and where it reports to be, from one stamp to before another."""
-        q = self.q[begin:end]
-        reported = q + self.nominal.joint_offsets
+        q, reported = self.q[begin:end], self.reported[begin:end]
         return ArmPoses(
             reported,
-            forward_kinematics(self.scene.chain, reported),
+            forward_kinematics(self.nominal.chain, reported),
             self.scene.T_camera_base @ forward_kinematics(self.scene.chain, q),
         )
 
@@ -68,14 +69,16 @@ class Arm:
         frames = self.profile.frames
         return TransformSample(stamp_ns, frames.camera, frames.tool, poses.T_camera_tool[at])
 
-    def true_distances(self, tool: TransformSample, clearance_m: float) -> tuple[str, DistanceSample]:
+    def true_distances(
+        self, tool: TransformSample, tissue: TransformSample, clearance_m: float
+    ) -> tuple[str, DistanceSample]:
         """How far the tool is from the tissue."""
-        between = tool.T_parent_child[:3, 3] - self.scene.T_camera_tissue[:3, 3]
+        between = tool.T_parent_child[:3, 3] - tissue.T_parent_child[:3, 3]
         return self.topics.ground_truth_distance, distances(tool.stamp_ns, between, clearance_m)
 
     def nominal_transforms(self, stamp_ns: int, poses: ArmPoses, at: int) -> tuple[TransformSample, ...]:
         """The nominal camera-to-base transform, then the whole chain as the reported joints place it."""
-        frames, chain = self.profile.frames, self.scene.chain
+        frames, chain = self.profile.frames, self.nominal.chain
         names = [self.prefix + row.name for row in chain.rows]
         links = link_transforms(chain, poses.reported[at])
         children = [*names[:-1], frames.tool]

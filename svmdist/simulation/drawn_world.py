@@ -18,8 +18,9 @@ from svmdist.samples import Image
 from svmdist.simulation.bodies.meshes import DrawnMesh
 from svmdist.simulation.bullet import BulletClient, quiet_stdout
 from svmdist.simulation.closing import Closing
-from svmdist.simulation.scene import Scene, make_floor
-from svmdist.simulation.urdf import LinkVisual, urdf_of
+from svmdist.simulation.room.surfaces import NO_PART
+from svmdist.simulation.scene import Scene, make_floor, risen
+from svmdist.simulation.urdf import LinkVisual, part_link, urdf_of
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 LIGHT_DIRECTION = (0.35, 0.45, 1.0)
@@ -31,20 +32,45 @@ _AWAY[2, 3] = 1.0  # behind the camera
 
 @dataclass(frozen=True)
 class Picture:
-    """A BGR image, shape (h, w, 3), its depth buffer, float32 (h, w), and where a body was drawn, bool (h, w)."""
+    """A BGR image, shape (h, w, 3), its depth buffer, float32 (h, w), and where a body was drawn, bool (h, w).
+
+    `bodies`, int64 (h, w), has PyBullet's numbers of body and link.
+    """
 
     image_bgr: Image
     depth: NDArray[np.float32]
     drawn: NDArray[np.bool_]
+    bodies: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Lights:
+    """The renderer's lamp: the direction towards it in the world, and how much of a level it and all around give."""
+
+    direction: tuple[float, float, float] = LIGHT_DIRECTION
+    ambient: float = 0.52
+    diffuse: float = 0.5
+
+    @staticmethod
+    def of(scene: Scene) -> Lights:
+        """As the room has it: on the way from the ideal world's lamp to one beside the lens, and less light around."""
+        share = scene.room.light
+        if not share:
+            return Lights()
+        start = Lights()
+        to_lens = -scene.T_world_camera[:3, 2]
+        x, y, z = (a + share * (b - a) for a, b in zip(start.direction, to_lens.tolist(), strict=True))
+        return Lights((x, y, z), start.ambient + share * (0.18 - start.ambient), start.diffuse + share * 0.35)
 
 
 @dataclass(frozen=True)
 class _Arm:
-    """A robot in the physics world, the indices of its joints there, and its plate's body."""
+    """A robot in the physics world, its joints there, those that draw its parts, and its plate's body, by number."""
 
     scene: Scene
     robot: int
     joint_indices: tuple[int, ...]
+    part_indices: tuple[int, ...]
     plate: int | None
 
 
@@ -59,8 +85,13 @@ class DrawnWorld(Closing):
         self, scene: Scene, others: Sequence[Scene] = (), *, egl: bool = False, still: bool, moving: bool
     ) -> None:
         self.turn = 0
-        self._camera = scene.camera
+        self._scene = scene
+        self._camera = scene.drawn_camera
+        self._lights = Lights.of(scene)
         self._arms: list[_Arm] = []
+        self._poses: list[dict[str, Array]] = []
+        self._tissue: int | None = None
+        self._floor: int | None = None
         self._retractor: int | None = None
         self.client = BulletClient()
         self._folder = tempfile.TemporaryDirectory(prefix="svmdist-")
@@ -77,14 +108,39 @@ class DrawnWorld(Closing):
 
     def pose(self, q: Array, T_world_retractor: Array | None, others: Sequence[Array]) -> None:
         """Put the robots at their joints, shape (n_joints,) each, and the retractor at its pose, or out of view."""
-        for arm, at in zip(self._arms, (q, *others), strict=True):
+        self._poses = [arm.scene.link_poses(at) for arm, at in zip(self._arms, (q, *others), strict=True)]
+        for arm, at, poses in zip(self._arms, (q, *others), self._poses, strict=True):
             for joint, value in zip(arm.joint_indices, at, strict=True):
                 self.client.call("resetJointState", arm.robot, joint, float(value))
             plate = arm.scene.plate
             if plate is not None and arm.plate is not None:
-                self.place(arm.plate, arm.scene.link_poses(at)[plate.link] @ plate.T_link_tag)
+                self.place(arm.plate, poses[plate.link] @ plate.T_link_tag)
         if self._retractor is not None:
             self.place(self._retractor, _AWAY if T_world_retractor is None else T_world_retractor)
+
+    def raise_tissue(self, rise_m: float) -> None:
+        """Put tissue and floor so far above their place at rest."""
+        if self._tissue is not None and self._floor is not None:
+            self.place(self._tissue, risen(rise_m) @ self._scene.T_world_tissue)
+            self.place(self._floor, risen(rise_m))
+
+    def is_still(self, picture: Picture) -> NDArray[np.bool_]:
+        """Where a picture shows tissue or floor, shape (h, w)."""
+        return np.isin(picture.bodies, [body for body in (self._tissue, self._floor) if body is not None])
+
+    def parts(self, picture: Picture) -> tuple[NDArray[np.int16], tuple[Array, ...]]:
+        """Which instrument's part is seen where, int16 (h, w), numbers of poses `T_world_part`, (4, 4) each."""
+        part = np.full(picture.bodies.shape, NO_PART, np.int16)
+        frames: list[Array] = []
+        for arm, poses in zip(self._arms, self._poses, strict=True):
+            for drawn, index in zip(arm.scene.parts, arm.part_indices, strict=True):
+                part[picture.bodies == arm.robot + ((index + 1) << 24)] = len(frames)
+                frames.append(poses[drawn.link])
+            plate = arm.scene.plate
+            if plate is not None and arm.plate is not None:
+                part[picture.bodies == arm.plate] = len(frames)
+                frames.append(poses[plate.link] @ plate.T_link_tag)
+        return part, tuple(frames)
 
     def picture(self, view: list[float], projection: list[float], turn: int) -> Picture:
         """Take the picture that is number `turn` of a recording.
@@ -95,14 +151,16 @@ class DrawnWorld(Closing):
         if (self.turn - turn) % 2:
             self._draw(1, 1, view, projection)
         width, height = self._camera.width_px, self._camera.height_px
-        _, _, rgba, depth, bodies = self._draw(width, height, view, projection)
+        _, _, rgba, depth, raw = self._draw(width, height, view, projection)
+        bodies = np.asarray(raw).reshape(height, width)
         return Picture(
             np.asarray(
                 cv2.cvtColor(np.asarray(rgba, np.uint8).reshape(height, width, 4), cv2.COLOR_RGBA2BGR),
                 np.uint8,
             ),
             np.asarray(depth, np.float32).reshape(height, width),
-            np.asarray(bodies).reshape(height, width) >= 0,
+            bodies >= 0,
+            bodies,
         )
 
     def _draw(self, width: int, height: int, view: list[float], projection: list[float]) -> Any:
@@ -114,23 +172,26 @@ class DrawnWorld(Closing):
                 height,
                 viewMatrix=view,
                 projectionMatrix=projection,
-                lightDirection=LIGHT_DIRECTION,
+                lightDirection=self._lights.direction,
                 lightColor=(1.0, 0.985, 0.96),
                 shadow=0,
-                lightAmbientCoeff=0.52,
-                lightDiffuseCoeff=0.5,
+                lightAmbientCoeff=self._lights.ambient,
+                lightDiffuseCoeff=self._lights.diffuse,
                 lightSpecularCoeff=0.12,
                 renderer=self.kind,
+                # A link's number stands beside that of its body: on tissue and plates, which have none, it is 0.
+                flags=self.client.pb.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
             )
 
     def _build(self, scene: Scene, others: Sequence[Scene], still: bool, moving: bool) -> None:
         # Where two surfaces are equally far, the body that came last is drawn: the order is a part of the content.
         robot = self._load_robot(scene, "robot") if moving else -1
         if still:
-            tissue = self.add_body(scene.organ.mesh, "organ")
-            self.place(tissue, scene.T_world_tissue)
-            self._paint(tissue, scene.tissue_texture, "tissue")
-            self._paint(self.add_body(make_floor(), "floor"), scene.floor_texture, "floor")
+            self._tissue = self.add_body(scene.organ.mesh, "organ")
+            self.place(self._tissue, scene.T_world_tissue)
+            self._paint(self._tissue, scene.tissue_texture, "tissue")
+            self._floor = self.add_body(make_floor(), "floor")
+            self._paint(self._floor, scene.floor_texture, "floor")
         if moving:
             self._retractor = self.add_body(scene.retractor, "retractor", (0.66, 0.67, 0.68, 1.0))
             self._arms.append(self._with_plate(scene, robot, "plate"))
@@ -168,7 +229,10 @@ class DrawnWorld(Closing):
         if scene.plate is not None:
             plate = self.add_body(scene.plate.mesh, name)
             self._paint(plate, scene.plate.texture, name)
-        return _Arm(scene, robot, tuple(joints[joint] for joint in scene.chain.joint_names), plate)
+        parts = tuple(
+            joints[f"{part_link(part.link, index)}_fixed"] for index, part in enumerate(scene.parts)
+        )
+        return _Arm(scene, robot, tuple(joints[joint] for joint in scene.chain.joint_names), parts, plate)
 
     def add_body(
         self, mesh: DrawnMesh, name: str, colour_rgba: tuple[float, float, float, float] = _WHITE

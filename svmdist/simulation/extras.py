@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from svmdist.errors import UsageError
+from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, World, require_at_record
+from svmdist.simulation.room.settings import Room
 from svmdist.vision.degradations import require_degradation
 
 MAX_ARMS = 2
@@ -21,6 +23,7 @@ class Extras:
     says). `degradations` spoil the images, one after the other, behind the sensor's noise: (name, severity).
     `arms` is the number of instruments.
     `relief_m` is how far bumps, folds and vessels rise over the smooth organ, or lie below it, at most.
+    `perturbations` are what is not as log and profile say; `world` is what they were drawn for.
     """
 
     stereo: bool = False
@@ -29,6 +32,8 @@ class Extras:
     degradations: tuple[tuple[str, int], ...] = ()
     arms: int = 1
     relief_m: float = 0.0
+    perturbations: Perturbations = UNPERTURBED
+    world: World = World.IDEAL
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.kinematic_error <= 20.0:
@@ -43,6 +48,12 @@ class Extras:
             )
         for name, severity in self.degradations:
             require_degradation(name, severity)
+        require_at_record(self.perturbations)
+
+    @property
+    def room(self) -> Room:
+        """What of the perturbations images and tissue show."""
+        return Room.of(self.perturbations)
 
     def metadata(self) -> dict[str, str]:
         """Name what is set, for a recording's metadata; a plain recording names nothing."""
@@ -53,5 +64,7 @@ class Extras:
             "arms": str(self.arms) if self.arms > 1 else "",
             "degrade": ",".join(f"{name}={severity}" for name, severity in self.degradations),
             "relief_m": f"{self.relief_m:g}" if self.relief_m else "",
+            "world": "" if self.world is World.IDEAL else self.world.value,
+            "perturb": str(self.perturbations),
         }
         return {name: value for name, value in named.items() if value}

@@ -21,10 +21,14 @@ _ENCODER_STREAM, _JOINT_STREAM, _CAMERA_BASE_STREAM = 10, 12, 13
 
 @dataclass(frozen=True)
 class NominalKinematics:
-    """What is added to the true joints, in rad or m, shape (n_joints,), and the nominal `T_camera_base`, (4, 4)."""
+    """What is added to the true joints, in rad or m, shape (n_joints,), and the nominal `T_camera_base`, (4, 4).
+
+    `chain` is the robot as its profile describes it.
+    """
 
     joint_offsets: Array
     T_camera_base: Array
+    chain: DHChain
 
 
 def draw_nominal_kinematics(
@@ -44,7 +48,7 @@ def draw_nominal_kinematics(
     """
     offsets = _encoder_offsets(chain, profile.simulation, [seed, _ENCODER_STREAM, *arm])
     if scale == 0.0:
-        return NominalKinematics(offsets, T_camera_base)
+        return NominalKinematics(offsets, T_camera_base, chain)
     error = profile.kinematic_error
     rng = np.random.default_rng([seed, _CAMERA_BASE_STREAM, *arm])
     turn_rad = scale * rng.normal(0.0, error.camera_base_std_rad, 3)
@@ -53,7 +57,7 @@ def draw_nominal_kinematics(
         cv2.Rodrigues(turn_rad)[0] @ T_camera_base[:3, :3], T_camera_base[:3, 3] + shift_m
     )
     joint_offsets = scale * _joint_offsets(chain, error, [seed, _JOINT_STREAM, *arm])
-    return NominalKinematics(offsets + joint_offsets, T_nominal)
+    return NominalKinematics(offsets + joint_offsets, T_nominal, chain)
 
 
 def _encoder_offsets(chain: DHChain, settings: Simulation | None, seeds: list[int]) -> Array:

@@ -6,18 +6,24 @@ next; each can be made by itself, so that the content does not depend on who mak
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import UsageError
+from svmdist.kinematics.chain import chain_of
+from svmdist.perturbations.shape import built_profile
 from svmdist.profile import Profile, Simulation
 from svmdist.simulation.arm import Arm, ArmTopicNames
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.motion.trajectory import make_trajectory
-from svmdist.simulation.nominal import draw_nominal_kinematics
+from svmdist.simulation.nominal import NominalKinematics, draw_nominal_kinematics
+from svmdist.simulation.reports import reported_joints
+from svmdist.simulation.room.jaw import untold_opening_rad
+from svmdist.simulation.room.tissue_motion import tissue_rise_m
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.simulation.second_arm import OtherArm, make_other_arms
 from svmdist.transforms import Array
@@ -51,12 +57,21 @@ class Block:
 
 
 @dataclass(frozen=True)
+class Moment:
+    """What stands where: joints of each arm, (n_joints,), the retractor's pose, (4, 4), the tissue's rise in m."""
+
+    q: tuple[Array, ...]
+    T_world_retractor: Array | None
+    rise_m: float
+
+
+@dataclass(frozen=True)
 class Plan:
     """A recording before it is made.
 
     All arrays have one entry for each stamp: `stamps_ns` (n,), whether an image, joints or the cameras' calibration
-    come with it (n,), and the retractor's poses (n, 4, 4), or None where there is none. The first arm's scene is
-    the world's.
+    come with it (n,), the retractor's poses (n, 4, 4), or None where there is none, and how far the tissue has risen
+    (n,), or None where it holds still. The first arm's scene is the world's.
     """
 
     profile: Profile
@@ -72,6 +87,7 @@ class Plan:
     with_joints: NDArray[np.bool_]
     with_camera_info: NDArray[np.bool_]
     T_world_retractor: Array | None
+    tissue_rise_m: Array | None = None
 
     @property
     def blocks(self) -> list[Block]:
@@ -79,6 +95,24 @@ class Plan:
         begins = np.nonzero(self.with_image)[0].tolist()
         ends = [*begins[1:], len(self.stamps_ns)]
         return [Block(frame, *span) for frame, span in enumerate(zip(begins, ends, strict=True))]
+
+    def moment(self, index: int, after_ns: float = 0.0) -> Moment:
+        """What stands where at the stamp number `index`, or so much later: on a straight line between two stamps."""
+        if not after_ns:
+            return self._moment(lambda values: values[index])
+        since_ns = self.stamps_ns - self.stamps_ns[index]  # stamps are too large for a float
+        above = min(int(np.searchsorted(since_ns, after_ns)), len(since_ns) - 1)
+        below = above - 1
+        share = min((after_ns - since_ns[below]) / (since_ns[above] - since_ns[below]), 1.0)
+        return self._moment(lambda values: values[below] + share * (values[above] - values[below]))
+
+    def _moment(self, at: Callable[[Array], Array]) -> Moment:
+        return Moment(
+            tuple(at(arm.q) for arm in self.arms),
+            # The retractor's blade slides, and never turns.
+            None if self.T_world_retractor is None else at(self.T_world_retractor),
+            0.0 if self.tissue_rise_m is None else float(at(self.tissue_rise_m)),
+        )
 
 
 def make_plan(
@@ -100,26 +134,25 @@ def make_plan(
             f"noise is a standard deviation from 0 to {MAX_NOISE_LEVELS:g} levels, found {noise:g}"
         )
     extras = extras or Extras()
-    scene = make_scene(profile, scenario.seed, extras)
-    settings = profile.simulation
+    built = built_profile(profile, extras.perturbations, scenario.seed)
+    scene = make_scene(built, scenario.seed, extras)
+    settings = built.simulation
     assert settings is not None  # make_scene has checked it
+    room = scene.room
     images, joints = _stamps(scenario.frame_count, scenario.rate_hz), _joint_stamps(scenario, settings)
     stamps = np.union1d(images, joints)
     progress = np.clip((stamps - START_NS) / (scenario.duration_s * 1e9), 0.0, 1.0)
     trajectory = make_trajectory(scene, scenario, settings.working_height_m, progress)
     topics = topic_names(profile)
-    nominal = draw_nominal_kinematics(
-        scene.chain, scene.T_camera_base, profile, scenario.seed, extras.kinematic_error
-    )
-    first = Arm(profile, scene, topics.arm, trajectory.q, nominal)
+    with_joints = np.isin(stamps, joints)
+    reporting = _Reporting(stamps, with_joints, progress * scenario.duration_s, scenario.seed, extras)
+    first = reporting.arm(0, profile, scene, topics.arm, trajectory.q)
     others: tuple[OtherArm, ...] = ()
     if extras.arms > 1:
-        others = make_other_arms(
-            profile, scene, scenario.seed, extras, first.q, progress, scenario.duration_s
-        )
+        others = make_other_arms(built, scene, scenario.seed, extras, first.q, progress, scenario.duration_s)
     arms = (
         first,
-        *(_further_arm(other, index, scenario.seed, extras) for index, other in enumerate(others, start=1)),
+        *(_further_arm(profile, other, reporting, index) for index, other in enumerate(others, start=1)),
     )
     return Plan(
         profile=profile,
@@ -132,9 +165,14 @@ def make_plan(
         extras=extras,
         stamps_ns=stamps,
         with_image=np.isin(stamps, images),
-        with_joints=np.isin(stamps, joints),
+        with_joints=with_joints,
         with_camera_info=_first_of_each_period(stamps),
         T_world_retractor=trajectory.T_world_retractor,
+        tissue_rise_m=(
+            tissue_rise_m(room, scenario.seed, np.asarray((stamps - START_NS) * 1e-9, np.float64))
+            if room.moves_tissue
+            else None
+        ),
     )
 
 
@@ -166,13 +204,48 @@ def _arm_topic_names(profile: Profile, distance: str) -> ArmTopicNames:
     )
 
 
-def _further_arm(other: OtherArm, index: int, seed: int, extras: Extras) -> Arm:
-    scene, profile = other.scene, other.profile
-    nominal = draw_nominal_kinematics(
-        scene.chain, scene.T_camera_base, profile, seed, extras.kinematic_error, arm=(index,)
-    )
-    topics = _arm_topic_names(profile, f"/ground_truth/{other.name}/distance")
-    return Arm(profile, scene, topics, other.q, nominal, prefix=f"{other.name}_")
+@dataclass(frozen=True)
+class _Reporting:
+    """Makes arms of a recording that report at the stamps, shape (n,), their joints at some of them.
+
+    `path_s`, shape (n,), is how far in time their paths are.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    with_joints: NDArray[np.bool_]
+    path_s: Array
+    seed: int
+    extras: Extras
+
+    def arm(
+        self, number: int, profile: Profile, scene: Scene, topics: ArmTopicNames, q: Array, prefix: str = ""
+    ) -> Arm:
+        """The arm of a number that moves by `q`, shape (n, n_joints), and takes itself for the profile's."""
+        nominal = self._nominal(number, profile, scene)
+        exact = q + nominal.joint_offsets
+        if scene.room.jaw:
+            exact[:, -1] -= untold_opening_rad(scene.room, self.seed, self.path_s, number)
+        reported = reported_joints(
+            exact, self.stamps_ns, self.with_joints, profile, self.extras.perturbations, self.seed, number
+        )
+        return Arm(profile, scene, topics, q, nominal, reported, prefix)
+
+    def _nominal(self, number: int, profile: Profile, scene: Scene) -> NominalKinematics:
+        assert profile.robot is not None  # the scene has checked it
+        return draw_nominal_kinematics(
+            chain_of(profile.robot),
+            scene.T_camera_base,
+            profile,
+            self.seed,
+            self.extras.kinematic_error,
+            arm=(number,) if number else (),
+        )
+
+
+def _further_arm(profile: Profile, other: OtherArm, reporting: _Reporting, number: int) -> Arm:
+    view = profile.for_instrument(other.name)
+    topics = _arm_topic_names(view, f"/ground_truth/{other.name}/distance")
+    return reporting.arm(number, view, other.scene, topics, other.q, prefix=f"{other.name}_")
 
 
 def _stamps(count: int, rate_hz: float) -> NDArray[np.int64]:

@@ -5,7 +5,8 @@ World: z up, floor at z = 0, the camera on the z axis looking straight down.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -13,15 +14,20 @@ from svmdist.camera import Camera
 from svmdist.errors import SimulationError
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, frame_transforms
+from svmdist.perturbations.calibration import right_turn, zoomed_camera
+from svmdist.perturbations.shape import plane_tilt
 from svmdist.profile import Profile
 from svmdist.samples import Image
-from svmdist.simulation.bodies.instrument import Part, make_parts
+from svmdist.simulation.bodies.instrument import Paint, Part, make_parts
 from svmdist.simulation.bodies.meshes import DrawnMesh, loft, smooth_normals
 from svmdist.simulation.bodies.organ import SEMI_AXES_M, Organ, make_organ
 from svmdist.simulation.bodies.plate import Plate, make_plate
 from svmdist.simulation.bodies.relief import make_relief
 from svmdist.simulation.bodies.textures import fine_tissue_texture, floor_texture, tissue_texture
+from svmdist.simulation.bodies.tissue_shape import TissueShape, make_tissue_shape
 from svmdist.simulation.extras import Extras
+from svmdist.simulation.room.lens import Lens, coefficients
+from svmdist.simulation.room.settings import IDEAL, Room
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
 
 FLOOR_HALF_M = 0.16
@@ -30,13 +36,17 @@ TISSUE_SHIFT_M = 0.0015
 
 RELIEF_STREAMS = (18, 19)
 """Of the surface and of its texture, apart from all others, so that relief moves nothing else."""
+SHAPE_STREAM = 102
 
 R_WORLD_CAMERA: Array = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
 class Scene:
-    """The world of one seed: the chain and where its base, the camera and the tissue stand."""
+    """The world of one seed: the chain and where its base, the camera and the tissue stand.
+
+    `camera` is what the calibration tells. The lens has the `distortion`, OpenCV's coefficients, shape (5,).
+    """
 
     chain: DHChain
     posture: Array
@@ -50,11 +60,24 @@ class Scene:
     tissue_texture: Image
     floor_texture: Image
     baseline_m: float
+    R_camera_right: Array
     plate: Plate | None = None
+    room: Room = IDEAL
+    distortion: Array = field(default_factory=lambda: np.zeros(5))
+
+    @cached_property
+    def lens(self) -> Lens | None:
+        """What both cameras look through; None for a pinhole."""
+        return Lens.of(self.camera, self.distortion) if self.distortion.any() else None
+
+    @property
+    def drawn_camera(self) -> Camera:
+        """The pinhole camera whose images are drawn: wider than the real one where the lens needs it."""
+        return self.camera if self.lens is None else self.lens.wide
 
     @property
     def right_camera(self) -> Camera:
-        """The right camera of a rectified pair: the left one's intrinsics, and the baseline in P."""
+        """The right camera of a rectified pair, as it is meant: the left one's intrinsics, and the baseline in P."""
         P = np.hstack([self.camera.K, np.zeros((3, 1))])
         P[0, 3] = -self.camera.K[0, 0] * self.baseline_m
         return replace(self.camera, P=P, frame_id=f"{self.camera.frame_id}_right")
@@ -62,7 +85,7 @@ class Scene:
     @property
     def T_camera_right(self) -> Array:
         """Where the right camera stands for the left one, shape (4, 4)."""
-        return make_transform(np.eye(3), [self.baseline_m, 0.0, 0.0])
+        return make_transform(self.R_camera_right, [self.baseline_m, 0.0, 0.0])
 
     @property
     def T_camera_base(self) -> Array:
@@ -73,6 +96,10 @@ class Scene:
     def T_camera_tissue(self) -> Array:
         """Where the tissue stands for the camera, shape (4, 4)."""
         return inverse(self.T_world_camera) @ self.T_world_tissue
+
+    def T_camera_risen_tissue(self, rise_m: float) -> Array:
+        """Where the tissue stands for the camera, shape (4, 4), after it and the floor have risen."""
+        return inverse(self.T_world_camera) @ risen(rise_m) @ self.T_world_tissue
 
     def link_poses(self, q: Array) -> dict[str, Array]:
         """Poses `T_world_link`, shape (..., 4, 4), of all rows by name, for joints (..., n_joints)."""
@@ -102,29 +129,62 @@ def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Sce
     bumps, speckle = (np.random.default_rng([seed, stream]) for stream in RELIEF_STREAMS)
     relief = make_relief(bumps, extras.relief_m, min(SEMI_AXES_M)) if extras.relief_m > 0.0 else None
     colour = tissue_texture(red)
+    room = extras.room
     T_world_tissue = make_transform(
         rotation_z(place.uniform(-np.pi, np.pi)),
         [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0],
     )
+    camera = Camera.from_horizontal_fov(
+        settings.width_px, settings.height_px, settings.horizontal_fov_rad, profile.frames.camera
+    )
+    if (zoom := extras.perturbations["zoom"]) != 1.0:
+        camera = zoomed_camera(camera, zoom)
+    if room.lens:
+        camera = replace(camera, D=coefficients(room.lens))
     return Scene(
         chain=chain,
         posture=np.array([settings.posture[name] for name in chain.joint_names]),
-        camera=Camera.from_horizontal_fov(
-            settings.width_px, settings.height_px, settings.horizontal_fov_rad, profile.frames.camera
-        ),
+        camera=camera,
         T_world_base=make_transform(rotation_z(settings.base_yaw_rad), settings.base_position_m),
-        T_world_camera=make_transform(R_WORLD_CAMERA, [0.0, 0.0, settings.camera_height_m]),
+        T_world_camera=_camera_pose(settings.camera_height_m, extras, seed),
         T_world_tissue=T_world_tissue,
-        organ=make_organ(shape, relief),
+        organ=make_organ(shape, relief, _tissue_shape(room, seed)),
         parts=make_parts(
-            profile.instrument, tuple(row.name for row in chain.rows), profile.robot.joints[-3].a_m
+            profile.instrument,
+            tuple(row.name for row in chain.rows),
+            profile.robot.joints[-3].a_m,
+            Paint(room.tip, room.shaft_grey, room.shaft_blue, 1e-3 * room.ring),
         ),
         retractor=make_retractor(),
         tissue_texture=colour if relief is None else fine_tissue_texture(speckle, colour, relief),
         floor_texture=floor_texture(dull),
         baseline_m=settings.stereo_baseline_m,
+        R_camera_right=right_turn(extras.perturbations),
         plate=make_plate(profile.fiducial) if extras.tag and profile.fiducial is not None else None,
+        room=room,
+        distortion=coefficients(room.lens + room.lens_untold),
     )
+
+
+def _camera_pose(height_m: float, extras: Extras, seed: int) -> Array:
+    """Where the camera stands, shape (4, 4): so high above the floor, whose origin is on its optical axis."""
+    if not extras.perturbations.has("plane_tilt"):
+        return make_transform(R_WORLD_CAMERA, [0.0, 0.0, height_m])
+    # In these axes the floor's normal is the stated one, turned back.
+    R = R_WORLD_CAMERA @ plane_tilt(extras.perturbations, seed)
+    return make_transform(R, height_m / R[2, 2] * R[:, 2])
+
+
+def _tissue_shape(room: Room, seed: int) -> TissueShape | None:
+    if not (room.tissue_shape or room.tissue_ellipsoid):
+        return None
+    rng = np.random.default_rng([seed, SHAPE_STREAM])
+    return make_tissue_shape(rng, room.tissue_shape, room.tissue_ellipsoid)
+
+
+def risen(rise_m: float) -> Array:
+    """A rise along the floor's normal as a transform of the world, shape (4, 4)."""
+    return make_transform(np.eye(3), [0.0, 0.0, rise_m])
 
 
 def make_floor() -> DrawnMesh:

@@ -16,6 +16,7 @@ from svmdist.profile import Profile
 from svmdist.simulation.clearance.meters import BetweenMeter
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.paths import cubic_spline, wander
+from svmdist.simulation.room.jaw import untold_opening_rad
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, inverse, transform_points
 
@@ -65,6 +66,8 @@ def make_other_arms(
         assert settings is not None  # the scene has checked it
         rng = np.random.default_rng([seed, _PATH_STREAM, index])
         path = _Path(scene, other, settings.working_height_m, rng, progress, duration_s)
+        if scene.room.jaw:
+            path.open_jaws(untold_opening_rad(scene.room, seed, progress * duration_s, index))
         arms.append(OtherArm(name, view, other, path.joints(q)))
     return tuple(arms)
 
@@ -87,6 +90,10 @@ class _Path:
         self._rise = 0.001 * wander(rng, progress, 2.0)
         amplitudes = (0.15, 0.12, 0.08, 0.12)
         self._wrist = np.stack([amplitude * wander(rng, progress) for amplitude in amplitudes], -1)
+
+    def open_jaws(self, opening_rad: Array) -> None:
+        """Open the jaws further, by shape (n,)."""
+        self._wrist[:, 3] += opening_rad
 
     def joints(self, q: Array) -> Array:
         """Joints, shape (n, n_joints), on the lowest path that keeps away from the first instrument at `q`."""

@@ -1,4 +1,4 @@
-"""What the sensors make of the drawn images: noise, and the degradations that were asked for, by seed."""
+"""What the sensors make of the drawn images: noise, video, and the degradations that were asked for, by seed."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from svmdist.perturbations.video import subsampled
 from svmdist.samples import Image
 from svmdist.simulation.extras import Extras
 from svmdist.transforms import Array
@@ -31,6 +32,7 @@ class Sensor:
         self._seed = seed
         self._noise = noise
         self._degradations = tuple((Degradation(name), severity) for name, severity in extras.degradations)
+        self._chroma = extras.perturbations["chroma"]
         self._rng = np.random.default_rng([seed, _NOISE_STREAMS[camera]])
 
     @property
@@ -56,6 +58,8 @@ class Sensor:
         image = (
             image_bgr if noise is None else np.asarray(cv2.add(noise, image_bgr, dtype=cv2.CV_8U), np.uint8)
         )
+        if self._chroma:
+            image = subsampled(image, self._chroma)
         for place, (name, severity) in enumerate(self._degradations):
             seed = image_seed(name, self._camera, self._seed, _DEGRADATION_STREAM, place, frame)
             image = degrade(image, name, severity, seed)

@@ -5,16 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cached_property
 
+from svmdist.camera import Camera, stereo_transform
+from svmdist.perturbations.calibration import stated_camera, stated_right_camera, zoomed_camera
+from svmdist.perturbations.perturbation import Place
 from svmdist.profile import Profile
-from svmdist.samples import CameraSample, ImageSample, Sample, TransformSample, TransformsSample
+from svmdist.samples import CameraSample, Image, ImageSample, Sample, TransformSample, TransformsSample
 from svmdist.simulation.arm import ArmPoses, distances
 from svmdist.simulation.clearance.meters import BetweenMeter, ClearanceMeter
 from svmdist.simulation.closing import Closing
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.plan import Block, Plan, between_topic, make_plan
-from svmdist.simulation.renderer import Renderer
+from svmdist.simulation.plan import Block, Moment, Plan, between_topic, make_plan
+from svmdist.simulation.renderer import make_renderer
+from svmdist.simulation.room.fields import FIELD_NS, interlaced
 from svmdist.simulation.sensor import NoiseState, Sensor
 from svmdist.transforms import Array
 
@@ -64,7 +69,8 @@ class Simulator(Closing):
         with ExitStack() as stack:
             self._meters = [stack.enter_context(ClearanceMeter(arm.scene)) for arm in plan.arms]
             self._between = [stack.enter_context(BetweenMeter(scene, other)) for other in others]
-            self._view = stack.enter_context(Renderer(scene, plan.renderer, others))
+            self._view = make_renderer(scene, plan.renderer, others, plan.seed)
+            stack.enter_context(self._view)
             self._stack = stack.pop_all()
 
     @property
@@ -86,7 +92,8 @@ class Simulator(Closing):
         """Yield (topic, sample) of a block, given the noise of its image."""
         plan, topics = self._plan, self._plan.topics
         poses = [arm.poses(block.begin, block.end) for arm in plan.arms]
-        clearances = self._clearances_m([arm.q[block.begin : block.end] for arm in plan.arms])
+        rise_m = None if plan.tissue_rise_m is None else plan.tissue_rise_m[block.begin : block.end]
+        clearances = self._clearances_m([arm.q[block.begin : block.end] for arm in plan.arms], rise_m)
         for at, stamp in enumerate(plan.stamps_ns[block.begin : block.end].tolist()):
             index = block.begin + at
             if plan.with_camera_info[index]:
@@ -94,34 +101,60 @@ class Simulator(Closing):
             if plan.with_joints[index]:
                 for arm, its in zip(plan.arms, poses, strict=True):
                     yield from arm.reports(stamp, its, at)
-            yield from self._truth(stamp, poses, clearances, at)
+            T_camera_tissue = plan.scene.T_camera_tissue
+            if rise_m is not None:
+                T_camera_tissue = plan.scene.T_camera_risen_tissue(float(rise_m[at]))
+            yield from self._truth(stamp, poses, T_camera_tissue, clearances, at)
             if plan.with_image[index]:
                 yield topics.tf, self._nominal_transforms(stamp, poses, at)
                 yield from self._images(stamp, index, block.frame, noise)
 
     def _cameras(self, stamp_ns: int) -> Iterator[tuple[str, Sample]]:
-        scene, topics = self._plan.scene, self._plan.topics
-        yield topics.camera_info, CameraSample(stamp_ns, scene.camera)
+        left, right = self._stated_cameras
+        yield self._plan.topics.camera_info, CameraSample(stamp_ns, left)
         if self._plan.extras.stereo:
-            yield topics.right_camera_info, CameraSample(stamp_ns, scene.right_camera)
+            yield self._plan.topics.right_camera_info, CameraSample(stamp_ns, right)
 
-    def _clearances_m(self, q: list[Array]) -> _Clearances:
-        """Those of a block's moments, by the joints of each arm, shape (n, n_joints)."""
+    @cached_property
+    def _stated_cameras(self) -> tuple[Camera, Camera]:
+        """The left and the right camera as the log says that they are."""
+        scene, perturbations = self._plan.scene, self._plan.extras.perturbations
+        left, right, zoom = scene.camera, scene.right_camera, perturbations["zoom"]
+        if zoom != 1.0:  # the log does not say so
+            left, right = zoomed_camera(left, 1.0 / zoom), zoomed_camera(right, 1.0 / zoom)
+        return stated_camera(left, perturbations), stated_right_camera(right, perturbations)
+
+    @cached_property
+    def _stated_T_camera_right(self) -> Array:
+        """Where the log says that the right camera stands, shape (4, 4)."""
+        if not self._plan.extras.perturbations.changes(Place.CALIBRATION):
+            return self._plan.scene.T_camera_right
+        stated = stereo_transform(*self._stated_cameras)
+        assert stated is not None  # the baseline is not 0
+        return stated
+
+    def _clearances_m(self, q: list[Array], rise_m: Array | None) -> _Clearances:
+        """Those of a block's moments, by the joints of each arm, shape (n, n_joints), and the tissue's rise, (n,)."""
         return _Clearances(
-            [meter.clearances_m(its) for meter, its in zip(self._meters, q, strict=True)],
+            [meter.clearances_m(its, rise_m) for meter, its in zip(self._meters, q, strict=True)],
             [between.clearances_m(q[0], its) for between, its in zip(self._between, q[1:], strict=True)],
         )
 
     def _truth(
-        self, stamp_ns: int, poses: list[ArmPoses], clearances: _Clearances, at: int
+        self,
+        stamp_ns: int,
+        poses: list[ArmPoses],
+        T_camera_tissue: Array,
+        clearances: _Clearances,
+        at: int,
     ) -> Iterator[tuple[str, Sample]]:
         """Yield where tools and tissue are, and how far from each other."""
         plan, frames, arms = self._plan, self._plan.profile.frames, self._plan.arms
         tools = [arm.true_transform(stamp_ns, its, at) for arm, its in zip(arms, poses, strict=True)]
-        tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, plan.scene.T_camera_tissue)
+        tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, T_camera_tissue)
         yield plan.topics.ground_truth_tf, TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
         for arm, tool, to_tissue_m in zip(arms, tools, clearances.to_tissue_m, strict=True):
-            yield arm.true_distances(tool, float(to_tissue_m[at]))
+            yield arm.true_distances(tool, tissue, float(to_tissue_m[at]))
         for other, tool, between_m in zip(arms[1:], tools[1:], clearances.between_m, strict=True):
             offset_m = tools[0].T_parent_child[:3, 3] - tool.T_parent_child[:3, 3]
             topic = between_topic(plan.profile.instrument_name, other.profile.instrument_name)
@@ -134,22 +167,32 @@ class Simulator(Closing):
         right = []
         if self._plan.extras.stereo:
             camera, right_frame = scene.camera.frame_id, scene.right_camera.frame_id
-            right = [TransformSample(stamp_ns, camera, right_frame, scene.T_camera_right)]
+            right = [TransformSample(stamp_ns, camera, right_frame, self._stated_T_camera_right)]
         return TransformsSample(
             stamp_ns, (*transforms[0], *right, *(sample for other in transforms[1:] for sample in other))
         )
 
     def _images(self, stamp_ns: int, index: int, frame: int, noise: Noise) -> Iterator[tuple[str, Sample]]:
-        plan, topics, scene = self._plan, self._plan.topics, self._plan.scene
-        T_retractor = None if plan.T_world_retractor is None else plan.T_world_retractor[index]
-        joints = [arm.q[index] for arm in plan.arms]
-        turn = frame * len(self._sensors)
-        image = self._view.frame_of(joints[0], T_retractor, joints[1:], turn=turn)
-        image = self._sensors[0].expose(image, noise[0], frame)
-        yield topics.image, ImageSample(stamp_ns, scene.camera.frame_id, image)
-        if plan.extras.stereo:
-            image = self._sensors[1].expose(self._view.right_frame(turn=turn + 1), noise[1], frame)
-            yield topics.right_image, ImageSample(stamp_ns, scene.right_camera.frame_id, image)
+        scene, topics = self._plan.scene, self._plan.topics
+        fields_ns = [0.0] if not scene.room.interlace else [0.0, scene.room.interlace * FIELD_NS]
+        fields = [
+            self._pictures(self._plan.moment(index, after_ns), frame * len(fields_ns) + number)
+            for number, after_ns in enumerate(fields_ns)
+        ]
+        named = ((topics.image, scene.camera), (topics.right_image, scene.right_camera))
+        for sensor, (topic, camera), its, drawn in zip(
+            self._sensors, named[: len(self._sensors)], noise, zip(*fields, strict=True), strict=True
+        ):
+            image = sensor.expose(interlaced(*drawn), its, frame)
+            yield topic, ImageSample(stamp_ns, camera.frame_id, image)
+
+    def _pictures(self, moment: Moment, number: int) -> list[Image]:
+        """What each camera sees of a moment, which is that number `number` of the recording."""
+        turn = number * len(self._sensors)
+        left = self._view.frame_of(
+            moment.q[0], moment.T_world_retractor, moment.q[1:], turn=turn, rise_m=moment.rise_m
+        )
+        return [left, self._view.right_frame(turn=turn + 1)] if self._plan.extras.stereo else [left]
 
     def close(self) -> None:
         """Leave the physics worlds; a second call does nothing."""

@@ -42,13 +42,18 @@ def urdf_of(chain: DHChain, name: str, visuals: tuple[LinkVisual, ...] = (), too
         parent = row.name
     # One visual to a link, so that every part keeps its own colour.
     for index, visual in enumerate(visuals):
-        part = f"{visual.link}_part_{index}"
+        part = part_link(visual.link, index)
         _visual(_link(robot, part), visual, part)
         _joint(robot, f"{part}_fixed", visual.link, part, np.eye(4))
     _link(robot, tool_link)
     _joint(robot, f"{tool_link}_fixed", parent, tool_link, chain.T_last_tool)
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode")
+
+
+def part_link(link: str, index: int) -> str:
+    """The name of the link that draws visual number `index`, which is on another link."""
+    return f"{link}_part_{index}"
 
 
 def _zero(row: DHRow) -> Array:

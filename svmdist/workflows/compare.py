@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from svmdist.errors import RecordingError
 from svmdist.estimation.detection.lazy import Clock
 from svmdist.recording.reader import Recording
-from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.conditions import CLEAN, LogCondition
 from svmdist.workflows.runs import Figures, Progress, Run, measure_runs, pooled_figures
 from svmdist.workflows.setup import Setup
 
@@ -19,6 +19,8 @@ UNDEGRADED = "clean"
 @dataclass(frozen=True, slots=True)
 class Group:
     """Frames that are compared together: those of a scenario, and how they were degraded (`smoke=3`, or empty).
+
+    A perturbed world (`focal=1`, or `world=real`) counts as a degradation.
 
     A scenario of `all` is all of them; so is a degradation of `all`. Instruments are never compared together:
     `other_instrument` names one that is not the first of its recording.
@@ -43,12 +45,15 @@ class MethodScore:
     instrument: str = ""
 
 
-def group_of(recording: Recording, condition: Condition = CLEAN, instrument: str = "") -> Group:
+def group_of(recording: Recording, condition: LogCondition = CLEAN, instrument: str = "") -> Group:
     """What a recording is compared as: its scenario, or its name where it names none, and its degradations.
 
-    Those are what it was recorded with, `degrade` of its metadata, and then what is done to it now.
+    Those are what it was recorded with, `degrade` and `perturb` of its metadata, and then what is done to it now. Of a
+    real world, in which everything is perturbed, only that is told.
     """
-    degradations = (recording.metadata.get("degrade", ""), str(condition))
+    metadata = recording.metadata
+    world = f"world={metadata['world']}" if "world" in metadata else metadata.get("perturb", "")
+    degradations = (metadata.get("degrade", ""), world, str(condition))
     other = instrument if instrument in recording.instruments[1:] else ""
     return Group(
         recording.metadata.get("scenario", recording.name), ",".join(filter(None, degradations)), other
@@ -58,7 +63,7 @@ def group_of(recording: Recording, condition: Condition = CLEAN, instrument: str
 def compare(
     recordings: Sequence[Recording],
     setups: Sequence[Setup],
-    conditions: Sequence[Condition] = (CLEAN,),
+    conditions: Sequence[LogCondition] = (CLEAN,),
     *,
     jobs: int | None = None,
     clock: Clock | None = None,

@@ -1,4 +1,4 @@
-"""Conditions under which a log is replayed: its images as recorded, degraded, or blurred."""
+"""Conditions under which a log is replayed: as recorded, images degraded or blurred, or in a perturbed world."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from svmdist.perturbations.chosen import Perturbations, require_at_replay
 from svmdist.samples import Image, Observation
 
 if TYPE_CHECKING:  # images as recorded need neither
@@ -62,6 +63,37 @@ class Condition:
 
 
 CLEAN = Condition()
+
+
+@dataclass(frozen=True, slots=True)
+class PerturbedCondition:
+    """A world that is not as log and profile say, on top of what the log already has of it.
+
+    Raises UsageError for what cannot be done to a log that is recorded already.
+    """
+
+    perturbations: Perturbations
+
+    def __post_init__(self) -> None:
+        require_at_replay(self.perturbations)
+
+    def __str__(self) -> str:
+        return str(self.perturbations)
+
+    def apply(self, observation: Observation, _frame: int) -> Observation:
+        """Change the images; joints and calibration are those of `Recording.perturbed`."""
+        from svmdist.perturbations.images import perturbed_image, perturbed_right_view
+
+        image, right = observation.image_bgr, observation.right
+        return replace(
+            observation,
+            image_bgr=perturbed_image(image, self.perturbations),
+            right=None if right is None else perturbed_right_view(right, self.perturbations),
+        )
+
+
+LogCondition = Condition | PerturbedCondition
+"""What a log can be compared under."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import count, product
 
 from svmdist.estimation.detection.lazy import Clock
@@ -12,7 +13,7 @@ from svmdist.recording.health import Health
 from svmdist.recording.reader import Recording
 from svmdist.recording.topics import Role
 from svmdist.workflows.ahead import usable_cores
-from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.processes import in_processes
 from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.distances import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
@@ -34,11 +35,12 @@ class Run:
     """One method on one instrument of one recording under one condition.
 
     A distance that method or truth cannot tell is None. `seconds` is the method's processor time alone, with every
-    detection that it asked for, without reading, decoding and degrading the image.
+    detection that it asked for, without reading, decoding and degrading the image. `statuses` counts the frames by how
+    they ended.
     """
 
     recording: Recording
-    condition: Condition
+    condition: LogCondition
     method: str
     frame_count: int
     measured_count: int
@@ -47,6 +49,7 @@ class Run:
     clearance: DistanceScore | None
     seconds: float
     instrument: str = ""
+    statuses: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ def pooled_figures(runs: Sequence[Run]) -> Figures:
 def measure_runs(
     recordings: Sequence[Recording],
     setups: Sequence[Setup],
-    conditions: Sequence[Condition] = (CLEAN,),
+    conditions: Sequence[LogCondition] = (CLEAN,),
     *,
     jobs: int | None = None,
     clock: Clock | None = None,
@@ -120,7 +123,24 @@ def measure_runs(
 def _runs(
     recording: Recording,
     setups: Sequence[Setup],
-    conditions: Sequence[Condition],
+    conditions: Sequence[LogCondition],
+    jobs: int,
+    clock: Clock | None,
+    advance: Callable[[], None],
+) -> list[Run]:
+    """One pass over the log for all conditions of its images, and one for every other world."""
+    passes: list[Sequence[LogCondition]] = [
+        [condition for condition in conditions if not isinstance(condition, PerturbedCondition)],
+        *([condition] for condition in conditions if isinstance(condition, PerturbedCondition)),
+    ]
+    runs = [run for of in passes if of for run in _pass(recording, setups, of, jobs, clock, advance)]
+    return sorted(runs, key=lambda run: conditions.index(run.condition))
+
+
+def _pass(
+    recording: Recording,
+    setups: Sequence[Setup],
+    conditions: Sequence[LogCondition],
     jobs: int,
     clock: Clock | None,
     advance: Callable[[], None],
@@ -128,11 +148,17 @@ def _runs(
     names = _with_truth(recording)
     lanes = [(condition, setup) for condition in conditions for setup in setups]
     tallies = [{name: _Tally() for name in names} for _ in lanes]
-    for replayed in replay(recording, setups, conditions, wanted=names, jobs=jobs, clock=clock):
+    seen, told = recording, setups
+    for condition in conditions:
+        if isinstance(condition, PerturbedCondition):  # alone
+            seen = recording.perturbed(condition.perturbations, setups[0].profile)
+            told = [setup.perturbed(condition.perturbations, seen.world_seed) for setup in setups]
+    for replayed in replay(seen, told, conditions, wanted=names, jobs=jobs, clock=clock):
         for lane, of_lane in zip(replayed, tallies, strict=True):
             for result, seconds, tally in zip(lane.results, lane.seconds, of_lane.values(), strict=True):
                 tally.frame_count += 1
                 tally.seconds += seconds
+                tally.statuses[str(result.status)] += 1
                 if result.measured:
                     tally.readings.add(result)
             advance()
@@ -156,6 +182,7 @@ def _runs(
                     clearance,
                     tally.seconds,
                     name,
+                    dict(tally.statuses),
                 )
             )
     return runs
@@ -167,6 +194,7 @@ class _Tally:
     def __init__(self) -> None:
         self.frame_count = 0
         self.seconds = 0.0
+        self.statuses: Counter[str] = Counter()
         self.readings = Readings()
 
 
@@ -179,7 +207,7 @@ class _Part:
 
     recording: Recording
     number: int
-    conditions: tuple[Condition, ...]
+    conditions: tuple[LogCondition, ...]
     first_condition: int
     setups: tuple[Setup, ...]
     places: tuple[int, ...]
@@ -198,7 +226,7 @@ class _Part:
 
 
 def _parts(
-    recordings: Sequence[Recording], setups: Sequence[Setup], conditions: Sequence[Condition], jobs: int
+    recordings: Sequence[Recording], setups: Sequence[Setup], conditions: Sequence[LogCondition], jobs: int
 ) -> list[_Part]:
     """Deal the work out to processes: by recordings and conditions, and by methods where those are too few.
 

@@ -14,6 +14,8 @@ from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_
 from svmdist.estimation.planar.calibration import Calibration, load_calibration
 from svmdist.estimation.planar.equations import PUBLISHED_MAPPING, Equations, PlaneMapping, degeneracies
 from svmdist.estimation.tissue.pose import require_tissue
+from svmdist.perturbations.chosen import Perturbations
+from svmdist.perturbations.shape import stated_profile
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.reader import Recording
 from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
@@ -40,7 +42,7 @@ class Setup:
     def require_camera(self, recording: Recording) -> None:
         """Raise CalibrationError for a recording of another camera than the calibration's."""
         if self.equations == "corrected" and self.calibration is not None:
-            self.calibration.require_camera(recording.camera, recording.name)
+            self.calibration.require_camera(recording.logged_camera, recording.name)
 
     def estimator_for(self, arm: Arm) -> Estimator:
         """Make the estimator of one instrument."""
@@ -49,6 +51,10 @@ class Setup:
     def for_instrument(self, name: str) -> Setup:
         """The same for one of the profile's instruments."""
         return replace(self, profile=self.profile.for_instrument(name))
+
+    def perturbed(self, perturbations: Perturbations, seed: int) -> Setup:
+        """The same with a profile that is wrong about instrument, tag and plane."""
+        return replace(self, profile=stated_profile(self.profile, perturbations, seed))
 
     def was_fitted_on(self, recording: Recording) -> bool:
         """Whether the calibration was fitted on this very recording: then its figures prove nothing."""

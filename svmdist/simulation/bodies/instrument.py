@@ -18,6 +18,27 @@ SHAFT_RGBA = (0.13, 0.13, 0.145, 1.0)
 STEEL_RGBA = (0.62, 0.63, 0.65, 1.0)
 DARK_STEEL_RGBA = (0.45, 0.46, 0.48, 1.0)
 MARKER_RGBA = (0.0, 0.62, 0.70, 1.0)
+GREY_RGBA = (0.42, 0.42, 0.44, 1.0)
+"""Of a worn or a bright shaft: twice as bright as what a threshold on darkness calls one."""
+BLUE_RGBA = (0.16, 0.27, 0.52, 1.0)
+RING_LENGTH_M, RING_RADIUS_M = 0.0018, 0.00235
+"""A ring about the fork's tines that shows about as many pixels as the coloured sphere: 9 mm² from the side."""
+
+Rgba = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Paint:
+    """Colours that are not the ideal world's: each from 0, the ideal one, to 1.
+
+    `tip` takes the coloured sphere to bare steel, `shaft_grey` and `shaft_blue` take the shaft there. `ring_m` puts a
+    coloured ring so far behind the tool's origin, whose sphere is bare then; zero stands for none.
+    """
+
+    tip: float = 0.0
+    shaft_grey: float = 0.0
+    shaft_blue: float = 0.0
+    ring_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -27,16 +48,19 @@ class Part:
     name: str
     link: str
     mesh: DrawnMesh
-    colour_rgba: tuple[float, float, float, float]
+    colour_rgba: Rgba
 
 
-def make_parts(instrument: Instrument, links: tuple[str, ...], wrist_length_m: float) -> tuple[Part, ...]:
+def make_parts(
+    instrument: Instrument, links: tuple[str, ...], wrist_length_m: float, paint: Paint | None = None
+) -> tuple[Part, ...]:
     """Build the parts for the last four links: roll, wrist pitch, wrist yaw, jaw (as in dVRK tools).
 
     In the roll's frame the shaft runs along +y, away from the tip; in the wrist's frames the tip lies
     along +x and the jaws turn about z. `wrist_length_m` is the distance from the wrist's pitch axis to the
     tool's origin.
     """
+    paint = paint or Paint()
     roll, wrist_pitch, wrist_yaw, jaw = links[-4:]
     wrist_m, marker_m = instrument.wrist_radius_m, instrument.knuckle_radius_m
     T_roll_shaft = make_transform(rotation_z(np.pi / 2), np.zeros(3))
@@ -69,17 +93,30 @@ def make_parts(instrument: Instrument, links: tuple[str, ...], wrist_length_m: f
     upper = blade.transformed(
         T_jaw_wrist @ make_transform(np.eye(3), [0.0, 0.55 * instrument.jaw_radius_m, 0.0])
     )
-    return (
-        Part("shaft", roll, shaft.transformed(T_roll_shaft), SHAFT_RGBA),
+    shaft_rgba = _between(_between(SHAFT_RGBA, GREY_RGBA, paint.shaft_grey), BLUE_RGBA, paint.shaft_blue)
+    tip_rgba = _between(MARKER_RGBA, STEEL_RGBA, 1.0 if paint.ring_m else paint.tip)
+    parts = (
+        Part("shaft", roll, shaft.transformed(T_roll_shaft), shaft_rgba),
         Part("collar", roll, collar.transformed(T_roll_shaft), STEEL_RGBA),
         Part("hinge", roll, hinge, DARK_STEEL_RGBA),
         Part("bridge", wrist_pitch, bridge, STEEL_RGBA),
         Part("left_tine", wrist_pitch, tines[0], STEEL_RGBA),
         Part("right_tine", wrist_pitch, tines[1], STEEL_RGBA),
-        Part("knuckle", wrist_yaw, sphere(marker_m), MARKER_RGBA),
+        Part("knuckle", wrist_yaw, sphere(marker_m), tip_rgba),
         Part("fixed_jaw", wrist_yaw, lower, STEEL_RGBA),
         Part("moving_jaw", jaw, upper, STEEL_RGBA),
     )
+    if not paint.ring_m:
+        return parts
+    ends_m = -paint.ring_m + 0.5 * RING_LENGTH_M * np.array([-1.0, 1.0])
+    ring = revolve(ends_m, np.full(2, RING_RADIUS_M))
+    return (*parts, Part("ring", wrist_pitch, ring, MARKER_RGBA))
+
+
+def _between(start: Rgba, end: Rgba, share: float) -> Rgba:
+    """A colour on the way from one to another; at 0 the first one, to the last bit."""
+    r, g, b, a = (x + share * (y - x) for x, y in zip(start, end, strict=True))
+    return r, g, b, a
 
 
 def _jaw(instrument: Instrument) -> DrawnMesh:

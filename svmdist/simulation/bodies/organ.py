@@ -1,4 +1,4 @@
-"""The tissue organ of one seed: a convex, slightly irregular dome about its own frame, plain or with relief.
+"""The tissue organ of one seed: a convex, slightly irregular dome about its own frame, plain, with relief or lobes.
 
 The tissue frame's origin is the area centroid of the outline on the floor, so that the centroid of the
 organ's silhouette, seen from straight above, is the projection of that origin.
@@ -15,6 +15,7 @@ from svmdist.polygon import polygon_centroid
 from svmdist.simulation.bodies.meshes import DrawnMesh, smooth_normals
 from svmdist.simulation.bodies.relief import Relief
 from svmdist.simulation.bodies.textures import TEXTURE_SPAN_M
+from svmdist.simulation.bodies.tissue_shape import TissueShape
 from svmdist.transforms import Array
 
 SEMI_AXES_M = (0.028, 0.022)
@@ -31,7 +32,7 @@ RELIEF_SIDE_COUNT = 200
 class Organ:
     """Mesh in the tissue frame, its outline on the floor, shape (n, 2) in m, and its height in m.
 
-    The mesh is open at the floor. The height is that of the smooth dome; an organ with relief is not convex.
+    The mesh is open at the floor. The height is that of the smooth dome; an organ with relief or lobes is not convex.
     """
 
     mesh: DrawnMesh
@@ -40,35 +41,42 @@ class Organ:
     is_convex: bool = True
 
 
-def make_organ(rng: np.random.Generator, relief: Relief | None = None) -> Organ:
-    """Make the organ of a random stream.
+def make_organ(
+    rng: np.random.Generator, relief: Relief | None = None, shape: TissueShape | None = None
+) -> Organ:
+    """Make the organ of a random stream, a dome unless it has a shape of its own.
 
     Height over the plane is concave in the normalised radius (1 on the outline, 0 at the apex), and the
     outline is convex, so the body is convex. Convexity lets Bullet compute exact distances to it. Relief is
-    added to the height, so that the surface stays one height over the plane and the outline what it was.
+    added to the height, so that the surface stays one height over the plane and the outline what it was. So does
+    a shape's multiplied height; it rises no higher than the dome, so that scenarios keep clear of it.
     """
-    ring_count, side_count = (
-        (RING_COUNT, SIDE_COUNT) if relief is None else (RELIEF_RING_COUNT, RELIEF_SIDE_COUNT)
-    )
+    is_convex = relief is None and (shape is None or shape.is_convex)
+    ring_count, side_count = (RING_COUNT, SIDE_COUNT) if is_convex else (RELIEF_RING_COUNT, RELIEF_SIDE_COUNT)
     angle = np.linspace(0.0, 2.0 * np.pi, side_count, endpoint=False)
     outline_m = _outline(angle, rng)
+    if shape is not None:
+        outline_m *= shape.stretched(angle)[:, None]
     outline_m -= polygon_centroid(outline_m)
     # The apex beside the centroid, as no organ is symmetric.
     apex_m = rng.uniform(-1.0, 1.0, 2) * (0.004, 0.003)
     height_m = HEIGHT_M * rng.uniform(0.97, 1.03)
     # Rings crowd at the rim, where the dome is steep.
     radius = np.sin(np.linspace(0.0, np.pi / 2, ring_count + 1)[1:])
-    profile = (1.0 - radius**2.3) ** 0.62
+    profile = (1.0 - radius**2.3) ** 0.62 if shape is None else shape.profile(radius)
     xy_m = apex_m + radius[:, None, None] * (outline_m - apex_m)
     z_m = np.broadcast_to(height_m * profile[:, None, None], (ring_count, side_count, 1))
     vertices_m = np.vstack([[*apex_m, height_m], np.concatenate([xy_m, z_m], -1).reshape(-1, 3)])
+    if shape is not None and not shape.is_convex:
+        vertices_m[:, 2] *= shape.raised(vertices_m[:, :2])
+        vertices_m[:, 2] *= height_m / vertices_m[:, 2].max()
     if relief is not None:
         at_vertex = np.concatenate([[0.0], np.repeat(radius, side_count)])
         vertices_m[:, 2] += relief.height_m(vertices_m[:, :2], at_vertex)
     faces = _fan_and_rings(ring_count, side_count)
     normals = smooth_normals(vertices_m, faces)
     uv = 0.5 + vertices_m[:, :2] / TEXTURE_SPAN_M
-    return Organ(DrawnMesh(vertices_m, faces, normals, uv), outline_m, float(height_m), relief is None)
+    return Organ(DrawnMesh(vertices_m, faces, normals, uv), outline_m, float(height_m), is_convex)
 
 
 def _outline(angle: Array, rng: np.random.Generator) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from svmdist.simulation.bodies.meshes import DrawnMesh
 from svmdist.simulation.bullet import BulletClient
 from svmdist.simulation.clearance.bounds import HalfSpaces, PartBounds
-from svmdist.simulation.clearance.relief_meter import ReliefMeter
+from svmdist.simulation.clearance.relief_meter import ReliefMeter, seen_from_tissue
 from svmdist.simulation.closing import Closing
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation, transform_points
@@ -90,11 +90,14 @@ class ClearanceMeter(_Meter):
         """Smallest distance in m at joints `q`, shape (n_joints,); negative is penetration depth."""
         return float(self.clearances_m(q[None])[0])
 
-    def clearances_m(self, q: Array) -> Array:
-        """Smallest distances in m, shape (n,), at joints `q`, shape (n, n_joints)."""
+    def clearances_m(self, q: Array, rise_m: Array | None = None) -> Array:
+        """Smallest distances in m, shape (n,), at joints `q`, shape (n, n_joints).
+
+        `rise_m`, shape (n,), is how far the tissue has risen from its place at rest.
+        """
         if self._relief is not None:
-            return self._relief.clearances_m(q)
-        T_world_part = self._bounds.stacked(self._scene.link_poses(q))
+            return self._relief.clearances_m(q, rise_m)
+        T_world_part = self._bounds.stacked(seen_from_tissue(self._scene, q, rise_m))
         least_m = self._bounds.least_m(T_world_part, self._organ)
         return np.array([self._smallest_m(*each) for each in zip(T_world_part, least_m, strict=True)])
 

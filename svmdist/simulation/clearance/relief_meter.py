@@ -62,13 +62,15 @@ class ReliefMeter:
         """Smallest distance in m at joints `q`, shape (n_joints,); negative is penetration depth."""
         return float(self.clearances_m(q[None])[0])
 
-    def clearances_m(self, q: Array) -> Array:
+    def clearances_m(self, q: Array, rise_m: Array | None = None) -> Array:
         """Smallest distances in m, shape (n,), at joints `q`, shape (n, n_joints), which are best in the order of time.
+
+        `rise_m`, shape (n,), is how far the tissue has risen from its place at rest.
 
         They do not depend on what was measured before, not even in the last bit.
         """
         self._nearest = None
-        T_tissue_part = self._T_tissue_world @ self._bounds.stacked(self._scene.link_poses(q))
+        T_tissue_part = self._T_tissue_world @ self._bounds.stacked(seen_from_tissue(self._scene, q, rise_m))
         least_m = self._bounds.least_m(T_tissue_part, self._half_spaces)
         return np.array([self._smallest_m(*each) for each in zip(T_tissue_part, least_m, strict=True)])
 
@@ -93,6 +95,16 @@ class ReliefMeter:
             (self._organ.depth_m(self._parts[part], T_tissue_part[part]) for part in low), default=0.0
         )
         return -depth_m if depth_m > 0.0 else best_m
+
+
+def seen_from_tissue(scene: Scene, q: Array, rise_m: Array | None) -> dict[str, Array]:
+    """Poses of all links, shape (n, 4, 4), in a world that moves with the tissue: there the tissue is at rest."""
+    poses = scene.link_poses(q)
+    if rise_m is None:
+        return poses
+    for T_world_link in poses.values():
+        T_world_link[:, 2, 3] -= rise_m
+    return poses
 
 
 class OrganSurface:

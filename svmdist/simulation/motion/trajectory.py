@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,8 @@ from svmdist.errors import KinematicsError, SimulationError
 from svmdist.kinematics.inverse import solve_position
 from svmdist.simulation.clearance.meters import ClearanceMeter
 from svmdist.simulation.motion.scenarios import Motion, Scenario, Stage, plan_motion
+from svmdist.simulation.room.jaw import untold_opening_rad
+from svmdist.simulation.room.tissue_motion import tissue_rise_m
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array, inverse, make_transform, rotation_z, transform_points
 
@@ -35,19 +37,41 @@ def make_trajectory(
 ) -> Trajectory:
     """Plan a scenario in a scene at values of progress, shape (n,); raises SimulationError out of reach.
 
-    Paths that end at a clearance are measured with the meter, or with one of their own.
+    Paths that end at a clearance are measured with the meter, or with one of their own. Where tissue moves, they go
+    with it as they come near, and end at about that clearance whenever they do.
     """
     stage = Stage(scene.T_world_tissue[:2, 3], scene.organ.height_m, working_height_m, scenario.duration_s)
-    motion = plan_motion(scenario, progress, stage)
+    motion = _with_jaw(scene, scenario, progress, plan_motion(scenario, progress, stage))
     try:
         if motion.clearance_m is not None:
-            lowest = plan_motion(scenario, np.array([motion.lowest_at]), stage)
+            at = np.array([motion.lowest_at])
+            lowest = _with_jaw(scene, scenario, at, plan_motion(scenario, at, stage))
             with nullcontext(meter) if meter is not None else ClearanceMeter(scene) as its_meter:
                 motion = _lowered(motion, _lowering_m(scene, lowest, its_meter))
+            if scene.room.moves_tissue:
+                motion = _carried(scene, motion, scenario, progress)
         q = _joints(scene, motion)
     except KinematicsError as problem:
         raise SimulationError(f"scenario {scenario.name}: {problem}") from None
     return Trajectory(q, _retractor_poses(motion))
+
+
+def _with_jaw(scene: Scene, scenario: Scenario, progress: Array, motion: Motion) -> Motion:
+    """The motion with what the jaws open beyond it."""
+    if not scene.room.jaw:
+        return motion
+    wrist_rad = motion.wrist_rad.copy()
+    wrist_rad[:, 3] += untold_opening_rad(scene.room, scenario.seed, progress * scenario.duration_s)
+    return replace(motion, wrist_rad=wrist_rad)
+
+
+def _carried(scene: Scene, motion: Motion, scenario: Scenario, progress: Array) -> Motion:
+    """The motion, carried by the tissue as far as it is lowered to it: a surgeon's hand follows what it works on."""
+    assert motion.lowering is not None
+    rise_m = tissue_rise_m(scene.room, scenario.seed, progress * scenario.duration_s)
+    p_m = motion.p_world_tool_m.copy()
+    p_m[:, 2] += rise_m * motion.lowering
+    return replace(motion, p_world_tool_m=p_m)
 
 
 def _joints(scene: Scene, motion: Motion) -> Array:

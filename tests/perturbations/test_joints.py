@@ -1,0 +1,207 @@
+"""What a robot reports of its joints: hysteresis within its dead band, drift, noise, steps, and a late clock."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from svmdist.errors import ProfileError
+from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, parse_perturbations
+from svmdist.perturbations.clock import late_stamps_ns, reported_late
+from svmdist.perturbations.joints import METRES_PER_DEG, JointPerturber, JointUnits
+from svmdist.perturbations.play import Play
+from svmdist.perturbations.replayed import ReplayedWorld
+from svmdist.profile import Profile, load_profile
+from svmdist.samples import JointSample
+from svmdist.transforms import Array
+
+PROFILE = load_profile()
+UNITS = JointUnits.of(PROFILE)
+NAMES = UNITS.names
+WRIST = NAMES.index("wrist_pitch")
+STEP_NS = 10_000_000
+PATHS = arrays(np.float64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.floats(-2.0, 2.0))
+
+
+def leads(path: Array, half_width: float) -> Array:
+    play = Play(np.full(path.shape[1], half_width))
+    return np.array([play.lead(row) for row in path])
+
+
+@given(PATHS, st.floats(0.0, 1.0))
+def test_a_lead_stays_in_its_dead_band(path: Array, half_width: float) -> None:
+    assert np.abs(leads(path, half_width)).max() <= half_width + 1e-12
+
+
+@given(PATHS, st.floats(0.01, 0.5))
+def test_a_lead_has_the_sign_of_the_last_long_travel(path: Array, half_width: float) -> None:
+    """After a travel of twice the half-width in one direction the band is pushed to its end, whatever came before."""
+    up = path[-1] + 2.0 * half_width + 1e-9
+    further = np.vstack([path, up, up + 1.0, up + 0.5])
+    found = leads(further, half_width)
+    np.testing.assert_allclose(found[-3:-1], half_width, atol=1e-9)
+    np.testing.assert_allclose(found[-1], half_width - min(0.5, 2.0 * half_width), atol=1e-9)
+
+
+@given(PATHS, st.floats(0.0, 1.0), st.integers(2, 5))
+def test_a_lead_knows_no_speed(path: Array, half_width: float, repeats: int) -> None:
+    """Rest and intermediate samples change nothing: hysteresis is independent of rate."""
+    slow = np.array(
+        [
+            path[0],
+            *(a + (b - a) * k / repeats for a, b in pairwise(path) for k in range(1, repeats + 1)),
+        ]
+    )
+    np.testing.assert_allclose(leads(slow, half_width)[::repeats], leads(path, half_width), atol=1e-12)
+
+
+def perturb(text: str, q: Array, seed: int = 1, arm: int = 0) -> Array:
+    perturber = JointPerturber(UNITS, parse_perturbations(text), seed, arm)
+    return np.array([perturber.perturbed(row, STEP_NS * index) for index, row in enumerate(q)])
+
+
+def still(count: int) -> Array:
+    return np.full((count, len(NAMES)), 0.3)
+
+
+def test_units_are_those_of_each_joint() -> None:
+    """Set-up joints are braked; the wrist has all backlash, others half of it; a slide has 0.1 mm a degree."""
+    rising = np.arange(400)[:, None] * np.where(UNITS.per_deg > 0.0, UNITS.per_deg, 0.01) * 0.01
+    error = (perturb("backlash=1", rising) - rising)[-1]
+    moving = NAMES.index("yaw")
+    assert not error[:moving].any()
+    expected = {"yaw": 0.5, "pitch": 0.5, "roll": 0.5, "wrist_pitch": 1.0, "wrist_yaw": 1.0, "jaw": 1.0}
+    for name, degrees in expected.items():
+        assert error[NAMES.index(name)] == pytest.approx(np.radians(degrees))
+    assert error[NAMES.index("insertion")] == pytest.approx(0.5 * METRES_PER_DEG)
+
+
+def test_a_published_chain_has_its_units_too() -> None:
+    """Six joints, none of which is of a set-up arm, and aliases of older logs."""
+    units = JointUnits.of(load_profile("dvrk-psm"))
+    assert units.backlash_share.tolist() == [0.5, 0.5, 0.5, 0.5, 1.0, 1.0]
+    assert (units.per_deg > 0.0).all()
+    assert units.places(["outer_roll", "jaw", "yaw"]).tolist() == [3, -1, 0]
+
+
+def test_without_a_robot_joints_cannot_be_perturbed() -> None:
+    with pytest.raises(ProfileError, match=r"no \[robot\]"):
+        JointUnits.of(PROFILE.model_copy(update={"robot": None}))
+
+
+def test_noise_and_steps_have_their_size() -> None:
+    noise = (perturb("joint_noise=0.05", still(4000)) - still(4000))[:, WRIST]
+    assert noise.std() == pytest.approx(np.radians(0.05), rel=0.05)
+    assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 0.06
+    q = np.linspace(0.0, 0.1, 1000)[:, None] + np.zeros(len(NAMES))
+    steps = perturb("quantisation=0.1", q)[:, WRIST]
+    np.testing.assert_allclose(np.unique(np.diff(np.unique(steps))), np.radians(0.1), rtol=1e-9)
+    assert np.abs(steps - q[:, WRIST]).max() <= np.radians(0.05) + 1e-12
+
+
+def test_drift_starts_at_zero_is_smooth_and_has_its_spread_after_8_s() -> None:
+    paths = np.array(
+        [(perturb("joint_drift=0.5", still(801), seed) - still(801))[:, WRIST] for seed in range(200)]
+    )
+    assert not paths[:, 0].any()
+    assert np.degrees(paths[:, 800].std()) == pytest.approx(0.5, rel=0.15)
+    assert np.degrees(np.abs(np.diff(paths, axis=1)).max()) < 0.5 / 100
+    assert np.degrees(np.abs(np.diff(paths, 2, axis=1)).max()) < 1e-4
+
+
+def test_seed_and_arm_draw_apart() -> None:
+    one = perturb("joint_noise=1,joint_drift=1", still(20))
+    np.testing.assert_array_equal(one, perturb("joint_noise=1,joint_drift=1", still(20)))
+    for other in (
+        perturb("joint_noise=1,joint_drift=1", still(20), 2),
+        perturb("joint_noise=1,joint_drift=1", still(20), 1, 1),
+    ):
+        assert (one[1:, WRIST] != other[1:, WRIST]).all()
+
+
+def test_nothing_chosen_changes_nothing() -> None:
+    q = np.random.default_rng(1).normal(size=(5, len(NAMES)))
+    perturber = JointPerturber(UNITS, UNPERTURBED, 1)
+    np.testing.assert_array_equal([perturber.perturbed(row, 0) for row in q], q)
+
+
+def test_a_log_of_other_order_names_and_joints_is_perturbed_alike() -> None:
+    q = np.random.default_rng(2).normal(size=len(NAMES))
+    text = parse_perturbations("joint_noise=1,backlash=1")
+    whole = JointPerturber(UNITS, text, 1).perturbed(q, 0)
+    order = [WRIST, NAMES.index("yaw")]
+    names = [*(NAMES[index] for index in order), "gripper"]
+    found = JointPerturber(UNITS, text, 1).of_log(names, np.array([*q[order], 0.5]), 0)
+    np.testing.assert_array_equal(found, [*whole[order], 0.5])
+
+
+@given(st.integers(-9, 9), st.integers(20, 60))
+def test_a_lag_shifts_joints_exactly(samples_late: int, count: int) -> None:
+    """By whole sample periods: what is reported is what was true so long ago, and goes on straight at the ends."""
+    rng = np.random.default_rng(count)
+    stamps = 1_700_000_000_000_000_000 + STEP_NS * np.arange(count)
+    values = rng.normal(size=(count, 2))
+    late = reported_late(values, stamps, Perturbations((("lag", 10.0 * samples_late),)))
+    kept = np.arange(count)[(np.arange(count) >= samples_late) & (np.arange(count) < count + samples_late)]
+    np.testing.assert_allclose(late[kept], values[kept - samples_late], atol=1e-12)
+    if samples_late > 0:
+        slope = values[1] - values[0]
+        np.testing.assert_allclose(late[0], values[0] - samples_late * slope, atol=1e-11)
+
+
+def test_a_lag_that_drifts_grows_with_time() -> None:
+    stamps = STEP_NS * np.arange(1001)
+    growing = parse_perturbations("lag=5,lag_drift=2")
+    late_ms = 1e-6 * (late_stamps_ns(stamps, growing, 0) - stamps)
+    np.testing.assert_allclose(late_ms[[0, 500, 1000]], [5.0, 15.0, 25.0])
+    ramp = 1e-9 * stamps[:, None].astype(float)
+    late = reported_late(ramp, stamps, growing)
+    np.testing.assert_allclose(ramp[1000] - late[1000], 0.025, rtol=0.01)
+
+
+def samples_of(q: Array) -> list[JointSample]:
+    return [JointSample(1000 + STEP_NS * index, NAMES, row) for index, row in enumerate(q)]
+
+
+def replayed(text: str, q: Array, profile: Profile = PROFILE) -> list[JointSample]:
+    joints = ReplayedWorld(parse_perturbations(text), profile, 1).joints_of(profile.instrument_name)
+    assert joints is not None
+    return [found for sample in samples_of(q) for found in joints.replayed(sample)]
+
+
+@pytest.mark.parametrize("lag_ms", [0, 10, 30, -20])
+def test_a_log_is_replayed_as_it_would_be_recorded(lag_ms: int) -> None:
+    """Sample by sample: the same stamps and joints, those included that a lag takes from the log's begin."""
+    text = f"backlash=0.5,joint_drift=0.2,joint_noise=0.02,quantisation=0.02,lag={lag_ms}"
+    if lag_ms < 0:  # noise belongs to stamps, of which the earliest are no longer in the log
+        text = f"backlash=0.5,joint_drift=0.2,lag={lag_ms}"
+    rng = np.random.default_rng(5)
+    q = np.cumsum(rng.normal(0.0, 0.01, (60, len(NAMES))), axis=0)
+    stamps = np.array([sample.stamp_ns for sample in samples_of(q)])
+    chosen = parse_perturbations(text)
+    perturber = JointPerturber(UNITS, chosen, 1)
+    late = reported_late(q, stamps, chosen)
+    recorded = {s: perturber.perturbed(row, s) for s, row in zip(stamps.tolist(), late, strict=True)}
+    found = {sample.stamp_ns: sample.positions for sample in replayed(text, q)}
+    shared = sorted(recorded.keys() & found.keys())
+    assert len(shared) == 60 - max(0, -lag_ms // 10)
+    assert shared[0] == stamps[0]
+    begin = 25 if lag_ms < 0 else 0  # the play forgets how it began
+    for stamp in shared[begin:]:
+        np.testing.assert_allclose(found[stamp], recorded[stamp], atol=2e-4 if lag_ms < 0 else 1e-12)
+
+
+def test_another_arm_has_noise_of_its_own_and_images_leave_joints_alone() -> None:
+    world = ReplayedWorld(parse_perturbations("joint_noise=1"), PROFILE, 1)
+    first, second = (world.joints_of(name) for name in PROFILE.instrument_names)
+    assert first is not None
+    assert second is not None
+    pair = samples_of(still(2))
+    one, other = ([s for sample in pair for s in joints.replayed(sample)] for joints in (first, second))
+    assert (one[0].positions[WRIST:] != other[0].positions[WRIST:]).all()
+    assert ReplayedWorld(parse_perturbations("focal=1"), PROFILE, 1).joints_of("PSM1") is None

@@ -1,0 +1,142 @@
+"""Comparing methods in other worlds than that of a log: each a group of its own, the clean one untouched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.errors import UsageError
+from svmdist.perturbations.chosen import Perturbations, parse_perturbations
+from svmdist.profile import Profile, load_profile
+from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.writer import RecordingWriter
+from svmdist.samples import Observation, RightView
+from svmdist.vision.degradations import Degradation
+from svmdist.workflows.compare import MethodScore, compare, group_of
+from svmdist.workflows.conditions import CLEAN, Condition, PerturbedCondition
+from svmdist.workflows.setup import Setup, prepare
+from tests.synthetic import make_scene, samples
+
+PROFILE = load_profile()
+SMOKE = Condition(Degradation.SMOKE, 3)
+
+
+def perturbed(text: str) -> PerturbedCondition:
+    return PerturbedCondition(parse_perturbations(text))
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    path = tmp_path_factory.mktemp("logs") / "drawn.mcap"
+    with RecordingWriter(path, {"scenario": "sweep", "seed": "5"}) as writer:
+        for topic, sample in samples(make_scene(), 8):
+            writer.write(topic, sample)
+    return open_recording(path, PROFILE)
+
+
+@pytest.fixture(scope="module")
+def setups(synthetic_calibration: Path) -> list[Setup]:
+    return [prepare(method="kinematic"), prepare(method="centroid", calibration=synthetic_calibration)]
+
+
+def rmse_m(scores: list[MethodScore], method: str) -> dict[str, float]:
+    return {
+        score.group.degradation: score.figures.spatial.statistics.rmse
+        for score in scores
+        if score.method == method and score.figures.spatial is not None
+    }
+
+
+def test_every_world_is_a_group_and_each_changes_what_it_concerns(
+    log: Recording, setups: list[Setup]
+) -> None:
+    """A late robot is wrong about its tool; a wrong plane, about what is seen of the tissue."""
+    conditions = [CLEAN, perturbed("lag=50"), SMOKE, perturbed("plane=3"), perturbed("plane=3,lag=50")]
+    scores = compare([log], setups, conditions, jobs=1)
+    named = dict.fromkeys(score.group.degradation for score in scores)
+    assert list(named) == ["", "lag=50", "smoke=3", "plane=3", "plane=3,lag=50", "all"]
+    clean, late, smoked, off, both, _ = rmse_m(scores, "kinematic").values()
+    alone = rmse_m(compare([log], setups[:1], jobs=1), "kinematic")[""]
+    assert clean == alone
+    assert late != clean
+    assert abs(off - clean) > 1e-3
+    assert both not in (off, late)
+    assert smoked == pytest.approx(clean, rel=0.5)
+
+
+def test_planar_methods_keep_their_calibration(log: Recording, setups: list[Setup]) -> None:
+    """Their mapping is of the camera that took the images, whatever a perturbed log says of it."""
+    planar = [
+        score.figures.planar
+        for score in compare([log], setups[1:], [CLEAN, perturbed("focal=2,lag=30")], jobs=1)
+        if score.group.scenario == "sweep" and score.group.degradation != "all"
+    ]
+    assert planar[0] is not None
+    assert planar[1] is not None
+    assert planar[0].statistics == planar[1].statistics
+
+
+def test_processes_give_the_same(log: Recording, setups: list[Setup]) -> None:
+    conditions = [CLEAN, perturbed("joint_noise=1"), perturbed("backlash=2,wrist_length=1")]
+    one, two = (compare([log], setups[:1], conditions, jobs=jobs) for jobs in (1, 2))
+    assert rmse_m(one, "kinematic") == rmse_m(two, "kinematic")
+
+
+def test_a_log_says_what_world_it_was_recorded_in(tmp_path: Path) -> None:
+    def group(**metadata: str) -> str:
+        path = tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap"
+        with RecordingWriter(path, {"scenario": "sweep", **metadata}) as writer:
+            for topic, sample in samples(make_scene(), 2):
+                writer.write(topic, sample)
+        return group_of(open_recording(path, PROFILE), perturbed("lag=5")).degradation
+
+    assert group() == "lag=5"
+    assert group(perturb="focal=1") == "focal=1,lag=5"
+    assert group(perturb="focal=1", degrade="smoke=3") == "smoke=3,focal=1,lag=5"
+    assert group(perturb="focal=1,plane=2", world="real") == "world=real,lag=5"
+
+
+def test_a_perturbed_recording_is_perturbed_for_each_of_its_instruments(log: Recording) -> None:
+    world = log.perturbed(parse_perturbations("focal=1,joint_noise=1"), PROFILE)
+    (name,) = world.instruments
+    view = world.for_instrument(name)
+    np.testing.assert_array_equal(view.camera.K, world.camera.K)
+    np.testing.assert_array_equal(view.joint_track().positions, world.joint_track().positions)
+    assert (world.joint_track().positions != log.joint_track().positions).any()
+    assert world.world_seed == 5
+    assert log.world_seed == 0
+    assert world.right_camera is None
+
+
+def test_images_are_changed_on_both_sides() -> None:
+    scene = make_scene(64, 48)
+    image = np.random.default_rng(1).integers(0, 255, (48, 64, 3)).astype(np.uint8)
+    seen = Observation(1, image, scene.camera, None, RightView(image.copy(), scene.camera, np.eye(4)))
+    changed = perturbed("zoom=1.2").apply(seen, 0)
+    assert changed.right is not None
+    assert (changed.image_bgr != image).any()
+    np.testing.assert_array_equal(changed.right.image_bgr, changed.image_bgr)
+    same = perturbed("focal=1").apply(seen, 0)
+    assert same.image_bgr is image
+
+
+def test_a_replay_refuses_what_must_be_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
+    from dataclasses import replace
+
+    from svmdist.perturbations import chosen, table
+
+    entry = replace(table.TABLE["focal"], name="nowhere", at_replay=False)
+    monkeypatch.setitem(table.TABLE, "nowhere", entry)
+    assert chosen.TABLE is table.TABLE
+    with pytest.raises(UsageError, match="nowhere cannot be applied at replay: the choices are backlash"):
+        PerturbedCondition(Perturbations((("nowhere", 1.0),)))
+
+
+def test_a_setup_is_told_wrongly_and_its_profile_stays() -> None:
+    setup = prepare(method="shaft")
+    said: Profile = setup.perturbed(parse_perturbations("shaft_radius=5"), 1).profile
+    assert said.instrument is not None
+    assert setup.profile.instrument is not None
+    assert said.instrument.shaft_radius_m == pytest.approx(1.05 * setup.profile.instrument.shaft_radius_m)
