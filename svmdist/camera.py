@@ -5,8 +5,9 @@ Pixel coordinates follow OpenCV: the centre of the top-left pixel is (0, 0).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,12 +17,15 @@ from svmdist.transforms import Array, make_transform
 R_OPENGL_OPENCV: Array = np.diag([1.0, -1.0, -1.0])
 """OpenCV axes (x right, y down, z forward) in OpenGL's (x right, y up, z backward); its own inverse."""
 
+DistortionModel = Literal["plumb_bob", "rational_polynomial", "fisheye"]
+
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with Brown–Conrady distortion, as `foxglove.CameraCalibration` carries it.
+    """A pinhole camera with the distortion of its lens, as `foxglove.CameraCalibration` carries it.
 
-    `K` has shape (3, 3) in px; `D` holds OpenCV's k1, k2, p1, p2[, k3…], empty for none;
+    `K` has shape (3, 3) in px; `D` holds OpenCV's k1, k2, p1, p2[, k3…] of the models `plumb_bob` and
+    `rational_polynomial`, or k1 to k4 of `fisheye` (Kannala and Brandt 2006); it is empty for none.
     `R_rectified_camera` and `P` (3, 4) are the rectification and projection of a stereo pair.
     """
 
@@ -32,6 +36,24 @@ class Camera:
     R_rectified_camera: Array | None = None
     P: Array | None = None
     frame_id: str = "camera"
+    distortion_model: DistortionModel = "plumb_bob"
+
+    def __post_init__(self) -> None:
+        """Complete the distortion: OpenCV knows four coefficients, five, eight, twelve or fourteen."""
+        count = len(self.D)
+        whole = next((size for size in (0, 4, 5, 8, 12, 14) if size >= count), count)
+        if whole != count:
+            object.__setattr__(self, "D", np.pad(self.D, (0, whole - count)))
+
+    @property
+    def has_distortion(self) -> bool:
+        """Whether the lens bends anything."""
+        return bool(np.any(self.D)) or self.distortion_model == "fisheye"
+
+    @property
+    def pinhole(self) -> Camera:
+        """The same camera with an ideal lens."""
+        return replace(self, D=np.zeros(0), distortion_model="plumb_bob")
 
     @classmethod
     def from_horizontal_fov(
@@ -52,16 +74,18 @@ class Camera:
 
     @cached_property
     def _distortion(self) -> tuple[float, ...] | None:
-        """k1, k2, p1, p2, k3; None where all are zero."""
+        """k1, k2, p1, p2, k3 of the plain model; None where all are zero."""
         coefficients = tuple(float(value) for value in (*self.D, *[0.0] * 5)[:5])
         return coefficients if any(coefficients) else None
 
     def project(self, p_camera_m: ArrayLike) -> Array:
         """Project points of the camera frame, shape (n, 3) in m and in front of it, to px, shape (n, 2).
 
-        Distortion follows OpenCV's model with up to five coefficients.
+        Distortion follows OpenCV's models.
         """
         p = np.atleast_2d(np.asarray(p_camera_m, np.float64))
+        if self.distortion_model == "fisheye" or len(self.D) > 5:
+            return _projected_by_opencv(p, self)
         xy = p[:, :2] / p[:, 2:]
         if self._distortion is not None:
             xy = _distorted(xy, self._distortion)
@@ -92,7 +116,21 @@ class Camera:
             (self.width_px, self.height_px) == (other.width_px, other.height_px)
             and bool(np.allclose(self.K, other.K, rtol=0.0, atol=tolerance_px))
             and bool(np.allclose(distortion, other_distortion, rtol=0.0, atol=1e-9))
+            and (self.distortion_model == "fisheye") == (other.distortion_model == "fisheye")
         )
+
+
+def _projected_by_opencv(p_m: Array, camera: Camera) -> Array:
+    """Pixels of points, shape (n, 3), by a lens that is not the plain model's."""
+    import cv2  # of few lenses: a camera is there without OpenCV
+
+    origin = np.zeros(3)
+    if camera.distortion_model == "fisheye":
+        D = np.resize(np.append(camera.D, np.zeros(4)), 4)
+        pixels, _ = cv2.fisheye.projectPoints(p_m[:, None], origin, origin, camera.K, D)
+    else:
+        pixels, _ = cv2.projectPoints(p_m, origin, origin, camera.K, camera.D)
+    return np.asarray(pixels, np.float64).reshape(-1, 2)
 
 
 def _distorted(xy: Array, coefficients: tuple[float, ...]) -> Array:

@@ -15,6 +15,7 @@ from svmdist.errors import ProfileError, UsageError, did_you_mean
 from svmdist.profile_instruments import ARM_TOPICS, ArmFrames, ArmTopics, OtherInstrument, Placement
 from svmdist.profile_log import Frames, Limits, Topics
 from svmdist.profile_robot import (
+    CameraError,
     Dome,
     Fiducial,
     Instrument,
@@ -43,6 +44,7 @@ __all__ = [
     "AreaGate",
     "ArmFrames",
     "ArmTopics",
+    "CameraError",
     "ClassRegion",
     "ColourRegion",
     "Dome",
@@ -118,6 +120,7 @@ class Profile(StrictModel):
     features: Features = Features()
     robot: Robot | None = None
     kinematic_error: KinematicError = KinematicError()
+    camera_error: CameraError = CameraError()
     instrument: Instrument | None = None
     fiducial: Fiducial | None = None
     tissue: Tissue | None = None

@@ -75,7 +75,7 @@ class Robot(StrictModel):
 
 
 class KinematicError(StrictModel):
-    """How wrong the robot's kinematics may be: standard deviations of constant errors, and how they drift.
+    """How wrong the robot's kinematics may be: standard deviations of constant and of changing errors, and drift.
 
     The defaults are what cable-driven arms show: a degree and a millimetre at each joint, and a
     camera-to-base transform whose rotation is off by two degrees about each axis and whose translation by
@@ -91,17 +91,51 @@ class KinematicError(StrictModel):
     camera-to-base transform's. None: every joint moves."""
     drift_rad_per_sqrt_s: float = Field(default=1e-4, ge=0.0)
     drift_m_per_sqrt_s: float = Field(default=1e-5, ge=0.0)
+    play_std_rad: Angle = float(np.deg2rad(0.4))
+    """Joint errors that change with the motion: backlash, cables that stretch, friction, encoder noise."""
+    play_std_m: float = Field(default=1e-4, ge=0.0)
+    play_time_s: float = Field(default=0.5, gt=0.0)
+    """Correlation time of these errors: about the time between two reversals of a joint."""
+    length_std_m: float = Field(default=5e-4, ge=0.0)
+    """Of the chain's lengths behind the first moving joint."""
+    time_offset_std_s: float = Field(default=0.05, ge=0.0)
+    """How late the joints' stamps may be against those of the images, or early."""
+    time_offset_drift_s_per_sqrt_s: float = Field(default=5e-4, ge=0.0)
+
+
+class CameraError(StrictModel):
+    """How wrong the calibration of the cameras may be, as standard deviations; the defaults are a careful user's.
+
+    Repeated calibrations of an endoscope with a chessboard scatter by as much, and its focus moves between them.
+    """
+
+    focal_std_fraction: float = Field(default=4e-3, ge=0.0)
+    """Of the focal lengths, over themselves; those of a pair are off alike."""
+    centre_std_px: float = Field(default=1.5, ge=0.0)
+    """Of the principal point along each axis."""
+    baseline_std_fraction: float = Field(default=0.01, ge=0.0)
+    """Of the distance between both cameras, over itself."""
+    right_rotation_std_rad: Angle = float(np.deg2rad(0.03))
+    """Of the right camera's rotation against the left one, about each axis."""
 
 
 class Instrument(StrictModel):
     """The instrument's shape, in m, about the tool frame: what the simulation builds and clearance needs."""
 
     shaft_radius_m: SmallLength
+    shaft_radius_std_fraction: float = Field(default=0.02, ge=0.0, le=1.0)
+    """Standard deviation of the shaft's radius over itself."""
     shaft_length_m: Length
     shaft_end_m: SmallLength | None = None
     """From the wrist's hinge back to where the dark shaft visibly ends; None: 2.2 radii of the wrist."""
     wrist_radius_m: SmallLength
     knuckle_radius_m: SmallLength
+    knuckle_radius_std_fraction: float = Field(default=0.03, ge=0.0, le=1.0)
+    """Standard deviation of the distal marker's radius over itself."""
+    knuckle_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the distal marker's middle is in the tool's frame."""
+    knuckle_position_std_m: float = Field(default=2e-4, ge=0.0)
+    """How far it may be from there, as a standard deviation along each axis."""
     jaw_length_m: SmallLength
     jaw_radius_m: SmallLength
 
@@ -124,6 +158,12 @@ class Fiducial(StrictModel):
     id: int = Field(default=0, ge=0)
     size_m: SmallLength
     """Side of the black square; the white margin around it is not in it."""
+    size_std_fraction: float = Field(default=0.005, ge=0.0, le=1.0)
+    """Standard deviation of that side over itself, as printed."""
+    position_std_m: float = Field(default=3e-4, ge=0.0)
+    """How far the tag may be from its stated place, as a standard deviation along each axis: glued by hand."""
+    rotation_std_rad: Angle = float(np.deg2rad(1.3))
+    """How far it may be turned, about each axis."""
     link: str
     """The joint whose DH frame carries the plate."""
     position_m: tuple[float, float, float]
@@ -174,9 +214,13 @@ class Tissue(StrictModel):
 
     plane_normal: tuple[float, float, float] = (0.0, 0.0, -1.0)
     plane_distance_m: Length
-    plane_distance_std_m: float = Field(default=0.0, ge=0.0)
-    plane_tilt_std_rad: float = Field(default=0.0, ge=0.0)
+    plane_distance_std_m: float = Field(default=1e-3, ge=0.0)
+    plane_tilt_std_rad: Angle = float(np.deg2rad(1.0))
     """Standard deviation of the normal's direction about each of two axes."""
+    motion_std_m: float = Field(default=1e-3, ge=0.0)
+    """How far the tissue moves along the plane's normal, as a standard deviation: breath and pulse."""
+    motion_time_s: float = Field(default=0.5, gt=0.0)
+    """Correlation time of that motion: a breath of 4 s turns within as long."""
     dome: Dome | None = None
     mesh: NeighbourFile | None = None
     """A closed surface in a file .obj or .stl, in place of a dome; a relative path starts from the profile's folder."""

@@ -28,12 +28,14 @@ class ToolPose:
 
     The error is (δp, δθ), both in the camera frame: p_true = p + δp in m, R_true = exp([δθ]) R in rad. The
     tool's x axis points along the jaws; `axis` is the shaft's direction, from the base to the tip, a unit
-    vector of shape (3,) in the camera frame.
+    vector of shape (3,) in the camera frame. `axis_std_rad` is how certain that is, the worse of two directions
+    across it; None: as the tool's own rotation.
     """
 
     T_camera_tool: Array
     covariance: Array
     axis: Array
+    axis_std_rad: float | None = None
 
     @property
     def position_m(self) -> Array:
@@ -44,6 +46,24 @@ class ToolPose:
     def position_covariance(self) -> Array:
         """Covariance of the position, shape (3, 3), in m²."""
         return np.asarray(self.covariance[:3, :3])
+
+    @property
+    def position_std_m(self) -> float:
+        """Standard deviation of the position in the direction in which it is the largest."""
+        return float(np.sqrt(max(np.linalg.eigvalsh(self.position_covariance)[-1], 0.0)))
+
+    @property
+    def shaft_std_rad(self) -> float:
+        """Standard deviation of the shaft's direction, the worse of two across it."""
+        if self.axis_std_rad is not None:
+            return self.axis_std_rad
+        return across_std_rad(self.covariance[3:, 3:], self.axis)
+
+
+def across_std_rad(covariance: Array, axis: Array) -> float:
+    """Standard deviation of an axis, a unit vector (3,), that turns by vectors of a covariance, (3, 3) in rad²."""
+    across = np.eye(3) - np.outer(axis, axis)
+    return float(np.sqrt(max(np.linalg.eigvalsh(across @ covariance @ across)[-1], 0.0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +131,8 @@ class FrameResult:
     distances: Distances = Distances()
     detail: str = ""
     instrument: str = ""
+    consistency: float | None = None
+    """Innovations squared over what is expected of them, where a method watches them: 1 is as expected."""
 
     @property
     def measured(self) -> bool:
@@ -120,6 +142,10 @@ class FrameResult:
     def rejected(self, status: Status, detail: str = "") -> FrameResult:
         """The same without a distance, for a reason."""
         return replace(self, status=status, detail=detail)
+
+    def untrusted(self, detail: str) -> FrameResult:
+        """The same with what contradicts itself: no distance, and no tool that could be taken for one."""
+        return replace(self, status=Status.INCONSISTENT, detail=detail, distances=Distances())
 
     def with_image(self, **found: object) -> FrameResult:
         """The same with more of what was found in the image."""

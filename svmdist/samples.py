@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.camera import Camera
+from svmdist.tracks import JointTrack
 from svmdist.transforms import Array
 
 Image = NDArray[np.uint8]
@@ -102,8 +103,9 @@ class RightView:
 class Observation:
     """What an estimator may see of one instant: the image, its camera, and what the robot reports.
 
-    `joints` are interpolated to the image's stamp; `T_camera_base`, shape (4, 4), is what the robot
-    reports. Each of them, and the right view, is None where the log has none near the image.
+    `joints` are interpolated to the image's stamp, and `joint_track` has those around it, for clocks that differ;
+    `T_camera_base`, shape (4, 4), is what the robot reports. Each of them, and the right view, is None where the log
+    has none near the image.
     """
 
     stamp_ns: int
@@ -112,6 +114,7 @@ class Observation:
     joints: JointSample | None = None
     right: RightView | None = None
     T_camera_base: Array | None = None
+    joint_track: JointTrack | None = None
 
 
 class Status(StrEnum):
@@ -130,6 +133,7 @@ class Status(StrEnum):
     NO_FIDUCIAL = "no_fiducial"
     NO_STEREO = "no_stereo"
     AMBIGUOUS_POSE = "ambiguous_pose"
+    INCONSISTENT = "inconsistent"
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,10 @@ MAX_GAP_NS = 100_000_000
 """Longest gap to interpolate across, 0.1 s: ten samples of the slowest joint states that are useful."""
 
 
+RATE_WINDOW_NS = 40_000_000
+"""Rates are those of the samples within 40 ms: eight at 100 Hz, so that encoder noise averages out."""
+
+
 @dataclass(frozen=True)
 class Bracket:
     """For each of m stamps the samples on its two sides, shape (m,), and whether they may be used."""
@@ -89,6 +93,30 @@ class JointTrack:
     def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Sampled:
         """Interpolate linearly; the values have shape (m, j)."""
         return _interpolate_rows(self.positions, bracket(self.stamps_ns, at_ns, max_gap_ns))
+
+    def near(self, at_ns: int) -> Array:
+        """The positions at a stamp, shape (j,); beyond the ends they go on at the rate that they have there."""
+        inside_ns = int(np.clip(at_ns, self.stamps_ns[0], self.stamps_ns[-1]))
+        right = min(int(np.searchsorted(self.stamps_ns, inside_ns)), len(self.stamps_ns) - 1)
+        left = max(right - 1, 0)
+        span_ns = int(self.stamps_ns[right] - self.stamps_ns[left])
+        fraction = (inside_ns - int(self.stamps_ns[left])) / span_ns if span_ns else 0.0
+        inside = self.positions[left] + fraction * (self.positions[right] - self.positions[left])
+        if inside_ns == at_ns:
+            return np.asarray(inside)
+        return np.asarray(inside + self.rate_near(inside_ns) * (at_ns - inside_ns) / 1e9)
+
+    def rate_near(self, at_ns: int) -> Array:
+        """Derivatives by time about a stamp, shape (j,), by a least-squares line; zero for a single sample."""
+        about = np.abs(self.stamps_ns - at_ns) <= RATE_WINDOW_NS
+        if np.count_nonzero(about) < 2:
+            about = np.ones(len(self.stamps_ns), np.bool_)
+        t_s = (self.stamps_ns[about] - at_ns) / 1e9
+        t_s = t_s - t_s.mean()
+        square = float(t_s @ t_s)
+        if square == 0.0:
+            return np.zeros(self.positions.shape[1])
+        return np.asarray(t_s @ (self.positions[about] - self.positions[about].mean(0)) / square)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import numpy as np
 
 from svmdist.kinematics.chain import chain_of
 from svmdist.profile import load_profile
+from svmdist.toml_model import StrictModel
 
 PROFILE = load_profile()
 assert PROFILE.robot is not None
@@ -14,3 +15,35 @@ CHAIN = chain_of(PROFILE.robot)
 POSTURE = np.array([PROFILE.simulation.posture[name] for name in CHAIN.joint_names])
 """Joint values, shape (n_joints,), in rad and m; to be copied before they are changed."""
 POSTURE.setflags(write=False)
+CONSTANT_ERROR = PROFILE.kinematic_error.model_copy(
+    update={"play_std_rad": 0.0, "play_std_m": 0.0, "time_offset_std_s": 0.0, "length_std_m": 0.0}
+)
+"""A robot whose errors never change: with it a filter can be held to what constant errors leave."""
+
+
+def _with(part: StrictModel | None, **zeros: float) -> StrictModel:
+    assert part is not None
+    return part.model_copy(update=zeros)
+
+
+EXACT_PROFILE = PROFILE.model_copy(
+    update={
+        "kinematic_error": CONSTANT_ERROR,
+        "camera_error": _with(
+            PROFILE.camera_error,
+            focal_std_fraction=0.0,
+            centre_std_px=0.0,
+            baseline_std_fraction=0.0,
+            right_rotation_std_rad=0.0,
+        ),
+        "instrument": _with(
+            PROFILE.instrument,
+            shaft_radius_std_fraction=0.0,
+            knuckle_radius_std_fraction=0.0,
+            knuckle_position_std_m=0.0,
+        ),
+        "fiducial": _with(PROFILE.fiducial, size_std_fraction=0.0, position_std_m=0.0, rotation_std_rad=0.0),
+        "tissue": _with(PROFILE.tissue, plane_distance_std_m=0.0, plane_tilt_std_rad=0.0, motion_std_m=0.0),
+    }
+)
+"""A profile that takes every constant to be exact: what is left is what measurements err by."""

@@ -39,23 +39,24 @@ def _tables(text: str) -> dict[str, list[list[str]]]:
     return tables
 
 
-def test_tables_in_3d_agree_with_each_other_and_with_the_baseline() -> None:
+@pytest.mark.parametrize("folder", ["3d", "real"])
+def test_tables_in_3d_agree_with_each_other_and_with_the_baseline(folder: str) -> None:
     """The README shows the first table of docs/results.md; there, the rows of `fused` are what the baseline stores."""
     from svmdist.workflows.baseline import load_baseline
-    from tools.docs_3d import ALL, HEADER, LOGS
-    from tools.make_docs import MARKS_3D
+    from tools.docs_3d import HEADER, LOGS, REAL_LOGS
+    from tools.make_docs import MARKS_3D, MARKS_REAL
 
-    begin, end = MARKS_3D
+    (begin, end), logs_of = (MARKS_3D, LOGS) if folder == "3d" else (MARKS_REAL, REAL_LOGS)
     in_readme, in_results = (
         (REPOSITORY / name).read_text("utf-8").partition(begin)[2].partition(end)[0]
         for name in ("README.md", "docs/results.md")
     )
     tables = _tables(in_results)
     assert in_readme.lstrip().startswith(HEADER)
-    assert _tables(in_readme)[""] == tables[ALL.strip("# \n")]
+    assert _tables(in_readme)[""] == next(iter(tables.values()))
     stored = {
         score.recording: score
-        for score in load_baseline(REPOSITORY / "recordings" / "3d" / "baseline.json").scores
+        for score in load_baseline(REPOSITORY / "recordings" / folder / "baseline.json").scores
     }
     (alarms,) = (rows for heading, rows in tables.items() if heading.startswith("Alarms"))
     assert {row[0] for row in alarms[1:]} == set(stored)
@@ -64,7 +65,7 @@ def test_tables_in_3d_agree_with_each_other_and_with_the_baseline() -> None:
             100.0 * (stored[name].false_alarm_fraction or 0.0), abs=0.06
         )
     logs = [name for name in stored if not name.startswith("overall")]
-    assert {name.split()[0] for name in logs} == set(LOGS)
+    assert {name.split()[0] for name in logs} == {name.partition("/")[2] for name in logs_of}
     for name in logs:
         (fused,) = (row for row in tables[name] if row[0] == "`fused`")
         measured, frames = map(int, fused[1].split(" / "))
@@ -122,6 +123,7 @@ def test_every_column_and_status_is_explained() -> None:
 def test_every_key_of_a_profile_is_explained() -> None:
     """docs/profile.md names each key of the tables that somebody writes for a scene of his own."""
     from svmdist.profile import (
+        CameraError,
         Dome,
         Fiducial,
         HsvSegmentation,
@@ -138,7 +140,7 @@ def test_every_key_of_a_profile_is_explained() -> None:
 
     tables = (Profile, HsvSegmentation, OnnxSegmentation, Robot, Joint, KinematicError, Instrument, Fiducial)
     named = _named_in("profile.md")
-    for table in (*tables, Tissue, Dome, OtherInstrument, Placement):
+    for table in (*tables, CameraError, Tissue, Dome, OtherInstrument, Placement):
         assert set(table.model_fields) - named == set(), table.__name__
 
 

@@ -99,4 +99,5 @@ def test_the_baseline_meets_the_targets(golden: Path) -> None:
     assert overall.alarm_recall is not None
     assert overall.alarm_recall >= 0.99
     assert overall.false_alarm_fraction is not None
-    assert overall.false_alarm_fraction <= 0.02
+    # A clearance that no calibration knows exactly is alarmed earlier: one safe frame in twenty at most.
+    assert overall.false_alarm_fraction <= 0.05

@@ -82,3 +82,25 @@ def test_an_empty_track_knows_nothing() -> None:
 
 def test_sorting_keeps_the_last_of_equal_stamps() -> None:
     assert sort_stamps(np.array([3, 1, 3, 2, 1])).tolist() == [4, 3, 2]
+
+
+def test_joints_near_a_stamp_go_on_beyond_the_ends():
+    """Inside as interpolated; beyond the last sample at the rate that joints have there."""
+    stamps_ns = np.arange(0, 210, 10) * 1_000_000
+    t_s = stamps_ns / 1e9
+    track = JointTrack(stamps_ns, ("a", "b"), np.stack([2.0 * t_s, 1.0 - 0.5 * t_s], -1))
+    np.testing.assert_allclose(track.near(55_000_000), [0.11, 0.9725])
+    np.testing.assert_allclose(track.near(230_000_000), [0.46, 0.885])
+    np.testing.assert_allclose(track.near(-20_000_000), [-0.04, 1.01])
+    np.testing.assert_allclose(track.rate_near(100_000_000), [2.0, -0.5])
+
+
+def test_rates_average_noise_and_a_single_sample_has_none():
+    """Of nine samples with steps of 1e-3 the slope is that of the line within 0.02 a second."""
+    stamps_ns = np.arange(0, 210, 10) * 1_000_000
+    noise = 1e-3 * np.random.default_rng(1).choice([-1.0, 1.0], (21, 1))
+    track = JointTrack(stamps_ns, ("a",), 0.3 * stamps_ns[:, None] / 1e9 + noise)
+    assert track.rate_near(100_000_000) == pytest.approx([0.3], abs=0.05)
+    one = JointTrack(stamps_ns[:1], ("a",), np.ones((1, 1)))
+    assert one.rate_near(0) == pytest.approx([0.0])
+    assert one.near(50_000_000) == pytest.approx([1.0])

@@ -19,8 +19,9 @@ from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.setup import prepare
 from svmdist.workflows.validate import Validation, validate
 
-RECORDINGS = Path(__file__).resolve().parent.parent / "recordings" / "3d"
-LOGS = ("contact", "duo")
+RECORDINGS = Path(__file__).resolve().parent.parent / "recordings"
+LOGS = ("3d/contact", "3d/duo")
+REAL_LOGS = ("real/random", "real/contact")
 ALARMS = AlarmRules(5e-3)
 HEADER = (
     "| method | n / frames | spatial RMSE [mm] | p95 [mm] | in 95 % | clearance RMSE [mm] | p95 [mm] | in 95 % | ms |\n"
@@ -35,17 +36,17 @@ CLEARANCE_BETWEEN = Distance(
 ALL = "### All methods in 3D, both logs and all instruments\n"
 
 
-def measure_logs() -> list[Run]:
-    """Every method in 3D on the golden logs, one run a method, log and instrument, timed by one core's work."""
+def measure_logs(names: Sequence[str] = LOGS) -> list[Run]:
+    """Every method in 3D on golden logs, one run a method, log and instrument, timed by one core's work."""
     setups = [prepare(method=method) for method in SPATIAL_METHODS]
-    recordings = [open_recording(RECORDINGS / f"{name}.mcap", setups[0].profile) for name in LOGS]
+    recordings = [open_recording(RECORDINGS / f"{name}.mcap", setups[0].profile) for name in names]
     return list(measure_runs(recordings, setups, (CLEAN,), jobs=1))
 
 
-def score_alarms() -> Validation:
-    """`fused` on the golden logs, with its alarms."""
+def score_alarms(names: Sequence[str] = LOGS) -> Validation:
+    """`fused` on golden logs, with its alarms."""
     setup = prepare(method="fused")
-    recordings = [open_recording(RECORDINGS / f"{name}.mcap", setup.profile) for name in LOGS]
+    recordings = [open_recording(RECORDINGS / f"{name}.mcap", setup.profile) for name in names]
     return validate(recordings, setup, TruthRules((Reference.GROUND_TRUTH,)), alarms=ALARMS)
 
 
@@ -57,7 +58,7 @@ def table_of_all(runs: Sequence[Run]) -> str:
 def score_between() -> DistanceScore:
     """`fused` on the log of two instruments: the clearance between them, against the simulator's."""
     setup = prepare(method="fused")
-    path = RECORDINGS / "duo.mcap"
+    path = RECORDINGS / "3d" / "duo.mcap"
     rows = [
         row
         for row in estimate(open_recording(path, setup.profile), setup)
@@ -78,6 +79,15 @@ def make_results_3d(runs: Sequence[Run], alarms: Validation, between: DistanceSc
         members = [run for run in runs if (run.recording, run.instrument) == (recording, instrument)]
         parts += [f"### {_label(recording, instrument)}\n", _table(members)]
     parts += [f"### Between {' and '.join(BETWEEN)} in `duo`, `fused`\n", _between_table(between)]
+    parts += [f"### Alarms of `fused`, clearance below {ALARMS.below_m * 1e3:g} mm\n", _alarm_table(alarms)]
+    return "\n".join(parts)
+
+
+def make_results_real(runs: Sequence[Run], alarms: Validation) -> str:
+    """The generated part of docs/results.md about logs of worlds that are not the profile."""
+    parts = ["### All methods in 3D, both logs\n", _table(runs)]
+    for recording in dict.fromkeys(run.recording for run in runs):
+        parts += [f"### {recording.name}\n", _table([run for run in runs if run.recording == recording])]
     parts += [f"### Alarms of `fused`, clearance below {ALARMS.below_m * 1e3:g} mm\n", _alarm_table(alarms)]
     return "\n".join(parts)
 
@@ -105,7 +115,8 @@ def _row(method: str, figures: Figures) -> str:
 
 
 def _distance_cells(score: DistanceScore | None) -> tuple[str, str, str]:
-    assert score is not None
+    if score is None:
+        return "–", "–", "–"
     assert score.interval_coverage is not None
     rmse_m, p95_m = score.statistics.rmse, score.statistics.p95_abs_error
     return f"{rmse_m * 1e3:.2f}", f"{p95_m * 1e3:.2f}", f"{score.interval_coverage * 100:.0f} %"

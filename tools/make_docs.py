@@ -1,6 +1,6 @@
 """Remake what the documentation shows of the golden logs: the README's table and pictures, docs/results.md.
 
-Run `uv run python -m tools.make_docs` after a change that moves figures, with `planar` or `3d` for one half of it;
+Run `uv run python -m tools.make_docs` after a change that moves figures, with `planar`, `3d` or `real` for a part;
 tests hold the README's tables against what is measured.
 """
 
@@ -29,7 +29,15 @@ from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.setup import Setup, prepare
 from svmdist.workflows.validate import Validation, validate
-from tools.docs_3d import make_results_3d, measure_logs, score_alarms, score_between, table_of_all
+from tools.docs_3d import (
+    REAL_LOGS,
+    make_results_3d,
+    make_results_real,
+    measure_logs,
+    score_alarms,
+    score_between,
+    table_of_all,
+)
 from tools.scene_picture import save_scene_picture
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -38,6 +46,7 @@ LOGS = ("calibration", "sweep", "approach", "contact", "occlusion", "random")
 README, RESULTS = ROOT / "README.md", ROOT / "docs" / "results.md"
 BEGIN, END = "<!-- results:begin -->", "<!-- results:end -->"
 MARKS_3D = ("<!-- results-3d:begin -->", "<!-- results-3d:end -->")
+MARKS_REAL = ("<!-- results-real:begin -->", "<!-- results-real:end -->")
 SCENE_FRAME = 60
 """A frame of the log of two instruments that shows both, one of them 5 mm over the organ."""
 
@@ -190,18 +199,25 @@ def make_3d() -> None:
     _rewrite(RESULTS, make_results_3d(runs, alarms, score_between()), MARKS_3D)
 
 
+def make_real() -> None:
+    """Remake the tables of the logs of worlds that are not the profile."""
+    runs = measure_logs(REAL_LOGS)
+    _rewrite(README, table_of_all(runs), MARKS_REAL)
+    _rewrite(RESULTS, make_results_real(runs, score_alarms(REAL_LOGS)), MARKS_REAL)
+
+
 def _rewrite(document: Path, table: str, marks: tuple[str, str] = (BEGIN, END)) -> None:
     document.write_text(with_table(document.read_text("utf-8"), table, marks), "utf-8")
 
 
 def main() -> None:
-    """Remake everything, or the halves that are named."""
+    """Remake everything, or the parts that are named."""
     IMAGES.mkdir(parents=True, exist_ok=True)
-    halves = {"planar": make_planar, "3d": make_3d}
-    for name in sys.argv[1:] or halves:
-        if name not in halves:
-            raise SystemExit(f"no half {name}: the choices are {', '.join(halves)}")
-        halves[name]()
+    parts = {"planar": make_planar, "3d": make_3d, "real": make_real}
+    for name in sys.argv[1:] or parts:
+        if name not in parts:
+            raise SystemExit(f"no part {name}: the choices are {', '.join(parts)}")
+        parts[name]()
     print(f"remade {IMAGES}, {README} and {RESULTS}", file=sys.stderr)
 
 

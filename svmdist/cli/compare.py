@@ -11,6 +11,7 @@ from svmdist.cli.degradations import parse_degradations
 from svmdist.cli.options import (
     CalibrationOption,
     JobsOption,
+    LagOption,
     Method,
     OptionalFiles,
     OutputOption,
@@ -18,6 +19,7 @@ from svmdist.cli.options import (
     TableFormat,
     TableFormatOption,
     TopicOption,
+    parse_lag,
     topics_of,
 )
 from svmdist.cli.perturbations import parse_perturb_groups
@@ -57,6 +59,7 @@ def compare_command(
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
+    lag: LagOption = None,
     form: TableFormatOption = TableFormat.TABLE,
     output: OutputOption = None,
     jobs: JobsOption = None,
@@ -66,6 +69,7 @@ def compare_command(
     Each image is read once for all methods. The metrics are given per scenario and degradation or perturbation,
     and over all frames. Without FILE, every log in recordings/ is measured.
     """
+    from svmdist.cli.lag import told_lag
     from svmdist.recording.reader import open_recording
     from svmdist.report.comparison import compare_keys, compare_row, compare_tables
     from svmdist.report.figures import FIGURE_NOTE
@@ -75,6 +79,7 @@ def compare_command(
     from svmdist.workflows.setup import prepare
 
     require_output(output, files or ())
+    given = parse_lag(lag)
     conditions: list[LogCondition] = [CLEAN]
     conditions += [
         Condition(require_degradation(name, severity), severity)
@@ -91,6 +96,7 @@ def compare_command(
     recordings = [
         open_recording(path, setups[0].profile, topics=topics_of(topic)) for path in files_or_golden(files)
     ]
+    recordings = [told_lag(recording, setups[0], given, None, jobs) for recording in recordings]
     with progress_bar("comparing", "measurements") as advance:
         scores = compare(recordings, setups, conditions, jobs=jobs, on_progress=advance)
     rows = [compare_row(score) for score in scores]

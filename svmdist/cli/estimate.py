@@ -18,6 +18,7 @@ from svmdist.cli.options import (
     Files,
     InstrumentOption,
     JobsOption,
+    LagOption,
     Method,
     MethodOption,
     OutputOption,
@@ -26,6 +27,7 @@ from svmdist.cli.options import (
     RowFormatOption,
     TopicOption,
     instruments_of,
+    parse_lag,
     topics_of,
 )
 
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
     from svmdist.recording.reader import Recording
     from svmdist.report.table import Row
+    from svmdist.workflows.lag import Lag
     from svmdist.workflows.setup import Setup
 
 Tally = Counter[tuple[str, str]]
@@ -51,6 +54,7 @@ def estimate_command(
     alarm_below: AlarmBelowOption = None,
     alarm_confidence: AlarmConfidenceOption = None,
     instrument: InstrumentOption = None,
+    lag: LagOption = None,
     jobs: JobsOption = None,
 ) -> None:
     """Estimate the distance in every frame.
@@ -63,6 +67,7 @@ def estimate_command(
     from svmdist.workflows.setup import prepare
 
     require_output(output, files)
+    given = parse_lag(lag)
     rules = alarm_rules(alarm_below, alarm_confidence, method.value)
     setup = prepare(profile, method.value, equations.value, calibration)
     if rules:
@@ -71,7 +76,7 @@ def estimate_command(
     wanted = instruments_of(instrument, setup.profile)
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
     tally: Tally = Counter()
-    rows = _started(_rows(recordings, setup, wanted, tally, rules, jobs))
+    rows = _started(_rows(recordings, setup, wanted, tally, rules, given, jobs))
     planar = setup.method in PLANAR_METHODS
     write_lines(_lines(form, rows, rules is not None, several, terminal_width(output), planar), output)
     _summarise(tally)
@@ -84,8 +89,10 @@ def _rows(
     wanted: tuple[str, ...] | None,
     tally: Tally,
     rules: AlarmRules | None,
+    lag: Lag | None,
     jobs: int | None,
 ) -> Iterator[Row]:
+    from svmdist.cli.lag import told_lag
     from svmdist.estimation.alarms import AlarmWatch
     from svmdist.report.estimates import estimate_row
     from svmdist.workflows.estimate import estimate
@@ -93,9 +100,10 @@ def _rows(
     for recording in recordings:
         for warning in setup.degeneracies(recording.camera):
             say(f"svmdist: warning: {warning}")
+        seen = told_lag(recording, setup, lag, wanted, jobs)
         start_ns: int | None = None
         watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
-        for row in estimate(recording, setup, wanted, jobs):
+        for row in estimate(seen, setup, wanted, jobs):
             start_ns = row.stamp_ns if start_ns is None else start_ns
             tally[str(row.status), row.detail] += 1
             alarm = watches[row.instrument].watch(row) if watches else None

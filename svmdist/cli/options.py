@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -139,6 +140,17 @@ JobsOption = Annotated[
         show_default=False,
     ),
 ]
+LagOption = Annotated[
+    str | None,
+    typer.Option(
+        "--lag",
+        metavar="auto|SECONDS",
+        help="Lag of the image stamps, positive where they are late; auto estimates it. Joints are looked up there."
+        " Default: none is taken off.",
+        show_default=False,
+    ),
+]
+MAX_LAG_S = 3600.0
 TableFormatOption = Annotated[TableFormat, typer.Option("--format", "-f", help="Format of the data.")]
 RowFormatOption = Annotated[RowFormat, typer.Option("--format", "-f", help="Format of the data.")]
 
@@ -163,6 +175,21 @@ def instruments_of(options: list[str] | None, profile: Profile) -> tuple[str, ..
             known = did_you_mean(name, profile.instrument_names)
             raise UsageError(f"--instrument {name}: profile {profile.name} has no such instrument: {known}")
     return tuple(name for name in profile.instrument_names if name in options)
+
+
+def parse_lag(text: str | None) -> float | Literal["auto"] | None:
+    """A number of seconds, auto, or None where no lag is given; raises UsageError."""
+    if text is None:
+        return None
+    if text == "auto":
+        return "auto"
+    try:
+        lag_s = float(text)
+    except ValueError:
+        lag_s = math.nan
+    if not abs(lag_s) <= MAX_LAG_S:
+        raise UsageError(f"--lag {text}: expected auto or seconds within ±{MAX_LAG_S:g}, as in 0.12")
+    return lag_s
 
 
 LENGTH_UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}

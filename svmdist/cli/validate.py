@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,6 +24,7 @@ from svmdist.cli.options import (
     EquationsOption,
     InstrumentOption,
     JobsOption,
+    LagOption,
     Method,
     MethodOption,
     OptionalFiles,
@@ -34,14 +34,13 @@ from svmdist.cli.options import (
     TableFormatOption,
     TopicOption,
     instruments_of,
+    parse_lag,
     topics_of,
 )
-from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
     from svmdist.workflows.validate import Validation
 
-MAX_LAG_S = 3600.0
 PlotOption = Annotated[
     Path | None,
     typer.Option(
@@ -64,16 +63,6 @@ WriteBaselineOption = Annotated[
     Path | None,
     typer.Option(
         "--write-baseline", metavar="FILE", help="Store the metrics in this file.", show_default=False
-    ),
-]
-
-
-LagOption = Annotated[
-    str,
-    typer.Option(
-        "--lag",
-        metavar="auto|SECONDS",
-        help="Lag of the image stamps, positive where they are late; auto estimates it.",
     ),
 ]
 
@@ -129,7 +118,7 @@ def validate_command(
     truth: TruthOption = None,
     truth_tf: TruthTfOption = None,
     max_gap: MaxGapOption = 0.1,
-    lag: LagOption = "0",
+    lag: LagOption = None,
     save_plot: PlotOption = None,
     baseline: BaselineOption = None,
     write_baseline: WriteBaselineOption = None,
@@ -173,7 +162,7 @@ def validate_command(
     rules = truth_rules(tuple(truth_tf or ()), setup.profile, references, round(max_gap * 1e9))
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in paths]
     wanted = instruments_of(instrument, setup.profile)
-    result = validate(recordings, setup, rules, _parse_lag(lag), alarms, wanted, jobs)
+    result = validate(recordings, setup, rules, parse_lag(lag), alarms, wanted, jobs)
     _write(result, form, output)
     if save_plot:
         from svmdist.report.plot import save_plot as draw_to
@@ -191,19 +180,6 @@ def validate_command(
         else:
             say(f"svmdist: no figure is worse than in {baseline}")
     raise typer.Exit(code)
-
-
-def _parse_lag(text: str) -> float | Literal["auto"]:
-    """A number of seconds, or auto; raises UsageError."""
-    if text == "auto":
-        return "auto"
-    try:
-        lag_s = float(text)
-    except ValueError:
-        lag_s = math.nan
-    if not abs(lag_s) <= MAX_LAG_S:
-        raise UsageError(f"--lag {text}: expected auto or seconds within ±{MAX_LAG_S:g}, as in 0.12")
-    return lag_s
 
 
 def _write(result: Validation, form: TableFormat, output: Path | None) -> None:

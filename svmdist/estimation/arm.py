@@ -11,6 +11,7 @@ from svmdist.results import Failure
 from svmdist.samples import Observation
 
 if TYPE_CHECKING:  # a method imports what it uses of an arm, and starts sooner
+    from svmdist.estimation.filter.constants import Deviations
     from svmdist.estimation.instrument.model import InstrumentModel
     from svmdist.kinematics.dh import DHChain
     from svmdist.kinematics.robot_state import RobotState
@@ -46,6 +47,13 @@ class Arm:
         return InstrumentModel.of(self.profile)
 
     @cached_property
+    def deviations(self) -> Deviations:
+        """How wrong the constants of cameras, instrument and tag may be."""
+        from svmdist.estimation.filter.constants import Deviations
+
+        return Deviations.of(self.profile)
+
+    @cached_property
     def shaft_axis(self) -> ShaftAxis | None:
         """Which link carries the shaft, and where its axis is there; None without such a chain."""
         from svmdist.kinematics.shaft_axis import shaft_of
@@ -66,4 +74,10 @@ class Arm:
 
         if self.chain is None:
             return Failure(f"profile {self.profile.name} has no [robot]")
-        return RobotState.of(self.chain, observation.joints, observation.T_camera_base, observation.stamp_ns)
+        return RobotState.of(
+            self.chain,
+            observation.joints,
+            observation.T_camera_base,
+            observation.stamp_ns,
+            observation.joint_track,
+        )

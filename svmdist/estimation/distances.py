@@ -1,7 +1,7 @@
 """The distances between a tool and the tissue in 3D, and their standard deviations.
 
-Errors are propagated to first order (ISO/IEC Guide 98-3, sec. 5.1). Tool and tissue are taken as
-independent: they are measured from different pixels.
+Errors are propagated to first order (ISO/IEC Guide 98-3, sec. 5.1). Tool and tissue are measured from different
+pixels, but perhaps by the same wrong camera: a method that knows says how their errors go together.
 """
 
 from __future__ import annotations
@@ -17,9 +17,19 @@ from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, Tool
 from svmdist.samples import Status
 from svmdist.transforms import Array
 
+INDEPENDENT = np.zeros((6, 3))
 
-def measured(result: FrameResult, frame: Frame, tool: ToolEstimate, tissue: TissuePose) -> FrameResult:
+
+def measured(
+    result: FrameResult,
+    frame: Frame,
+    tool: ToolEstimate,
+    tissue: TissuePose,
+    coupling: Array = INDEPENDENT,
+) -> FrameResult:
     """The result with the tool, its place in the image, and the distances from it to the tissue.
+
+    `coupling`, shape (6, 3), is the covariance of the tool's pose with the tissue's place.
 
     Without sizes of the instrument in the profile there is no clearance. A value that is not finite rejects the frame.
     """
@@ -27,7 +37,7 @@ def measured(result: FrameResult, frame: Frame, tool: ToolEstimate, tissue: Tiss
     if not (np.all(np.isfinite(pose.T_camera_tool)) and np.all(np.isfinite(pose.covariance))):
         return result.rejected(Status.NOT_FINITE)
     offset_m = pose.position_m - tissue.position_m
-    covariance = pose.position_covariance + tissue.covariance
+    covariance = pose.position_covariance + tissue.covariance - coupling[:3] - coupling[:3].T
     if not (np.all(np.isfinite(offset_m)) and np.all(np.isfinite(covariance))):
         return result.rejected(Status.NOT_FINITE)
     planar, spatial = _length(offset_m[:2], covariance[:2, :2]), _length(offset_m, covariance)
@@ -35,7 +45,9 @@ def measured(result: FrameResult, frame: Frame, tool: ToolEstimate, tissue: Tiss
     if frame.arm.body is not None:
         capsules = frame.arm.body.posed(pose, tool.joints, tool.has_plate)
         gap = separation(capsules, tissue.surface)
-        clearance = Distance(gap.distance_m, clearance_std_m(gap, pose, tissue), as_vector(gap.direction))
+        clearance = Distance(
+            gap.distance_m, clearance_std_m(gap, pose, tissue, coupling), as_vector(gap.direction)
+        )
     distances = Distances(planar, spatial, clearance)
     return replace(with_tool(result, frame, tool), status=Status.OK, distances=distances)
 
@@ -49,8 +61,10 @@ def with_tool(result: FrameResult, frame: Frame, tool: ToolEstimate) -> FrameRes
     return result.with_image(tool_px=as_pixel(frame.left.camera.project(position_m)[0]))
 
 
-def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissuePose) -> float:
-    """Standard deviation of a separation.
+def clearance_std_m(
+    gap: Separation, pose: ToolPose, tissue: TissuePose, coupling: Array = INDEPENDENT
+) -> float:
+    """Standard deviation of a separation; `coupling` as in `measured`.
 
     The closest points are extremal, so to first order a small motion changes the distance only through
     their own motion along the direction d (envelope theorem): by -d · (δp + δθ x r) for the instrument, with r
@@ -59,14 +73,20 @@ def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissuePose) -> floa
     """
     variance = variance_along(gap.direction, gap.on_instrument_m, pose)
     variance += float(gap.direction @ tissue.covariance @ gap.direction)
+    variance -= 2.0 * float(_moves(gap.direction, gap.on_instrument_m, pose) @ coupling @ gap.direction)
     variance += tissue.surface_variance_m2(gap.on_tissue_m, gap.direction)
     return float(np.sqrt(max(variance, 0.0)))
 
 
 def variance_along(direction: Array, point_m: Array, pose: ToolPose) -> float:
     """Variance in m² along a unit vector, shape (3,), of a point, shape (3,), fixed on a tool of uncertain pose."""
-    derivative = np.concatenate([direction, np.cross(point_m - pose.position_m, direction)])
+    derivative = _moves(direction, point_m, pose)
     return float(derivative @ pose.covariance @ derivative)
+
+
+def _moves(direction: Array, point_m: Array, pose: ToolPose) -> Array:
+    """How far a pose's (δp, δθ) moves a point of the tool along a direction: derivative, shape (6,)."""
+    return np.concatenate([direction, np.cross(point_m - pose.position_m, direction)])
 
 
 def _length(offset_m: Array, covariance: Array) -> Distance:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from svmdist.errors import ProfileError
 from svmdist.estimation.arm import Arm
 from svmdist.estimation.distances import measured
@@ -48,5 +50,6 @@ class FiducialEstimator:
             return result.rejected(Status.AMBIGUOUS_POSE)
 
         # Through mounting and wrist to the tool, and the distances from there.
-        pose = tool_from_tag(tag, self._fiducial, frame.robot, self._error)
+        focal_px = np.diag(frame.left.camera.K)[:2]
+        pose = tool_from_tag(tag, self._fiducial, frame.robot, self._error, frame.arm.deviations, focal_px)
         return measured(result, frame, ToolEstimate(pose, frame.joints, has_plate=True), tissue.pose)

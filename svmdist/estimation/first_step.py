@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from svmdist.estimation.frame import Frame
-from svmdist.estimation.tissue.dome_fit import fit_dome
 from svmdist.estimation.tissue.pose import TissuePose
 from svmdist.estimation.tissue.tracking import TissueTracker
 from svmdist.results import FrameResult, as_pixel
@@ -23,11 +22,7 @@ def with_tissue(frame: Frame) -> FrameResult:
     return result.rejected(Status.OK)
 
 
-def tracked_tissue(frame: Frame, tracker: TissueTracker, *, with_shape: bool = False) -> TissuePose | None:
-    """The tissue after this frame, which may hide it; with its dome's shape, where wanted and shown by stereo."""
-    tissue, dome = frame.scene.tissue, None
-    pose = None if tissue is None else tissue.pose
-    if with_shape and tracker.wants_shape and pose is not None and pose.dome is not None:
-        surface = frame.scene.stereo_surface
-        dome = None if surface is None else fit_dome(pose.dome, surface)
-    return tracker.add(pose, dome)
+def tracked_tissue(frame: Frame, tracker: TissueTracker) -> TissuePose | None:
+    """The tissue after this frame, which may hide it."""
+    tissue = frame.scene.tissue
+    return tracker.add(None if tissue is None else tissue.pose)

@@ -47,22 +47,28 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
     if whole_std_px is None:
         return
     depth_m, radius_px = float(predicted.position_m[2]), float(np.sqrt(region.area_px / np.pi))
-    point_std_m = settings.visible_middle * radius_m
+    place_m, place_std_m = np.zeros(3), 0.0
+    if instrument is not None:
+        place_m, place_std_m = np.array(instrument.knuckle_position_m), instrument.knuckle_position_std_m
+    point_std_m = float(np.hypot(settings.visible_middle * radius_m, place_std_m))
     shading_px = settings.shading_bias * radius_px if radius_m > 0.0 else 0.0
     centre_px, blur_px = marker_centre(region, _disc(frame.tool.distal_marker), camera, depth_m, radius_m)
     std_px = float(np.hypot(whole_std_px, settings.border_std_per_blur * blur_px))
     covariance = std_px**2 * np.eye(2)
     lasts_s = profile.settings.filter.point_correlation_time_s
+    delay_std_s = profile.settings.interlace.colour_delay_std_s if frame.scene.is_interlaced else 0.0
     yield PointsMeasurement(
         "distal marker",
         None,
         camera,
-        np.zeros((1, 3)),
+        place_m[None],
         centre_px[None],
         covariance,
         point_std_m,
         shading_px,
         correlation_time_s=lasts_s,
+        deviations=frame.arm.deviations,
+        delay_std_s=delay_std_s,
     )
 
     right, other, geometry = frame.right, frame.tool.right_region, frame.scene.observation.right
@@ -75,7 +81,12 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
     # What one view shows more of moves its centroid by up to half of it.
     uneven = abs(region.area_px - other.area_px) / (region.area_px + other.area_px)
     std_px = radius_px * float(
-        np.hypot(stereo.tracked_disparity_noise, max(0.0, uneven - stereo.even_area_fraction))
+        np.hypot(
+            stereo.interlaced_disparity_noise
+            if frame.scene.is_interlaced
+            else stereo.tracked_disparity_noise,
+            max(0.0, uneven - stereo.even_area_fraction),
+        )
     )
     other_px, _ = marker_centre(other, _disc(frame.tool.right_distal_marker), right.camera, depth_m, radius_m)
     yield DisparityMeasurement(
@@ -89,6 +100,10 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
         point_std_m,
         shading_px,
         correlation_time_s=lasts_s,
+        deviations=frame.arm.deviations,
+        delay_std_s=delay_std_s,
+        lasting_std_px=radius_px * stereo.lasting_disparity,
+        p_link_m=place_m,
     )
 
 
@@ -129,6 +144,7 @@ def _size(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
             np.array([[0.25 * marker.radius_std_px**2]]),
             marker.radius_std_px,
             frame.arm.profile.settings.filter.point_correlation_time_s,
+            frame.arm.deviations,
         )
 
 
@@ -151,6 +167,8 @@ def _tag(frame: Frame, robot: RobotState, predicted: ToolPose) -> Iterator[LinkM
             (1.0 - share) * tag.covariance,
             share * tag.covariance,
             frame.arm.profile.settings.filter.pose_correlation_time_s,
+            _focal_px(frame),
+            frame.arm.deviations,
         )
 
 
@@ -176,8 +194,15 @@ def _contours(frame: Frame) -> Iterator[LinkMeasurement]:
             contour.side,
             share * covariance,
             frame.arm.profile.settings.filter.edge_correlation_time_s,
+            _focal_px(frame),
+            frame.arm.deviations,
         )
 
 
 def _disc(marker: DistalMarker | None) -> Disc | None:
     return None if marker is None else marker.disc
+
+
+def _focal_px(frame: Frame) -> tuple[float, float]:
+    K = frame.left.camera.K
+    return float(K[0, 0]), float(K[1, 1])

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from svmdist.estimation.arm import Arm
 from svmdist.estimation.detection.stereo_match import match_distal_marker
+from svmdist.estimation.detection.stereo_surface import StereoSurface
 from svmdist.estimation.distances import measured
 from svmdist.estimation.filter.nominal import nominal_tool
 from svmdist.estimation.first_step import with_tissue
 from svmdist.estimation.frame import Frame, Needs
-from svmdist.estimation.instrument.stereo_pose import nominal_orientation_pose, refine_depth
+from svmdist.estimation.instrument.stereo_pose import (
+    nominal_orientation_pose,
+    refine_depth,
+    with_calibration,
+)
 from svmdist.estimation.tissue.pose import require_tissue
 from svmdist.geometry.surfaces import Cloud
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Rejection, Status
+from svmdist.transforms import inverse
 from svmdist.vision.rectified import RectifiedPair
 
 
@@ -52,8 +60,22 @@ class StereoEstimator:
         surface = frame.scene.stereo_surface
         if surface is None:
             return result.rejected(Status.NO_STEREO, "the views do not agree on the tissue's surface")
-        seen = replace(tissue.pose, surface=Cloud(surface.points_m), surface_std_m=surface.std_m, dome=None)
+        std_m = float(np.hypot(surface.std_m, self._calibration_std_m(surface, frame)))
+        seen = replace(tissue.pose, surface=Cloud(surface.points_m), surface_std_m=std_m, dome=None)
         return measured(result, frame, ToolEstimate(pose, frame.joints, self._has_plate), seen)
+
+    def _calibration_std_m(self, surface: StereoSurface, frame: Frame) -> float:
+        """How far all of the surface may be off in depth by focal length, baseline and the right camera's rotation."""
+        right = frame.scene.observation.right
+        assert right is not None  # the surface is of both views
+        at_m = np.median(surface.points_m, 0)
+        T_right_left = inverse(right.T_left_right)
+        right_m = T_right_left[:3, :3] @ at_m + T_right_left[:3, 3]
+        _, slope = right.camera.project_with_derivative(right_m)
+        disparity_px = float(frame.left.camera.K[0, 0] * np.linalg.norm(T_right_left[:3, 3]) / at_m[2])
+        biases = frame.arm.deviations.of_disparity(right_m, slope[0], np.array(disparity_px), T_right_left)
+        variance_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
+        return float(at_m[2] / disparity_px * np.sqrt(variance_px2))
 
     def _tool(self, frame: Frame, pair: RectifiedPair) -> ToolPose | Rejection:
         """The shaft's pose corrected by the disparity; else the triangulated point, turned by nominal kinematics."""
@@ -63,6 +85,9 @@ class StereoEstimator:
         match = match_distal_marker(left, right, pair, radius_m, frame.left.camera, settings)
         if isinstance(match, Failure):
             return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, match.reason)
+        seen = frame.scene.observation.right
+        assert seen is not None  # the pair has one
+        match = with_calibration(match, seen, pair, frame.arm.deviations)
         if self._uses_shaft:
             self._has_plate |= frame.tool.tag_corners_px is not None
             fit = frame.tool.shaft_fit

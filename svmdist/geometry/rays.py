@@ -15,9 +15,13 @@ def pixel_rays(camera: Camera, points_px: ArrayLike) -> Array:
     """Directions in the camera frame, shape (n, 3) with z = 1, of pixels, shape (n, 2); undistorted."""
     points = np.atleast_2d(np.asarray(points_px, np.float64))
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
-    straight = cv2.undistortPoints(
-        points[:, None], camera.K, camera.D if len(camera.D) else None, None, None, None, criteria
-    )
+    if camera.distortion_model == "fisheye":
+        D = np.resize(np.append(camera.D, np.zeros(4)), 4)
+        straight = cv2.fisheye.undistortPoints(points[:, None], camera.K, D)
+    else:
+        straight = cv2.undistortPoints(
+            points[:, None], camera.K, camera.D if len(camera.D) else None, None, None, None, criteria
+        )
     return np.column_stack([np.asarray(straight).reshape(-1, 2), np.ones(len(points))])
 
 

@@ -12,6 +12,7 @@ from svmdist.kinematics.dh import DHChain, frame_transforms, select_joints
 from svmdist.kinematics.jacobian import jacobian_of_frames, joint_axis, row_index
 from svmdist.results import Failure
 from svmdist.samples import JointSample
+from svmdist.tracks import JointTrack
 from svmdist.transforms import Array
 
 NO_JOINTS = Failure("no joints near the image")
@@ -24,26 +25,57 @@ class RobotState:
 
     `q`, shape (n_joints,), is in the chain's order, in rad or m. `T_camera_base`, shape (4, 4), maps the base's
     coordinates to the camera's. Without it (`has_camera` is false, `camera_failure` says why) everything in the base
-    frame is still there, and what needs the camera raises ValueError.
+    frame is still there, and what needs the camera raises ValueError. `track` holds the joints around the stamp, in
+    the chain's order, where the log has them: `time_offset_s` says how much later than the stamp `q` was read there.
     """
 
     chain: DHChain
     stamp_ns: int
     q: Array
     T_camera_base: Array | None = None
+    track: JointTrack | None = None
+    time_offset_s: float = 0.0
 
     @classmethod
     def of(
-        cls, chain: DHChain, joints: JointSample | None, T_camera_base: Array | None, stamp_ns: int
+        cls,
+        chain: DHChain,
+        joints: JointSample | None,
+        T_camera_base: Array | None,
+        stamp_ns: int,
+        track: JointTrack | None = None,
     ) -> RobotState | Failure:
         """The state by a sample's joints, or what they lack; the camera's transform may be missing."""
         if joints is None:
             return NO_JOINTS
         try:
-            q = select_joints(chain, joints.names, joints.positions)
+            if track is None or track.names != joints.names:
+                return cls(
+                    chain, stamp_ns, select_joints(chain, joints.names, joints.positions), T_camera_base
+                )
+            rows = np.vstack([joints.positions, track.positions])
+            q, *around = select_joints(chain, joints.names, rows)
         except KinematicsError as problem:
             return Failure(str(problem))
-        return cls(chain, stamp_ns, q, T_camera_base)
+        of_chain = JointTrack(track.stamps_ns, chain.joint_names, np.array(around))
+        return cls(chain, stamp_ns, np.asarray(q), T_camera_base, of_chain)
+
+    def shifted(self, time_offset_s: float) -> RobotState:
+        """The state with the joints that were stamped so much later; the same where the log does not have them.
+
+        Beyond the joints around the stamp they go on at their rate.
+        """
+        if self.track is None or time_offset_s == self.time_offset_s:
+            return self
+        q = self.track.near(self.stamp_ns + round(1e9 * time_offset_s))
+        return RobotState(self.chain, self.stamp_ns, q, self.T_camera_base, self.track, time_offset_s)
+
+    @cached_property
+    def rates(self) -> Array:
+        """Derivatives of the joints by time, shape (n_joints,), in rad/s or m/s; zero without a track."""
+        if self.track is None:
+            return np.zeros(len(self.q))
+        return self.track.rate_near(self.stamp_ns + round(1e9 * self.time_offset_s))
 
     @property
     def has_camera(self) -> bool:

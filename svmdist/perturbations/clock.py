@@ -8,6 +8,13 @@ from numpy.typing import ArrayLike, NDArray
 from svmdist.perturbations.chosen import Perturbations
 from svmdist.transforms import Array
 
+MAX_STAMP_NS = (1 << 63) - 1
+
+
+def later_ns(stamp_ns: int, lag_ns: int) -> int:
+    """A stamp that is later by a lag, within 64 bits."""
+    return min(stamp_ns + lag_ns, MAX_STAMP_NS)
+
 
 def late_stamps_ns(stamps_ns: ArrayLike, perturbations: Perturbations, start_ns: int) -> NDArray[np.int64]:
     """The stamps that joints get which were true at `stamps_ns`, any shape; the lag drifts from `start_ns` on."""

@@ -1,4 +1,4 @@
-"""The joints of a log as they would have been reported, sample after sample as they are read."""
+"""What the robot of a log reports as it would have been reported, sample after sample as it is read."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.perturbations.chosen import Perturbations
-from svmdist.perturbations.clock import late_stamps_ns
+from svmdist.perturbations.clock import late_stamps_ns, later_ns
 from svmdist.perturbations.joints import JointPerturber, JointUnits
 from svmdist.perturbations.perturbation import Place
 from svmdist.profile import Profile
@@ -17,33 +17,44 @@ from svmdist.samples import JointSample
 
 @dataclass(frozen=True)
 class ReplayedWorld:
-    """A log in a perturbed world: what is perturbed, the profile as it was read, and the seed of what is drawn."""
+    """A log in a perturbed world, or with a clock put right: what differs from how it was read.
+
+    That is what is perturbed, the profile as it was read, the seed of what is drawn, and the lag that is taken off: by
+    how much the stamps of the images are late. Whatever the robot reports gets stamps that are as late.
+    """
 
     perturbations: Perturbations
     profile: Profile
     seed: int = 0
+    lag_ns: int = 0
 
     def joints_of(self, instrument: str) -> ReplayedJoints | None:
         """What is done to the joints of one of the instruments; None where nothing is."""
         if not (self.perturbations.changes(Place.JOINTS) or self.perturbations.changes(Place.CLOCK)):
-            return None
+            return ReplayedJoints(None, self.perturbations, self.lag_ns) if self.lag_ns else None
         units = JointUnits.of(self.profile.for_instrument(instrument))
         arm = self.profile.instrument_names.index(instrument)
-        return ReplayedJoints(units, self.perturbations, self.seed, arm)
+        perturber = JointPerturber(units, self.perturbations, self.seed, arm)
+        return ReplayedJoints(perturber, self.perturbations, self.lag_ns)
 
 
 class ReplayedJoints:
-    """Perturbs one arm's joint samples in the order of the log."""
+    """Perturbs one arm's joint samples in the order of the log, and puts them on the clock of its images."""
 
-    def __init__(self, units: JointUnits, perturbations: Perturbations, seed: int, arm: int) -> None:
-        self._perturber = JointPerturber(units, perturbations, seed, arm)
+    def __init__(
+        self, perturber: JointPerturber | None, perturbations: Perturbations, lag_ns: int = 0
+    ) -> None:
+        self._perturber = perturber
         self._perturbations = perturbations
+        self._lag_ns = lag_ns
         self._first: JointSample | None = None
         self._started = False
 
     def replayed(self, sample: JointSample) -> Iterator[JointSample]:
-        """Yield what is reported in place of a sample: nothing for the first one, which comes with the second."""
-        if self._started:
+        """Yield what is reported in place of a sample: in a perturbed world the first one comes with the second."""
+        if self._perturber is None:
+            yield replace(sample, stamp_ns=later_ns(sample.stamp_ns, self._lag_ns))
+        elif self._started:
             yield self._reported(sample)
         elif self._first is None:
             self._first = sample
@@ -65,7 +76,8 @@ class ReplayedJoints:
             yield replace(first, stamp_ns=first.stamp_ns - count * step_ns, positions=positions)
 
     def _reported(self, sample: JointSample) -> JointSample:
+        assert self._perturber is not None
         assert self._first is not None  # it came before
         stamp_ns = int(late_stamps_ns(sample.stamp_ns, self._perturbations, self._first.stamp_ns))
         positions = self._perturber.of_log(sample.names, np.asarray(sample.positions, np.float64), stamp_ns)
-        return replace(sample, stamp_ns=stamp_ns, positions=positions)
+        return replace(sample, stamp_ns=later_ns(stamp_ns, self._lag_ns), positions=positions)

@@ -91,7 +91,15 @@ class EncodedObservation:
             return Decoded(rejection, tuple(losses), self.place)
         view = self._right_view(losses)
         found = tuple(
-            Observation(image.stamp_ns, image.image_bgr, self.camera, arm.joints, view, arm.T_camera_base)
+            Observation(
+                image.stamp_ns,
+                image.image_bgr,
+                self.camera,
+                arm.joints,
+                view,
+                arm.T_camera_base,
+                arm.joint_track,
+            )
             for arm in self.matched.arms
         )
         return Decoded(found, tuple(losses), self.place)

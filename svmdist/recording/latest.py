@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from typing import Generic, TypeVar
 
 Value = TypeVar("Value")
@@ -44,4 +44,9 @@ class Latest(Generic[Value]):
         right = bisect_left(self.stamps_ns, stamp_ns)
         is_met = right < len(self.stamps_ns) and self.stamps_ns[right] == stamp_ns
         chosen = slice(right if is_met else max(right - 1, 0), right + 1)
+        return self.stamps_ns[chosen], self.values[chosen]
+
+    def between(self, first_ns: int, last_ns: int) -> tuple[list[int], list[Value]]:
+        """The stamps and values of all samples from one stamp to another, both included."""
+        chosen = slice(bisect_left(self.stamps_ns, first_ns), bisect_right(self.stamps_ns, last_ns))
         return self.stamps_ns[chosen], self.values[chosen]

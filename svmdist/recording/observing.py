@@ -77,10 +77,12 @@ class Observer:
             for arm, topic in zip(arms, joint_topics, strict=True)
         ]
         has_transforms = needs.transforms and self._moving_tf() is not None
-        matcher = Matcher(buffers, has_right=right is not None, has_transforms=has_transforms)
+        lag_ns = 0 if self._world is None else self._world.lag_ns
+        matcher = Matcher(buffers, has_right=right is not None, has_transforms=has_transforms, lag_ns=lag_ns)
         items = self.items(image_topic, joint_topics, None if right is None else right.topic, with_tf=True)
         if self._world is not None:
-            items = _in_world(items, [self._world.joints_of(arm.name) for arm in arms])
+            joints = [self._world.joints_of(arm.name) for arm in arms]
+            items = _in_world(items, joints, self._world.lag_ns)
         for matched in matcher.match(item for item in items if _is_needed(item, needs)):
             place = self._messages.health.next_place()
             yield EncodedObservation(_decoded_in_order(matched), camera, image_topic, right, place)
@@ -131,11 +133,13 @@ class Observer:
         return None if right is None or T_left_right is None else RightCamera(topic, right, T_left_right)
 
 
-def _in_world(items: Iterator[Item], joints: Sequence[ReplayedJoints | None]) -> Iterator[Item]:
-    """The same with the joints of each arm perturbed."""
+def _in_world(items: Iterator[Item], joints: Sequence[ReplayedJoints | None], lag_ns: int) -> Iterator[Item]:
+    """The same with the joints of each arm perturbed, and joints and transforms on the clock of the images."""
     for item in items:
         replayed = joints[item.arm] if isinstance(item, LoggedJoints) else None
-        if replayed is None or not isinstance(item, LoggedJoints):
+        if isinstance(item, LoggedTransforms) and lag_ns:
+            yield replace(item, stated=item.stated.stamped_later(lag_ns))
+        elif replayed is None or not isinstance(item, LoggedJoints):
             yield item
         else:
             yield from (LoggedJoints(sample, item.arm) for sample in replayed.replayed(item.sample))

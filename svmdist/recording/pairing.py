@@ -26,6 +26,8 @@ LOOK_AHEAD_NS = 3_000_000_000
 MAX_WAITING_BYTES = 64 << 20
 MAX_JOINT_SAMPLES = 5_000
 """Five seconds of joints at 1 kHz, and 2 MB: images may be stamped that much before the joints around them."""
+JOINT_TRACK_NS = 200_000_000
+"""Joints so long before and after an image go with it: by as much the clocks may differ for a method that finds it."""
 PAIR_TOLERANCE_NS = 500_000
 """Cameras of a pair are triggered together: half a millisecond is less than any exposure."""
 
@@ -69,6 +71,7 @@ class ArmState:
 
     joints: JointSample | None
     T_camera_base: Array | None
+    joint_track: JointTrack | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +110,14 @@ class JointBuffer:
         track = JointTrack(np.array(stamps_ns, np.int64), near[0].names, positions)
         sampled = track.at(np.array([stamp_ns], np.int64))
         return JointSample(stamp_ns, track.names, sampled.values[0]) if sampled.valid[0] else None
+
+    def track_around(self, stamp_ns: int) -> JointTrack | None:
+        """The samples within `JOINT_TRACK_NS` of a stamp; None without one, or where their names differ."""
+        stamps_ns, near = self._samples.between(stamp_ns - JOINT_TRACK_NS, stamp_ns + JOINT_TRACK_NS)
+        if not near or any(sample.names != near[0].names for sample in near):
+            return None
+        positions = np.array([sample.positions for sample in near])
+        return JointTrack(np.array(stamps_ns, np.int64), near[0].names, positions)
 
 
 class RightBuffer:
@@ -162,14 +173,20 @@ class ArmBuffer:
 
     def at(self, stamp_ns: int) -> ArmState:
         """What the arm reported at a stamp."""
-        return ArmState(self.joints.at(stamp_ns), self.transforms.at(stamp_ns))
+        joints = self.joints.at(stamp_ns)
+        track = None if joints is None else self.joints.track_around(stamp_ns)
+        return ArmState(joints, self.transforms.at(stamp_ns), track)
 
 
 class Matcher:
     """Finds what belongs to an image; images wait for right images and for transforms where there are any."""
 
-    def __init__(self, arms: Sequence[ArmBuffer], *, has_right: bool, has_transforms: bool) -> None:
+    def __init__(
+        self, arms: Sequence[ArmBuffer], *, has_right: bool, has_transforms: bool, lag_ns: int = 0
+    ) -> None:
         self._arms = tuple(arms)
+        # Joints that are stamped late may be logged late, too.
+        self._look_ahead_ns = LOOK_AHEAD_NS + max(0, -lag_ns)
         self._right = RightBuffer()
         self._has_right = has_right
         self._has_transforms = has_transforms
@@ -203,10 +220,10 @@ class Matcher:
 
     def _is_ready(self) -> bool:
         first = self._waiting[0]
-        if self._waiting[-1].log_time_ns - first.log_time_ns > LOOK_AHEAD_NS:
+        if self._waiting[-1].log_time_ns - first.log_time_ns > self._look_ahead_ns:
             return True
         newest_ns = [self._right.newest_ns] if self._has_right else []
-        newest_ns += [arm.joints.newest_ns for arm in self._arms if arm.has_joints]
+        newest_ns += [arm.joints.newest_ns - JOINT_TRACK_NS for arm in self._arms if arm.has_joints]
         newest_ns += [arm.transforms.newest_ns for arm in self._arms if self._has_transforms]
         return all(first.image.stamp_ns <= newest for newest in newest_ns)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError, did_you_mean
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
-from svmdist.perturbations.chosen import Perturbations
+from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
+from svmdist.perturbations.clock import later_ns
 from svmdist.perturbations.replayed import ReplayedWorld
 from svmdist.profile import Limits, Profile
 from svmdist.recording.arms import LoggedArm, find_arms
@@ -57,8 +59,24 @@ def open_recording(
     return recording
 
 
-def _reopen(path: Path, profile: Profile, limits: Limits, topics: dict[str, str]) -> Recording:
-    return open_recording(path, profile, limits=limits, topics=topics)
+def _reopen(
+    path: Path, profile: Profile, limits: Limits, topics: dict[str, str], lag: KnownLag | None
+) -> Recording:
+    recording = open_recording(path, profile, limits=limits, topics=topics)
+    return recording if lag is None else recording.with_lag(lag, profile)
+
+
+@dataclass(frozen=True, slots=True)
+class KnownLag:
+    """By how much the stamps of a log's images are late, in s, and the standard deviation of what was estimated."""
+
+    lag_s: float
+    std_s: float = 0.0
+
+    @property
+    def lag_ns(self) -> int:
+        """The same in ns."""
+        return round(self.lag_s * 1e9)
 
 
 class Recording:
@@ -74,6 +92,7 @@ class Recording:
         arms: Sequence[LoggedArm],
         limits: Limits,
         world: ReplayedWorld | None = None,
+        lag: KnownLag | None = None,
     ) -> None:
         self._source = source
         self._arms = tuple(arms)
@@ -82,6 +101,8 @@ class Recording:
         self._messages = DecodedMessages(source, limits)
         self._world = world
         self._observer = Observer(self._messages, self._choice, world)
+        self.lag = lag
+        """The lag of the images that is known, and taken off; None where nothing is known of it."""
         self.origin: tuple[Path, Profile, Limits, dict[str, str]] | None = None
         """What it was opened by, so that another process can open it too."""
 
@@ -89,7 +110,7 @@ class Recording:
         """Another process opens the same file anew."""
         if self.origin is None:
             raise TypeError("only a recording as it was opened can be sent to another process")
-        return _reopen, self.origin
+        return _reopen, (*self.origin, self.lag)
 
     @property
     def instruments(self) -> tuple[str, ...]:
@@ -98,7 +119,7 @@ class Recording:
 
     def for_instrument(self, name: str) -> Recording:
         """The same log as one of its instruments sees it; RecordingError lists those that there are."""
-        return Recording(self._source, [self._arm(name)], self._limits, self._world)
+        return Recording(self._source, [self._arm(name)], self._limits, self._world, self.lag)
 
     def perturbed(self, perturbations: Perturbations, profile: Profile) -> Recording:
         """The same log as it would be in a perturbed world: joints, their stamps, and what it says of its cameras.
@@ -107,8 +128,23 @@ class Recording:
         is drawn by the seed that `record` wrote into the log, else by 0.
         """
         seed = self.metadata.get("seed", "")
-        world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0)
-        return Recording(self._source, self._arms, self._limits, world)
+        world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0, self._lag_ns)
+        return Recording(self._source, self._arms, self._limits, world, self.lag)
+
+    def with_lag(self, lag: KnownLag, profile: Profile) -> Recording:
+        """The same log with its clocks put right: joints, poses and transforms get the stamps that its images have.
+
+        Images keep their stamps, and so does ground truth. `profile` is the one that the log was opened with.
+        """
+        before = self._world or ReplayedWorld(UNPERTURBED, profile)
+        world = replace(before, lag_ns=lag.lag_ns)
+        recording = Recording(self._source, self._arms, self._limits, world, lag)
+        recording.origin = self.origin
+        return recording
+
+    @property
+    def _lag_ns(self) -> int:
+        return 0 if self.lag is None else self.lag.lag_ns
 
     @property
     def world_seed(self) -> int:
@@ -256,10 +292,12 @@ class Recording:
             static = self._choice.static_transforms()
             moving = self._choice.find(Role.TF) if static else self._choice.require(Role.TF)
         tree = TransformTree()
+        lag_ns = 0 if ground_truth else self._lag_ns
         for raw, sample in self._messages.samples(*static, *([moving] if moving else [])):
             if isinstance(sample, TransformsSample):
                 for transform in sample.transforms:
-                    tree.add(transform, is_static=raw.topic in static)
+                    later = replace(transform, stamp_ns=later_ns(transform.stamp_ns, lag_ns))
+                    tree.add(later, is_static=raw.topic in static)
         return tree
 
     def pose_track(self) -> PoseTrack:
@@ -270,7 +308,7 @@ class Recording:
         if len(frames) != 1:
             found = f"poses in several frames: {sanitize_list(frames)}" if frames else "no usable poses"
             raise RecordingError(f"{self.path.name}: {found} on {sanitize(topic)}")
-        stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
+        stamps_ns = np.array([later_ns(sample.stamp_ns, self._lag_ns) for sample in samples], np.int64)
         order = sort_stamps(stamps_ns)
         return PoseTrack(frames[0], stamps_ns[order], np.array([s.T_frame_pose for s in samples])[order])
 

@@ -49,6 +49,9 @@ ESTIMATE_KEYS = (
     "instrument_direction_y",
     "instrument_direction_z",
     "detail",
+    "tool_std_m",
+    "axis_std_rad",
+    "consistency",
 )
 """The contract: columns may be added at the end, none is renamed or removed."""
 
@@ -142,6 +145,9 @@ def _fields(result: FrameResult) -> dict[str, Cell]:
         "status": str(result.status),
         "detail": result.detail or None,
         "instrument": result.instrument,
+        "tool_std_m": pose.position_std_m if pose else None,
+        "axis_std_rad": pose.shaft_std_rad if pose else None,
+        "consistency": result.consistency,
         "tool_area_px": image.tool_area_px,
         "tissue_area_px": image.tissue_area_px,
         "keypoint_count": image.keypoint_count,

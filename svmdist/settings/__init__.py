@@ -7,6 +7,7 @@ from svmdist.settings.distal_marker import DistalMarkerSettings
 from svmdist.settings.exposure import ExposureSettings
 from svmdist.settings.filter import FilterSettings
 from svmdist.settings.fused import FusedSettings
+from svmdist.settings.interlace import InterlaceSettings
 from svmdist.settings.marker import MarkerSettings
 from svmdist.settings.outline import OutlineSettings
 from svmdist.settings.shaft import ShaftSettings
@@ -19,6 +20,7 @@ from svmdist.toml_model import StrictModel
 class Settings(StrictModel):
     """All settings, a group for each detector or estimator; a profile may set any of them."""
 
+    interlace: InterlaceSettings = InterlaceSettings()
     exposure: ExposureSettings = ExposureSettings()
     outline: OutlineSettings = OutlineSettings()
     marker: MarkerSettings = MarkerSettings()

@@ -44,6 +44,10 @@ class FilterSettings(MethodSettings):
     """After so many frames in a row with measurements but none accepted, the filter has lost the arm and starts
     anew."""
 
+    max_contradictions: Count = 25
+    """After so many frames in a row whose measurements contradict each other, the filter starts anew: what profile
+    and log state wrongly will contradict again, a filter that went astray will not."""
+
     window_solves: tuple[Count, ...] = Field(default=(1, 2, 3, 5, 8, 12, 20), min_length=1)
     """Numbers of frames after which a young filter solves for all of them anew. Linearisation is off by tens
     of millimetres in the first frames; after 20 it no longer is."""
@@ -57,3 +61,48 @@ class FilterSettings(MethodSettings):
 
     window_max_steps: Count = 20
     """Levenberg–Marquardt steps from each start."""
+
+    window_max_deviation: Positive = 2.0
+    """Normalised square over the gate's bound beyond which a measurement of the first frames is left out for good: its
+    weight in the solution is less than a half there."""
+
+    consistency_window_s: Positive = 1.5
+    """Normalised innovations are averaged over so long: some ten degrees of freedom at 1 Hz, a hundred at 10 Hz."""
+
+    consistency_min_degrees: Count = 8
+    """Fewer degrees of freedom in that window tell nothing of consistency."""
+
+    max_consistency: Positive = 4.0
+    """Mean normalised innovation per degree of freedom beyond which no distance is told. Where models hold it is 1 or
+    less; deviations that are wrong by a factor of two give 4."""
+
+    max_refused_frames: Count = 4
+    """So many frames in a row, of which all that was measured is refused, tell no distance: what hides an instrument
+    misleads two or three."""
+
+    max_refused_share: float = Field(default=0.5, gt=0.0, le=1.0)
+    """Share of measured degrees of freedom, refused by the gate, beyond which no distance is told: more than half
+    contradicts the prediction."""
+
+    max_young_refused_share: float = Field(default=0.2, gt=0.0, le=1.0)
+    """The same in the first frames, as long as a young filter solves for all of them anew: what it refuses then, later
+    frames are judged by."""
+
+    usual_constant_deviations: Positive = 2.5
+    """A constant (focal length, tag size, a length, …) that is found so many stated deviations from its stated value
+    is usual: one of twenty is, one time in four. Beyond, all deviations grow in proportion."""
+
+    max_constant_deviations: Positive = 4.0
+    """Beyond so many what is stated and what is seen contradict each other, and no distance is told. True deviations
+    leave it to one log in a thousand."""
+
+    given_lag_std_s: Annotated[float, Field(ge=0.0)] = 5e-3
+    """Standard deviation of what is left of the offset between joints and images where `--lag` says what it is. It
+    stands in for `time_offset_std_s` of the profile then."""
+
+    max_time_offset_deviations: Positive = 5.0
+    """Where the offset between joints and images is found so many stated deviations from what is stated, no distance
+    is told: with those of the profile that is beyond the joints that travel with an image."""
+
+    probation_s: Positive = 3.0
+    """After such a new start no distance is told for so long: what was stated wrongly contradicts again by then."""

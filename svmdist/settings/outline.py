@@ -13,6 +13,11 @@ class OutlineSettings(MethodSettings):
     speck_fraction: float = Field(default=0.02, ge=0.0, lt=1.0)
     """A connected part below this fraction of the largest one is no part of the region: such specks of colour
     elsewhere would pull the convex hull across the image."""
+    blood_fraction: float = Field(default=0.1, ge=0.0, lt=1.0)
+    """Parts below this fraction of the tissue may be blood on an instrument, as red as tissue."""
+    blood_ring_fraction: float = Field(default=0.5, gt=0.0, le=1.0)
+    """Of what surrounds such a part, the share of dark shaft above which it is blood, where tissue is placed in 3D: a
+    part of the tissue that a shaft cuts off has the shaft on one side."""
 
     sample_step_px: float = Field(default=2.0, gt=0.0)
     """Distance of the hull's samples; whole pixels tell no finer ones apart."""

@@ -52,6 +52,11 @@ class StereoSettings(MethodSettings):
     tracked_disparity_noise: float = Field(default=0.008, gt=0.0)
     """Of the marker's disparity over its radius, where a filter estimates the part that lasts: two views see the
     marker from 3 degrees apart."""
+    interlaced_disparity_noise: float = Field(default=0.03, ge=0.0)
+    """The same noise in an interlaced image, where colours of both fields are mixed: 0.4 px at a radius of 12."""
+    lasting_disparity: float = Field(default=0.016, ge=0.0)
+    """Of the marker's disparity over its radius, what lasts: blood, shading and colour at half the resolution cut the
+    marker differently in either view. Over six logs of such worlds 0.1 to 0.2 px at a radius of 12."""
     even_area_fraction: float = Field(default=0.02, ge=0.0)
     """By how much the marker's areas in both views differ when nothing is wrong, over their sum."""
     size_tolerance: float = Field(default=0.2, gt=0.0)

@@ -11,6 +11,10 @@ from svmdist.results import Failure
 from svmdist.samples import RightView
 from svmdist.transforms import Array
 
+MAX_OFF_AXIS = 0.02
+"""A right camera this far above, below, before or behind the left one, over the baseline, counts as beside it: rows of
+both views then differ by half a pixel at a disparity of 25 px."""
+
 
 @dataclass(frozen=True, slots=True)
 class RectifiedPair:
@@ -50,13 +54,15 @@ class RectifiedPair:
 def rectified_pair(left: Camera, right: RightView) -> RectifiedPair | Failure:
     """The pair's geometry; or what is wrong with it."""
     T, K, K_right = right.T_left_right, left.K, right.camera.K
-    if not (np.allclose(T[:3, :3], np.eye(3), atol=1e-6) and np.allclose(T[1:3, 3], 0.0, atol=1e-6)):
-        return Failure("the pair is not rectified: the right camera is turned, or not beside the left one")
     if T[0, 3] <= 0.0:
         return Failure("the right camera is not to the right of the left one: are the topics swapped?")
+    if not np.allclose(T[:3, :3], np.eye(3), atol=1e-6):
+        return Failure("the pair is not rectified: the right camera is turned")
+    if np.abs(T[1:3, 3]).max() > MAX_OFF_AXIS * T[0, 3]:
+        return Failure("the right camera is not beside the left one, along its x axis")
     same_focal = np.allclose(np.delete(K - K_right, 2, axis=1), 0.0, atol=1e-3)
     if not same_focal or abs(K[1, 2] - K_right[1, 2]) > 1e-3:
         return Failure("the pair is not rectified: focal lengths or rows of the principal points differ")
-    if left.D.any() or right.camera.D.any():
+    if left.has_distortion or right.camera.has_distortion:
         return Failure("the pair is not rectified: the images are distorted")
     return RectifiedPair(K, float(T[0, 3]), float(K[0, 2] - K_right[0, 2]))

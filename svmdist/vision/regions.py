@@ -24,7 +24,7 @@ class Region:
     """One segmented object, of one or several connected parts.
 
     `area_px` counts pixels, `polygon_area_px2` is the area inside the outer contours (the audit asks for
-    both); `centroid_px` has shape (2,); `hull` is the convex hull, shape (n, 1, 2) of int32.
+    both); `centroid_px` has shape (2,); `hull` is the convex hull, shape (n, 1, 2) of int32, of all `part_count` parts.
     """
 
     area_px: int
@@ -32,6 +32,7 @@ class Region:
     centroid_px: Array
     hull: NDArray[np.int32]
     hull_area_px2: float
+    part_count: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,7 @@ def find_region(mask: Image, rule: AreaGate, settings: OutlineSettings = DEFAULT
         centroid_px=centroid_px,
         hull=hull,
         hull_area_px2=float(cv2.contourArea(hull)),
+        part_count=len(parts),
     )
 
 

@@ -29,6 +29,8 @@ DEGREE = 3
 SCALE_PX = 100.0
 TERMS = tuple((i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i))
 """The powers of u and v in each term."""
+BRIGHTNESS_TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+"""Powers of u and v by which the views may differ in brightness."""
 MAX_SAMPLES = 15_000
 """Pixels used in the alignment: beyond some ten thousand, noise is no longer what limits it."""
 MAX_START_SAMPLES = 1000
@@ -133,7 +135,7 @@ def _align(
     coefficients: Array,
     settings: StereoSettings,
 ) -> tuple[Array, float]:
-    """Gauss–Newton on right(u - d(u, v), v) - left(u, v), with a free offset of brightness between the images.
+    """Gauss–Newton on right(u - d(u, v), v) - left(u, v), with a free, smooth field of brightness between the images.
 
     `columns`, `rows` and `is_used`, shape (h, w), make the grid of the left image's pixels that are aligned. Gives the
     coefficients and the mismatch that they leave, in px.
@@ -156,10 +158,9 @@ def _align(
         count = int(np.count_nonzero(usable))
         if count < 10 * len(TERMS):
             break
-        seen = error[usable][::SCALE_STRIDE]
-        middle = median(seen)
-        residual = scale_of(seen - middle)
-        error = np.asarray(np.where(usable, error - middle, 0.0), np.float64)
+        field, seen = _brightness_field(error, usable, u, v)
+        residual = scale_of(seen)
+        error = np.asarray(np.where(usable, error - field, 0.0), np.float64)
         slope_rms = float(np.sqrt(np.mean(slope[usable] ** 2)))
         weight = np.asarray(usable * slope / (1.0 + (error / (2.0 * residual + 0.5)) ** 2), np.float64)
         step = _step(weight * slope, weight * error, u, v, 1e-5 * int(np.count_nonzero(is_used)))
@@ -167,6 +168,27 @@ def _align(
         if np.abs(_values(step, u, v))[is_used].max() < SETTLED_PX:
             break
     return coefficients, float(residual) / max(slope_rms, 1e-6)
+
+
+def _brightness_field(error: Array, usable: NDArray[np.bool_], u: Array, v: Array) -> tuple[Array, Array]:
+    """What differs in brightness between the views smoothly, shape (h, w), and what of a sample it leaves, (k,).
+
+    A vignette and a lamp beside the lens darken what both views show at other places of the image. Taken for texture,
+    that shifts the whole surface; a parabola over the grid, fitted robustly, takes it up.
+    """
+    rows, columns = np.nonzero(usable)
+    few = slice(None, None, SCALE_STRIDE)
+    rows, columns = rows[few], columns[few]
+    B = np.stack([u[columns, i] * v[rows, j] for i, j in BRIGHTNESS_TERMS], -1)
+    seen = error[rows, columns]
+    seen = seen - median(seen)
+    weight = 1.0 / (1.0 + (seen / (2.0 * scale_of(seen) + 0.5)) ** 2)
+    weighted = B * weight[:, None]
+    raw = error[rows, columns]
+    terms = np.linalg.solve(weighted.T @ B + RIDGE * np.eye(len(BRIGHTNESS_TERMS)), weighted.T @ raw)
+    C = np.zeros((3, 3))
+    C[tuple(np.transpose(BRIGHTNESS_TERMS))] = terms
+    return np.asarray(v[:, :3] @ C.T @ u[:, :3].T), np.asarray(raw - B @ terms)
 
 
 def _smoothed_with_slope(

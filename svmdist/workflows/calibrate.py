@@ -11,6 +11,7 @@ from svmdist.errors import CalibrationError, UsageError
 from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.estimation.planar.calibration import Calibration, CalibrationSamples, SourceFile, fit_calibration
 from svmdist.estimation.planar.equations import PlaneMapping, Quadratic
+from svmdist.geometry.rays import pixel_rays
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
 from svmdist.workflows.estimate import estimate
@@ -60,6 +61,9 @@ def collect_samples(recording: Recording, profile: Profile, method: str) -> Cali
     results = [result for result in estimate(recording, setup, recording.instruments[:1]) if result.measured]
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
     tool_px = np.array([result.image.tool_px for result in results], np.float64).reshape(-1, 2)
+    if recording.camera.has_distortion and len(tool_px):
+        # Planar methods measure as if the lens were ideal; results tell pixels of the recorded image.
+        tool_px = recording.camera.pinhole.project(pixel_rays(recording.camera, tool_px))
     truth = recording.transform_track(profile.frames.camera, profile.frames.tool, ground_truth=True)
     T_camera_tool = truth.at(stamps_ns)
     return CalibrationSamples(tool_px[T_camera_tool.valid], T_camera_tool.values[T_camera_tool.valid, :2, 3])

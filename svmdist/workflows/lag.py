@@ -1,8 +1,8 @@
-"""The lag of a recording: the tool's track in the images against its track by kinematics."""
+"""The lag of a recording: given, or found from the tool's track in the images against its track by kinematics."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -11,25 +11,97 @@ from numpy.typing import NDArray
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.lag import LagEstimate, Predict, estimate_lag
+from svmdist.estimation.planar.equations import PUBLISHED_MAPPING
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording
+from svmdist.recording.reader import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.transforms import Array
+from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.distances import Readings
 from svmdist.workflows.scoring.truth import PoseAt, Reference, TruthRules, tool_track
+from svmdist.workflows.setup import Setup
 
 Lag = float | Literal["auto"]
 """A lag in s, positive when the image stamps are late, or `auto` to estimate it."""
 
+FOUND_LAG_STD_S = 0.01
+"""The middle of an instrument that enters the image or is partly hidden moves otherwise than its tool: lags that are
+found on six seconds of such a log are off by as much, beside what noise does."""
+
+
+def with_lag(
+    recording: Recording,
+    profile: Profile,
+    lag: Lag | None,
+    wanted: Sequence[str] | None = None,
+    jobs: int | None = None,
+    rules: TruthRules | None = None,
+) -> tuple[Recording, LagEstimate]:
+    """Put the clocks of a recording right by a lag; the recording as it is where none is given or found.
+
+    `auto` is one pass over the images ahead of all else; it keeps 72 bytes a frame and instrument.
+    """
+    if lag is None:
+        return recording, LagEstimate(0.0, None, 1.0)
+    found = (
+        find_lag(recording, profile, wanted, jobs, rules)
+        if lag == "auto"
+        else LagEstimate(float(lag), None, 1.0)
+    )
+    return (recording.with_lag(known_lag(found), profile) if found.told else recording), found
+
+
+def known_lag(found: LagEstimate) -> KnownLag:
+    """What is known of a lag that was given or found."""
+    return KnownLag(
+        found.lag_s, 0.0 if found.std_s is None else float(np.hypot(found.std_s, FOUND_LAG_STD_S))
+    )
+
+
+def find_lag(
+    recording: Recording,
+    profile: Profile,
+    wanted: Sequence[str] | None = None,
+    jobs: int | None = None,
+    rules: TruthRules | None = None,
+) -> LagEstimate:
+    """Estimate the lag of a recording for any method: from where the middle of each instrument is seen.
+
+    Nothing of the joints is in that, which a method in 3D could not say. Of several instruments, which share a clock,
+    the one that tells most confidently counts.
+    """
+    seen = Setup(profile, "centroid", "corrected", None, PUBLISHED_MAPPING)
+    names = recording.instruments if wanted is None else tuple(wanted)
+    readings = {name: Readings() for name in names}
+    for (replayed,) in replay(recording, [seen], wanted=wanted, jobs=jobs):
+        for name, result in zip(names, replayed.results, strict=True):
+            readings[name].add(result)
+    found = [
+        lag_of_readings(
+            readings[name],
+            recording.for_instrument(name),
+            profile.for_instrument(name),
+            rules or TruthRules(),
+        )
+        for name in names
+    ]
+    return max(found, key=lambda estimate: (estimate.told, estimate.confidence))
+
 
 def recording_lag(
-    rows: Sequence[FrameResult], recording: Recording, profile: Profile, rules: TruthRules
+    rows: Iterable[FrameResult], recording: Recording, profile: Profile, rules: TruthRules
 ) -> LagEstimate:
-    """Estimate the lag of a recording from where its measured rows saw the tool.
+    """Estimate the lag of a recording from where its measured rows saw the tool."""
+    return lag_of_readings(Readings(rows), recording, profile, rules)
+
+
+def lag_of_readings(
+    readings: Readings, recording: Recording, profile: Profile, rules: TruthRules
+) -> LagEstimate:
+    """Estimate the lag of a recording from where the tool was seen.
 
     The tool's motion is taken from kinematics, else from the strongest other reference that the log has.
     """
-    readings = Readings(rows)
     seen = np.isfinite(readings.tool_px).all(axis=1)
     problems = []
     for reference in (Reference.KINEMATICS, Reference.POSE, Reference.TF, Reference.GROUND_TRUTH):

@@ -15,6 +15,8 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from svmdist.estimation.arm import Arm
 from svmdist.estimation.detection.lazy import Clock, CostLedger
 from svmdist.estimation.detection.scene import Scene
@@ -23,8 +25,9 @@ from svmdist.estimation.methods import Estimator
 from svmdist.recording.encoded import Decoded, EncodedObservation
 from svmdist.recording.encoded import Needs as ReadNeeds
 from svmdist.recording.reader import Recording
-from svmdist.results import FrameResult
+from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Observation, Rejection
+from svmdist.vision.undistortion import seen_through
 from svmdist.workflows.ahead import in_order, keep_freed_memory, one_opencv_thread, usable_cores
 from svmdist.workflows.conditions import CLEAN, ReplayCondition
 from svmdist.workflows.setup import Setup
@@ -59,7 +62,8 @@ def replay(
     The setups share a profile. Every setup and condition has estimators of its own, so that what one remembers never
     reaches another. `wanted` names some of the recording's instruments; the others are told apart from them, and not
     measured. `jobs` threads work ahead, by default one for each core. Raises RecordingError at once for a name that
-    the recording has no topics of, and CalibrationError for another camera.
+    the recording has no topics of, and CalibrationError for another camera. Where the lag of a recording is known,
+    methods take the offset of its joints for as well known.
     """
     replaying = _Replay(recording, setups, conditions, wanted, clock)
     return replaying.run(usable_cores() if jobs is None else jobs)
@@ -89,12 +93,22 @@ class MultiInstrumentEstimator:
         for estimator, arm, frame in zip(self._estimators, self._arms, frames, strict=True):
             with frame.scene.ledger.method(seconds.append):
                 result = estimator.estimate(frame)
-            results.append(replace(result, instrument=arm.profile.instrument_name))
+            results.append(replace(_through_lens(result, frame), instrument=arm.profile.instrument_name))
         if len(results) > 1:
             from svmdist.estimation.between_instruments import with_clearance_between
 
             results = with_clearance_between(results, [arm.body for arm in self._arms])
         return Replayed(tuple(results), tuple(seconds), tuple(frames))
+
+
+def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
+    """The result with its pixels as they are in the recorded image."""
+    lens = frame.scene.lens
+    if not lens.has_distortion:
+        return result
+    places = (("tool_px", result.image.tool_px), ("tissue_px", result.image.tissue_px))
+    moved = {name: as_pixel(seen_through(lens, np.array([px]))[0]) for name, px in places if px is not None}
+    return result.with_image(**moved)
 
 
 @dataclass(frozen=True)
@@ -129,6 +143,7 @@ class _Replay:
         clock: Clock | None,
     ) -> None:
         self._recording = recording
+        setups = [setup.knowing(recording.lag) for setup in setups]
         self._setup = setups[0]
         self._clock = clock
         for setup in setups:

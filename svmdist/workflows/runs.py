@@ -9,6 +9,7 @@ from itertools import count, product
 
 from svmdist.estimation.detection.lazy import Clock
 from svmdist.metrics import coverage
+from svmdist.profile import Profile
 from svmdist.recording.health import Health
 from svmdist.recording.reader import Recording
 from svmdist.recording.topics import Role
@@ -17,6 +18,7 @@ from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.processes import in_processes
 from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.distances import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
+from svmdist.workflows.scoring.truth import truth_follows_images
 from svmdist.workflows.setup import Setup
 
 Progress = Callable[[int, int | None], None]
@@ -162,11 +164,15 @@ def _pass(
                 if result.measured:
                     tally.readings.add(result)
             advance()
+    profile = setups[0].profile
     truths = {name: recording.for_instrument(name).distance_track() for name in names}
+    late_ns = {
+        name: _truth_late_ns(seen.for_instrument(name), profile.for_instrument(name)) for name in names
+    }
     runs = []
     for (condition, setup), of_lane in zip(lanes, tallies, strict=True):
         for name, tally in of_lane.items():
-            sampled = truths[name].at(tally.readings.stamps_ns)
+            sampled = truths[name].at(tally.readings.stamps_ns - late_ns[name])
             planar, spatial, clearance = (
                 score_pairs(tally.readings.pairs(distance, sampled)) for distance in DISTANCES
             )
@@ -186,6 +192,11 @@ def _pass(
                 )
             )
     return runs
+
+
+def _truth_late_ns(seen: Recording, profile: Profile) -> int:
+    """By how much the stamps of images are late against those of the truth."""
+    return 0 if seen.lag is None or truth_follows_images(seen, profile) else seen.lag.lag_ns
 
 
 class _Tally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ from svmdist.estimation.tissue.pose import require_tissue
 from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.shape import stated_profile
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
-from svmdist.recording.reader import Recording
+from svmdist.recording.reader import KnownLag, Recording
 from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
 
 
@@ -55,6 +56,14 @@ class Setup:
     def perturbed(self, perturbations: Perturbations, seed: int) -> Setup:
         """The same with a profile that is wrong about instrument, tag and plane."""
         return replace(self, profile=stated_profile(self.profile, perturbations, seed))
+
+    def knowing(self, lag: KnownLag | None) -> Setup:
+        """The same where the offset between joints and images is known: it may be wrong by what is left of it."""
+        if lag is None:
+            return self
+        std_s = math.hypot(self.profile.settings.filter.given_lag_std_s, lag.std_s)
+        error = self.profile.kinematic_error.model_copy(update={"time_offset_std_s": std_s})
+        return replace(self, profile=self.profile.model_copy(update={"kinematic_error": error}))
 
     def was_fitted_on(self, recording: Recording) -> bool:
         """Whether the calibration was fitted on this very recording: then its figures prove nothing."""

@@ -9,9 +9,10 @@ from itertools import product
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.lag import LagEstimate
+from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.recording.reader import Recording
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.lag import Lag, recording_lag
+from svmdist.workflows.lag import Lag, recording_lag, with_lag
 from svmdist.workflows.scoring.alarms import require_clearance
 from svmdist.workflows.scoring.score import Score, pool_scores, score_rows
 from svmdist.workflows.scoring.truth import KINEMATICS_PRINTED_NOTE, Reference, TruthRules
@@ -47,14 +48,15 @@ def validate(
     recordings: Sequence[Recording],
     setup: Setup,
     rules: TruthRules | None = None,
-    lag: Lag = 0.0,
+    lag: Lag | None = None,
     alarms: AlarmRules | None = None,
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
 ) -> Validation:
     """Score a setup on recordings against each reference that they have, and its alarms where asked for.
 
-    `lag` in s is taken off the image stamps, or estimated first. Every instrument of a recording has its own scores;
+    `lag` in s is taken off the image stamps, or estimated first; methods in 3D look up joints there. Every instrument
+    of a recording has its own scores;
     `wanted` names the instruments to score. Recordings that the calibration was fitted on are scored and marked, and
     the overall score leaves them out. Raises RecordingError where a recording has no reference at all, or no true
     clearance to score alarms against. Raises UsageError where alarms are asked for and the method estimates no
@@ -86,7 +88,7 @@ def _score_recording(
     recording: Recording,
     setup: Setup,
     rules: TruthRules,
-    lag: Lag,
+    lag: Lag | None,
     alarms: AlarmRules | None,
     notes: list[str],
     wanted: Sequence[str] | None,
@@ -94,7 +96,9 @@ def _score_recording(
 ) -> list[Score]:
     """Score every wanted instrument. Scores are named after the recording, and after any instrument but the first."""
     notes += setup.degeneracies(recording.camera)
-    every = list(estimate(recording, setup, wanted, jobs))
+    planar = setup.method in PLANAR_METHODS  # it needs no joints, and its own rows tell the lag
+    read, found = with_lag(recording, setup.profile, None if planar else lag, wanted, jobs, rules)
+    every = list(estimate(read, setup, wanted, jobs))
     if not every:
         raise RecordingError(f"{recording.name}: there is no image to measure")
     scores, missing = [], []
@@ -102,11 +106,13 @@ def _score_recording(
         view, seen = recording.for_instrument(name), setup.for_instrument(name)
         rows = [row for row in every if row.instrument == name]
         label = recording.name if name == setup.profile.instrument_name else f"{recording.name} {name}"
-        offset = (
-            recording_lag(rows, view, seen.profile, rules)
-            if lag == "auto"
-            else LagEstimate(float(lag), None, 1.0)
-        )
+        offset = found
+        if planar and lag is not None:
+            offset = (
+                recording_lag(rows, view, seen.profile, rules)
+                if lag == "auto"
+                else LagEstimate(float(lag), None, 1.0)
+            )
         if not offset.told:
             notes.append(f"{label}: the lag cannot be told and 0 is used: {offset.reason}")
         for reference in rules.wanted:

@@ -92,8 +92,8 @@ def test_a_method_says_what_the_log_lacks(cli: Cli, tmp_path: Path, method: str,
     assert outcome.code == 0
     assert _one_line(outcome.err) == f"svmdist: 0 of 3 frames measured (0.0%); {said}"
     header, *rows = outcome.out.splitlines()
-    assert header.endswith(",detail")
-    assert [f"{row.split(',')[2]} ({row.split(',')[-1]})" for row in rows] == [said.removeprefix("3 ")] * 3
+    assert header.endswith(",detail,tool_std_m,axis_std_rad,consistency")
+    assert [f"{row.split(',')[2]} ({row.split(',')[-4]})" for row in rows] == [said.removeprefix("3 ")] * 3
 
 
 def test_truncated_file(cli: Cli, tmp_path: Path, synthetic_log: Path, synthetic_calibration: Path) -> None:

@@ -9,11 +9,12 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
 from svmdist.estimation.detection.tag import find_tag_pose
+from svmdist.estimation.filter.constants import Deviations
 from svmdist.estimation.instrument.tool_from_tag import tool_from_tag
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms
 from svmdist.kinematics.jacobian import row_index
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import KinematicError
+from svmdist.profile import CameraError, KinematicError
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_z
 from svmdist.vision.tag.detection import find_tags, pose_candidates, square_corners_m
@@ -138,11 +139,36 @@ def test_the_tool_is_behind_the_tag() -> None:
     T_camera_base = make_transform(rotation_x(0.4), [0.1, -0.2, 0.3])
     T_base_link = frame_transforms(CHAIN, POSTURE)[row_index(CHAIN, fiducial.link)]
     tag = TagPose(T_camera_base @ T_base_link @ fiducial.T_link_tag, np.zeros((6, 6)), 0.0, 0.8)
-    pose = tool_from_tag(tag, fiducial, RobotState(CHAIN, 0, POSTURE), KinematicError())
+    pose = tool_from_tag(
+        tag, fiducial, RobotState(CHAIN, 0, POSTURE), KinematicError(play_std_rad=0.0, length_std_m=0.0)
+    )
     np.testing.assert_allclose(
         pose.T_camera_tool, T_camera_base @ forward_kinematics(CHAIN, POSTURE), atol=1e-12
     )
     assert np.sqrt(np.trace(pose.position_covariance)) == pytest.approx(np.deg2rad(1.0) * 0.0091, rel=1e-9)
+
+
+def test_camera_mounting_wrist_and_play_widen_the_tool() -> None:
+    """In quadrature: depth by focal length and tag size, the mounting at its arm, play at 9.1 mm, a length."""
+    fiducial = PROFILE.fiducial
+    assert fiducial is not None
+    T_camera_tag = make_transform(rotation_x(np.pi), [0.0, 0.0, 0.09])
+    tag = TagPose(T_camera_tag, np.zeros((6, 6)), 0.0, 0.8)
+    error = KinematicError(joint_std_rad=0.0, joint_std_m=0.0, play_std_rad=0.01, length_std_m=4e-4)
+    robot = RobotState(CHAIN, 0, POSTURE)
+    exact = tool_from_tag(tag, fiducial, robot, error)
+    assert np.trace(exact.position_covariance) == pytest.approx((0.01 * 0.0091) ** 2 + 4e-4**2, rel=1e-9)
+    deviations = Deviations(
+        CameraError(focal_std_fraction=0.003, centre_std_px=0.0),
+        tag_size_fraction=0.004,
+        tag_position_m=2e-4,
+        tag_rotation_rad=0.02,
+    )
+    wide = tool_from_tag(tag, fiducial, robot, error, deviations, np.array([554.0, 554.0]))
+    added = wide.position_covariance - exact.position_covariance
+    arm_m = np.linalg.norm(wide.position_m - T_camera_tag[:3, 3])
+    expected = 0.09**2 * (0.003**2 + 0.004**2) + 3 * 2e-4**2 + 2 * (0.02 * arm_m) ** 2
+    assert np.trace(added) == pytest.approx(expected, rel=1e-6)
 
 
 def observation(joints: bool = True, tag: bool = True) -> tuple[Observation, Array]:
@@ -171,7 +197,7 @@ def test_a_frame_is_measured() -> None:
     truth = float(np.linalg.norm(T_camera_tool[:3, 3] - tissue))
     assert row.spatial_m is not None
     assert row.spatial_std_m is not None
-    assert abs(row.spatial_m - truth) < 3.0 * row.spatial_std_m < 1.5e-3
+    assert abs(row.spatial_m - truth) < 3.0 * row.spatial_std_m < 4e-3
     assert None not in (row.distance_m, row.clearance_m, row.clearance_std_m, row.tool_axis)
 
 

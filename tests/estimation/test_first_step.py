@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from svmdist.estimation.arm import Arm
 from svmdist.estimation.first_step import tracked_tissue, with_tissue
@@ -56,11 +55,3 @@ def test_the_first_pose_is_the_frame_s_own_and_outlives_it() -> None:
     hidden = tracked_tissue(frame(grey()), tracker)
     assert hidden is not None
     np.testing.assert_allclose(hidden.position_m, first.position_m, atol=1e-12)
-
-
-@pytest.mark.parametrize("with_shape", [False, True])
-def test_the_surface_is_asked_for_only_where_wanted(with_shape: bool) -> None:
-    """Stereo costs more than all else: who wants no shape never has it computed."""
-    seen = frame(SCENE.frame_at(0.3))
-    tracked_tissue(seen, TissueTracker(PROFILE.settings.tissue), with_shape=with_shape)
-    assert ("stereo_surface" in seen.scene.found) == with_shape

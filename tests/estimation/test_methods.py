@@ -121,6 +121,7 @@ def test_what_is_not_needed_is_not_looked_at(method: str, seen: list[Observation
             one.joints if estimator.needs.robot else None,
             one.right if estimator.needs.right_view else None,
             one.T_camera_base if estimator.needs.robot else None,
+            one.joint_track if estimator.needs.robot else None,
         )
         whole, partial = (
             each.estimate(frame) for each, frame in zip((estimator, blind), frames([one, less]), strict=True)

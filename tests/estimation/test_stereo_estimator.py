@@ -100,12 +100,12 @@ def test_a_marker_of_which_a_part_is_hidden_tells_no_depth() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda T: T @ np.diag([1.0, -1.0, -1.0, 1.0]), "turned"),
+        (lambda T: T + BASELINE_M * np.outer([0, 1, 0, 0], [0, 0, 0, 1]), "beside"),
         (lambda T: np.where(T == BASELINE_M, -BASELINE_M, T), "swapped"),
     ],
 )
 def test_a_pair_that_is_not_rectified_is_refused(change, said) -> None:
-    """A turned right camera, or swapped views, are a rejection that says so."""
+    """A right camera far above the left one, or swapped views, are a rejection that says so."""
     T = np.eye(4)
     T[0, 3] = BASELINE_M
     row = Measuring("stereo", load_profile()).estimate(_observation(change(T)))

@@ -129,7 +129,8 @@ def test_shape_is_remembered_until_the_tissue_moves() -> None:
     fix = TissuePose(ORIGIN_M, 1e-10 * np.eye(3), DOME.mesh(), 0.0, DOME)
     for _ in range(TRACKING.shape_count):
         assert tracker.wants_shape
-        known = tracker.add(fix, seen)
+        known = tracker.add(fix)
+        tracker.add_shape(seen)
     known = tracker.add(fix)
     assert not tracker.wants_shape
     assert known is not None
@@ -149,7 +150,10 @@ def test_shape_is_remembered_until_the_tissue_moves() -> None:
 def test_a_plane_has_no_shape() -> None:
     plane = Plane(NORMAL, float(NORMAL @ ORIGIN_M))
     fix = TissuePose(ORIGIN_M, 1e-10 * np.eye(3), plane, 2e-4)
-    known = TissueTracker().add(fix, DOME)
+    tracker = TissueTracker()
+    tracker.add(fix)
+    tracker.add_shape(DOME)
+    known = tracker.now()
     assert known is not None
     assert known.surface is plane
     assert fix.surface_variance_m2(ORIGIN_M, NORMAL) == pytest.approx(4e-8)

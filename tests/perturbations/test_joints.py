@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from svmdist.errors import ProfileError
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, parse_perturbations
-from svmdist.perturbations.clock import late_stamps_ns, reported_late
+from svmdist.perturbations.clock import late_stamps_ns, later_ns, reported_late
 from svmdist.perturbations.joints import METRES_PER_DEG, JointPerturber, JointUnits
 from svmdist.perturbations.play import Play
 from svmdist.perturbations.replayed import ReplayedWorld
@@ -205,3 +205,25 @@ def test_another_arm_has_noise_of_its_own_and_images_leave_joints_alone() -> Non
     one, other = ([s for sample in pair for s in joints.replayed(sample)] for joints in (first, second))
     assert (one[0].positions[WRIST:] != other[0].positions[WRIST:]).all()
     assert ReplayedWorld(parse_perturbations("focal=1"), PROFILE, 1).joints_of("PSM1") is None
+
+
+@pytest.mark.parametrize("lag_ns", [STEP_NS, -STEP_NS])
+def test_a_lag_that_is_taken_off_moves_stamps_alone(lag_ns: int) -> None:
+    """No sample is added or lost, and it comes on top of what a perturbed world does."""
+    q = np.cumsum(np.full((5, len(NAMES)), 0.01), axis=0)
+    plain = ReplayedWorld(Perturbations(), PROFILE, lag_ns=lag_ns).joints_of("PSM1")
+    assert plain is not None
+    found = [joint for sample in samples_of(q) for joint in plain.replayed(sample)]
+    assert [joint.stamp_ns for joint in found] == [1000 + STEP_NS * at + lag_ns for at in range(5)]
+    np.testing.assert_array_equal([joint.positions for joint in found], q)
+    both = ReplayedWorld(parse_perturbations("backlash=0.5"), PROFILE, 1, lag_ns).joints_of("PSM1")
+    assert both is not None
+    moved = [joint for sample in samples_of(q) for joint in both.replayed(sample)]
+    for joint, expected in zip(moved, replayed("backlash=0.5", q), strict=True):
+        assert joint.stamp_ns == expected.stamp_ns + lag_ns
+        np.testing.assert_array_equal(joint.positions, expected.positions)
+
+
+def test_a_stamp_stays_within_64_bits() -> None:
+    assert later_ns(5, -10) == -5
+    assert later_ns((1 << 63) - 2, 10) == (1 << 63) - 1

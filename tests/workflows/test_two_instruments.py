@@ -126,7 +126,7 @@ def test_the_command_line_names_instruments(cli: Cli, two: Path) -> None:  # noq
     assert [row["instrument"] for row in table] == [*NAMES] * 4
     assert all(float(row["instrument_clearance_m"]) > 0.0 for row in table)
     assert outcome.out.splitlines()[0].endswith(
-        "instrument_direction_x,instrument_direction_y,instrument_direction_z,detail"
+        "instrument_direction_x,instrument_direction_y,instrument_direction_z,detail,tool_std_m,axis_std_rad,consistency"
     )
     one = cli("estimate", two, "--method", "kinematic", "--format", "jsonl", "--instrument", "PSM2")
     assert [json.loads(line)["instrument"] for line in one.out.splitlines()] == ["PSM2"] * 4

@@ -10,7 +10,9 @@ from svmdist.results import Failure
 from svmdist.samples import Observation
 from svmdist.transforms import Array
 from svmdist.vision.frame_context import FrameContext
+from svmdist.vision.interlace import with_first_fields
 from svmdist.vision.segmentation.segmenter import Segmenter
+from svmdist.vision.undistortion import as_pinholes
 
 if TYPE_CHECKING:  # each detection imports its detector when it is first asked for
     from svmdist.estimation.detection.stereo_surface import StereoSurface
@@ -19,7 +21,10 @@ if TYPE_CHECKING:  # each detection imports its detector when it is first asked 
 
 
 class Scene:
-    """One moment of a log before the instruments are told apart; all methods and instruments share its detections."""
+    """One moment of a log before the instruments are told apart; all methods and instruments share its detections.
+
+    Its `observation` is what ideal cameras would have seen; `lens` is the left camera as it is.
+    """
 
     def __init__(
         self,
@@ -28,7 +33,11 @@ class Scene:
         segmenter: Segmenter,
         ledger: CostLedger | None = None,
     ) -> None:
-        self.observation = observation
+        self.lens = observation.camera
+        recorded = observation
+        observation = with_first_fields(observation, profile.settings.interlace)
+        self.is_interlaced = observation is not recorded
+        self.observation = observation = as_pinholes(observation)
         self.ledger = ledger or CostLedger()
         self.found: dict[str, Any] = {}
         self._profile = profile

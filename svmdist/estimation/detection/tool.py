@@ -161,4 +161,11 @@ class ToolDetections:
         model = shaft_model(
             self._robot, chain, profile.instrument, profile.kinematic_error, self._settings.shaft
         )
-        return fit_shaft(self.shaft, self.distal_marker, model, self._left.camera, self._settings.shaft)
+        return fit_shaft(
+            self.shaft,
+            self.distal_marker,
+            model,
+            self._left.camera,
+            self._settings.shaft,
+            self._arm.deviations,
+        )

@@ -6,47 +6,27 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from svmdist.kinematics.dh import DHChain, link_transforms, running_product
+from svmdist.estimation.filter.correction import Correction
+from svmdist.estimation.filter.moving_joints import MovingJoints
+from svmdist.kinematics.dh import link_transforms, running_product
 from svmdist.kinematics.jacobian import row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.transforms import Array, skew
 
 
 @dataclass(frozen=True, slots=True)
-class MovingJoints:
-    """The joints of a chain from `first_joint` on, whose offsets are corrected; their rows begin at `first_row`.
-
-    `axes` are the places of the frames with their axes among those from the row before `first_row` on; `turns` and
-    `slides`, shape (n_joints - first_joint,), are 1 for joints of that type and 0 for others.
-    """
-
-    chain: DHChain
-    first_joint: int
-    first_row: int
-    axes: NDArray[np.intp]
-    turns: Array
-    slides: Array
-
-    @classmethod
-    def of(cls, chain: DHChain, first_joint: int) -> MovingJoints:
-        """Of a chain with at least one such joint."""
-        rows = chain.moving_rows[first_joint:]
-        turns = chain.is_revolute[first_joint:].astype(np.float64)
-        axes = rows - rows[0] + (chain.convention == "modified")
-        return cls(chain, first_joint, int(rows[0]), axes, turns, 1.0 - turns)
-
-
-@dataclass(frozen=True, slots=True)
 class NominalFrames:
     """What of one robot state, or of a stack of them, no correction changes.
 
-    `q`, shape (..., n_joints), are the reported joints, `frames` (..., n_rows, 4, 4) all row frames in the camera
-    frame; `T_camera_before`, shape (..., 4, 4), is the one before the first corrected joint.
+    `q`, shape (..., n_joints), are the reported joints, `rates` their derivatives by time, and `time_offset_s` is how
+    late their stamps were taken to be for both. `frames` (..., n_rows, 4, 4) are all row frames in the camera frame;
+    `T_camera_before`, shape (..., 4, 4), is the one before the first corrected joint.
     """
 
     q: Array
+    rates: Array
+    time_offset_s: float
     frames: Array
     T_camera_before: Array
 
@@ -54,24 +34,38 @@ class NominalFrames:
     def of(cls, robot: RobotState, first_row: int) -> NominalFrames:
         """Of one state; the row is that of the first corrected joint."""
         before = robot.frames_in_camera[first_row - 1] if first_row else robot.base_in_camera
-        return cls(robot.q, robot.frames_in_camera, before)
+        return cls(robot.q, robot.rates, robot.time_offset_s, robot.frames_in_camera, before)
 
     @classmethod
     def stack(cls, members: Sequence[NominalFrames]) -> NominalFrames:
         """Of several, with a leading axis."""
         return cls(
             np.stack([member.q for member in members]),
+            np.stack([member.rates for member in members]),
+            members[0].time_offset_s,
             np.stack([member.frames for member in members]),
             np.stack([member.T_camera_before for member in members]),
         )
 
 
+def joints_under(nominal: NominalFrames, correction: Correction, first_joint: int) -> Array:
+    """Reported joints at the corrected time, with offsets and play, shape (..., n_joints)."""
+    q = nominal.q.copy()
+    late_s = correction.time_offset_s - nominal.time_offset_s
+    q[..., first_joint:] += nominal.rates[..., first_joint:] * late_s + correction.q_offset + correction.play
+    return q
+
+
 @dataclass(frozen=True, slots=True)
 class CorrectedLink:
-    """Corrected poses of a link, (..., 4, 4), and the derivatives of their (δp, δθ) by the error state, (..., 6, n)."""
+    """Corrected poses of a link, (..., 4, 4), and the derivatives of their (δp, δθ) by the error state, (..., 6, n).
+
+    `time_column` is that of the joints' time offset: how the link moves with time.
+    """
 
     T_camera_link: Array
     derivative: Array
+    time_column: int
 
 
 class CorrectedLinks:
@@ -82,42 +76,45 @@ class CorrectedLinks:
     """
 
     def __init__(
-        self,
-        joints: MovingJoints,
-        nominal: NominalFrames,
-        shift_m: Array,
-        turn: Array,
-        q_offset: Array,
-        anchor_m: Array,
+        self, joints: MovingJoints, nominal: NominalFrames, correction: Correction, anchor_m: Array
     ) -> None:
         self._joints, self._nominal = joints, nominal
-        pivot_m = anchor_m + shift_m
+        pivot_m = anchor_m + correction.shift_m
         self._correct = np.eye(4)
-        self._correct[:3, :3] = turn
-        self._correct[:3, 3] = pivot_m - turn @ anchor_m
+        self._correct[:3, :3] = correction.turn
+        self._correct[:3, 3] = pivot_m - correction.turn @ anchor_m
 
         # Frames from the one before the first joint with an offset on.
-        q = nominal.q.copy()
-        q[..., joints.first_joint :] += q_offset
+        q = joints_under(nominal, correction, joints.first_joint)
         links = link_transforms(joints.chain, q, joints.first_row)
         frames = np.empty((*links.shape[:-3], links.shape[-3] + 1, 4, 4))
         frames[..., 0, :, :] = self._correct @ nominal.T_camera_before
         frames[..., 1:, :, :] = links
         self._frames = running_product(frames)
+        length_axes = []
+        for length, error_m in zip(joints.lengths, correction.length_m, strict=True):
+            # A shift along an axis turns nothing, so that the frames behind it are shifted alike.
+            axis = self._frames[..., length.axis_row - joints.first_row + 1, :3, length.column].copy()
+            self._frames[..., length.row - joints.first_row + 1 :, :3, 3] += axis[..., None, :] * error_m
+            length_axes.append(axis)
 
         axes = self._frames[..., joints.axes, :3, :]
         (zx, zy, zz), (px, py, pz) = ([axes[..., i, column] for i in range(3)] for column in (2, 3))
-        twists = np.zeros((*q.shape[:-1], 6, 6 + len(joints.turns)))
+        columns = joints.columns
+        count = columns.joint_count
+        twists = np.zeros((*q.shape[:-1], 6, columns.size))
         twists[..., :6, :6] = np.eye(6)
         twists[..., :3, 3:6] = skew(pivot_m)
-        twists[..., 0, 6:] = joints.turns * (py * zz - pz * zy) + joints.slides * zx
-        twists[..., 1, 6:] = joints.turns * (pz * zx - px * zz) + joints.slides * zy
-        twists[..., 2, 6:] = joints.turns * (px * zy - py * zx) + joints.slides * zz
-        twists[..., 3, 6:], twists[..., 4, 6:], twists[..., 5, 6:] = (
-            joints.turns * zx,
-            joints.turns * zy,
-            joints.turns * zz,
-        )
+        by_joint = twists[..., columns.offsets]
+        by_joint[..., 0, :] = joints.turns * (py * zz - pz * zy) + joints.slides * zx
+        by_joint[..., 1, :] = joints.turns * (pz * zx - px * zz) + joints.slides * zy
+        by_joint[..., 2, :] = joints.turns * (px * zy - py * zx) + joints.slides * zz
+        by_joint[..., 3, :] = joints.turns * zx
+        by_joint[..., 4, :] = joints.turns * zy
+        by_joint[..., 5, :] = joints.turns * zz
+        for index, axis in enumerate(length_axes):
+            twists[..., :3, columns.lengths.start + index] = axis
+        self._rates = nominal.rates[..., joints.first_joint : joints.first_joint + count]
         self._twists = twists
         self._links: dict[str | None, CorrectedLink] = {}
 
@@ -136,11 +133,19 @@ class CorrectedLinks:
             T = self._frames[..., row - self._joints.first_row + 1, :, :]
         if name is None:
             T = T @ self._joints.chain.T_last_tool
+        columns = self._joints.columns
         derivative = self._twists.copy()
         derivative[..., :3, :] -= skew(T[..., :3, 3]) @ self._twists[..., 3:, :]
-        # Joints behind a link do not move it.
+        # Joints behind a link do not move it, nor do lengths.
         moved_by = int(np.searchsorted(self._joints.chain.moving_rows, row, side="right"))
-        derivative[..., 6 + max(0, moved_by - self._joints.first_joint) :] = 0.0
+        derivative[..., 6 + max(0, moved_by - self._joints.first_joint) : columns.offsets.stop] = 0.0
+        derivative[..., columns.play] = derivative[..., columns.offsets]
+        # Later stamps: every joint goes on at its rate.
+        by_time = derivative[..., columns.offsets] @ self._rates[..., None]
+        derivative[..., columns.time_offset] = by_time[..., 0]
+        for index, length in enumerate(self._joints.lengths):
+            if row < length.row:
+                derivative[..., columns.lengths.start + index] = 0.0
         T.setflags(write=False)
         derivative.setflags(write=False)
-        return CorrectedLink(T, derivative)
+        return CorrectedLink(T, derivative, columns.time_offset)

@@ -1,18 +1,22 @@
-"""An error-state Kalman filter over what kinematics get wrong: the camera-to-base transform, and joint offsets.
+"""An error-state Kalman filter over what kinematics get wrong: camera-to-base transform, joints, time offset, lengths.
 
-`correction` holds the state. What a measurement gets wrong again and again (shading beside an edge, a part that
-jaws hide) would pass for knowledge if it were averaged as noise: each kind of measurement has a Gauss–Markov bias
-in the state (Gelb 1974, "Applied Optimal Estimation", sec. 3.8).
+`correction` holds the state, and errors of constants are biases that never fade. What a measurement gets wrong again
+and again (shading beside an edge, a part that jaws hide) would pass for knowledge if it were averaged as noise: each
+kind of measurement has a Gauss–Markov bias in the state (Gelb 1974, "Applied Optimal Estimation", sec. 3.8).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.filter.correction import Correction, ErrorModel
+from svmdist.estimation.filter.consistency import Consistency
+from svmdist.estimation.filter.constants import SharedBias
+from svmdist.estimation.filter.correction import Correction
+from svmdist.estimation.filter.error_model import ErrorModel
 from svmdist.estimation.filter.linearisation import Linearised, block_diagonal
 from svmdist.estimation.filter.measurement import LinkMeasurement
 from svmdist.estimation.filter.state import ErrorState
@@ -22,13 +26,13 @@ from svmdist.kinematics.dh import DHChain
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import KinematicError
-from svmdist.results import ToolPose
+from svmdist.results import ToolPose, across_std_rad
 from svmdist.settings.filter import FilterSettings
 from svmdist.transforms import Array
 
 DEFAULT = FilterSettings()
-SETTLED = 1e-3
-"""Of its standard deviation: an element of the state that moves by less has come to rest."""
+SETTLED, NEARLY_SETTLED = 1e-3, 0.1
+"""Of its standard deviation: an element of the state that moves by less has come to rest, or will with a next step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +47,7 @@ class _MostProbable:
     R: Array
     K: Array
     nis: float
+    is_settled: bool
 
 
 class KinematicErrorFilter:
@@ -56,12 +61,19 @@ class KinematicErrorFilter:
         self._shaft = shaft_of(chain)
         self._model = ErrorModel(chain, error)
         self._state = ErrorState(self._model)
-        self._rejections = 0
+        self._rejections = self._contradictions = 0
+        self._age_s = 0.0
+        self.consistency = Consistency(settings)
 
     @property
     def covariance(self) -> Array:
         """Covariance of the error state, shape (n, n)."""
         return self._state.P[: self._model.size, : self._model.size]
+
+    @property
+    def robot(self) -> RobotState:
+        """The robot's state that was predicted from: its joints at the time that the correction says."""
+        return self._state.robot
 
     @property
     def correction(self) -> Correction:
@@ -75,36 +87,87 @@ class KinematicErrorFilter:
         if before is None:
             self._start()
         else:
-            self._state.propagate(max(0.0, (robot.stamp_ns - before) / 1e9))
+            elapsed_s = max(0.0, (robot.stamp_ns - before) / 1e9)
+            self._age_s += elapsed_s
+            self._state.propagate(elapsed_s)
 
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
         """Take up what the image shows, all at once; tells what passed the gate.
 
         An iterated update: Gauss–Newton on the prior and all accepted residuals (Bell and Cathey 1993).
         """
-        self._state.augment_state(measurements)
         parts = self._state.linearise(measurements)
-        results = tuple(self._gate(*pair) for pair in zip(measurements, parts, strict=True))
-        accepted = [index for index, result in enumerate(results) if result.is_accepted]
+        self._state.augment_state(parts)
+        results = [self._gate(*pair) for pair in zip(measurements, parts, strict=True)]
+        # What passes alone may contradict the rest: the one that fits least goes until the others agree.
+        while accepted := [index for index, result in enumerate(results) if result.is_accepted]:
+            chosen = [measurements[index] for index in accepted], [parts[index] for index in accepted]
+            if self._correct(*chosen):
+                break
+            worst = max(accepted, key=lambda index: results[index].nis / results[index].degrees_of_freedom)
+            results[worst] = replace(results[worst], is_accepted=False)
+        self.consistency.add(self._state.robot.stamp_ns, results)
+        self.consistency.watch_constants(self._state.constants())
+        self.consistency.watch_time_offset(
+            self._state.correction.time_offset_s, self._model.time_offset_std_s(self._age_s)
+        )
+        self._contradictions = self._contradictions + 1 if self.consistency.contradiction else 0
         if accepted:
             self._rejections = 0
-            self._correct([measurements[index] for index in accepted], [parts[index] for index in accepted])
             self._keep_in_window(measurements)
         elif measurements:
             self._rejections += 1
-            if self._rejections >= self._settings.max_rejections:
-                self._start()
-        return results
+        if self._contradictions >= self._settings.max_contradictions:
+            self._start()
+            self.consistency.distrust(self._state.robot.stamp_ns)
+        elif self._rejections >= self._settings.max_rejections:
+            self._start()
+        return tuple(results)
+
+    def update_scene(self, name: str, part: Linearised) -> GatingResult:
+        """Take up a measurement of constants alone, of which no link is a part: the tissue's height by stereo."""
+        state, size = self._state, len(part.residual)
+        part = replace(part, H=np.zeros((size, self._model.size)))
+        state.augment_state([part])
+        H = state.full_jacobian([part])
+        S = H @ state.P @ H.T + part.noise
+        innovation = part.residual - H[:, self._model.size :] @ state.bias_mean
+        nis = float(innovation @ np.linalg.solve(S, innovation))
+        result = GatingResult(name, nis, size, nis <= chi_square_bound(size, self._settings.gate_z))
+        if result.is_accepted:
+            K = np.asarray(np.linalg.solve(S, H @ state.P).T, np.float64)
+            state.retract(K @ innovation)
+            state.update_covariance(K, H, part.noise)
+        self.consistency.add(state.robot.stamp_ns, [result], of_tool=False)
+        return result
+
+    def constant(self, name: str) -> float:
+        """What a constant of one number was found to be, in units of its deviation; 0 before it was measured."""
+        return self._state.bias(name)
+
+    def coupled(self, biases: Sequence[SharedBias]) -> tuple[Array, Array]:
+        """Of what biases move by their derivatives, shape (3, k): covariance (3, 3), and that with the tool, (6, 3)."""
+        part = Linearised(np.zeros(3), np.zeros((3, self._model.size)), tuple(biases), np.zeros((3, 3)))
+        self._state.augment_state([part])
+        G, P = self._state.full_jacobian([part]), self._state.P
+        tool = self._state.link(None).derivative
+        widening = self.consistency.widening
+        return widening * G @ P @ G.T, widening * tool @ P[: self._model.size] @ G.T
 
     def tool_pose(self) -> ToolPose:
         """The corrected pose of the tool and its covariance."""
         tool = self._state.link(None)
         covariance = tool.derivative @ self.covariance @ tool.derivative.T
-        return ToolPose(tool.T_camera_link, covariance, self.shaft_axis())
+        return ToolPose(
+            tool.T_camera_link,
+            self.consistency.widening * covariance,
+            self.shaft_axis(),
+            self._axis_std_rad(),
+        )
 
     def corrected_joints(self) -> Array:
-        """Reported joints with the offsets found, shape (n_joints,)."""
-        return self._model.joints(self._state.robot, self._state.correction)
+        """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
+        return self._model.joints(self._state.nominal, self._state.correction)
 
     def shaft_axis(self) -> Array:
         """The shaft's direction towards the tip in the camera frame, shape (3,); the tool's x without a shaft."""
@@ -112,10 +175,20 @@ class KinematicErrorFilter:
             return np.asarray(self._state.link(None).T_camera_link[:3, 0])
         return np.asarray(self._state.link(self._shaft.link).T_camera_link[:3, :3] @ self._shaft.axis)
 
+    def _axis_std_rad(self) -> float | None:
+        """Standard deviation of the shaft's direction, the worse of two across it."""
+        if self._shaft is None:
+            return None
+        turn = self._state.link(self._shaft.link).derivative[3:]
+        covariance = self.consistency.widening * turn @ self.covariance @ turn.T
+        return across_std_rad(covariance, self.shaft_axis())
+
     def _start(self) -> None:
         prior = self._state.start()
         self._window = Window(self._model, self._state.anchor_m, prior, self._settings)
-        self._rejections = 0
+        self._rejections = self._contradictions = 0
+        self._age_s = 0.0
+        self.consistency.clear()
 
     def _gate(self, measurement: LinkMeasurement, part: Linearised) -> GatingResult:
         """Whether some state near the present one explains a measurement.
@@ -125,7 +198,7 @@ class KinematicErrorFilter:
         """
         size, nis = len(part.residual), np.inf
         if part.is_finite:
-            H = self._state.full_jacobian([measurement], [part])
+            H = self._state.full_jacobian([part])
             innovation = part.residual - H[:, self._model.size :] @ self._state.bias_mean
             nis = float(innovation @ np.linalg.solve(H @ self._state.P @ H.T + part.noise, innovation))
         bound = chi_square_bound(size, self._settings.gate_z)
@@ -134,12 +207,18 @@ class KinematicErrorFilter:
             nis = nis if found is None else min(nis, found.nis)
         return GatingResult(measurement.name, nis, size, nis <= bound)
 
-    def _correct(self, measurements: Sequence[LinkMeasurement], parts: Sequence[Linearised]) -> None:
-        """Go to the most probable state; covariance in Joseph's form at the last linearisation."""
+    def _correct(self, measurements: Sequence[LinkMeasurement], parts: Sequence[Linearised]) -> bool:
+        """Go to the most probable state; covariance in Joseph's form at the last linearisation.
+
+        False where there is none: the iteration does not come to rest, or the measurements contradict each other.
+        """
         found = self._most_probable(measurements, parts)
-        if found is not None:
-            self._state.retract(found.x)
-            self._state.update_covariance(found.K, found.H, found.R)
+        bound = chi_square_bound(sum(len(part.residual) for part in parts), self._settings.gate_z)
+        if found is None or not found.is_settled or found.nis > bound:
+            return False
+        self._state.retract(found.x)
+        self._state.update_covariance(found.K, found.H, found.R)
+        return True
 
     def _most_probable(
         self, measurements: Sequence[LinkMeasurement], parts: Sequence[Linearised]
@@ -184,14 +263,14 @@ class KinematicErrorFilter:
         P, size = self._state.P, self._model.size
         R = block_diagonal([measurement.covariance for measurement in measurements])
         deviations = np.sqrt(np.diag(P) + 1e-18)
-        there = self._state
+        there, moved = self._state, np.inf
         for _ in range(self._settings.max_iterations):
             if parts is None:
                 there = self._state.retracted(x)
                 parts = there.linearise(measurements)
             if not all(part.is_finite for part in parts):
                 return None
-            H = self._state.full_jacobian(measurements, parts)
+            H = self._state.full_jacobian(parts)
             residual = np.concatenate([part.residual for part in parts]) - H[:, size:] @ there.bias_mean
             innovation = residual + H @ x
             # Solved with a unit-free H P: the units of the state differ by orders of magnitude.
@@ -199,10 +278,13 @@ class KinematicErrorFilter:
             solved = np.linalg.solve(HP @ H.T + R, np.column_stack([HP, innovation]))
             K = np.asarray(solved[:, :-1].T, np.float64)
             step = K @ innovation - x
-            x, parts = x + step, None
-            if float(np.max(np.abs(step) / deviations)) < SETTLED:
+            longer = float(np.max(np.abs(step) / deviations))
+            if longer > moved:  # it swings: half of the way
+                step, longer = 0.5 * step, 0.5 * longer
+            x, parts, moved = x + step, None, longer
+            if moved < SETTLED:
                 break
-        return _MostProbable(x, H, R, K, float(innovation @ solved[:, -1]))
+        return _MostProbable(x, H, R, K, float(innovation @ solved[:, -1]), moved < NEARLY_SETTLED)
 
     def _keep_in_window(self, measurements: Sequence[LinkMeasurement]) -> None:
         """While the filter is young, keep what it was given, and solve for all of it anew at growing intervals.
@@ -216,7 +298,20 @@ class KinematicErrorFilter:
             if len(self._window) in solves:
                 solved = self._window.solve(self._state.correction)
                 if solved is not None:
-                    self._replay(solved)
+                    self._take_solution(solved)
+
+    def _take_solution(self, at: Correction) -> None:
+        """Go on from the batch's solution, unless it asks constants to be what no user would state so wrongly.
+
+        Filtered along a wrong linearisation, shared constants explain what they cannot.
+        """
+        before, far = copy(self._state), self._furthest_constant()
+        self._replay(at)
+        if self._furthest_constant() > max(far, self._settings.usual_constant_deviations):
+            self._state = before
+
+    def _furthest_constant(self) -> float:
+        return max((abs(off) for _, off in self._state.constants()), default=0.0)
 
     def _replay(self, at: Correction) -> None:
         """Filter the window's frames once more, all linearised at the batch's solution.
@@ -230,12 +325,15 @@ class KinematicErrorFilter:
         stamp_ns = None
         for frame in self._window.linearised(at):
             if stamp_ns is not None:
+                state.correction = at.retract(to_correction)
                 state.propagate(max(0.0, (frame.robot.stamp_ns - stamp_ns) / 1e9))
+                play = state.model.columns.play
+                to_correction[play] = state.correction.play - at.play
             stamp_ns = frame.robot.stamp_ns
             if not frame.parts:
                 continue
-            state.augment_state(frame.measurements)
-            H = state.full_jacobian(frame.measurements, frame.parts)
+            state.augment_state(frame.parts)
+            H = state.full_jacobian(frame.parts)
             R = block_diagonal(
                 [part.noise / weight for part, weight in zip(frame.parts, frame.weights, strict=True)]
             )
@@ -246,3 +344,4 @@ class KinematicErrorFilter:
             state.update_covariance(K, H, R)
             to_correction, state.bias_mean = x[:size], x[size:]
         state.correction = at.retract(to_correction)
+        state.go_to(state.robot)

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.estimation.filter.constants import SharedBias
 from svmdist.transforms import Array
 
 MIN_DEPTH_M = 1e-3
@@ -53,8 +54,6 @@ class LinkMeasurement(Protocol):
     STACKED: ClassVar[tuple[str, ...]]
     """Fields with a leading axis in a stack."""
     bias_size: ClassVar[int]
-    is_bias_constant: ClassVar[bool]
-    """Whether the bias Jacobian is the same for all poses."""
 
     @property
     def name(self) -> str:
@@ -73,6 +72,10 @@ class LinkMeasurement(Protocol):
         """Measurements of one such name share one bias."""
 
     @property
+    def delay_std_s(self) -> float:
+        """How late what was measured may be against the rest of its image, as where colour is of two fields."""
+
+    @property
     def correlation_time_s(self) -> float:
         """How long the bias lasts: the time constant of its fading."""
 
@@ -82,12 +85,15 @@ class LinkMeasurement(Protocol):
     def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
         """Derivative of the residual by the bias, (..., m, bias_size), from the pose and the pose's derivative."""
 
+    def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
+        """What errors of constants do to the residual."""
+
 
 class ConstantBias:
     """What measurements have in common whose bias Jacobian is the same for all poses: a bias of their own name."""
 
-    is_bias_constant: ClassVar[bool] = True
     name: str
+    delay_std_s: ClassVar[float] = 0.0
 
     @property
     def bias_name(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from svmdist.estimation.filter.correction import ErrorModel
+from svmdist.estimation.filter.error_model import ErrorModel
 from svmdist.kinematics.dh import DHChain
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.kinematics.shaft_axis import shaft_of

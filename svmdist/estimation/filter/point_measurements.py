@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.estimation.filter.constants import EXACT, Deviations, SharedBias
 from svmdist.estimation.filter.measurement import MIN_DEPTH_M, ConstantBias, PoseResidual
 from svmdist.settings.filter import FilterSettings
 from svmdist.transforms import Array, skew
@@ -23,7 +24,6 @@ class _PointBias(ABC):
     """The bias of a point: an offset in its link's frame, and what shading does to its pixels."""
 
     bias_size: ClassVar[int] = 4
-    is_bias_constant: ClassVar[bool] = False
     point_std_m: float
     shading_bias_px: float
 
@@ -68,6 +68,8 @@ class PointsMeasurement(_PointBias):
     shading_bias_px: float = 0.0
     bias_name: str = "point"
     correlation_time_s: float = POINT_CORRELATION_TIME_S
+    deviations: Deviations = EXACT
+    delay_std_s: float = 0.0
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus projected, shape (..., 2n), about poses (..., 4, 4)."""
@@ -85,6 +87,14 @@ class PointsMeasurement(_PointBias):
             visible, (self.pixels - projected).reshape(shape), derivative.reshape(*shape, 6)
         )
 
+    def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
+        """Focal length and principal point."""
+        biases = self.deviations.of_pixels(self.pixels, self.camera)
+        shape = (*T_camera_link.shape[:-2], 2 * self.pixels.shape[-2])
+        return tuple(
+            SharedBias(bias.name, bias.jacobian.reshape(*shape, bias.jacobian.shape[-1])) for bias in biases
+        )
+
     def _tilt(self) -> Array:
         K = self.camera.K
         tilt = (self.pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
@@ -93,7 +103,7 @@ class PointsMeasurement(_PointBias):
 
 @dataclass(frozen=True)
 class DisparityMeasurement(_PointBias):
-    """How far apart, in px along x, the two views of a stereo pair show the origin of a link.
+    """How far apart, in px along x, the two views of a stereo pair show a point of a link: `p_link_m`, shape (3,).
 
     `T_right_left` maps the left camera's coordinates to the right one's; the covariance has shape (1, 1) in px².
     The point may be off as in `PointsMeasurement`: the two rays differ in tilt by the disparity over the focal length.
@@ -105,6 +115,8 @@ class DisparityMeasurement(_PointBias):
         "covariance",
         "point_std_m",
         "shading_bias_px",
+        "lasting_std_px",
+        "p_link_m",
     )
 
     name: str
@@ -118,11 +130,16 @@ class DisparityMeasurement(_PointBias):
     shading_bias_px: float = 0.0
     bias_name: str = "point"
     correlation_time_s: float = POINT_CORRELATION_TIME_S
+    deviations: Deviations = EXACT
+    delay_std_s: float = 0.0
+    lasting_std_px: float = 0.0
+    p_link_m: Array = field(default_factory=lambda: np.zeros(3))
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus predicted, shape (..., 1), about poses (..., 4, 4)."""
         R_right_left = self.T_right_left[..., :3, :3]
-        p_left_m = T_camera_link[..., :3, 3]
+        arm_m = (T_camera_link[..., :3, :3] @ np.asarray(self.p_link_m)[..., None])[..., 0]
+        p_left_m = arm_m + T_camera_link[..., :3, 3]
         p_right_m = (R_right_left @ p_left_m[..., None])[..., 0] + self.T_right_left[..., :3, 3]
         visible = np.minimum(p_left_m[..., 2], p_right_m[..., 2]) >= MIN_DEPTH_M
         if not visible.all():
@@ -133,7 +150,24 @@ class DisparityMeasurement(_PointBias):
         residual = self.disparity_px - (left_px[..., 0] - right_px[..., 0])
         derivative = np.zeros((*residual.shape, 1, 6))
         derivative[..., :3] = J_right[..., :1, :] @ R_right_left - J_left[..., :1, :]
+        derivative[..., 3:] = -derivative[..., :3] @ skew(arm_m)
         return PoseResidual.where_visible(visible, residual[..., None], derivative)
+
+    def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
+        """Focal length, baseline, the right camera's rotation, and what lasts of the disparity itself."""
+        arm_m = (T_camera_link[..., :3, :3] @ np.asarray(self.p_link_m)[..., None])[..., 0]
+        p_left_m = arm_m + T_camera_link[..., :3, 3]
+        p_right_m = (self.T_right_left[..., :3, :3] @ p_left_m[..., None])[..., 0] + self.T_right_left[
+            ..., :3, 3
+        ]
+        p_right_m = np.where(p_right_m[..., 2:] >= MIN_DEPTH_M, p_right_m, AHEAD_M)
+        _, slope = self.right.project_with_derivative(p_right_m)
+        disparity_px = np.asarray(self.disparity_px, np.float64)
+        biases = self.deviations.of_disparity(p_right_m, slope[..., 0, :], disparity_px, self.T_right_left)
+        lasting = np.broadcast_to(
+            np.asarray(self.lasting_std_px)[..., None, None], (*disparity_px.shape, 1, 1)
+        )
+        return (*biases, SharedBias("disparity of the marker", lasting, self.correlation_time_s))
 
     def _tilt(self) -> Array:
         return np.asarray(self.disparity_px / self.left.K[0, 0])[..., None]
@@ -157,6 +191,7 @@ class SizeMeasurement(ConstantBias):
     covariance: Array
     bias_std_px: float
     correlation_time_s: float = POINT_CORRELATION_TIME_S
+    deviations: Deviations = EXACT
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus predicted, shape (..., 1), about poses (..., 4, 4)."""
@@ -175,6 +210,10 @@ class SizeMeasurement(ConstantBias):
     def bias_jacobian(self, _T_camera_link: Array, derivative: Array, /) -> Array:
         """Derivative by the bias, shape (..., 1, 1)."""
         return np.broadcast_to(np.asarray(self.bias_std_px)[..., None, None], (*derivative.shape[:-1], 1))
+
+    def shared_biases(self, _T_camera_link: Array, /) -> tuple[SharedBias, ...]:
+        """Focal length and the sphere's radius."""
+        return self.deviations.of_radius(np.asarray(self.radius_px, np.float64))
 
     def _predicted_px(self, p_m: Array) -> Array:
         return apparent_radius_px(p_m, 1.0, self.camera) * self.radius_m

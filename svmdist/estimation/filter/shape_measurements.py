@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from svmdist.estimation.filter.constants import EXACT, Deviations, SharedBias, edge_by_radius
 from svmdist.estimation.filter.measurement import ConstantBias, PoseResidual
 from svmdist.settings.filter import FilterSettings
 from svmdist.transforms import Array, cross, inverse_right_jacobian, rotation_vector, skew
@@ -23,7 +24,11 @@ class _MatrixBias(ConstantBias):
 
     @cached_property
     def _bias_root(self) -> Array:
-        return np.asarray(np.linalg.cholesky(self.bias_covariance))
+        covariance = np.asarray(self.bias_covariance)
+        lasts = covariance.any(axis=(-2, -1))  # where nothing of an error lasts, there is no bias
+        root = np.zeros_like(covariance)
+        root[lasts] = np.linalg.cholesky(covariance[lasts])
+        return root
 
     def bias_jacobian(self, _T_camera_link: Array, _derivative: Array, /) -> Array:
         """Derivative by the bias, shape (..., m, m)."""
@@ -58,6 +63,8 @@ class ContourMeasurement(_MatrixBias):
     side: int
     bias_covariance: Array
     correlation_time_s: float = EDGE_CORRELATION_TIME_S
+    focal_px: tuple[float, float] = (1.0, 1.0)
+    deviations: Deviations = EXACT
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """By what the normal is off the predicted one, shape (..., 2) in rad, about poses (..., 4, 4).
@@ -87,6 +94,15 @@ class ContourMeasurement(_MatrixBias):
         residual = (self.across @ (self.normal - n)[..., None])[..., 0]
         return PoseResidual.where_visible(is_outside[..., 0], residual, -(self.across @ by_pose))
 
+    def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
+        """Focal length, principal point, and the shaft's radius."""
+        R = T_camera_link[..., :3, :3]
+        d = (R @ self.axis[..., None])[..., 0]
+        p_m = (R @ self.p_axis_m[..., None])[..., 0] + T_camera_link[..., :3, 3]
+        radius_m = np.asarray(self.radius_m, np.float64)
+        by_radius = edge_by_radius(p_m, d, radius_m, np.asarray(self.side))
+        return self.deviations.of_edge(self.normal, self.across, by_radius, radius_m, np.array(self.focal_px))
+
 
 @dataclass(frozen=True)
 class PoseMeasurement(_MatrixBias):
@@ -106,6 +122,8 @@ class PoseMeasurement(_MatrixBias):
     covariance: Array
     bias_covariance: Array
     correlation_time_s: float = POSE_CORRELATION_TIME_S
+    focal_px: tuple[float, float] = (1.0, 1.0)
+    deviations: Deviations = EXACT
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """(δp, δθ) from predicted to measured, shape (..., 6) in m and rad, about poses (..., 4, 4)."""
@@ -120,3 +138,7 @@ class PoseMeasurement(_MatrixBias):
         # exp([φ]) exp([-δθ]) = exp([φ - J⁻¹ δθ]), J the right Jacobian (Solà 2018, "A micro Lie theory", sec. 4.3).
         derivative[..., 3:, 3:] = -inverse_right_jacobian(residual[..., 3:])
         return PoseResidual(residual, derivative)
+
+    def shared_biases(self, _T_camera_link: Array, /) -> tuple[SharedBias, ...]:
+        """Focal length, principal point, the tag's size and mounting."""
+        return self.deviations.of_tag(self.T_camera_frame, np.array(self.focal_px))

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.estimation.filter.measurement import LinkMeasurement
-from svmdist.transforms import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +21,6 @@ class MeasurementStack:
     measurement: LinkMeasurement
     frames: NDArray[np.intp]
     places: NDArray[np.intp]
-    information: Array | None
-    """Inverse covariance of noise and bias, (k, m, m); None where the bias Jacobian depends on the pose."""
 
 
 def stack(frames: Iterable[tuple[LinkMeasurement, ...]]) -> list[MeasurementStack]:
@@ -44,7 +41,7 @@ def _kind(measurement: LinkMeasurement) -> tuple[object, ...]:
             key.append(np.shape(value))
         elif field.name not in ("name", "bias_name"):
             # Strings and numbers are equal by value; a camera is the same one throughout a log.
-            key.append(value if isinstance(value, str | int | float | None) else id(value))
+            key.append(value if isinstance(value, str | int | float | tuple | None) else id(value))
     return tuple(key)
 
 
@@ -56,9 +53,4 @@ def _join(members: list[tuple[LinkMeasurement, int, int]]) -> MeasurementStack:
         for name in first.STACKED
     }
     joined: LinkMeasurement = replace(first, **stacked)
-    information = None
-    if first.is_bias_constant:
-        empty = np.zeros((*joined.covariance.shape[:-1], 6))
-        B = joined.bias_jacobian(empty, empty)
-        information = np.asarray(np.linalg.inv(joined.covariance + B @ np.swapaxes(B, -1, -2)), np.float64)
-    return MeasurementStack(joined, np.array(frames), np.array(places), information)
+    return MeasurementStack(joined, np.array(frames), np.array(places))

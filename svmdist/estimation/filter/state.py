@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
 from svmdist.estimation.filter.corrected_links import CorrectedLink, CorrectedLinks, NominalFrames
-from svmdist.estimation.filter.correction import Correction, ErrorModel
+from svmdist.estimation.filter.correction import Correction
+from svmdist.estimation.filter.error_model import ErrorModel
 from svmdist.estimation.filter.linearisation import Linearised, linearise
 from svmdist.estimation.filter.measurement import LinkMeasurement
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.transforms import Array
+
+TINY_M = 1e-9
+"""Stands in for a deviation of zero."""
 
 
 class ErrorState:
@@ -48,7 +53,8 @@ class ErrorState:
         return self._robot is None
 
     def go_to(self, robot: RobotState) -> None:
-        """Take over the robot's state at a new instant."""
+        """Take over the robot's state at a new instant: the joints at the time that the correction says."""
+        robot = robot.shifted(self.correction.time_offset_s)
         self._robot, self._nominal, self._linked = robot, self.model.nominal(robot), None
 
     def start(self) -> Array:
@@ -81,34 +87,58 @@ class ErrorState:
         self.P, self.bias_mean = P, np.zeros(0)
         self._bias_slices, self._correlation_times_s = {}, np.zeros(0)
 
-    def augment_state(self, measurements: Sequence[LinkMeasurement]) -> None:
-        """The first measurement of a kind adds its bias to the state, of variance one."""
-        for measurement in measurements:
-            if measurement.bias_name in self._bias_slices:
+    def augment_state(self, parts: Sequence[Linearised]) -> None:
+        """The first measurement of a kind, or that a constant matters to, adds its bias, of variance one."""
+        for bias in (bias for part in parts for bias in part.biases):
+            if bias.name in self._bias_slices:
                 continue
-            at, count = len(self.P), measurement.bias_size
+            at, count = len(self.P), bias.jacobian.shape[-1]
             grown = np.eye(at + count)
             grown[:at, :at] = self.P
             self.P = grown
-            self._bias_slices[measurement.bias_name] = slice(at, at + count)
+            self._bias_slices[bias.name] = slice(at, at + count)
             self.bias_mean = np.concatenate([self.bias_mean, np.zeros(count)])
             self._correlation_times_s = np.concatenate(
-                [self._correlation_times_s, np.full(count, measurement.correlation_time_s)]
+                [self._correlation_times_s, np.full(count, bias.correlation_time_s)]
             )
+
+    def bias(self, name: str) -> float:
+        """The mean of a bias of one number, in units of its deviation; 0 for one that is not there."""
+        at = self._bias_slices.get(name)
+        return 0.0 if at is None else float(self.bias_mean[at.start - self.model.size])
+
+    def constants(self) -> Iterator[tuple[str, float]]:
+        """What never changes, as found, in stated deviations from what is stated: calibration and lengths."""
+        for name, at in self._bias_slices.items():
+            places = slice(at.start - self.model.size, at.stop - self.model.size)
+            if np.isinf(self._correlation_times_s[places]).all():
+                for value in self.bias_mean[places]:
+                    yield name, float(value)
+        for value in self.correction.length_m / max(self.model.length_std_m, TINY_M):
+            yield "a length of the chain", float(value)
 
     def propagate(self, elapsed_s: float) -> None:
         """Time passes: the correction drifts, biases fade towards their prior, of variance one."""
         keep = np.exp(-elapsed_s / self._correlation_times_s)
-        factor = np.concatenate([np.ones(self.model.size), keep])
-        added = np.concatenate([self.model.drift**2 * elapsed_s, 1.0 - keep**2])
+        keep_error, added_error = self.model.propagation(elapsed_s)
+        factor = np.concatenate([keep_error, keep])
+        added = np.concatenate([added_error, 1.0 - keep**2])
         self.P = factor[:, None] * self.P * factor + np.diag(added)
         self.bias_mean = keep * self.bias_mean
+        play = keep_error[self.model.columns.play] * self.correction.play
+        self.correction = replace(self.correction, play=play)
+
+    @property
+    def nominal(self) -> NominalFrames:
+        """What no correction changes of the robot's state now."""
+        if self._nominal is None:
+            self._nominal = self.model.nominal(self.robot)
+        return self._nominal
 
     def link(self, name: str | None) -> CorrectedLink:
         """A link under the correction; None is the tool. Computed once for a robot's state and a correction."""
         if self._links is None or self._linked is not self.correction:
-            nominal = self._nominal if self._nominal is not None else self.model.nominal(self.robot)
-            self._links = self.model.links(nominal, self.correction, self.anchor_m)
+            self._links = self.model.links(self.nominal, self.correction, self.anchor_m)
             self._linked = self.correction
         return self._links.link(name)
 
@@ -116,13 +146,14 @@ class ErrorState:
         """The measurements about the present state."""
         return [linearise(measurement, self.link(measurement.link)) for measurement in measurements]
 
-    def full_jacobian(self, measurements: Sequence[LinkMeasurement], parts: Sequence[Linearised]) -> Array:
+    def full_jacobian(self, parts: Sequence[Linearised]) -> Array:
         """The derivative of the residuals, one below the other, by the whole state, shape (m, n)."""
         H = np.zeros((sum(len(part.residual) for part in parts), len(self.P)))
         at = 0
-        for measurement, part in zip(measurements, parts, strict=True):
+        for part in parts:
             rows = slice(at, at + len(part.residual))
             H[rows, : self.model.size] = part.H
-            H[rows, self._bias_slices[measurement.bias_name]] = part.bias_jacobian
+            for bias in part.biases:
+                H[rows, self._bias_slices[bias.name]] += bias.jacobian
             at = rows.stop
         return H

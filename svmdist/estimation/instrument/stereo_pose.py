@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from svmdist.estimation.detection.stereo_match import StereoMatch
+from svmdist.estimation.filter.constants import Deviations
 from svmdist.results import ToolPose
+from svmdist.samples import RightView
 from svmdist.settings.stereo import StereoSettings
-from svmdist.transforms import Array, rotation_of
+from svmdist.transforms import Array, inverse, rotation_of
 from svmdist.vision.rectified import RectifiedPair
 
 DEFAULT = StereoSettings()
@@ -43,6 +47,19 @@ def refine_depth(
     keep = np.eye(6) - np.outer(K, H)
     covariance = keep @ P @ keep.T + np.outer(K, K) * match.disparity_std_px**2
     return ToolPose(T, covariance, turn @ pose.axis)
+
+
+def with_calibration(
+    match: StereoMatch, right: RightView, pair: RectifiedPair, deviations: Deviations
+) -> StereoMatch:
+    """The match with what baseline and the right camera's rotation may be off by in its disparity's deviation."""
+    p_camera_m, _ = pair.point(match.left_px, match.disparity_px)
+    T_right_left = inverse(right.T_left_right)
+    right_m = T_right_left[:3, :3] @ p_camera_m + T_right_left[:3, 3]
+    _, slope = right.camera.project_with_derivative(right_m)
+    biases = deviations.of_disparity(right_m, slope[0], np.array(match.disparity_px), T_right_left)
+    variance_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
+    return replace(match, disparity_std_px=float(np.sqrt(match.disparity_std_px**2 + variance_px2)))
 
 
 def nominal_orientation_pose(match: StereoMatch, pair: RectifiedPair, nominal: ToolPose) -> ToolPose:

@@ -14,6 +14,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation.detection.distal_marker import DistalMarker
 from svmdist.estimation.detection.shaft import ShaftDetection
+from svmdist.estimation.filter.constants import EXACT, Deviations
 from svmdist.estimation.shaft_pose.model import ShaftModel
 from svmdist.estimation.shaft_pose.residuals import (
     BentTool,
@@ -27,7 +28,7 @@ from svmdist.estimation.shaft_pose.residuals import (
 )
 from svmdist.estimation.shaft_pose.start import first_shaft
 from svmdist.least_squares import NormalEquations, Steps, minimise
-from svmdist.results import Failure, ToolPose
+from svmdist.results import Failure, ToolPose, across_std_rad
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
 
@@ -53,11 +54,12 @@ def fit_shaft(
     model: ShaftModel,
     camera: Camera,
     settings: ShaftSettings = DEFAULT,
+    deviations: Deviations = EXACT,
 ) -> ShaftFit | Failure:
     """The pose that fits most of what was seen without contradiction; or why there is none."""
     failure = None
     for trusted in _readings(Landmarks(shaft, marker)):
-        fit = _fit(trusted, model, camera, settings)
+        fit = _fit(trusted, model, camera, settings, deviations)
         if isinstance(fit, ShaftFit):
             return fit
         failure = failure or fit
@@ -82,7 +84,9 @@ def _readings(seen: Landmarks) -> Iterator[Landmarks]:
             yield Landmarks(shaft, None)
 
 
-def _fit(seen: Landmarks, model: ShaftModel, camera: Camera, settings: ShaftSettings) -> ShaftFit | Failure:
+def _fit(
+    seen: Landmarks, model: ShaftModel, camera: Camera, settings: ShaftSettings, deviations: Deviations
+) -> ShaftFit | Failure:
     start = first_shaft(seen.shaft, seen.marker, model, camera)
     if isinstance(start, Failure):
         return start
@@ -90,34 +94,58 @@ def _fit(seen: Landmarks, model: ShaftModel, camera: Camera, settings: ShaftSett
 
     def residuals(state: ShaftState) -> list[Residual]:
         found = [
-            contour_residual(contour, whitening, state, model.radius_m)
+            contour_residual(contour, whitening, state, model.radius_m, np.diag(camera.K)[:2], deviations)
             for contour, whitening in zip(seen.shaft.contours, whitenings, strict=True)
         ]
         if seen.shaft.rim is not None:
             found.append(rim_residual(seen.shaft.rim, state, model, camera, settings))
         if seen.marker is not None:
-            found += marker_residuals(seen.marker, BentTool.of(state, model), model, camera)
+            found += marker_residuals(seen.marker, BentTool.of(state, model), model, camera, deviations)
         return [*found, prior_residual(state, start, model)]
 
     def linearise(state: ShaftState) -> NormalEquations:
         found = residuals(state)
         r = np.concatenate([residual.whitened for residual in found])
         J = np.concatenate([residual.derivative for residual in found])
-        return NormalEquations(float(r @ r), J.T @ r, J.T @ J)
+        # Errors of constants are unknowns of variance one, solved for and left out: I + C Cᵀ in place of I.
+        C = _by_constants(found)
+        weighted = np.linalg.solve(np.eye(len(r)) + C @ C.T, np.column_stack([J, r]))
+        return NormalEquations(float(r @ weighted[:, -1]), J.T @ weighted[:, -1], J.T @ weighted[:, :-1])
 
     least = minimise(ShaftState(start, np.zeros(2)), linearise, _retracted, STEPS)
     if least is None:
         return Failure("the fit does not converge")
     found = residuals(least.state)
-    squares = [float(residual.whitened @ residual.whitened) for residual in found]
+    squares = [_square(residual) for residual in found]
     worst = int(np.argmax(squares))
     if squares[worst] > settings.gate_chi2:
         return Failure(f"{found[worst].name} does not fit the rest")
     tool = BentTool.of(least.state, model)
-    covariance = tool.derivative @ np.linalg.inv(least.equations.information) @ tool.derivative.T
+    of_state = np.asarray(np.linalg.inv(least.equations.information))
+    covariance = tool.derivative @ of_state @ tool.derivative.T
     T = least.state.T
-    pose = ToolPose(tool.T, covariance, T[:3, 2].copy())
+    pose = ToolPose(tool.T, covariance, T[:3, 2].copy(), across_std_rad(of_state[3:6, 3:6], T[:3, 2]))
     return ShaftFit(pose, T, tuple(residual.name for residual in found))
+
+
+def _by_constants(found: list[Residual]) -> Array:
+    """Derivative of all residuals, one below the other, by every constant, shape (m, k): several may share one."""
+    columns: dict[str, Array] = {}
+    rows, at = sum(len(residual.whitened) for residual in found), 0
+    for residual in found:
+        after = at + len(residual.whitened)
+        for bias in residual.constants:
+            column = columns.setdefault(bias.name, np.zeros((rows, bias.jacobian.shape[-1])))
+            column[at:after] += bias.jacobian
+        at = after
+    return np.concatenate([np.zeros((rows, 0)), *columns.values()], -1)
+
+
+def _square(residual: Residual) -> float:
+    """The residual's normalised square, with what constants may do to it."""
+    C = _by_constants([residual])
+    covariance = np.eye(len(residual.whitened)) + C @ C.T
+    return float(residual.whitened @ np.linalg.solve(covariance, residual.whitened))
 
 
 def _retracted(state: ShaftState, step: Array) -> ShaftState:

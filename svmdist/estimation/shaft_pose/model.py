@@ -36,6 +36,8 @@ class ShaftModel:
     radius_m: float
     neck_m: float
     knuckle_radius_m: float
+    marker_std_m: float = 0.0
+    """How far the distal marker may be from the tool's origin, along each axis, and how wrong the wrist's length is."""
 
 
 def shaft_model(
@@ -57,7 +59,7 @@ def shaft_model(
         first = moving.index(error.first_moving_joint) if error.first_moving_joint in moving else 0
         turning = sum(row.joint == "revolute" for row in chain.rows[first : roll + 1])
         rotation_std_rad = float(np.hypot(error.camera_base_std_rad, error.joint_std_rad * np.sqrt(turning)))
-        bend_std_rad = error.joint_std_rad
+        bend_std_rad = float(np.hypot(error.joint_std_rad, error.play_std_rad))
     elif q is not None:
         # How much the wrist is bent is known, but not to which side in the camera frame.
         tool = T_shaft_tool[:3, 3]
@@ -73,6 +75,7 @@ def shaft_model(
         instrument.shaft_radius_m,
         instrument.shaft_end_m or NECK_PER_RADIUS * instrument.wrist_radius_m,
         instrument.knuckle_radius_m,
+        float(np.hypot(instrument.knuckle_position_std_m, error.length_std_m)),
     )
 
 

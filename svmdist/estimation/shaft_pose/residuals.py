@@ -13,12 +13,15 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation.detection.distal_marker import DistalMarker
 from svmdist.estimation.detection.shaft import Contour, Rim, ShaftDetection
+from svmdist.estimation.filter.constants import EXACT, Deviations, SharedBias, edge_by_radius
 from svmdist.estimation.shaft_pose.model import ShaftModel
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, skew
 from svmdist.vision.cylinder import tangent_normal_with_derivatives
 from svmdist.vision.sphere import apparent_radius_px
 
+NO_FOCAL_PX = np.ones(2)
+"""Where no deviation asks for it."""
 FREE_RAD, FREE_M = 3.0, 0.1
 """Standard deviations of an angle and of a place of which nothing is known: half a turn, a whole scene."""
 
@@ -46,11 +49,15 @@ class Landmarks:
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """Measured minus predicted over its standard deviation, shape (k,), and the prediction's derivative, (k, 8)."""
+    """Measured minus predicted over its standard deviation, shape (k,), and the prediction's derivative, (k, 8).
+
+    `constants` says what errors of camera and instrument do to it, each of variance one.
+    """
 
     name: str
     whitened: Array
     derivative: Array
+    constants: tuple[SharedBias, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +80,14 @@ class BentTool:
         return BentTool(make_transform(R @ model.T_shaft_tool[:3, :3], state.T[:3, 3] + arm_m), derivative)
 
 
-def contour_residual(contour: Contour, whitening: Array, state: ShaftState, radius_m: float) -> Residual:
+def contour_residual(
+    contour: Contour,
+    whitening: Array,
+    state: ShaftState,
+    radius_m: float,
+    focal_px: Array = NO_FOCAL_PX,
+    deviations: Deviations = EXACT,
+) -> Residual:
     """The plane that touches the shaft along one side; `whitening`, shape (2, 3), is the plane's own."""
     d = state.T[:3, 2]
     normal, by_point, by_direction = tangent_normal_with_derivatives(
@@ -82,7 +96,11 @@ def contour_residual(contour: Contour, whitening: Array, state: ShaftState, radi
     derivative = np.zeros((2, 8))
     derivative[:, :3] = whitening @ by_point
     derivative[:, 3:6] = -whitening @ by_direction @ skew(d)
-    return Residual(f"side {contour.side:+d}", whitening @ (contour.plane.normal - normal), derivative)
+    by_radius = edge_by_radius(state.T[:3, 3], d, np.array(radius_m), np.array(contour.side))
+    constants = deviations.of_edge(contour.plane.normal, whitening, by_radius, np.array(radius_m), focal_px)
+    return Residual(
+        f"side {contour.side:+d}", whitening @ (contour.plane.normal - normal), derivative, constants
+    )
 
 
 def rim_residual(
@@ -114,14 +132,27 @@ def rim_residual(
 
 
 def marker_residuals(
-    marker: DistalMarker, tool: BentTool, model: ShaftModel, camera: Camera
+    marker: DistalMarker,
+    tool: BentTool,
+    model: ShaftModel,
+    camera: Camera,
+    deviations: Deviations = EXACT,
 ) -> list[Residual]:
     """The marker's middle at the tool's origin, and its radius where the whole of it is visible."""
     tool_m, by_state = tool.T[:3, 3], tool.derivative[:3]
     pixel, by_point = camera.project_with_derivative(tool_m)
     found = [
         Residual(
-            "distal marker", (marker.centre_px - pixel) / marker.std_px, by_point @ by_state / marker.std_px
+            "distal marker",
+            (marker.centre_px - pixel) / marker.std_px,
+            by_point @ by_state / marker.std_px,
+            tuple(
+                bias.scaled(1.0 / marker.std_px)
+                for bias in (
+                    *deviations.of_pixels(marker.centre_px, camera),
+                    SharedBias("marker place", model.marker_std_m * by_point),
+                )
+            ),
         )
     ]
     if marker.radius_px is not None:
@@ -129,7 +160,15 @@ def marker_residuals(
         slope = radius_px * 0.5 * tool_m / float(tool_m @ tool_m)
         slope[2] -= 1.5 * radius_px / tool_m[2]
         off = np.array([(marker.radius_px - radius_px) / marker.radius_std_px])
-        found.append(Residual("size", off, (slope @ by_state / marker.radius_std_px)[None]))
+        constants = deviations.of_radius(np.array(radius_px))
+        found.append(
+            Residual(
+                "size",
+                off,
+                (slope @ by_state / marker.radius_std_px)[None],
+                tuple(bias.scaled(1.0 / marker.radius_std_px) for bias in constants),
+            )
+        )
     return found
 
 

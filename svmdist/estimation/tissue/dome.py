@@ -49,6 +49,13 @@ class DomeModel:
         """The same outline under another apex and height."""
         return replace(self, shape_m=shape_m, covariance=covariance)
 
+    def scaled(self, factor: float) -> DomeModel:
+        """The same on a parallel plane by this factor as far from the camera: as high, and wider by it."""
+        T = self.T_camera_tissue.copy()
+        T[:3, 3] *= factor
+        shape_m = self.shape_m * np.array([factor, factor, 1.0])
+        return replace(self, T_camera_tissue=T, outline_m=factor * self.outline_m, shape_m=shape_m)
+
     def mesh(self) -> Mesh:
         """The closed surface in the camera frame, made once.
 

@@ -16,10 +16,13 @@ from svmdist.estimation.tissue.dome import DomeModel
 from svmdist.geometry.mesh_files import read_closed_mesh
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Mesh, Plane, Surface
-from svmdist.profile import Profile, Tissue
+from svmdist.profile import CameraError, Profile, Tissue
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.completion import CompletedOutline
 
+EXACT_CAMERA = CameraError(
+    focal_std_fraction=0.0, centre_std_px=0.0, baseline_std_fraction=0.0, right_rotation_std_rad=0.0
+)
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ACROSS = 0.99
 """Cosine between normal and axis from which on the axis has no direction on the plane."""
@@ -29,6 +32,7 @@ ACROSS = 0.99
 class TissuePose:
     """The tissue's origin in the camera frame, shape (3,) in m, with covariance (3, 3), and its surface there.
 
+    `outline_covariance` is the part of that covariance that is the outline's own, without the plane's.
     `surface_std_m` is how far the surface may stand off the real one, beside the origin's error and what a `dome`,
     where the surface is one, states of its own shape.
     """
@@ -38,6 +42,24 @@ class TissuePose:
     surface: Surface
     surface_std_m: float = 0.0
     dome: DomeModel | None = None
+    outline_covariance: Array | None = None
+
+    @property
+    def own_covariance(self) -> Array:
+        """The outline's own part of the covariance, shape (3, 3); all of it where that is not known."""
+        return self.covariance if self.outline_covariance is None else self.outline_covariance
+
+    def scaled(self, factor: float) -> TissuePose:
+        """The same on a parallel plane that is by this factor as far: all of it goes along the camera's rays."""
+        dome = None if self.dome is None else self.dome.scaled(factor)
+        surface: Surface = self.surface
+        if dome is not None:
+            surface = dome.mesh()
+        elif isinstance(surface, Plane):
+            surface = Plane(surface.normal, surface.offset_m * factor)
+        elif isinstance(surface, Mesh):
+            surface = surface.transformed(make_transform(np.eye(3), (factor - 1.0) * self.position_m))
+        return replace(self, position_m=factor * self.position_m, surface=surface, dome=dome)
 
     def with_dome(self, dome: DomeModel) -> TissuePose:
         """The same place under a dome of another shape."""
@@ -61,22 +83,28 @@ def require_tissue(profile: Profile) -> Tissue:
     return profile.tissue
 
 
-def tissue_pose(outline: CompletedOutline, camera: Camera, tissue: Tissue) -> TissuePose | None:
-    """Place tissue and surface by an outline; None where its centroid's ray does not meet the plane."""
+def tissue_pose(
+    outline: CompletedOutline, camera: Camera, tissue: Tissue, error: CameraError = EXACT_CAMERA
+) -> TissuePose | None:
+    """Place tissue and surface by an outline; None where its centroid's ray does not meet the plane.
+
+    `error` is how wrong the camera's calibration may be.
+    """
     plane = tissue_plane(tissue)
     position_m = meet_plane(pixel_rays(camera, outline.centroid_px), plane)[0]
     if not np.all(np.isfinite(position_m)):
         return None
-    covariance = _position_covariance(position_m, outline, camera, plane, tissue)
+    of_outline, covariance = _position_covariance(position_m, outline, camera, plane, tissue)
+    covariance = covariance + _of_camera(position_m, camera, plane, error)
     dome = _dome(position_m, outline, camera, plane, tissue)
     if dome is not None:
-        return TissuePose(position_m, covariance, dome.mesh(), tissue.surface_std_m, dome)
+        return TissuePose(position_m, covariance, dome.mesh(), tissue.surface_std_m, dome, of_outline)
     surface: Surface = plane
     if tissue.mesh is not None:
         surface = tissue_mesh(tissue).transformed(
             tissue_frame(position_m, plane.normal) @ tissue.T_tissue_mesh
         )
-    return TissuePose(position_m, covariance, surface, tissue.surface_std_m)
+    return TissuePose(position_m, covariance, surface, tissue.surface_std_m, None, of_outline)
 
 
 def tissue_plane(tissue: Tissue) -> Plane:
@@ -113,10 +141,20 @@ def _dome(
     return DomeModel.over(outline_m, tissue_frame(position_m, plane.normal), tissue.dome)
 
 
+def _of_camera(position_m: Array, camera: Camera, plane: Plane, error: CameraError) -> Array:
+    """What focal length and principal point do to where the outline's ray meets the plane, as a covariance (3, 3)."""
+    ray = position_m / position_m[2]
+    slope = float(plane.normal @ ray)
+    by_ray = plane.offset_m * (np.eye(3) / slope - np.outer(ray, plane.normal) / slope**2)
+    focal = error.focal_std_fraction * by_ray @ (ray * np.array([1.0, 1.0, 0.0]))
+    centre = error.centre_std_px * by_ray[:, :2] / np.diag(camera.K)[:2]
+    return np.asarray(np.outer(focal, focal) + centre @ centre.T)
+
+
 def _position_covariance(
     position_m: Array, outline: CompletedOutline, camera: Camera, plane: Plane, tissue: Tissue
-) -> Array:
-    """Pixels, distance and tilt of the plane, to first order: X = offset / (n · ray) ray."""
+) -> tuple[Array, Array]:
+    """Of the outline's pixels alone, and with the plane's distance and tilt, to first order: X = offset / (n · r) r."""
     ray = position_m / position_m[2]
     slope = float(plane.normal @ ray)
     nudged = pixel_rays(
@@ -124,10 +162,11 @@ def _position_covariance(
     )
     on_plane = meet_plane(nudged, plane)
     J_px = np.stack([on_plane[0] - on_plane[1], on_plane[2] - on_plane[3]], -1)
-    covariance = J_px @ outline.covariance_px2 @ J_px.T
+    of_outline = J_px @ outline.covariance_px2 @ J_px.T
     along = ray / slope  # dX by the offset
-    covariance += tissue.plane_distance_std_m**2 * np.outer(along, along)
+    variance_m2 = tissue.plane_distance_std_m**2 + tissue.motion_std_m**2
+    covariance = of_outline + variance_m2 * np.outer(along, along)
     # A tilt about the foot of the camera's perpendicular moves the plane at X by tilt · (X - foot).
     from_foot = position_m - plane.offset_m * plane.normal
     arm2_m2 = float(from_foot @ from_foot) * tissue.plane_tilt_std_rad**2
-    return np.asarray(covariance + arm2_m2 * np.outer(along, along))
+    return np.asarray(of_outline), np.asarray(covariance + arm2_m2 * np.outer(along, along))

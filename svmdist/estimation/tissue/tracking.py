@@ -1,4 +1,4 @@
-"""The tissue over time: it is taken to hold still, so that frames that hide it still have a pose."""
+"""The tissue on the profile's plane over time: it creeps at most, so that frames that hide it still have a pose."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from svmdist.settings.tissue import TissueTrackingSettings
 from svmdist.transforms import Array
 
 DEFAULT = TissueTrackingSettings()
+TINY_M2 = 1e-14
+"""Added to covariances of poses that lie on one plane, so that they have an inverse."""
 
 
 @dataclass
@@ -33,7 +35,7 @@ class CorrelatedMean:
     def add(self, value: Array, covariance: Array) -> None:
         """Take up a measurement; earlier ones fade."""
         size = len(value)
-        weight = np.asarray(np.linalg.inv(covariance + 1e-14 * np.eye(size)), np.float64)
+        weight = np.asarray(np.linalg.inv(covariance + TINY_M2 * np.eye(size)), np.float64)
         if self._information is None or self._weighted is None:
             self._information, self._weighted = np.zeros((size, size)), np.zeros(size)
         fade = 1.0 - 1.0 / self.settings.memory_count
@@ -73,8 +75,12 @@ class TissueTracker:
         every = self._settings.shape_count
         return self._frame_count < every or self._frame_count % every == 0
 
-    def add(self, pose: TissuePose | None, dome: DomeModel | None = None) -> TissuePose | None:
-        """Take up a frame's pose, if it has one, and its dome as stereo shows it; gives the tissue as known then."""
+    def add_shape(self, dome: DomeModel) -> None:
+        """Take up a dome as stereo shows it."""
+        self._shape.add(dome.shape_m, dome.covariance)
+
+    def add(self, pose: TissuePose | None) -> TissuePose | None:
+        """Take up a frame's pose, if it has one; gives the tissue as known then."""
         if pose is None:
             return self.now()
         if not self._agrees(pose):
@@ -85,10 +91,8 @@ class TissueTracker:
             self._place, self._shape = CorrelatedMean(2, self._settings), CorrelatedMean(3, self._settings)
         self._outlier_count = 0
         self._frame_count += 1
-        self._place.add(pose.position_m, pose.covariance)
-        if dome is not None:
-            self._shape.add(dome.shape_m, dome.covariance)
-        if self._best is None or np.trace(pose.covariance) <= np.trace(self._best.covariance):
+        self._place.add(pose.position_m, pose.own_covariance)
+        if self._best is None or np.trace(pose.own_covariance) <= np.trace(self._best.own_covariance):
             self._best = pose
         return self.now()
 
@@ -97,8 +101,12 @@ class TissueTracker:
         place = self._place.now()
         if self._best is None or place is None:
             return None
-        position_m, covariance = place
-        known = replace(self._best, position_m=position_m, covariance=covariance)
+        # Outlines differ from frame to frame and are averaged; the plane is as uncertain in all of them.
+        position_m, of_outline = place
+        covariance = of_outline + self._best.covariance - self._best.own_covariance
+        known = replace(
+            self._best, position_m=position_m, covariance=covariance, outline_covariance=of_outline
+        )
         shape = self._shape.now()
         return known if shape is None or known.dome is None else known.with_dome(known.dome.shaped(*shape))
 
@@ -108,5 +116,5 @@ class TissueTracker:
             return True
         position_m, covariance = place
         offset_m = pose.position_m - position_m
-        nis = offset_m @ np.linalg.solve(pose.covariance + covariance, offset_m)
+        nis = offset_m @ np.linalg.solve(pose.own_covariance + covariance + TINY_M2 * np.eye(3), offset_m)
         return bool(nis <= chi_square_bound(3, self._settings.gate_z))

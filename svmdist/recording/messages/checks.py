@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.camera import Camera
+from svmdist.camera import Camera, DistortionModel
+from svmdist.perturbations.clock import later_ns
 from svmdist.recording.messages.images import ImageError
 from svmdist.samples import Image, JointSample, TransformSample, TransformsSample, Vector
 from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
@@ -20,7 +21,17 @@ MAX_MAGNITUDE = 1e12
 MAX_JOINTS = 10_000
 MAX_TRANSFORMS = 10_000
 Quaternion = tuple[float, float, float, float]
-KNOWN_DISTORTION = frozenset({"", "plumb_bob", "rational_polynomial", "none"})
+KNOWN_DISTORTION: dict[str, DistortionModel] = {
+    "": "plumb_bob",
+    "none": "plumb_bob",
+    "plumb_bob": "plumb_bob",
+    "radtan": "plumb_bob",
+    "rational_polynomial": "rational_polynomial",
+    "equidistant": "fisheye",
+    "fisheye": "fisheye",
+    "kannala_brandt": "fisheye",
+}
+"""What a log may call a lens, and which model that is."""
 
 
 class DecodeError(ValueError):
@@ -99,6 +110,11 @@ class RawTransforms:
     stamp_ns: int
     transforms: tuple[RawTransform, ...]
 
+    def stamped_later(self, lag_ns: int) -> RawTransforms:
+        """The same with stamps that are later by so much."""
+        later = tuple(replace(each, stamp_ns=later_ns(each.stamp_ns, lag_ns)) for each in self.transforms)
+        return RawTransforms(later_ns(self.stamp_ns, lag_ns), later)
+
     def to_sample(self) -> TransformsSample:
         """The same with their matrices."""
         return TransformsSample(self.stamp_ns, tuple(each.to_sample() for each in self.transforms))
@@ -147,7 +163,7 @@ def checked_camera(
             f"the camera is not calibrated: fx = {K[0]}, fy = {K[4]}, {size_px[0]}x{size_px[1]} px"
         )
     if any(D) and distortion_model.lower() not in KNOWN_DISTORTION:
-        choices = ", ".join(sorted(KNOWN_DISTORTION - {""}))
+        choices = ", ".join(sorted(filter(None, KNOWN_DISTORTION)))
         raise DecodeError(f"distortion model {distortion_model!r} is not known; the choices are {choices}")
     return Camera(
         size_px[0],
@@ -157,4 +173,5 @@ def checked_camera(
         np.array(R, np.float64).reshape(3, 3) if any(R) else None,
         np.array(P, np.float64).reshape(3, 4) if any(P) else None,
         frame_id,
+        KNOWN_DISTORTION.get(distortion_model.lower(), "plumb_bob") if any(D) else "plumb_bob",
     )

@@ -19,6 +19,7 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 
+from svmdist.camera import Camera
 from svmdist.recording.messages.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.samples import (
     CameraSample,
@@ -129,6 +130,13 @@ def _quaternions(transforms: Sequence[Array]) -> list[list[float]]:
     return quaternions
 
 
+def _model_name(camera: Camera) -> str:
+    """What Foxglove calls the lens."""
+    if camera.distortion_model == "fisheye":
+        return "kannala_brandt"
+    return "plumb_bob" if len(camera.D) <= 5 else "rational_polynomial"
+
+
 def _encode(sample: Sample, quaternions: Iterator[list[float]], jpeg_quality: int | None) -> bytes:
     """Serialise a sample, whose transforms' quaternions are the next ones."""
     message: Message
@@ -141,7 +149,7 @@ def _encode(sample: Sample, quaternions: Iterator[list[float]], jpeg_quality: in
                 frame_id=camera.frame_id,
                 width=camera.width_px,
                 height=camera.height_px,
-                distortion_model="plumb_bob" if len(camera.D) <= 5 else "rational_polynomial",
+                distortion_model=_model_name(camera),
                 D=camera.D,
                 K=camera.K.ravel(),
                 R=() if camera.R_rectified_camera is None else camera.R_rectified_camera.ravel(),

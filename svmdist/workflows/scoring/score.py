@@ -15,7 +15,7 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.planar.equations import Equations
 from svmdist.metrics import ErrorStatistics, Interval, bootstrap_intervals, coverage, error_statistics
-from svmdist.recording.reader import Recording
+from svmdist.recording.reader import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.workflows.scoring.alarms import score_alarms
@@ -29,7 +29,7 @@ from svmdist.workflows.scoring.distances import (
     pooled_score,
     score_pairs,
 )
-from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth
+from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth, truth_follows_images
 from svmdist.workflows.setup import Setup
 
 BOOTSTRAP_SEED = 36
@@ -121,6 +121,9 @@ def score_rows(
 
     readings = Readings(rows)
     lag_ns = round(lag.lag_s * 1e9) if lag else 0
+    if lag and lag_ns and reference is Reference.GROUND_TRUTH:
+        corrected = recording.with_lag(KnownLag(lag.lag_s), setup.profile)
+        lag_ns = 0 if truth_follows_images(corrected, setup.profile) else lag_ns
     stamps_ns = readings.stamps_ns - lag_ns
     truth = truth_at(stamps_ns)
     planar, spatial, clearance = (readings.pairs(distance, truth, stamps_ns) for distance in DISTANCES)

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.errors import RecordingError, UsageError
+from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.planar.equations import Equations
 from svmdist.kinematics import paper
 from svmdist.kinematics.chain import chain_of
@@ -22,6 +22,10 @@ KINEMATICS_PRINTED_NOTE = (
     "eq. (28) as printed is the zero matrix, which makes (31) zero everywhere: the identity stands in for it;"
     " eq. (30) as printed is a reflection; eqs. (33), (34) as printed divide metres by 100 and are 10^4 too small"
 )
+
+
+MAX_CLOCK_STAMPS = 500
+"""So many moments tell on which of two clocks the truth is."""
 
 
 class Reference(StrEnum):
@@ -147,6 +151,32 @@ def kinematic_track(recording: Recording, profile: Profile, max_gap_ns: int = MA
         return Sampled(forward_kinematics(chain, select_joints(chain, joints.names, q.values)), q.valid)
 
     return at
+
+
+def truth_follows_images(recording: Recording, profile: Profile) -> bool:
+    """Whether ground truth has the clock of the images rather than that of the robot, for a log whose lag is known.
+
+    The true tool is compared with the nominal one under either clock; what the robot believes wrongly is mostly a
+    constant. Where nothing tells them apart it is the robot's: images are what is late.
+    """
+    if recording.lag is None or recording.lag.lag_ns == 0:
+        return True
+    try:
+        nominal = tool_track(recording, profile, Reference.KINEMATICS)
+        frames = profile.frames
+        true = recording.transform_track(frames.camera, frames.tool, ground_truth=True)
+    except (RecordingError, KinematicsError):
+        return False
+    # Nominal joints are on the images' clock here: of truth on the robot's clock, they are late by the lag.
+    stamps_ns = true.stamps_ns[:: max(1, len(true.stamps_ns) // MAX_CLOCK_STAMPS)]
+    moments = [nominal(stamps_ns + late_ns) for late_ns in (0, recording.lag.lag_ns)]
+    known = moments[0].valid & moments[1].valid
+    if not known.any():
+        return False
+    expected = true.at(stamps_ns[known]).values[:, :3, 3]
+    errors = [found.values[known, :3, 3] - expected for found in moments]
+    with_images, with_robot = (float(np.mean(np.var(error, axis=0))) for error in errors)
+    return with_images < with_robot
 
 
 def _at(track: TransformTrack | PoseTrack, max_gap_ns: int) -> PoseAt:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from svmdist.estimation.filter.correction import Correction, ErrorModel
+from svmdist.estimation.filter.correction import Correction
+from svmdist.estimation.filter.error_model import ErrorModel
 from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, frame_transforms
 from svmdist.kinematics.jacobian import row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
+from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, rotation_x
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
@@ -32,14 +36,34 @@ CASES = [
 ]
 
 
+def moving_robot(chain: DHChain, q: Array) -> RobotState:
+    """The robot at rates of up to 0.5 in each joint, which its track tells."""
+    rates = np.random.default_rng(4).uniform(-0.5, 0.5, len(q))
+    stamps_ns = np.arange(-50, 51, 10) * 1_000_000
+    track = JointTrack(stamps_ns, chain.joint_names, q + rates * stamps_ns[:, None] / 1e9)
+    return RobotState(chain, 0, q, T_CAMERA_BASE, track)
+
+
 def by_definition(
     model: ErrorModel, robot: RobotState, at: Correction, anchor_m: Array, link: str | None
 ) -> Array:
-    """The corrected pose as the module's head writes it."""
-    q = model.joints(robot, at)
-    last = forward_kinematics(model.chain, q)
+    """The corrected pose as the head of `correction` writes it, by a chain with other lengths."""
+    q, moving = robot.q.copy(), slice(-model.columns.joint_count, None)
+    q[moving] += robot.rates[moving] * at.time_offset_s + at.q_offset + at.play
+    rows, lengths = list(model.chain.rows), iter(at.length_m)
+    is_modified = model.chain.convention == "modified"
+    first = int(model.chain.moving_rows[len(q) - model.columns.joint_count])
+    for index in range(first + is_modified, len(rows)):
+        row = rows[index]
+        if row.a_m != 0.0:
+            rows[index] = replace(rows[index], a_m=row.a_m + next(lengths))
+        if row.d_m != 0.0 and row.joint != "prismatic" and (is_modified or index > first):
+            rows[index] = replace(rows[index], d_m=row.d_m + next(lengths))
+    assert next(lengths, None) is None
+    chain = DHChain(tuple(rows), model.chain.convention, model.chain.T_last_tool)
+    last = forward_kinematics(chain, q)
     if link is not None:
-        last = frame_transforms(model.chain, q)[row_index(model.chain, link)]
+        last = frame_transforms(chain, q)[row_index(chain, link)]
     T = T_CAMERA_BASE @ last
     return make_transform(at.turn @ T[:3, :3], anchor_m + at.shift_m + at.turn @ (T[:3, 3] - anchor_m))
 
@@ -49,7 +73,7 @@ def test_links_are_moved_and_turned_about_the_anchor(
     chain: DHChain, error: KinematicError, q: Array, links: tuple[str | None, ...]
 ) -> None:
     """Poses equal the definition within 1e-13, derivatives central differences of it to 1e-8."""
-    model, robot = ErrorModel(chain, error), RobotState(chain, 0, q, T_CAMERA_BASE)
+    model, robot = ErrorModel(chain, error), moving_robot(chain, q)
     anchor_m = model.anchor_m(robot)
     at = model.no_correction().retract(0.05 * np.random.default_rng(1).normal(size=model.size))
     found = model.links(model.nominal(robot), at, anchor_m)

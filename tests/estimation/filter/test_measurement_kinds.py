@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,9 @@ def true_measurements() -> dict[str, LinkMeasurement]:
     pixels = CAMERA.project(POINTS_M @ R.T + p_m)
     right_m = T_RIGHT_LEFT[:3, :3] @ p_m + T_RIGHT_LEFT[:3, 3]
     disparity_px = float(CAMERA.project(p_m)[0, 0] - CAMERA.project(right_m)[0, 0])
+    point_m = R @ POINTS_M[0] + p_m
+    point_right_m = T_RIGHT_LEFT[:3, :3] @ point_m + T_RIGHT_LEFT[:3, 3]
+    point_disparity_px = float(CAMERA.project(point_m)[0, 0] - CAMERA.project(point_right_m)[0, 0])
     size_px = float(apparent_radius_px(p_m, 0.00175, CAMERA))
     normal = tangent_normal(R @ ON_AXIS_M + p_m, R @ AXIS, 0.004, 1)
     across = np.stack([R @ AXIS, np.cross(normal, R @ AXIS)])
@@ -40,6 +45,16 @@ def true_measurements() -> dict[str, LinkMeasurement]:
         "points": PointsMeasurement("points", None, CAMERA, POINTS_M, pixels, np.eye(4)),
         "disparity": DisparityMeasurement(
             "disparity", None, CAMERA, CAMERA, T_RIGHT_LEFT, disparity_px, np.eye(1)
+        ),
+        "disparity of a point": DisparityMeasurement(
+            "disparity",
+            None,
+            CAMERA,
+            CAMERA,
+            T_RIGHT_LEFT,
+            point_disparity_px,
+            np.eye(1),
+            p_link_m=POINTS_M[0],
         ),
         "size": SizeMeasurement("size", None, CAMERA, 0.00175, size_px, np.eye(1), 0.2),
         "contour": ContourMeasurement("contour", None, normal, across, I2, ON_AXIS_M, AXIS, 0.004, 1, I2),
@@ -111,3 +126,14 @@ def test_a_bias_has_the_stated_shape(kind: str) -> None:
     seen = SEEN[kind].linearise(T_LINK)
     bias = SEEN[kind].bias_jacobian(T_LINK, seen.derivative)
     assert bias.shape == (len(seen.residual), SEEN[kind].bias_size)
+
+
+@pytest.mark.parametrize("kind", ["contour", "pose"])
+def test_where_nothing_of_an_error_lasts_there_is_no_bias(kind: str) -> None:
+    """Alone, and beside others in a stack."""
+    one = SEEN[kind]
+    none = replace(one, bias_covariance=np.zeros_like(one.bias_covariance))  # type: ignore[attr-defined,type-var]
+    root = one.bias_jacobian(T_LINK, np.empty(0))
+    np.testing.assert_array_equal(none.bias_jacobian(T_LINK, np.empty(0)), np.zeros_like(root))
+    stack = replace(one, bias_covariance=np.stack([none.bias_covariance, one.bias_covariance]))  # type: ignore[attr-defined,type-var]
+    np.testing.assert_array_equal(stack.bias_jacobian(T_LINK, np.empty(0)), [np.zeros_like(root), root])

@@ -7,7 +7,7 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.filter.corrected_links import CorrectedLink
-from svmdist.estimation.filter.correction import ErrorModel
+from svmdist.estimation.filter.error_model import ErrorModel
 from svmdist.estimation.filter.linearisation import linearise
 from svmdist.estimation.filter.measurements import (
     ContourMeasurement,
@@ -86,7 +86,7 @@ def test_a_point_off_the_origin_moves_the_residual_by_its_bias() -> None:
     disparity_px = float(left_px[0, 0] - right_px[0, 0])
     disparity = DisparityMeasurement("d", None, CAMERA, CAMERA, T_RIGHT_LEFT, disparity_px, np.eye(1), 1e-4)
     for measurement in (point, disparity):
-        part = linearise(measurement, CorrectedLink(T_LINK, np.eye(6)))
+        part = linearise(measurement, CorrectedLink(T_LINK, np.eye(6), 0))
         np.testing.assert_allclose(part.residual, part.bias_jacobian[:, :3] @ offset, rtol=2e-2, atol=1e-3)
         assert part.bias_jacobian[:, 3] == pytest.approx(0.0)  # no shading bias was stated
 
@@ -103,7 +103,7 @@ def test_a_shaded_sphere_is_off_as_far_as_its_ray_is_tilted() -> None:
         "d", None, CAMERA, CAMERA, T_right_left, disparity_px, np.eye(1), 0.0, 2.0
     )
     for measurement in (point, disparity):
-        part = linearise(measurement, CorrectedLink(T_LINK, np.eye(6)))
+        part = linearise(measurement, CorrectedLink(T_LINK, np.eye(6), 0))
         assert np.abs(part.residual).max() > 0.05
         np.testing.assert_allclose(part.residual, part.bias_jacobian[:, 3], rtol=1e-2)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter.correction import ErrorModel
+from svmdist.estimation.filter.error_model import ErrorModel
 from svmdist.estimation.filter.measurements import PointsMeasurement, SizeMeasurement
 from svmdist.estimation.filter.state import ErrorState
 from svmdist.kinematics.robot_state import RobotState
@@ -43,26 +43,49 @@ def test_biases_are_added_once_and_fade_to_variance_one() -> None:
     """Of one name once, uncorrelated and of variance one; halved they return with twice the rate of the mean."""
     state, size = started(), 0
     size = state.model.size
-    state.augment_state([POINT, SIZE, POINT])
-    state.augment_state([SIZE])
-    assert state.P.shape == (size + 5, size + 5)
-    np.testing.assert_array_equal(state.P[size:, size:], np.eye(5))
+    state.augment_state(state.linearise([POINT, SIZE, POINT]))
+    state.augment_state(state.linearise([SIZE]))
+    # The point's own four, focal length, principal point; the size's own one, and the sphere's radius.
+    count = 4 + 1 + 2 + 1 + 1
+    assert state.P.shape == (size + count, size + count)
+    np.testing.assert_array_equal(state.P[size:, size:], np.eye(count))
+    own = size + 7
+    state.P[own, own], state.bias_mean[own - size] = 0.25, 0.8
     state.P[-1, -1], state.bias_mean[-1] = 0.25, 0.8
     state.propagate(1.0)
-    assert state.bias_mean[-1] == pytest.approx(0.8 * np.exp(-0.5))
-    assert state.P[-1, -1] == pytest.approx(1.0 - 0.75 * np.exp(-1.0))
+    assert state.bias_mean[own - size] == pytest.approx(0.8 * np.exp(-0.5))
+    assert state.P[own, own] == pytest.approx(1.0 - 0.75 * np.exp(-1.0))
+    # A constant stays as it was found.
+    assert state.bias_mean[-1] == 0.8
+    assert state.P[-1, -1] == 0.25
+
+
+def test_play_fades_and_the_rest_drifts() -> None:
+    """Play returns to its own deviation with its time constant; offsets become less certain; lengths stay."""
+    state = started()
+    at, error = state.model.columns, PROFILE.kinematic_error
+    state.retract(1e-3 * np.ones(state.model.size))
+    state.P = np.zeros_like(state.P)
+    state.propagate(error.play_time_s)
+    keep = np.exp(-1.0)
+    np.testing.assert_allclose(state.correction.play, 1e-3 * keep)
+    turning = CHAIN.is_revolute[-at.joint_count :]
+    expected = np.where(turning, error.play_std_rad, error.play_std_m) ** 2 * (1.0 - keep**2)
+    np.testing.assert_allclose(np.diag(state.P)[at.play], expected)
+    assert (np.diag(state.P)[at.offsets] > 0.0).all()
+    assert not np.diag(state.P)[at.lengths].any()
 
 
 def test_the_full_jacobian_has_each_derivative_in_its_place() -> None:
     """Rows in the order of the measurements; columns of the error state, then of the bias that each one has."""
     state = started()
-    state.augment_state([POINT, SIZE])
+    state.augment_state(state.linearise([POINT, SIZE]))
     parts = state.linearise([SIZE, POINT])
-    H, size = state.full_jacobian([SIZE, POINT], parts), state.model.size
+    H, size = state.full_jacobian(parts), state.model.size
     np.testing.assert_array_equal(H[:, :size], np.concatenate([parts[0].H, parts[1].H]))
-    np.testing.assert_array_equal(H[0, size:], [0.0, 0.0, 0.0, 0.0, 0.2])
-    np.testing.assert_array_equal(H[1:, size : size + 4], parts[1].bias_jacobian)
-    assert not H[1:, -1].any()
+    np.testing.assert_array_equal(H[0, size:], [0.0] * 7 + [0.2, 0.0])  # of exact constants
+    np.testing.assert_array_equal(H[1:, size : size + 4], parts[1].biases[0].jacobian)
+    assert not H[1:, -2:].any()
 
 
 def test_before_the_first_instant_there_is_no_robot() -> None:

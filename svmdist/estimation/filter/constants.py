@@ -1,0 +1,158 @@
+"""Constants of calibration that every measurement shares: what their errors do to residuals.
+
+Focal length, principal point, right camera, radii, the tag's size and mounting are measured once and wrong for good.
+An error of theirs reaches every frame alike, so that averaging never removes it: each is a state of the filter, of
+variance one in units of its stated deviation, which the measurements may tell more of (Schmidt 1966 considers such
+states; Woodbury et al. 1993, "Considering the consider Kalman filter").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.profile import CameraError, Profile
+from svmdist.transforms import Array, cross, skew
+
+FOR_EVER_S = np.inf
+NEAR_M = 1e-3
+"""A camera is no nearer to an edge than this: it bounds a derivative."""
+
+
+@dataclass(frozen=True, slots=True)
+class SharedBias:
+    """What an error that several measurements share does to a residual: the derivative, (..., m, k), by its name.
+
+    The error is a vector of k numbers of variance one that fade with a time constant; a constant never does.
+    """
+
+    name: str
+    jacobian: Array
+    correlation_time_s: float = FOR_EVER_S
+
+    def scaled(self, factor: float) -> SharedBias:
+        """The same in another unit of the residual."""
+        return SharedBias(self.name, factor * self.jacobian, self.correlation_time_s)
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """Standard deviations of the constants, as a profile states them; fractions are of the constant itself."""
+
+    camera: CameraError
+    shaft_radius_fraction: float = 0.0
+    marker_radius_fraction: float = 0.0
+    tag_size_fraction: float = 0.0
+    tag_position_m: float = 0.0
+    tag_rotation_rad: float = 0.0
+
+    @classmethod
+    def of(cls, profile: Profile) -> Deviations:
+        """The profile's."""
+        instrument, tag = profile.instrument, profile.fiducial
+        return cls(
+            profile.camera_error,
+            0.0 if instrument is None else instrument.shaft_radius_std_fraction,
+            0.0 if instrument is None else instrument.knuckle_radius_std_fraction,
+            0.0 if tag is None else tag.size_std_fraction,
+            0.0 if tag is None else tag.position_std_m,
+            0.0 if tag is None else tag.rotation_std_rad,
+        )
+
+    def of_pixels(self, pixels: Array, camera: Camera) -> tuple[SharedBias, ...]:
+        """Of projected points, shape (..., 2): focal length and principal point."""
+        focal = self.camera.focal_std_fraction * (pixels - camera.K[:2, 2])
+        centre = np.broadcast_to(self.camera.centre_std_px * np.eye(2), (*pixels.shape, 2))
+        return SharedBias("focal length", focal[..., None]), SharedBias("principal point", centre)
+
+    def of_disparity(
+        self, p_right_m: Array, slope_right: Array, disparity_px: Array, T_right_left: Array
+    ) -> tuple[SharedBias, ...]:
+        """Of x in the left view less x in the right one, shape (...): focal length, and how the right camera stands.
+
+        `slope_right`, shape (..., 3), is the derivative of x in the right view by the point there.
+        """
+        focal = self.camera.focal_std_fraction * disparity_px[..., None, None]
+        baseline_m = T_right_left[..., :3, 3]
+        by_baseline = -(slope_right * baseline_m).sum(-1) * self.camera.baseline_std_fraction
+        by_turn = (slope_right[..., None, :] @ skew(p_right_m))[
+            ..., 0, :
+        ] * self.camera.right_rotation_std_rad
+        return (
+            SharedBias("focal length", focal),
+            SharedBias("baseline", by_baseline[..., None, None]),
+            SharedBias("right camera's rotation", by_turn[..., None, :]),
+        )
+
+    def of_radius(self, radius_px: Array) -> tuple[SharedBias, ...]:
+        """Of a sphere's apparent radius, shape (...): focal length and the sphere's radius."""
+        return (
+            SharedBias("focal length", self.camera.focal_std_fraction * radius_px[..., None, None]),
+            SharedBias("marker radius", self.marker_radius_fraction * radius_px[..., None, None]),
+        )
+
+    def of_edge(
+        self, normal: Array, across: Array, by_radius: Array, radius_m: Array, focal_px: Array
+    ) -> tuple[SharedBias, ...]:
+        """Of the plane through an edge, measured normal (..., 3), and its predicted one's derivative by the radius.
+
+        A line l of the image has the normal Kᵀ l: a longer focal length tilts it towards the image plane.
+        """
+        flat = normal * np.array([1.0, 1.0, 0.0])
+        focal = -self.camera.focal_std_fraction * (across @ flat[..., None])
+        centre = -self.camera.centre_std_px * across[..., :, 2:] * (normal[..., None, :2] / focal_px)
+        radius = across @ (by_radius * radius_m[..., None])[..., None] * self.shaft_radius_fraction
+        return (
+            SharedBias("focal length", focal),
+            SharedBias("principal point", centre),
+            SharedBias("shaft radius", radius),
+        )
+
+    def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[SharedBias, ...]:
+        """Of a tag's pose, shape (..., 4, 4): focal length, principal point, the tag's size, and how it is mounted.
+
+        Depth goes with the focal length; a shifted principal point shifts the tag beside the axis, and turns
+        it as if seen from there; the distance goes against the size.
+        """
+        p_m, R = T_camera_tag[..., :3, 3], T_camera_tag[..., :3, :3]
+        focal = np.zeros((*p_m.shape[:-1], 6, 1))
+        focal[..., 2, 0] = -self.camera.focal_std_fraction * p_m[..., 2]
+        turn = np.array([[0.0, -1.0 / focal_px[1]], [1.0 / focal_px[0], 0.0], [0.0, 0.0]])
+        centre = np.empty((*p_m.shape[:-1], 6, 2))
+        centre[..., 3:, :] = self.camera.centre_std_px * turn
+        centre[..., :3, :] = (
+            self.camera.centre_std_px * p_m[..., 2, None, None] * (np.eye(3)[:, :2] / focal_px)
+        )
+        size = np.zeros((*p_m.shape[:-1], 6, 1))
+        size[..., :3, 0] = -self.tag_size_fraction * p_m
+        mounting = np.zeros((*p_m.shape[:-1], 6, 6))
+        mounting[..., :3, :3] = self.tag_position_m * R
+        mounting[..., 3:, 3:] = self.tag_rotation_rad * R
+        return (
+            SharedBias("focal length", focal),
+            SharedBias("principal point", centre),
+            SharedBias("tag size", size),
+            SharedBias("tag mounting", mounting),
+        )
+
+
+def edge_by_radius(p_axis_m: Array, axis: Array, radius_m: Array, side: Array) -> Array:
+    """Derivative by the radius, shape (..., 3), of the normal of the plane that touches a cylinder on one side.
+
+    The axis runs through points (..., 3) along directions (..., 3): dn/dr = e / (e · p) with e = n x d.
+    """
+    foot_m = p_axis_m - (axis * p_axis_m).sum(-1, keepdims=True) * axis
+    square = (foot_m * foot_m).sum(-1)
+    beside_m = side * np.sqrt(np.maximum(square - radius_m**2, NEAR_M**2))
+    e = beside_m[..., None] * foot_m - radius_m[..., None] * cross(axis, foot_m)
+    return np.asarray(e / (square * beside_m)[..., None])
+
+
+EXACT = Deviations(
+    CameraError(
+        focal_std_fraction=0.0, centre_std_px=0.0, baseline_std_fraction=0.0, right_rotation_std_rad=0.0
+    )
+)
+"""Constants that are taken to be right."""

@@ -1,0 +1,134 @@
+"""How high the tissue stands over where the profile has it, as stereo shows it in one frame, and what that may err by.
+
+The profile's plane is measured once, and tissue moves with breath and pulse: its height is a constant that the profile
+states within a deviation, and a motion about it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.estimation.detection.stereo_surface import StereoSurface
+from svmdist.estimation.filter.constants import Deviations, SharedBias
+from svmdist.estimation.filter.linearisation import Linearised
+from svmdist.estimation.tissue.dome import DomeModel
+from svmdist.profile import Tissue
+from svmdist.robust import median
+from svmdist.samples import RightView
+from svmdist.settings.stereo import StereoSettings
+from svmdist.settings.tissue import TissueTrackingSettings
+from svmdist.transforms import Array, inverse
+
+MIN_POINTS = 50
+"""Of a surface inside of the dome's rim: fewer are no view of it."""
+OUTLINE = "tissue height"
+
+
+@dataclass(frozen=True, slots=True)
+class TissueHeight:
+    """What is uncertain about the plane's distance at the tissue: constant and motion, as deviations in m."""
+
+    constant_std_m: float
+    motion_std_m: float
+    motion_time_s: float
+
+    @classmethod
+    def of(cls, tissue: Tissue, position_m: Array) -> TissueHeight:
+        """At a place on the plane, shape (3,): a tilt lifts what lies beside the foot of the camera's perpendicular."""
+        normal = np.array(tissue.plane_normal)
+        beside_m = position_m + tissue.plane_distance_m * normal
+        tilt_m = tissue.plane_tilt_std_rad * float(np.linalg.norm(beside_m))
+        constant = float(np.hypot(tissue.plane_distance_std_m, tilt_m))
+        return cls(constant, tissue.motion_std_m, tissue.motion_time_s)
+
+    def biases(self, by_height: Array) -> tuple[SharedBias, ...]:
+        """Of what a height in m moves by `by_height`, shape (m,)."""
+        column = by_height[:, None]
+        return (
+            SharedBias("tissue plane", self.constant_std_m * column),
+            SharedBias("tissue motion", self.motion_std_m * column, self.motion_time_s),
+        )
+
+    def in_m(self, plane: float, motion: float) -> float:
+        """The height in m of both biases, in units of their deviations."""
+        return self.constant_std_m * plane + self.motion_std_m * motion
+
+
+def measured_height(
+    surface: StereoSurface,
+    dome: DomeModel,
+    height: TissueHeight,
+    camera: Camera,
+    right: RightView,
+    deviations: Deviations,
+    stereo: StereoSettings,
+    tracking: TissueTrackingSettings,
+) -> tuple[Linearised, float] | None:
+    """The height over the dome where the profile has it, as a measurement, and in m; None where too little is seen.
+
+    A surface by stereo errs by as much over all of the tissue as its texture misleads the matching: the larger part
+    of that lasts.
+    """
+    points_m = dome.to_tissue_frame(surface.points_m)
+    inner = dome.normalised_radius(points_m[:, :2], dome.shape_m[:2]) < stereo.inner_radius
+    if np.count_nonzero(inner) < MIN_POINTS:
+        return None
+    over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
+    at_m = np.median(surface.points_m[inner], 0)
+    # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
+    T_right_left = inverse(right.T_left_right)
+    right_m = T_right_left[:3, :3] @ at_m + T_right_left[:3, 3]
+    _, slope = right.camera.project_with_derivative(right_m)
+    disparity_px = float(camera.K[0, 0] * np.linalg.norm(T_right_left[:3, 3]) / at_m[2])
+    m_per_px = at_m[2] / disparity_px * abs(float(dome.T_camera_tissue[2, 2]))
+    stereo_biases = tuple(
+        SharedBias(bias.name, m_per_px * bias.jacobian, bias.correlation_time_s)
+        for bias in deviations.of_disparity(right_m, slope[0], np.array(disparity_px), T_right_left)
+    )
+    dome_std_m = float(np.sqrt(dome.covariance[2, 2])) * float(
+        np.mean(dome.height_m(points_m[inner, :2])) / dome.shape_m[2]
+    )
+    own = SharedBias(
+        OUTLINE,
+        np.array([[np.hypot(tracking.lasting_height_share * surface.std_m, dome_std_m)]]),
+        tracking.height_correlation_time_s,
+    )
+    noise_m2 = (1.0 - tracking.lasting_height_share**2) * surface.std_m**2
+    part = Linearised(
+        np.array([over_m]),
+        np.zeros((1, 0)),
+        (own, *height.biases(np.ones(1)), *stereo_biases),
+        np.array([[noise_m2]]),
+    )
+    return part, over_m
+
+
+def by_constants(
+    position_m: Array,
+    offset_m: float,
+    normal: Array,
+    height: TissueHeight,
+    camera: Camera,
+    deviations: Deviations,
+) -> tuple[SharedBias, ...]:
+    """What height, focal length and principal point do to the place where the outline's ray meets the plane, (3, k).
+
+    X = offset r / (n · r) for the ray r: a longer focal length brings it towards the optical axis.
+    """
+    ray = position_m / position_m[2]
+    slope = float(normal @ ray)
+
+    def moved(by_ray: Array) -> Array:
+        return offset_m * (by_ray / slope - np.outer(ray, normal @ by_ray) / slope**2)
+
+    flat = ray * np.array([1.0, 1.0, 0.0])
+    focal = -deviations.camera.focal_std_fraction * moved(flat[:, None])
+    centre = -deviations.camera.centre_std_px * moved(np.eye(3)[:, :2] / np.diag(camera.K)[:2])
+    return (
+        *height.biases(position_m / offset_m),
+        SharedBias("focal length", focal),
+        SharedBias("principal point", centre),
+    )
