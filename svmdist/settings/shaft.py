@@ -64,6 +64,9 @@ class ShaftSettings(MethodSettings):
     """Standard deviation of the wrist's bend about each axis, where no joints tell it."""
     gate_chi2: float = Field(default=12.0, gt=0.0)
     """Squared deviation, in units of the variance, that one in 400 true measurements of two numbers exceeds."""
+    doubt_square: float = Field(default=2.25, ge=0.0)
+    """Squared deviation of the marker's size from what the depth by the shaft makes it, beyond which their difference
+    is stated as uncertainty: at 1.5 deviations it begins to be more than chance."""
     max_position_std_m: float = Field(default=0.008, gt=0.0, lt=1.0)
     """A position less certain than this along any direction is no measurement: a shaft whose radius is known to 2 %
     leaves 2 mm of depth, one that is seen as a stub twice that."""

@@ -31,6 +31,7 @@ from svmdist.least_squares import NormalEquations, Steps, minimise
 from svmdist.results import Failure, ToolPose, across_std_rad
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
+from svmdist.vision.sphere import apparent_radius_px
 
 DEFAULT = ShaftSettings()
 STEPS = Steps(max_steps=12, settled=1e-5)
@@ -61,7 +62,7 @@ def fit_shaft(
     for trusted in _readings(Landmarks(shaft, marker)):
         fit = _fit(trusted, model, camera, settings, deviations)
         if isinstance(fit, ShaftFit):
-            return fit
+            return _with_doubt(fit, marker, model, camera, settings, deviations)
         failure = failure or fit
     return failure or Failure("nothing of the shaft is to be seen")
 
@@ -126,6 +127,32 @@ def _fit(
     T = least.state.T
     pose = ToolPose(tool.T, covariance, T[:3, 2].copy(), across_std_rad(of_state[3:6, 3:6], T[:3, 2]))
     return ShaftFit(pose, T, tuple(residual.name for residual in found))
+
+
+def _with_doubt(
+    fit: ShaftFit,
+    marker: DistalMarker | None,
+    model: ShaftModel,
+    camera: Camera,
+    settings: ShaftSettings,
+    deviations: Deviations,
+) -> ShaftFit:
+    """The fit, as uncertain in depth as the size of a whole marker contradicts it, whether it took that or not.
+
+    A shadow beside the shaft, or blood on it, moves an edge far beyond its deviation; blood on the marker makes it
+    small. Which of the two is right, one image does not tell.
+    """
+    if marker is None or marker.radius_px is None:
+        return fit
+    tool_m = fit.pose.position_m
+    expected_px = float(apparent_radius_px(tool_m, model.knuckle_radius_m, camera))
+    off_px = marker.radius_px - expected_px
+    std_px = float(np.hypot(marker.radius_std_px, deviations.marker_radius_fraction * expected_px))
+    if off_px**2 < settings.doubt_square * std_px**2:
+        return fit
+    covariance = fit.pose.covariance.copy()
+    covariance[:3, :3] += (off_px / expected_px) ** 2 * np.outer(tool_m, tool_m)
+    return replace(fit, pose=replace(fit.pose, covariance=covariance))
 
 
 def _by_constants(found: list[Residual]) -> Array:

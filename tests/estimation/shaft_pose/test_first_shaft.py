@@ -133,3 +133,20 @@ def test_the_fit_stays_at_a_start_without_contradiction(turn: tuple[float, float
     np.testing.assert_allclose(fit.T_camera_shaft[:3, 3], T[:3, 3], atol=1e-6)
     np.testing.assert_allclose(fit.T_camera_shaft[:3, 2], T[:3, 2], atol=1e-5)
     np.testing.assert_allclose(fit.pose.position_m, (T @ STRAIGHT)[:3, 3], atol=1e-6)
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_a_marker_whose_size_contradicts_the_edges_is_stated_as_doubt(
+    turn: tuple[float, float, float],
+) -> None:
+    """A fifth smaller than the shaft's width makes it: the depth is as uncertain as a fifth of it, whoever is right."""
+    T = shaft_at(turn)
+    shaft, marker = seen_of(T)
+    assert marker.radius_px is not None
+    sure = fit_shaft(shaft, marker, model_of(T[:3, :3]), CAMERA)
+    doubted = fit_shaft(shaft, replace(marker, radius_px=0.8 * marker.radius_px), model_of(T[:3, :3]), CAMERA)
+    assert not isinstance(sure, Failure)
+    assert not isinstance(doubted, Failure)
+    depth_m = float(np.linalg.norm(doubted.pose.position_m))
+    assert sure.pose.position_std_m < 0.05 * depth_m
+    assert doubted.pose.position_std_m > 0.1 * depth_m
