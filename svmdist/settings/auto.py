@@ -26,6 +26,9 @@ class AutoSettings(MethodSettings):
     border_floor_level: float = Field(default=10.0, ge=0.0, le=64.0)
     """What is darker than this is border, whatever the darkest thing is."""
 
+    border_fraction: float = Field(default=0.4, gt=0.0, le=1.0)
+    """A border is darker than this part of the picture's median; haze may lift it so far. Else there is none."""
+
     level_offset: float = Field(default=8.0, gt=0.0, le=64.0)
     """Added to levels before their logarithm is taken: noise of one or two levels must not be a colour."""
     least_area: float = Field(default=0.003, gt=0.0, lt=0.5)
