@@ -17,9 +17,8 @@ class AutoSettings(MethodSettings):
     working_px: int = Field(default=320, ge=160, le=1280)
     """Longer side of the image that is worked on: a shaft of 8 mm at 200 mm is 10 to 20 px wide there."""
     adapting_frames: int = Field(default=8, ge=1, le=64)
-    """Images of a log that colours are learnt from, before the first row."""
-    adapting_stride: int = Field(default=3, ge=1, le=100)
-    """Every n-th image of the log's beginning is one of them: neighbours show the same."""
+    """Images of a log, evenly over its length, that colours are learnt from before the first row: so many, or up to
+    twice as many."""
 
     border_levels: float = Field(default=6.0, ge=0.0, le=64.0)
     """A black border differs from the darkest thing in the image by no more: noise and compression."""
