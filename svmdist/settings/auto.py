@@ -61,7 +61,9 @@ class AutoSettings(MethodSettings):
     least_darker: float = Field(default=0.25, ge=0.0)
     """How much darker, where it is not less red: dark steel on grey paper."""
     most_warmer: float = Field(default=0.08, ge=0.0)
-    """How much redder it may then be."""
+    """How much redder it may then be, where it has a colour."""
+    grey_chroma: float = Field(default=0.15, ge=0.0)
+    """What has less chroma, as a logarithm, has no colour: paper in bluish light makes grey steel look redder."""
     least_evidence: float = Field(default=0.1, gt=0.0, lt=1.0)
     """Evidence, from 0 to 1, of two straight edges: what has less is tissue."""
     sure_evidence: float = Field(default=0.3, gt=0.0, lt=1.0)
