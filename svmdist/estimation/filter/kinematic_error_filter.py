@@ -133,7 +133,7 @@ class KinematicErrorFilter:
         S = H @ state.P @ H.T + part.noise
         innovation = part.residual - H[:, self._model.size :] @ state.bias_mean
         nis = float(innovation @ np.linalg.solve(S, innovation))
-        result = GatingResult(name, nis, size, nis <= chi_square_bound(size, self._settings.gate_z))
+        result = GatingResult(name, nis, size, nis <= chi_square_bound(size, self._settings.gate_z), name)
         if result.is_accepted:
             K = np.asarray(np.linalg.solve(S, H @ state.P).T, np.float64)
             state.retract(K @ innovation)
@@ -205,7 +205,7 @@ class KinematicErrorFilter:
         if nis > bound:
             found = self._most_probable([measurement], [part])
             nis = nis if found is None else min(nis, found.nis)
-        return GatingResult(measurement.name, nis, size, nis <= bound)
+        return GatingResult(measurement.name, nis, size, nis <= bound, measurement.source)
 
     def _correct(self, measurements: Sequence[LinkMeasurement], parts: Sequence[Linearised]) -> bool:
         """Go to the most probable state; covariance in Joseph's form at the last linearisation.
