@@ -73,7 +73,7 @@ def measured_height(
     of that lasts.
     """
     points_m = dome.to_tissue_frame(surface.points_m)
-    inner = dome.normalised_radius(points_m[:, :2], dome.shape_m[:2]) < stereo.inner_radius
+    inner = dome.normalised_radius(points_m[:, :2], dome.shape[:2]) < stereo.inner_radius
     if np.count_nonzero(inner) < MIN_POINTS:
         return None
     over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
@@ -88,9 +88,8 @@ def measured_height(
         SharedBias(bias.name, m_per_px * bias.jacobian, bias.correlation_time_s)
         for bias in deviations.of_disparity(right_m, slope[0], np.array(disparity_px), T_right_left)
     )
-    dome_std_m = float(np.sqrt(dome.covariance[2, 2])) * float(
-        np.mean(dome.height_m(points_m[inner, :2])) / dome.shape_m[2]
-    )
+    by_shape = dome.derivative(points_m[inner, :2]).mean(0)
+    dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
     own = SharedBias(
         OUTLINE,
         np.array([[np.hypot(tracking.lasting_height_share * surface.std_m, dome_std_m)]]),
