@@ -74,6 +74,8 @@ class AutoSettings(MethodSettings):
     """log(G/B) from which on something is yellow at all: beside purple tissue steel is more yellow, and has none."""
     least_evidence: float = Field(default=0.1, gt=0.0, lt=1.0)
     """Evidence, from 0 to 1, of two straight edges: what has less is tissue."""
+    teaching_evidence: float = Field(default=0.24, gt=0.0, lt=1.0)
+    """Evidence that the surest bar of an image must have for anything to be learnt from it."""
     sure_evidence: float = Field(default=0.3, gt=0.0, lt=1.0)
     """Evidence from which on a bar's colours are learnt."""
     most_instruments: int = Field(default=5, ge=1, le=16)

@@ -141,7 +141,7 @@ def _apart(sought: list[JudgedBar], image: WorkingImage) -> list[JudgedBar]:
 
 def _of_bars(image: WorkingImage, sought: Sequence[JudgedBar]) -> Example | None:
     """What the sure bars of an image teach; what is near to any bar may be either, and teaches nothing."""
-    if not sought:
+    if not sought or sought[0].evidence < image.settings.teaching_evidence:
         return None
     shape = image.core.shape[0], image.core.shape[1]
     least = min(0.5 * sought[0].evidence, image.settings.sure_evidence)
