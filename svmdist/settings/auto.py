@@ -72,14 +72,16 @@ class AutoSettings(MethodSettings):
     """How much more yellow than either side it may be: fat is less red than muscle, and no instrument."""
     yellow_from: float = Field(default=0.3)
     """log(G/B) from which on something is yellow at all: beside purple tissue steel is more yellow, and has none."""
-    least_evidence: float = Field(default=0.1, gt=0.0, lt=1.0)
+    least_evidence: float = Field(default=0.2, gt=0.0, lt=1.0)
     """Evidence, from 0 to 1, of two straight edges: what has less is tissue."""
-    teaching_evidence: float = Field(default=0.24, gt=0.0, lt=1.0)
+    teaching_evidence: float = Field(default=0.44, gt=0.0, lt=1.0)
     """Evidence that the surest bar of an image must have for anything to be learnt from it."""
-    sure_evidence: float = Field(default=0.3, gt=0.0, lt=1.0)
+    sure_evidence: float = Field(default=0.4, gt=0.0, lt=1.0)
     """Evidence from which on a bar's colours are learnt."""
     most_instruments: int = Field(default=5, ge=1, le=16)
     """Instruments of one image."""
+    beside_widths: float = Field(default=0.5, ge=0.0)
+    """How far, over its width, an instrument goes beyond its bar's sides where its colours leave no doubt."""
     distal_widths: float = Field(default=4.5, gt=0.0)
     """How far wrist and jaws reach beyond the end of the shaft, over its width there."""
     distal_half_widths: float = Field(default=1.3, gt=0.0)

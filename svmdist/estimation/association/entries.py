@@ -94,22 +94,22 @@ class EntryTracker:
         settings = self._settings
         if track.entry is None or track.end is None:
             if track.side is None:
-                return float(2.0 * np.log(settings.side_std))
+                return 2.0 * math.log(settings.side_std)
             off = entry - track.side
-            return float(0.5 * off @ off / settings.side_std**2 + 2.0 * np.log(settings.side_std))
+            return 0.5 * float(off @ off) / settings.side_std**2 + 2.0 * math.log(settings.side_std)
         passed_s = max(0.0, (stamp_ns - track.stamp_ns) / 1e9)
         entry_std = min(settings.entry_std + settings.entry_speed * passed_s, settings.side_std)
         end_std = min(settings.end_std + settings.end_speed * passed_s, settings.side_std)
         from_entry, from_end = entry - track.entry, end - track.end
-        cost = 0.5 * float(from_entry @ from_entry) / entry_std**2 + 2.0 * math.log(entry_std)
+        of_entry = 0.5 * float(from_entry @ from_entry) / entry_std**2 + 2.0 * math.log(entry_std)
         # Ends say nothing more once they may be anywhere.
         of_end = 0.5 * float(from_end @ from_end) / end_std**2 + 2.0 * math.log(end_std / settings.side_std)
-        return float(cost + of_end)
+        return of_entry + of_end
 
     def _total(self, hypothesis: Sequence[int | None], cost: Array) -> float:
         """-log likelihood of naming all at once: each one that goes unnamed, or unseen, costs."""
         unnamed = cost.shape[1] - sum(at is not None for at in hypothesis)
-        total = self._settings.unnamed_cost * unnamed
+        total: float = self._settings.unnamed_cost * unnamed
         for place, at in enumerate(hypothesis):
             total += self._settings.unseen_cost if at is None else float(cost[place, at])
         return total

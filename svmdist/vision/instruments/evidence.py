@@ -53,7 +53,9 @@ def judged(bar: Bar, part: Image, image: WorkingImage, ratio: Floats | None = No
     is_known = min(first.likelier, second.likelier) > settings.least_ratio_step
     if fraction < settings.least_step_fraction or not (is_cooler or is_darker or is_known):
         return None
-    straight = min(1.0, 2.0 * min(inwards.support) / max(inwards.outline_px, 1))
+    lengths = np.linalg.norm(inwards.sides[:, 1] - inwards.sides[:, 0], axis=1)
+    straight = min(1.0, float((np.array(inwards.support) / np.maximum(lengths, 1.0)).min()))
+    straight *= min(1.0, inwards.length_px / (1.2 * inwards.width_px))
     long = min(1.0, inwards.length_px / (0.25 * settings.working_px)) ** 0.5
     mean_cooler = max(0.5 * (first.cooler + second.cooler), -settings.most_warmer)
     likelier = max(min(first.likelier, second.likelier), 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from svmdist.samples import Image
 from svmdist.vision.instruments.appearance import Appearance, Example, learnt_from
 from svmdist.vision.instruments.bars import Bar, bars_in
+from svmdist.vision.instruments.belonging import belonging, with_missed_parts
 from svmdist.vision.instruments.evidence import JudgedBar, judged
 from svmdist.vision.instruments.sharpen import sharpened
 from svmdist.vision.instruments.working import SQUARE_3, SQUARE_5, Floats, WorkingImage
@@ -21,10 +22,6 @@ PERCENTILES = (4, 8, 13, 19, 26, 34)
 """Of each channel in the picture: thresholds under which instruments are sought. They cover 3 to 40 % of a picture."""
 RATIO_LEVELS = (0.0, 1.0, 2.0)
 """Of the log ratio: at higher ones a shaft parts from a shadow beside it, at lower ones all of it is there."""
-RATIO_DOUBT = 2.0
-"""A colour that speaks against an instrument by no more may be that of a wrist."""
-FAR_D2 = 16.0
-"""Squared deviation from the colours around, of three numbers, that one in a thousand exceeds."""
 ROUND_7 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
 SQUARE_9 = np.ones((9, 9), np.uint8)
 
@@ -100,14 +97,15 @@ def find_instruments(
             continue
         if np.count_nonzero(zones.middle & (likely > 0)) < 0.6 * size:
             continue
-        mask = _belonging(zones, likely | _unlike_nearby(zones, ratio, image), image)
+        mask = belonging(zones, likely, ratio, image)
         if np.count_nonzero(mask & ~taken) < settings.least_area * image.area_px:
             continue
         taken |= mask
         found.append(Found(one.bar, mask, one.evidence))
         if len(found) >= settings.most_instruments:
             break
-    return found
+    masks = with_missed_parts([one.mask for one in found], ratio, image)
+    return [replace(one, mask=mask) for one, mask in zip(found, masks, strict=True)]
 
 
 def _above(ratio: Floats, level: float, image: WorkingImage) -> Image:
@@ -144,7 +142,7 @@ def _of_bars(image: WorkingImage, sought: Sequence[JudgedBar]) -> Example | None
     if not sought or sought[0].evidence < image.settings.teaching_evidence:
         return None
     shape = image.core.shape[0], image.core.shape[1]
-    least = min(0.5 * sought[0].evidence, image.settings.sure_evidence)
+    least = min(0.6 * sought[0].evidence, image.settings.sure_evidence)
     inside, near = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
     for one in sought:
         strip = one.bar.filled(shape)
@@ -155,54 +153,3 @@ def _of_bars(image: WorkingImage, sought: Sequence[JudgedBar]) -> Example | None
             reach = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
         near |= np.asarray(cv2.dilate(strip, reach), np.uint8)
     return Example(image, inside, np.asarray(cv2.subtract(image.core, near), np.uint8))
-
-
-def _unlike_nearby(zones: Zones, ratio: Floats, image: WorkingImage) -> Image:
-    """What in the distal zone has not the colours around it, shape (h, w): wrists are reddish by tissue's reflection.
-
-    The colours around are one normal distribution; a pixel far outside of it is not of what lies there.
-    """
-    near = cv2.dilate(zones.distal.astype(np.uint8), SQUARE_9) > 0
-    around = near & ~zones.distal & ~zones.strip & (image.core > 0) & (ratio < 0.0)
-    inside = zones.distal & (image.core > 0) & (ratio > -RATIO_DOUBT)
-    if np.count_nonzero(around) < 50 or not inside.any():
-        return np.zeros_like(image.core)
-    sample = image.colours[around].astype(np.float64)
-    centre = np.median(sample, axis=0)
-    spread = np.cov(sample.T) + np.diag([0.03, 0.03, 0.1]) ** 2
-    off = image.colours[inside] - centre
-    far = np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off) > FAR_D2
-    mask = np.zeros_like(image.core)
-    mask[inside] = 255 * far
-    return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
-
-
-def _belonging(zones: Zones, likely: Image, image: WorkingImage) -> NDArray[np.bool_]:
-    """What of the likely pixels belongs to the instrument of these zones: what hangs together with its bar."""
-    mine = ((zones.strip | zones.distal) & (likely > 0)) | zones.middle
-    _, labels = cv2.connectedComponents(mine.astype(np.uint8))
-    names = np.unique(labels[zones.middle])
-    mask = np.isin(labels, names[names > 0]) & (image.core > 0)
-    mask = _without_holes(mask, 0.003 * image.area_px)
-    # Where the optics fade, colours tell nothing; the instrument goes on to the border of the picture.
-    outside = zones.strip & (image.picture > 0) & (image.core == 0)
-    return np.asarray(mask | (outside & (cv2.dilate(mask.astype(np.uint8), SQUARE_5) > 0)))
-
-
-def _without_holes(mask: NDArray[np.bool_], most_px: float) -> NDArray[np.bool_]:
-    """The mask with its small holes filled: glare and blood; through a large one tissue is seen."""
-    solid = mask.astype(np.uint8)
-    contours, _ = cv2.findContours(solid, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    whole = np.zeros_like(solid)
-    cv2.drawContours(whole, contours, -1, 1, cv2.FILLED)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(cv2.subtract(whole, solid))
-    small = [label for label in range(1, count) if stats[label, cv2.CC_STAT_AREA] < most_px]
-    return np.asarray(mask | np.isin(labels, small))
-
-
-def union(found: Sequence[Found], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """The pixels of all instruments, shape (h, w)."""
-    mask = np.zeros(shape, bool)
-    for one in found:
-        mask |= one.mask
-    return mask

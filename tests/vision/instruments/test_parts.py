@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +11,9 @@ import pytest
 from svmdist.settings.auto import AutoSettings
 from svmdist.vision.instruments.appearance import MOST_RATIO, Example, learnt_from
 from svmdist.vision.instruments.bars import bars_in, best_bar
+from svmdist.vision.instruments.belonging import belonging, with_missed_parts
 from svmdist.vision.instruments.evidence import judged
+from svmdist.vision.instruments.sharpen import sharpened
 from svmdist.vision.instruments.tissue import tissue_of
 from svmdist.vision.instruments.working import WorkingImage, colour_logs
 from svmdist.vision.instruments.zones import Zones
@@ -116,6 +120,53 @@ def test_zones_do_not_overlap_where_they_must_not() -> None:
     zones = Zones.of(one.bar, image)
     assert not (zones.middle & ~zones.strip).any()
     assert (zones.strip[:, 2:60] & (mask[:, 2:60] > 0)).sum() > 0.9 * (mask[:, 2:60] > 0).sum()
+
+
+def test_sides_move_to_the_steepest_change() -> None:
+    """A bar of a mask that is 2 px too narrow on one side is put right to half a pixel."""
+    image, mask = picture(30.0, 0.0)
+    ((bar, _),) = list(bars_in(mask, image, 0.5, 1))
+    off = replace(bar, sides=bar.sides + np.array([[[0.0, 2.0]], [[0.0, 0.0]]]))
+    assert sharpened(off, image).width_px == pytest.approx(30.0, abs=1.0)
+    plain = WorkingImage.of(np.full((240, 320, 3), 120, np.uint8), SETTINGS)
+    assert np.array_equal(sharpened(off, plain).sides, off.sides)  # nothing changes anywhere: it stays
+
+
+def test_what_goes_on_beyond_does_not_belong() -> None:
+    """A strip of the same colour across the shaft's end is a thing behind it; a wrist is not."""
+    image, mask = picture(20.0, 0.0)
+    ((bar, part),) = list(bars_in(mask, image, 0.5, 1))
+    one = judged(bar, part, image)
+    assert one is not None
+    zones = Zones.of(one.bar, image)
+    likely = mask.copy()
+    likely[:, 160:220] = 255
+    ratio = np.where(likely > 0, 3.0, -3.0).astype(np.float32)
+    own = belonging(zones, likely, ratio, image)
+    assert np.count_nonzero(own & (mask == 0)) < 0.25 * np.count_nonzero((likely > 0) & (mask == 0))
+    wrist = mask.copy()
+    wrist[74:87, 160:200] = 255
+    own = belonging(zones, wrist, np.where(wrist > 0, 3.0, -3.0).astype(np.float32), image)
+    assert np.count_nonzero(own & (wrist > 0)) > 0.9 * np.count_nonzero(wrist[:, 4:])
+
+
+def test_a_missed_part_is_added_where_nothing_else_looks_like_it() -> None:
+    """A shaft beside the strip belongs to it; not where the background has that colour too, and no small shadow."""
+    image, _ = picture()
+    found = np.zeros((240, 320), bool)
+    found[100:120, 20:120] = True
+    beside = np.zeros_like(found)
+    beside[120:150, 20:80] = True
+    ratio = np.where(found | beside, 3.0, -3.0).astype(np.float32)
+    (whole,) = with_missed_parts([found], ratio, image)
+    assert np.count_nonzero(whole & beside) > 0.9 * np.count_nonzero(beside)
+    elsewhere = ratio.copy()
+    elsewhere[180:220, 150:300] = 3.0
+    assert np.array_equal(with_missed_parts([found], elsewhere, image)[0], found)
+    small = np.where(found, 3.0, -3.0).astype(np.float32)
+    small[120:124, 20:60] = 3.0
+    assert np.array_equal(with_missed_parts([found], small, image)[0], found)
+    assert with_missed_parts([], ratio, image) == []
 
 
 def test_tissue_is_what_is_red_where_that_is_distinct() -> None:
