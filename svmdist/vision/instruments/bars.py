@@ -145,11 +145,9 @@ def best_bar(
     for line in np.argsort(-support, kind="stable"):
         if support[line] < settings.least_side_px or len(lines) >= MOST_LINES:
             break
-        if not any(
-            along[line] @ along[other] > 0.97
-            and abs((starts[line] - starts[other]) @ normals[other]) < 2.0 * settings.line_within_px
-            for other in lines
-        ):
+        apart = np.abs(((starts[line] - starts[lines]) * normals[lines]).sum(axis=1))
+        alike = along[lines] @ along[line] > 0.97
+        if not (alike & (apart < 2.0 * settings.line_within_px)).any():
             lines.append(int(line))
     best: tuple[float, int, int, Array] | None = None
     for place, first in enumerate(lines):
