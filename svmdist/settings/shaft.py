@@ -51,6 +51,9 @@ class ShaftSettings(MethodSettings):
     """What shading beside an edge shifts it, in addition to noise: see the error budget."""
     shading_std_per_blur: float = Field(default=0.05, ge=0.0)
     """How that grows with the edge's blur, for the same reason."""
+    outline_shading_std_px: float = Field(default=0.15, ge=0.0)
+    """The same where nothing is known of the light: a limb that fades or shines may shift either edge, as sharpening in
+    a camera does."""
     end_strip_fraction: float = Field(default=0.25, gt=0.0, le=1.0)
     """The shaft's end is searched in this part of its half width about the middle, where its arc has its apex."""
     end_reach_half_widths: float = Field(default=0.9, gt=0.0)
@@ -60,6 +63,9 @@ class ShaftSettings(MethodSettings):
 
     end_model_std_m: float = Field(default=0.0002, ge=0.0, lt=0.1)
     """A bevel, and glare on it, hide where exactly the dark part ends."""
+    outline_end_std_radii: float = Field(default=0.25, ge=0.0)
+    """How far from where the profile says it the outline stops being a cylinder's, over the shaft's radius: clevises
+    differ, and a bent wrist hides their ends."""
     unknown_bend_rad: float = Field(default=0.4, gt=0.0, lt=3.2)
     """Standard deviation of the wrist's bend about each axis, where no joints tell it."""
     gate_chi2: float = Field(default=12.0, gt=0.0)

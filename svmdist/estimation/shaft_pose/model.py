@@ -18,6 +18,8 @@ from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array, inverse, make_transform
 
 DEFAULT = ShaftSettings()
+OUTLINE_END_PER_RADIUS = 0.9
+"""The clevis of a da Vinci instrument of 8 mm reaches so far beyond the wrist's pitch axis, over the shaft's radius."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +28,8 @@ class ShaftModel:
 
     `T_shaft_tool` is the wrist as the joints bend it, `bend_std_rad` how wrong that may be about each axis
     across the shaft. `R_camera_shaft` (3, 3) is that of the nominal kinematics, None without the robot's base,
-    with `rotation_std_rad`. The dark part ends `neck_m` behind the hinge.
+    with `rotation_std_rad`. The dark part ends `neck_m` behind the hinge, the outline
+    of a cylinder `outline_end_m` before it.
     """
 
     T_shaft_tool: Array
@@ -35,6 +38,7 @@ class ShaftModel:
     rotation_std_rad: float
     radius_m: float
     neck_m: float
+    outline_end_m: float
     knuckle_radius_m: float
     marker_std_m: float = 0.0
     """How far the distal marker may be from the tool's origin, along each axis, and how wrong the wrist's length is."""
@@ -74,9 +78,24 @@ def shaft_model(
         rotation_std_rad,
         instrument.shaft_radius_m,
         instrument.shaft_end_m or NECK_PER_RADIUS * instrument.wrist_radius_m,
+        outline_end_m(instrument),
         instrument.knuckle_radius_m,
         float(np.hypot(instrument.knuckle_position_std_m, error.length_std_m)),
     )
+
+
+def tool_fraction(chain: DHChain, instrument: Instrument) -> float:
+    """Where on the way from the outline's end to the jaws' tips the tool's origin is, with the wrist straight."""
+    _, T_shaft_tool = shaft_frames(chain, np.zeros(len(chain.joint_names)))
+    ahead_m = max(float(T_shaft_tool[2, 3]) - outline_end_m(instrument), 0.0)
+    return ahead_m / (ahead_m + instrument.jaw_length_m)
+
+
+def outline_end_m(instrument: Instrument) -> float:
+    """How far before the hinge the outline stops being the shaft's."""
+    if instrument.outline_end_m is not None:
+        return instrument.outline_end_m
+    return OUTLINE_END_PER_RADIUS * instrument.shaft_radius_m
 
 
 def roll_row(chain: DHChain) -> int:

@@ -106,20 +106,24 @@ def contour_residual(
 def rim_residual(
     rim: Rim, state: ShaftState, model: ShaftModel, camera: Camera, settings: ShaftSettings
 ) -> Residual:
-    """Where the dark part ends: the end of the generatrix that faces the camera."""
+    """Where the dark part ends: the end of the generatrix that faces the camera. An outline's end is on the axis."""
+    ahead_m, radius_m, model_std_m = -model.neck_m, model.radius_m, settings.end_model_std_m
+    if rim.is_outline:
+        ahead_m, radius_m = model.outline_end_m, 0.0
+        model_std_m = settings.outline_end_std_radii * model.radius_m
     hinge_m, d = state.T[:3, 3], state.T[:3, 2]
     along_m = float(d @ hinge_m)
     foot_m = hinge_m - along_m * d
     distance_m = float(np.linalg.norm(foot_m))
     facing = foot_m / distance_m
-    point_m = hinge_m - model.neck_m * d - model.radius_m * facing
+    point_m = hinge_m + ahead_m * d - radius_m * facing
     across = (np.eye(3) - np.outer(facing, facing)) / distance_m
-    by_hinge = np.eye(3) - model.radius_m * across @ (np.eye(3) - np.outer(d, d))
-    by_direction = -model.neck_m * np.eye(3) + model.radius_m * across @ (
+    by_hinge = np.eye(3) - radius_m * across @ (np.eye(3) - np.outer(d, d))
+    by_direction = ahead_m * np.eye(3) + radius_m * across @ (
         along_m * np.eye(3) + np.outer(d, hinge_m)
     )
     pixel, by_point = camera.project_with_derivative(point_m)
-    model_std_px = settings.end_model_std_m * camera.K[0, 0] / point_m[2]
+    model_std_px = model_std_m * camera.K[0, 0] / point_m[2]
     std_px = float(np.hypot(rim.std_px, model_std_px))
     off = float((rim.pixel - pixel) @ rim.towards_tip) / std_px
     # The deviation depends on the depth, too.

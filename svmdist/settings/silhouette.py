@@ -1,0 +1,54 @@
+"""Settings of finding an instrument's shaft by its silhouette: two straight sides, their end, and the wrist beyond."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from svmdist.settings.base import MethodSettings
+
+
+class SilhouetteSettings(MethodSettings):
+    """What is assumed in finding shaft and wrist in the outline of a whole instrument, whatever its colours.
+
+    The outline is rough: sides are sought in it, and then in the image's own gradients.
+    """
+
+    min_side_per_width: float = Field(default=0.5, ge=0.0)
+    """The shorter side over the shaft's width: less of it does not tell where it points."""
+    max_taper_rad: float = Field(default=0.6, gt=0.0, lt=1.5)
+    """Between both sides: a cylinder that points at the camera more than this shows no length to measure."""
+
+    edge_reach_fraction: float = Field(default=0.012, gt=0.0, lt=0.1)
+    """How far from a rough side the image's edge is searched, over the image's width."""
+    edge_turn_px: float = Field(default=4.0, ge=0.0)
+    """How far the edge's two ends may be off a rough side in opposite directions, px at 640 columns."""
+    full_contrast_levels: float = Field(default=16.0, gt=0.0)
+    """A step of so many levels of 255 across a side counts half as much as the largest one: edges are told by their
+    straightness, not by their strength."""
+    min_support: float = Field(default=0.3, gt=0.0, lt=1.0)
+    """Mean of that response along a side below which it is no edge of an instrument."""
+    rival_fraction: float = Field(default=0.8, gt=0.0, le=1.0)
+    """A second straight edge beside the first, this strong against it, may be the true one as well: a shadow's, or a
+    reflection's."""
+    straight_px: float = Field(default=0.6, gt=0.0)
+    """How far an edge's point may lie off the shaft's line: the wrist goes on beside it a pixel or two off."""
+    end_share: float = Field(default=0.6, gt=0.0, lt=1.0)
+    """The cylinder ends where less than this part of the points beyond lie on its line."""
+    end_reach_widths: float = Field(default=2.0, gt=0.0)
+    """How far beyond a rough side its continuation is followed, over the shaft's width."""
+    min_end_std_widths: float = Field(default=0.08, gt=0.0)
+    """The least deviation of the cylinder's end, over the shaft's width: ears and bevels hide it."""
+
+    wrist_reach_widths: float = Field(default=4.0, gt=0.0)
+    """How far beyond the cylinder's end wrist and jaws may reach, over the shaft's width."""
+    wrist_std: float = Field(default=0.12, gt=0.0)
+    """The tool's origin in the outline beyond the cylinder's end, over the length of that: jaws open and turn."""
+    min_wrist_widths: float = Field(default=0.5, gt=0.0)
+    """An outline that ends closer than this behind the cylinder's end, over its width, shows no wrist."""
+    flank_stds: float = Field(default=4.0, gt=0.0)
+    """What is this far, in their own scatter, from the colours on both sides of a wrist is wrist: one pixel of paper in
+    a thousand is so far, and specks do not count."""
+    flank_light_levels: float = Field(default=8.0, gt=0.0)
+    """The least scatter of lightness, levels of 255: light falls off over a wrist's length."""
+    flank_colour_levels: float = Field(default=3.0, gt=0.0)
+    """The least scatter of Lab's a and b: compression leaves as much."""

@@ -1,0 +1,222 @@
+"""A straight edge in an image near a rough one, whatever colours meet there, and how far it goes on.
+
+Profiles are taken across the rough line. Where most of them change at places on one straight line, the edge is there:
+each counts by how distinct its change is, up to a bound, so that straightness decides and not strength.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from svmdist.robust import median, scale_of
+from svmdist.samples import Image
+from svmdist.settings.shaft import ShaftSettings
+from svmdist.settings.silhouette import SilhouetteSettings
+from svmdist.transforms import Array
+from svmdist.vision.edges import STEP_PX, slope_filter
+
+DEFAULT, DEFAULT_SHAFT = SilhouetteSettings(), ShaftSettings()
+BLOCK = 6
+"""Neighbouring profiles that vote as one."""
+SPACING_PX = 1.5
+"""Between profiles."""
+PEAK_REACH_PX = 2.0
+"""From the line to a profile's own edge."""
+MIN_POINTS = 8
+START_PART = 0.6
+"""Of a rough side, what is surely shaft: the rest may be wrist already."""
+END_STEPS = 3
+APART_PX = 3.0
+"""From an edge to another one: the slope of one step is as wide."""
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeLine:
+    """An edge from the border to where it stops being straight.
+
+    `points_px`, shape (n, 2), are its sub-pixel points from the border to the end; `start_px` and `end_px`, shape (2,),
+    are on the line through them. `support` is the mean response along it, from 0 to 1; `rival` how strong the next
+    straight edge beside it is, over its own. `ends` is False where it goes on to the border of what was looked at.
+    """
+
+    start_px: Array
+    end_px: Array
+    points_px: Array
+    support: float
+    rival: float
+    ends: bool
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector towards the tip, shape (2,)."""
+        along = self.end_px - self.start_px
+        return np.asarray(along / np.linalg.norm(along))
+
+
+def edge_line(
+    bgr: Image,
+    rough: Array,
+    beyond_px: float,
+    reach_px: float,
+    picture: Image | None = None,
+    settings: SilhouetteSettings = DEFAULT,
+    shaft: ShaftSettings = DEFAULT_SHAFT,
+) -> EdgeLine | None:
+    """The edge of an image, shape (h, w, 3), near a rough side, shape (2, 2) from start to end; None without one.
+
+    The edge is sought along the side within `reach_px`, and followed `beyond_px` further. `picture`, shape (h, w), marks
+    what is not border around the endoscope's view: edges of the border are none.
+    """
+    start, end = rough
+    length_px = float(np.linalg.norm(end - start))
+    if length_px < 2.0 * BLOCK * SPACING_PX:
+        return None
+    along = (end - start) / length_px
+    across = np.array([-along[1], along[0]])
+    at = np.arange(0.5 * SPACING_PX, length_px + beyond_px, SPACING_PX)
+    turn_px = settings.edge_turn_px * bgr.shape[1] / 640.0
+    # A turned line goes on turning beyond the side.
+    half_px = reach_px + turn_px * (1.0 + 2.0 * beyond_px / length_px) + 3.0 * shaft.slope_sigma_px
+    half_px = np.ceil(half_px / STEP_PX) * STEP_PX
+    slopes, offsets, seen = _slopes(bgr, start + at[:, None] * along, across, half_px, shaft, picture)
+    strength = np.sqrt(np.sum(slopes**2, 0))
+    half_strength = settings.full_contrast_levels / (np.sqrt(2.0 * np.pi) * 1.5 * shaft.slope_sigma_px)
+    response = np.where(seen, strength / (strength + half_strength), 0.0)
+    on_side = at <= length_px
+    found = _straightest(response[on_side], at[on_side] / length_px, offsets, reach_px, turn_px)
+    if found is None:
+        return None
+    offset_px, slant_px, support, rival = found
+    if support < settings.min_support:
+        return None
+    place = offset_px + slant_px * (2.0 * at / length_px - 1.0)
+    off_px = _points(slopes, place, offsets, seen)
+    line = _ending_line(at, off_px, length_px, settings)
+    if line is None:
+        return None
+    middle, slope, end_at = line
+    used = np.isfinite(off_px) & (at <= end_at)
+    points_px = start + at[used, None] * along + off_px[used, None] * across
+    if len(points_px) < MIN_POINTS:
+        return None
+    first, last = (start + t * along + (middle + slope * t) * across for t in (0.0, end_at))
+    return EdgeLine(first, last, points_px, support, rival, bool(end_at < at[-1] - 2.0 * SPACING_PX))
+
+
+def _ending_line(
+    at: Array, off_px: Array, length_px: float, settings: SilhouetteSettings
+) -> tuple[float, float, float] | None:
+    """The straight part from the border on: its line's offset at 0 and slope, and the distance at which it ends.
+
+    A wrist runs on beside the shaft's line, a pixel or two off it. So the line is that of the part next to the
+    border, and it ends where fewer than half of the points lie on it.
+    """
+    end_at = START_PART * length_px
+    found = np.isfinite(off_px)
+    line = (0.0, 0.0)
+    for _ in range(END_STEPS):
+        part = found & (at <= max(end_at, 0.3 * length_px))
+        if np.count_nonzero(part) < MIN_POINTS:
+            return None
+        line = _robust_line(at[part], off_px[part])
+        residual = np.where(found, np.abs(off_px - line[0] - line[1] * at), np.inf)
+        on_line = residual < settings.straight_px
+        # The sum is largest where the part with more points on the line than off it ends.
+        total = np.cumsum(np.where(on_line, 1.0 - settings.end_share, -settings.end_share))
+        best = int(np.argmax(total))
+        if not total[best] > 0.0:
+            return None
+        end_at = float(at[best])
+    return line[0], line[1], end_at
+
+
+def _robust_line(x: Array, y: Array) -> tuple[float, float]:
+    """Offset and slope of the line through most points, by Tukey's biweight from a median start."""
+    half = len(x) // 2
+    slopes = (y[half : 2 * half] - y[:half]) / np.maximum(x[half : 2 * half] - x[:half], 1e-9)
+    slope = median(slopes)
+    offset = median(y - slope * x)
+    for _ in range(8):
+        residual = y - offset - slope * x
+        scale = max(scale_of(residual), 0.08) * 4.0
+        weight = np.square(np.maximum(1.0 - np.square(residual / scale), 0.0))
+        total = weight.sum()
+        if not total > 0.0:
+            break
+        centre, height = float(weight @ x) / total, float(weight @ y) / total
+        slope = float(weight @ ((x - centre) * (y - height))) / max(float(weight @ np.square(x - centre)), 1e-9)
+        offset = height - slope * centre
+    return offset, slope
+
+
+def _slopes(
+    bgr: Image, feet_px: Array, across: Array, half_px: float, shaft: ShaftSettings, picture: Image | None
+) -> tuple[Array, Array, Array]:
+    """Slopes of three channels, shape (3, n, k), at offsets, shape (k,), and whether each is in the image, (n, k)."""
+    offsets = np.arange(-half_px, half_px + STEP_PX / 2, STEP_PX)
+    x = feet_px[:, 0, None] + offsets * across[0]
+    y = feet_px[:, 1, None] + offsets * across[1]
+    height, width = bgr.shape[:2]
+    seen = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    if picture is not None:
+        column, row = (np.clip(np.rint(v), 0, size - 1).astype(int) for v, size in ((x, width), (y, height)))
+        seen &= picture[row, column] > 0
+    left, top = (int(np.clip(least, 0, size - 1)) for least, size in ((x.min() - 1, width), (y.min() - 1, height)))
+    window = bgr[top : max(int(y.max()) + 3, top + 1), left : max(int(x.max()) + 3, left + 1)]
+    places = ((x - left).astype(np.float32), (y - top).astype(np.float32))
+    values = cv2.remap(
+        window.astype(np.float32), *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    kernel = slope_filter(len(offsets), shaft.slope_sigma_px)
+    return np.moveaxis(values, 2, 0).astype(np.float64) @ kernel, offsets, seen
+
+
+def _straightest(
+    response: Array, where: Array, offsets: Array, reach_px: float, turn_px: float
+) -> tuple[float, float, float, float] | None:
+    """The line with the largest mean response: offset in its middle, slant to its end, that mean, the rival's share."""
+    count = len(response) // BLOCK
+    blocks = response[: count * BLOCK].reshape(count, BLOCK, -1).mean(1)
+    middle = where[: count * BLOCK].reshape(count, BLOCK).mean(1)
+    slants = np.arange(-turn_px, turn_px + STEP_PX / 2, STEP_PX)
+    candidates = np.flatnonzero(np.abs(offsets) <= reach_px)
+    steps = np.rint(slants[:, None] * (2.0 * middle - 1.0) / STEP_PX).astype(int)  # (slants, blocks)
+    columns = np.clip(candidates[None, None, :] + steps[:, :, None], 0, len(offsets) - 1)
+    total = blocks[np.arange(count)[None, :, None], columns].mean(1)  # (slants, offsets)
+    slant, offset = np.unravel_index(int(np.argmax(total)), total.shape)
+    best = float(total[slant, offset])
+    if not best > 0.0:
+        return None
+    other = np.abs(offsets[candidates] - offsets[candidates[offset]]) >= APART_PX
+    rival = float(total[:, other].max()) / best if other.any() else 0.0
+    return float(offsets[candidates[offset]]), float(slants[slant]), best, rival
+
+
+def _points(slopes: Array, place: Array, offsets: Array, seen: Array) -> Array:
+    """Sub-pixel offset of each profile's edge near the line, shape (n,); NaN where there is none.
+
+    Colours are projected on what most of the neighbourhood changes by, so that a step has one sign.
+    """
+    rows = np.arange(len(place))
+    column = np.rint((place - offsets[0]) / STEP_PX).astype(int)
+    reach = int(PEAK_REACH_PX / STEP_PX)
+    columns = np.clip(column[:, None] + np.arange(-reach, reach + 1), 1, len(offsets) - 2)
+    change = slopes[:, rows[:, None], columns].sum(2)  # (3, n)
+    kernel = np.ones((1, 4 * BLOCK + 1))
+    change = cv2.filter2D(change, -1, kernel, borderType=cv2.BORDER_REPLICATE)
+    change /= np.maximum(np.linalg.norm(change, axis=0), 1e-9)
+    slope = np.einsum("cn,cnk->nk", change, slopes)
+    window = slope[rows[:, None], columns]
+    best = np.argmax(window, 1)
+    peak = columns[rows, best]
+    before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
+    inside = (best > 0) & (best < 2 * reach) & seen[rows, peak]
+    good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after) & (top > 0.5)
+    log_before, log_top, log_after = (np.log(np.maximum(value, 1e-9)) for value in (before, top, after))
+    bend = log_before - 2.0 * log_top + log_after
+    good &= bend < -1e-9
+    shift = 0.5 * (log_before - log_after) / np.where(good, bend, -1.0)
+    return np.where(good, offsets[peak] + np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan)
