@@ -1,7 +1,8 @@
 """The distances between a tool and the tissue in 3D, and their standard deviations.
 
-Errors are propagated to first order (ISO/IEC Guide 98-3, sec. 5.1), those of a length to second. Tool and tissue are measured from different
-pixels, but perhaps by the same wrong camera: a method that knows says how their errors go together.
+Errors are propagated to first order (ISO/IEC Guide 98-3, sec. 5.1), those of a length to second. Tool and tissue are
+measured from different pixels, but perhaps by the same wrong camera: a method that knows says how their errors go
+together.
 """
 
 from __future__ import annotations

@@ -47,6 +47,8 @@ class ShaftSettings(MethodSettings):
     """How far a point of an edge may lie off its line: ten times the least deviation of a point."""
     line_inlier_per_blur: float = Field(default=0.2, ge=0.0)
     """How that grows with the edge's blur: shading over twice the width shifts the steepest point by more."""
+    line_inlier_per_width: float = Field(default=0.012, ge=0.0)
+    """The same over the shaft's width, for edges of a silhouette: near ones are less sharp, and lenses bend them."""
     shading_std_px: float = Field(default=0.08, ge=0.0)
     """What shading beside an edge shifts it, in addition to noise: see the error budget."""
     shading_std_per_blur: float = Field(default=0.05, ge=0.0)
@@ -66,8 +68,12 @@ class ShaftSettings(MethodSettings):
     outline_end_std_radii: float = Field(default=0.25, ge=0.0)
     """How far from where the profile says it the outline stops being a cylinder's, over the shaft's radius: clevises
     differ, and a bent wrist hides their ends."""
-    unknown_bend_rad: float = Field(default=0.4, gt=0.0, lt=3.2)
-    """Standard deviation of the wrist's bend about each axis, where no joints tell it."""
+    jaw_tip_std: float = Field(default=0.35, gt=0.0)
+    """How far the tip of an outline is from where closed, straight jaws would end, over their length: they open and
+    turn against the wrist."""
+    unknown_bend_rad: float = Field(default=0.8, gt=0.0, lt=3.2)
+    """Standard deviation of the wrist's bend about each axis, where no joints tell it: any bend within its usual limits
+    of 1.4 rad is as likely as another."""
     gate_chi2: float = Field(default=12.0, gt=0.0)
     """Squared deviation, in units of the variance, that one in 400 true measurements of two numbers exceeds."""
     doubt_square: float = Field(default=2.25, ge=0.0)

@@ -20,18 +20,26 @@ class SilhouetteSettings(MethodSettings):
 
     edge_reach_fraction: float = Field(default=0.012, gt=0.0, lt=0.1)
     """How far from a rough side the image's edge is searched, over the image's width."""
-    edge_turn_px: float = Field(default=4.0, ge=0.0)
-    """How far the edge's two ends may be off a rough side in opposite directions, px at 640 columns."""
+    edge_reach_widths: float = Field(default=0.2, ge=0.0)
+    """The same over the shaft's width, where that is more: jaws and ears lead a rough side astray."""
+    edge_turn_widths: float = Field(default=0.35, ge=0.0)
+    """How far the edge's ends may be off in opposite directions beside that, over the shaft's width."""
+    search_scale_widths: float = Field(default=0.04, ge=0.0)
+    """Scale of the slope that is sought first, over the shaft's width: texture of tissue is finer."""
+    texture_factor: float = Field(default=1.5, ge=0.0)
+    """A slope of so many times the neighbourhood's median counts half as much as the largest one."""
     full_contrast_levels: float = Field(default=16.0, gt=0.0)
     """A step of so many levels of 255 across a side counts half as much as the largest one: edges are told by their
     straightness, not by their strength."""
-    min_support: float = Field(default=0.3, gt=0.0, lt=1.0)
-    """Mean of that response along a side below which it is no edge of an instrument."""
+    min_support: float = Field(default=0.4, gt=0.0, lt=1.0)
+    """Response below which there is no edge of an instrument: one goes on for as long as it has more on average."""
     rival_fraction: float = Field(default=0.8, gt=0.0, le=1.0)
     """A second straight edge beside the first, this strong against it, may be the true one as well: a shadow's, or a
     reflection's."""
     straight_px: float = Field(default=0.6, gt=0.0)
     """How far an edge's point may lie off the shaft's line: the wrist goes on beside it a pixel or two off."""
+    straight_widths: float = Field(default=0.02, ge=0.0)
+    """The same over the shaft's width, where that is more."""
     end_share: float = Field(default=0.6, gt=0.0, lt=1.0)
     """The cylinder ends where less than this part of the points beyond lie on its line."""
     end_reach_widths: float = Field(default=2.0, gt=0.0)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from svmdist.robust import median, scale_of
 from svmdist.samples import Image
@@ -19,18 +20,20 @@ from svmdist.transforms import Array
 from svmdist.vision.edges import STEP_PX, slope_filter
 
 DEFAULT, DEFAULT_SHAFT = SilhouetteSettings(), ShaftSettings()
-BLOCK = 6
+BLOCK = 8
 """Neighbouring profiles that vote as one."""
 SPACING_PX = 1.5
 """Between profiles."""
 PEAK_REACH_PX = 2.0
 """From the line to a profile's own edge."""
-MIN_POINTS = 8
-START_PART = 0.6
-"""Of a rough side, what is surely shaft: the rest may be wrist already."""
+MIN_POINTS, MIN_BLOCKS = 8, 2
+START_PART = 0.8
+"""Of an edge that was found roughly, what is surely shaft: the rest may be wrist already."""
 END_STEPS = 3
-APART_PX = 3.0
-"""From an edge to another one: the slope of one step is as wide."""
+APART_PER_SCALE = 3.0
+"""From an edge to another one, over the scale of the slope: that of one step is as wide."""
+REFINED_PER_SCALE = 1.5
+"""How far from the rough line the fine one is sought, over the rough one's scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,16 +62,15 @@ class EdgeLine:
 def edge_line(
     bgr: Image,
     rough: Array,
-    beyond_px: float,
-    reach_px: float,
+    width_px: float,
     picture: Image | None = None,
     settings: SilhouetteSettings = DEFAULT,
     shaft: ShaftSettings = DEFAULT_SHAFT,
 ) -> EdgeLine | None:
     """The edge of an image, shape (h, w, 3), near a rough side, shape (2, 2) from start to end; None without one.
 
-    The edge is sought along the side within `reach_px`, and followed `beyond_px` further. `picture`, shape (h, w), marks
-    what is not border around the endoscope's view: edges of the border are none.
+    `width_px` is the shaft's: the rough side may be off by a part of it. `picture`, shape (h, w), marks what is not
+    border around the endoscope's view: edges of the border are none.
     """
     start, end = rough
     length_px = float(np.linalg.norm(end - start))
@@ -76,25 +78,40 @@ def edge_line(
         return None
     along = (end - start) / length_px
     across = np.array([-along[1], along[0]])
+    beyond_px = settings.end_reach_widths * width_px
     at = np.arange(0.5 * SPACING_PX, length_px + beyond_px, SPACING_PX)
-    turn_px = settings.edge_turn_px * bgr.shape[1] / 640.0
-    # A turned line goes on turning beyond the side.
-    half_px = reach_px + turn_px * (1.0 + 2.0 * beyond_px / length_px) + 3.0 * shaft.slope_sigma_px
-    half_px = np.ceil(half_px / STEP_PX) * STEP_PX
-    slopes, offsets, seen = _slopes(bgr, start + at[:, None] * along, across, half_px, shaft, picture)
-    strength = np.sqrt(np.sum(slopes**2, 0))
-    half_strength = settings.full_contrast_levels / (np.sqrt(2.0 * np.pi) * 1.5 * shaft.slope_sigma_px)
-    response = np.where(seen, strength / (strength + half_strength), 0.0)
-    on_side = at <= length_px
-    found = _straightest(response[on_side], at[on_side] / length_px, offsets, reach_px, turn_px)
-    if found is None:
+    where, on_side = at / length_px, at <= length_px
+    feet_px = start + at[:, None] * along
+
+    # First roughly, at a scale that tissue's texture is small against, then at the scale of the optics.
+    coarse_px = max(shaft.slope_sigma_px, settings.search_scale_widths * width_px)
+    reach_px = max(settings.edge_reach_fraction * bgr.shape[1], settings.edge_reach_widths * width_px)
+    turn_px = max(reach_px, settings.edge_turn_widths * width_px)
+    slopes, offsets, seen = _slopes(bgr, feet_px[on_side], across, reach_px + turn_px, coarse_px, picture)
+    rough_line = _straightest(slopes, seen, where[on_side], offsets, reach_px, turn_px, coarse_px, settings)
+    if rough_line is None:
         return None
-    offset_px, slant_px, support, rival = found
-    if support < settings.min_support:
+    place = rough_line.at(where)
+    feet_px = feet_px + place[:, None] * across
+    reach_px = REFINED_PER_SCALE * coarse_px
+    half_px = reach_px + 3.0 * shaft.slope_sigma_px + PEAK_REACH_PX
+    slopes, offsets, seen = _slopes(bgr, feet_px, across, half_px, shaft.slope_sigma_px, picture)
+    fine = _straightest(
+        slopes[:, on_side],
+        seen[on_side],
+        where[on_side],
+        offsets,
+        reach_px,
+        reach_px,
+        shaft.slope_sigma_px,
+        settings,
+    )
+    if fine is None:
         return None
-    place = offset_px + slant_px * (2.0 * at / length_px - 1.0)
-    off_px = _points(slopes, place, offsets, seen)
-    line = _ending_line(at, off_px, length_px, settings)
+    fine_px = np.clip(fine.at(where), -reach_px, reach_px)
+    off_px = place + _points(slopes, fine_px, offsets, seen)
+    straight_px = max(settings.straight_px, settings.straight_widths * width_px)
+    line = _ending_line(at, off_px, fine.part * length_px, straight_px, settings.end_share)
     if line is None:
         return None
     middle, slope, end_at = line
@@ -103,11 +120,30 @@ def edge_line(
     if len(points_px) < MIN_POINTS:
         return None
     first, last = (start + t * along + (middle + slope * t) * across for t in (0.0, end_at))
-    return EdgeLine(first, last, points_px, support, rival, bool(end_at < at[-1] - 2.0 * SPACING_PX))
+    ends = bool(end_at < at[-1] - 2.0 * SPACING_PX)
+    return EdgeLine(first, last, points_px, fine.support, rough_line.rival, ends)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A line across profiles: its offset in the side's middle and how much more at its end, px, and how distinct.
+
+    `part` is how much of the side it goes along.
+    """
+
+    offset_px: float
+    slant_px: float
+    support: float
+    rival: float
+    part: float
+
+    def at(self, where: Array) -> Array:
+        """Its offsets at fractions of the side, shape (n,)."""
+        return self.offset_px + self.slant_px * (2.0 * where - 1.0)
 
 
 def _ending_line(
-    at: Array, off_px: Array, length_px: float, settings: SilhouetteSettings
+    at: Array, off_px: Array, length_px: float, straight_px: float, end_share: float
 ) -> tuple[float, float, float] | None:
     """The straight part from the border on: its line's offset at 0 and slope, and the distance at which it ends.
 
@@ -123,9 +159,9 @@ def _ending_line(
             return None
         line = _robust_line(at[part], off_px[part])
         residual = np.where(found, np.abs(off_px - line[0] - line[1] * at), np.inf)
-        on_line = residual < settings.straight_px
+        on_line = residual < straight_px
         # The sum is largest where the part with more points on the line than off it ends.
-        total = np.cumsum(np.where(on_line, 1.0 - settings.end_share, -settings.end_share))
+        total = np.cumsum(np.where(on_line, 1.0 - end_share, -end_share))
         best = int(np.argmax(total))
         if not total[best] > 0.0:
             return None
@@ -147,15 +183,18 @@ def _robust_line(x: Array, y: Array) -> tuple[float, float]:
         if not total > 0.0:
             break
         centre, height = float(weight @ x) / total, float(weight @ y) / total
-        slope = float(weight @ ((x - centre) * (y - height))) / max(float(weight @ np.square(x - centre)), 1e-9)
+        slope = float(weight @ ((x - centre) * (y - height))) / max(
+            float(weight @ np.square(x - centre)), 1e-9
+        )
         offset = height - slope * centre
     return offset, slope
 
 
 def _slopes(
-    bgr: Image, feet_px: Array, across: Array, half_px: float, shaft: ShaftSettings, picture: Image | None
-) -> tuple[Array, Array, Array]:
+    bgr: Image, feet_px: Array, across: Array, half_px: float, sigma_px: float, picture: Image | None
+) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Slopes of three channels, shape (3, n, k), at offsets, shape (k,), and whether each is in the image, (n, k)."""
+    half_px = np.ceil(half_px / STEP_PX) * STEP_PX
     offsets = np.arange(-half_px, half_px + STEP_PX / 2, STEP_PX)
     x = feet_px[:, 0, None] + offsets * across[0]
     y = feet_px[:, 1, None] + offsets * across[1]
@@ -164,38 +203,67 @@ def _slopes(
     if picture is not None:
         column, row = (np.clip(np.rint(v), 0, size - 1).astype(int) for v, size in ((x, width), (y, height)))
         seen &= picture[row, column] > 0
-    left, top = (int(np.clip(least, 0, size - 1)) for least, size in ((x.min() - 1, width), (y.min() - 1, height)))
+    left, top = (
+        int(np.clip(least, 0, size - 1)) for least, size in ((x.min() - 1, width), (y.min() - 1, height))
+    )
     window = bgr[top : max(int(y.max()) + 3, top + 1), left : max(int(x.max()) + 3, left + 1)]
     places = ((x - left).astype(np.float32), (y - top).astype(np.float32))
-    values = cv2.remap(
-        window.astype(np.float32), *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    kernel = slope_filter(len(offsets), shaft.slope_sigma_px)
-    return np.moveaxis(values, 2, 0).astype(np.float64) @ kernel, offsets, seen
+    values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    kernel = slope_filter(len(offsets), sigma_px).astype(np.float32)
+    slopes = np.ascontiguousarray(np.moveaxis(values, 2, 0)) @ kernel
+    return np.asarray(slopes, np.float64), offsets, seen
 
 
 def _straightest(
-    response: Array, where: Array, offsets: Array, reach_px: float, turn_px: float
-) -> tuple[float, float, float, float] | None:
-    """The line with the largest mean response: offset in its middle, slant to its end, that mean, the rival's share."""
-    count = len(response) // BLOCK
-    blocks = response[: count * BLOCK].reshape(count, BLOCK, -1).mean(1)
+    slopes: Array,
+    seen: NDArray[np.bool_],
+    where: Array,
+    offsets: Array,
+    reach_px: float,
+    turn_px: float,
+    sigma_px: float,
+    settings: SilhouetteSettings,
+) -> _Found | None:
+    """The line with the largest mean response among those within a reach of the side, turned by so much at its ends.
+
+    Neighbouring profiles vote as one, by their common change of colour: an edge goes on, texture does not.
+    """
+    count = len(where) // BLOCK
+    if count < 2:
+        return None
+    common = slopes[:, : count * BLOCK].reshape(3, count, BLOCK, -1).mean(2)
+    strength = np.sqrt(np.sum(common * common, 0))
+    # A step of height c, smoothed, has slope c / (σ √(2π)); what is common in the neighbourhood is no step.
+    half = max(
+        settings.full_contrast_levels / (np.sqrt(2.0 * np.pi) * 1.4 * sigma_px),
+        settings.texture_factor * float(np.median(strength)),
+    )
+    blocks = strength / (strength + half)
+    blocks[~seen[: count * BLOCK].reshape(count, BLOCK, -1).all(1)] = 0.0
     middle = where[: count * BLOCK].reshape(count, BLOCK).mean(1)
-    slants = np.arange(-turn_px, turn_px + STEP_PX / 2, STEP_PX)
+    step_px = max(STEP_PX, 0.5 * sigma_px)
+    slants = np.arange(-turn_px, turn_px + step_px / 2, step_px)
     candidates = np.flatnonzero(np.abs(offsets) <= reach_px)
     steps = np.rint(slants[:, None] * (2.0 * middle - 1.0) / STEP_PX).astype(int)  # (slants, blocks)
     columns = np.clip(candidates[None, None, :] + steps[:, :, None], 0, len(offsets) - 1)
-    total = blocks[np.arange(count)[None, :, None], columns].mean(1)  # (slants, offsets)
+    # Wrist and jaws may make the rough side too long: the edge goes as far as it gains by that.
+    gain = np.cumsum(blocks[np.arange(count)[None, :, None], columns] - settings.min_support, axis=1)
+    gain[:, : min(MIN_BLOCKS, count) - 1] = -np.inf
+    last = np.argmax(gain, axis=1)
+    total = np.take_along_axis(gain, last[:, None], 1)[:, 0]  # (slants, offsets)
     slant, offset = np.unravel_index(int(np.argmax(total)), total.shape)
-    best = float(total[slant, offset])
+    best, reached = float(total[slant, offset]), int(last[slant, offset]) + 1
     if not best > 0.0:
         return None
-    other = np.abs(offsets[candidates] - offsets[candidates[offset]]) >= APART_PX
+    other = np.abs(offsets[candidates] - offsets[candidates[offset]]) >= APART_PER_SCALE * sigma_px
     rival = float(total[:, other].max()) / best if other.any() else 0.0
-    return float(offsets[candidates[offset]]), float(slants[slant]), best, rival
+    support = best / reached + settings.min_support
+    return _Found(
+        float(offsets[candidates[offset]]), float(slants[slant]), support, rival, float(reached / count)
+    )
 
 
-def _points(slopes: Array, place: Array, offsets: Array, seen: Array) -> Array:
+def _points(slopes: Array, place: Array, offsets: Array, seen: NDArray[np.bool_]) -> Array:
     """Sub-pixel offset of each profile's edge near the line, shape (n,); NaN where there is none.
 
     Colours are projected on what most of the neighbourhood changes by, so that a step has one sign.
@@ -206,8 +274,8 @@ def _points(slopes: Array, place: Array, offsets: Array, seen: Array) -> Array:
     columns = np.clip(column[:, None] + np.arange(-reach, reach + 1), 1, len(offsets) - 2)
     change = slopes[:, rows[:, None], columns].sum(2)  # (3, n)
     kernel = np.ones((1, 4 * BLOCK + 1))
-    change = cv2.filter2D(change, -1, kernel, borderType=cv2.BORDER_REPLICATE)
-    change /= np.maximum(np.linalg.norm(change, axis=0), 1e-9)
+    change = np.asarray(cv2.filter2D(change, -1, kernel, borderType=cv2.BORDER_REPLICATE), np.float64)
+    change = change / np.maximum(np.linalg.norm(change, axis=0), 1e-9)
     slope = np.einsum("cn,cnk->nk", change, slopes)
     window = slope[rows[:, None], columns]
     best = np.argmax(window, 1)

@@ -42,7 +42,8 @@ class Silhouette:
     @property
     def middle_px(self) -> Array:
         """A point between both edges, shape (2,)."""
-        return np.mean([point for edge in self.edges for point in (edge.start_px, edge.end_px)], axis=0)
+        points = [point for edge in self.edges for point in (edge.start_px, edge.end_px)]
+        return np.asarray(np.mean(points, axis=0))
 
     @property
     def width_px(self) -> float:
@@ -69,9 +70,7 @@ def find_silhouette(
     `picture`, shape (h, w), marks what is not border. `tool_fraction` is where between the cylinder's end and the jaws'
     tips the tool's origin is.
     """
-    reach_px = settings.edge_reach_fraction * bgr.shape[1]
-    beyond_px = settings.end_reach_widths * seen.width_px
-    found = [edge_line(bgr, side, beyond_px, reach_px, picture, settings, shaft) for side in seen.sides]
+    found = [edge_line(bgr, side, seen.width_px, picture, settings, shaft) for side in seen.sides]
     first, second = found
     if first is None or second is None or not _are_a_pair(first, second, settings):
         return None
@@ -104,4 +103,6 @@ def _are_a_pair(first: EdgeLine, second: EdgeLine, settings: SilhouetteSettings)
 def _width_px(first: EdgeLine, second: EdgeLine) -> float:
     along = first.direction + second.direction
     along /= np.linalg.norm(along)
-    return abs(float(along[0] * (second.end_px - first.end_px)[1] - along[1] * (second.end_px - first.end_px)[0]))
+    return abs(
+        float(along[0] * (second.end_px - first.end_px)[1] - along[1] * (second.end_px - first.end_px)[0])
+    )

@@ -30,11 +30,11 @@ FAR_PERCENTILE = 99.0
 
 @dataclass(frozen=True, slots=True)
 class WristPoint:
-    """The tool's origin in the wrist's outline, (2,) in px, its deviation, and how far the outline reaches, px."""
+    """The tool's origin in the wrist's outline, (2,) in px, with its deviation, and the jaws' tips, (2,) in px."""
 
     pixel: Array
     std_px: float
-    reach_px: float
+    tip_px: Array
 
 
 def wrist_point(
@@ -84,7 +84,9 @@ def wrist_point(
     at = offset[ring].mean(0)
     # The middle of an arc lies inside of it.
     at *= tool_fraction * reach_px / max(float(np.linalg.norm(at)), 1e-9)
-    return WristPoint(end_px + at[0] * along + at[1] * across, settings.wrist_std * reach_px, reach_px)
+    tip = offset[distance > reach_px - cell_px].mean(0)
+    pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
+    return WristPoint(pixel, settings.wrist_std * reach_px, tip_px)
 
 
 def _unlike_flanks(
@@ -95,7 +97,9 @@ def _unlike_flanks(
     Each flank is a colour with its scatter: on tissue that is large, and little differs from it.
     """
     lab = cv2.cvtColor(patch, cv2.COLOR_BGR2LAB).astype(np.float32)
-    floor = np.array([settings.flank_light_levels, settings.flank_colour_levels, settings.flank_colour_levels])
+    floor = np.array(
+        [settings.flank_light_levels, settings.flank_colour_levels, settings.flank_colour_levels]
+    )
     unlike: NDArray[np.bool_] | None = None
     for side in (v < 0.0, v > 0.0):
         pixels = lab[flanks & side[None, :]]

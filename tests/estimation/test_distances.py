@@ -178,7 +178,7 @@ def test_a_distance_says_how_uncertain_it_is_where_the_depth_is_the_least_certai
     tissue = fix()
     pose = tool_pose(covariance)
     T = pose.T_camera_tool.copy()
-    T[:3, 3] = tissue.position_m + [beside_mm * 1e-3, 0.0, 0.0]
+    T[:3, 3] = tissue.position_m + beside_mm * 1e-3 * np.eye(3)[0]
     pose = ToolPose(T, covariance, pose.axis)
     told = measure(pose, tissue)
     errors_m = np.random.default_rng(4).multivariate_normal(np.zeros(3), covariance[:3, :3], 40_000)

@@ -13,9 +13,9 @@ from svmdist.samples import Image
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
 from svmdist.vision.cylinder import TangentPlane, tangent_plane
+from svmdist.vision.edge_lines import EdgeLine
 from svmdist.vision.edges import edge_blur_px, edge_points
 from svmdist.vision.lines import fit_line, undistorted
-from svmdist.vision.edge_lines import EdgeLine
 from svmdist.vision.shading import shading_shift_px
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
 from svmdist.vision.silhouette import Silhouette
@@ -100,14 +100,12 @@ def detect_silhouette(
     towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
     contours: list[Contour] = []
     for edge in silhouette.edges:
-        contour = _edge_contour(edge, middle_px, towards_tip, camera, settings)
+        contour = _edge_contour(edge, silhouette.width_px, middle_px, towards_tip, camera, settings)
         if contour is not None and all(contour.side != other.side for other in contours):
             contours.append(contour)
     end_px = silhouette.end_px
     rim = None if end_px is None else Rim(end_px, towards_tip, silhouette.std_px, is_outline=True)
-    return ShaftDetection(
-        tuple(contours), rim, towards_tip, middle_px, silhouette.is_stub, silhouette.wrist
-    )
+    return ShaftDetection(tuple(contours), rim, towards_tip, middle_px, silhouette.is_stub, silhouette.wrist)
 
 
 def wrist_marker(shaft: ShaftDetection) -> DistalMarker | None:
@@ -117,13 +115,18 @@ def wrist_marker(shaft: ShaftDetection) -> DistalMarker | None:
 
 
 def _edge_contour(
-    edge: EdgeLine, middle_px: Array, towards_tip: Array, camera: Camera, settings: ShaftSettings
+    edge: EdgeLine,
+    width_px: float,
+    middle_px: Array,
+    towards_tip: Array,
+    camera: Camera,
+    settings: ShaftSettings,
 ) -> Contour | None:
     line = fit_line(
         undistorted(camera, edge.points_px),
         1.0 / float(camera.K[0, 0]),
         min_count=MIN_LINE_POINTS,
-        inlier_px=settings.line_inlier_px,
+        inlier_px=max(settings.line_inlier_px, settings.line_inlier_per_width * width_px),
         systematic_px=settings.outline_shading_std_px,
         correlation_px=settings.point_correlation_px,
         min_point_std_px=settings.min_point_std_px,

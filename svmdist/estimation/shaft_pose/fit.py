@@ -25,6 +25,7 @@ from svmdist.estimation.shaft_pose.residuals import (
     marker_residuals,
     prior_residual,
     rim_residual,
+    tip_residual,
 )
 from svmdist.estimation.shaft_pose.start import first_shaft
 from svmdist.least_squares import NormalEquations, Steps, minimise
@@ -102,6 +103,9 @@ def _fit(
             found.append(rim_residual(seen.shaft.rim, state, model, camera, settings))
         if seen.marker is not None:
             found += marker_residuals(seen.marker, BentTool.of(state, model), model, camera, deviations)
+        if seen.shaft.wrist is not None:
+            tool = BentTool.of(state, model)
+            found.append(tip_residual(seen.shaft.wrist, tool, model, camera, settings))
         return [*found, prior_residual(state, start, model)]
 
     def linearise(state: ShaftState) -> NormalEquations:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,8 +28,7 @@ class ShaftModel:
 
     `T_shaft_tool` is the wrist as the joints bend it, `bend_std_rad` how wrong that may be about each axis
     across the shaft. `R_camera_shaft` (3, 3) is that of the nominal kinematics, None without the robot's base,
-    with `rotation_std_rad`. The dark part ends `neck_m` behind the hinge, the outline
-    of a cylinder `outline_end_m` before it.
+    with `rotation_std_rad`. The dark part ends `neck_m` behind the hinge.
     """
 
     T_shaft_tool: Array
@@ -38,10 +37,14 @@ class ShaftModel:
     rotation_std_rad: float
     radius_m: float
     neck_m: float
-    outline_end_m: float
     knuckle_radius_m: float
     marker_std_m: float = 0.0
     """How far the distal marker may be from the tool's origin, along each axis, and how wrong the wrist's length is."""
+    outline_end_m: float = 0.0
+    """How far before the hinge the outline stops being a cylinder's."""
+    jaw_length_m: float = 0.0
+    jaws: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
+    """The direction of straight, closed jaws in the tool's frame, shape (3,), of length 1."""
 
 
 def shaft_model(
@@ -56,6 +59,7 @@ def shaft_model(
     q = None if state is None else state.q
     roll = roll_row(chain)
     T_base_shaft, T_shaft_tool = shaft_frames(chain, np.zeros(len(chain.joint_names)) if q is None else q)
+    _, straight = shaft_frames(chain, np.zeros(len(chain.joint_names)))
     R_nominal, rotation_std_rad, bend_std_rad = None, np.pi, settings.unknown_bend_rad
     if state is not None and state.T_camera_base is not None:
         R_nominal = np.asarray((state.T_camera_base @ T_base_shaft)[:3, :3])
@@ -78,9 +82,11 @@ def shaft_model(
         rotation_std_rad,
         instrument.shaft_radius_m,
         instrument.shaft_end_m or NECK_PER_RADIUS * instrument.wrist_radius_m,
-        outline_end_m(instrument),
         instrument.knuckle_radius_m,
         float(np.hypot(instrument.knuckle_position_std_m, error.length_std_m)),
+        outline_end_m(instrument),
+        instrument.jaw_length_m,
+        straight[2, :3].copy(),
     )
 
 

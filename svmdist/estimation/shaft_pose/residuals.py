@@ -19,6 +19,7 @@ from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, skew
 from svmdist.vision.cylinder import tangent_normal_with_derivatives
 from svmdist.vision.sphere import apparent_radius_px
+from svmdist.vision.wrist_outline import WristPoint
 
 NO_FOCAL_PX = np.ones(2)
 """Where no deviation asks for it."""
@@ -119,9 +120,7 @@ def rim_residual(
     point_m = hinge_m + ahead_m * d - radius_m * facing
     across = (np.eye(3) - np.outer(facing, facing)) / distance_m
     by_hinge = np.eye(3) - radius_m * across @ (np.eye(3) - np.outer(d, d))
-    by_direction = ahead_m * np.eye(3) + radius_m * across @ (
-        along_m * np.eye(3) + np.outer(d, hinge_m)
-    )
+    by_direction = ahead_m * np.eye(3) + radius_m * across @ (along_m * np.eye(3) + np.outer(d, hinge_m))
     pixel, by_point = camera.project_with_derivative(point_m)
     model_std_px = model_std_m * camera.K[0, 0] / point_m[2]
     std_px = float(np.hypot(rim.std_px, model_std_px))
@@ -174,6 +173,18 @@ def marker_residuals(
             )
         )
     return found
+
+
+def tip_residual(
+    wrist: WristPoint, tool: BentTool, model: ShaftModel, camera: Camera, settings: ShaftSettings
+) -> Residual:
+    """The outline's tip: closed jaws that go on as the wrist does. How long it looks tells how far that is turned."""
+    along = tool.T[:3, :3] @ model.jaws
+    arm_m = model.jaw_length_m * along
+    pixel, by_point = camera.project_with_derivative(tool.T[:3, 3] + arm_m)
+    std_px = settings.jaw_tip_std * model.jaw_length_m * float(camera.K[0, 0]) / float(tool.T[2, 3])
+    by_state = tool.derivative[:3] - skew(arm_m) @ tool.derivative[3:]
+    return Residual("jaws' tip", (wrist.tip_px - pixel) / std_px, by_point @ by_state / std_px)
 
 
 def prior_residual(state: ShaftState, start: Array, model: ShaftModel) -> Residual:
