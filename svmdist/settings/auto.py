@@ -17,14 +17,16 @@ class AutoSettings(MethodSettings):
     working_px: int = Field(default=320, ge=160, le=1280)
     """Longer side of the image that is worked on: a shaft of 8 mm at 200 mm is 10 to 20 px wide there."""
     adapting_frames: int = Field(default=8, ge=1, le=64)
-    """Images of a log that colours are learnt from, before the first row."""
-    adapting_stride: int = Field(default=3, ge=1, le=100)
-    """Every n-th image of the log's beginning is one of them: neighbours show the same."""
+    """Images of a log, evenly over its length, that colours are learnt from before the first row: so many, or up to
+    twice as many."""
 
     border_levels: float = Field(default=6.0, ge=0.0, le=64.0)
     """A black border differs from the darkest thing in the image by no more: noise and compression."""
     border_floor_level: float = Field(default=10.0, ge=0.0, le=64.0)
     """What is darker than this is border, whatever the darkest thing is."""
+
+    border_fraction: float = Field(default=0.4, gt=0.0, le=1.0)
+    """A border is darker than this part of the picture's median; haze may lift it so far. Else there is none."""
 
     level_offset: float = Field(default=8.0, gt=0.0, le=64.0)
     """Added to levels before their logarithm is taken: noise of one or two levels must not be a colour."""
@@ -59,7 +61,9 @@ class AutoSettings(MethodSettings):
     least_darker: float = Field(default=0.25, ge=0.0)
     """How much darker, where it is not less red: dark steel on grey paper."""
     most_warmer: float = Field(default=0.08, ge=0.0)
-    """How much redder it may then be."""
+    """How much redder it may then be, where it has a colour."""
+    grey_chroma: float = Field(default=0.15, ge=0.0)
+    """What has less chroma, as a logarithm, has no colour: paper in bluish light makes grey steel look redder."""
     least_evidence: float = Field(default=0.1, gt=0.0, lt=1.0)
     """Evidence, from 0 to 1, of two straight edges: what has less is tissue."""
     sure_evidence: float = Field(default=0.3, gt=0.0, lt=1.0)

@@ -43,12 +43,13 @@ def judged(bar: Bar, part: Image, image: WorkingImage) -> JudgedBar | None:
     fraction = min(first.fraction, second.fraction)
     cooler, darker = min(first.cooler, second.cooler), min(first.darker, second.darker)
     is_cooler = cooler > settings.least_cooler
-    is_darker = darker > settings.least_darker and cooler > -settings.most_warmer
+    is_grey = max(first.chroma, second.chroma) < settings.grey_chroma
+    is_darker = darker > settings.least_darker and (cooler > -settings.most_warmer or is_grey)
     if fraction < settings.least_step_fraction or not (is_cooler or is_darker):
         return None
     straight = min(1.0, 2.0 * min(inwards.support) / max(inwards.outline_px, 1))
     long = min(1.0, inwards.length_px / (0.25 * settings.working_px)) ** 0.5
-    mean_cooler = 0.5 * (first.cooler + second.cooler)
+    mean_cooler = max(0.5 * (first.cooler + second.cooler), -settings.most_warmer)
     distinct = min(1.0, 0.4 + 2.0 * min(mean_cooler, 0.3) + 0.4 * max(darker, 0.0))
     return JudgedBar(inwards, float(fraction * straight * long * max(distinct, 0.0)))
 
@@ -79,11 +80,12 @@ def _way_out(start: Array, along: Array, part: Image, image: WorkingImage, longe
 
 @dataclass(frozen=True)
 class _Steps:
-    """Along one side: the part of it with a step, and how much less red and how much darker the inside is."""
+    """Along one side: the part of it with a step, how much less red and darker the inside is, and its own chroma."""
 
     fraction: float
     cooler: float
     darker: float
+    chroma: float
 
 
 def _steps(bar: Bar, side: int, image: WorkingImage) -> _Steps | None:
@@ -93,11 +95,13 @@ def _steps(bar: Bar, side: int, image: WorkingImage) -> _Steps | None:
     seen = (_values(image.core, inside) > 0) & (_values(image.core, outside) > 0)
     if np.count_nonzero(seen) < 6:
         return None
-    step = _values(image.colours, outside[seen]) - _values(image.colours, inside[seen])
+    own = _values(image.colours, inside[seen])
+    step = _values(image.colours, outside[seen]) - own
     scaled = step / np.array([settings.colour_step, settings.colour_step, settings.brightness_step])
     fraction = float(np.mean(np.linalg.norm(scaled, axis=1) > 1.0))
     cooler = float(np.median(step[:, 0] + 0.5 * step[:, 1]))
-    return _Steps(fraction, cooler, float(np.median(step[:, 2])))
+    chroma = float(np.median(np.hypot(own[:, 0], own[:, 1])))
+    return _Steps(fraction, cooler, float(np.median(step[:, 2])), chroma)
 
 
 def _values(field: NDArray[Value], places: NDArray[np.int_]) -> NDArray[Value]:

@@ -139,7 +139,10 @@ def _belonging(zones: Zones, likely: Image, image: WorkingImage) -> NDArray[np.b
     _, labels = cv2.connectedComponents(mine.astype(np.uint8))
     names = np.unique(labels[zones.middle])
     mask = np.isin(labels, names[names > 0]) & (image.core > 0)
-    return _without_holes(mask, 0.003 * image.area_px)
+    mask = _without_holes(mask, 0.003 * image.area_px)
+    # Where the optics fade, colours tell nothing; the instrument goes on to the border of the picture.
+    outside = zones.strip & (image.picture > 0) & (image.core == 0)
+    return np.asarray(mask | (outside & (cv2.dilate(mask.astype(np.uint8), SQUARE_5) > 0)))
 
 
 def _without_holes(mask: NDArray[np.bool_], most_px: float) -> NDArray[np.bool_]:

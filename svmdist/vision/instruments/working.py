@@ -97,7 +97,11 @@ def picture_of(bgr: Image, settings: AutoSettings) -> Image:
     """
     value = bgr.max(axis=2)
     floor = float(np.percentile(value, 0.5))
-    black = value <= max(floor + settings.border_levels, settings.border_floor_level)
+    level = max(floor + settings.border_levels, settings.border_floor_level)
+    above = value[value > level]
+    if not len(above) or floor > settings.border_fraction * float(np.median(above)):
+        return np.full_like(value, 255)
+    black = value <= level
     view = field_of_view(np.asarray(255 * black, np.uint8))
     return view if view.any() else np.full_like(view, 255)
 

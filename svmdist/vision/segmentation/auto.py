@@ -30,7 +30,7 @@ class AutoMasks:
     @cached_property
     def seen(self) -> tuple[SeenInstrument, ...]:
         """The instruments, the surest first."""
-        if self._appearance is None:  # the log's first images show no instrument: this one may
+        if self._appearance is None:  # no image that was learnt from shows one: this may
             appearance, sought = learnt_appearance([self._image]), search_bars(self._image)
         else:
             appearance, sought = self._appearance, []
@@ -86,9 +86,9 @@ class AutoSegmenter:
         self._appearance = appearance
 
     @property
-    def adapting_frames(self) -> tuple[int, int]:
-        """How many images of a log it learns from, and every which one of the first."""
-        return self._settings.adapting_frames, self._settings.adapting_stride
+    def adapting_frames(self) -> int:
+        """How many moments of a log it wants to learn from."""
+        return self._settings.adapting_frames
 
     def adapted_to(self, images: Sequence[Image]) -> AutoSegmenter:
         """One that knows what instruments look like in these images, shape (h, w, 3) in BGR each."""
