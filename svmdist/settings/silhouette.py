@@ -20,7 +20,7 @@ class SilhouetteSettings(MethodSettings):
 
     edge_reach_fraction: float = Field(default=0.012, gt=0.0, lt=0.1)
     """How far from a rough side the image's edge is searched, over the image's width."""
-    edge_reach_widths: float = Field(default=0.2, ge=0.0)
+    edge_reach_widths: float = Field(default=0.3, ge=0.0)
     """The same over the shaft's width, where that is more: jaws and ears lead a rough side astray."""
     edge_turn_widths: float = Field(default=0.35, ge=0.0)
     """How far the edge's ends may be off in opposite directions beside that, over the shaft's width."""
@@ -31,6 +31,10 @@ class SilhouetteSettings(MethodSettings):
     full_contrast_levels: float = Field(default=16.0, gt=0.0)
     """A step of so many levels of 255 across a side counts half as much as the largest one: edges are told by their
     straightness, not by their strength."""
+    min_contrast_levels: float = Field(default=12.0, gt=0.0, lt=255.0)
+    """The least step of colour at a point of an edge, levels of 255: compression leaves less."""
+    min_found: float = Field(default=0.7, gt=0.0, le=1.0)
+    """Of the profiles across an edge, how many must show it: those of a line through texture do here and there."""
     min_support: float = Field(default=0.4, gt=0.0, lt=1.0)
     """Response below which there is no edge of an instrument: one goes on for as long as it has more on average."""
     rival_fraction: float = Field(default=0.8, gt=0.0, le=1.0)
@@ -44,11 +48,14 @@ class SilhouetteSettings(MethodSettings):
     """The cylinder ends where less than this part of the points beyond lie on its line."""
     end_reach_widths: float = Field(default=2.0, gt=0.0)
     """How far beyond a rough side its continuation is followed, over the shaft's width."""
+    ends_agree_widths: float = Field(default=0.3, ge=0.0)
+    """Both edges' ends are this close along the shaft, over its width, where both are seen: clevises are lopsided."""
     min_end_std_widths: float = Field(default=0.08, gt=0.0)
     """The least deviation of the cylinder's end, over the shaft's width: ears and bevels hide it."""
 
-    wrist_reach_widths: float = Field(default=4.0, gt=0.0)
-    """How far beyond the cylinder's end wrist and jaws may reach, over the shaft's width."""
+    wrist_reach: float = Field(default=1.25, gt=0.0)
+    """How far beyond the cylinder's end wrist and jaws may reach, over their length when straight: they may come towards
+    the camera."""
     wrist_std: float = Field(default=0.12, gt=0.0)
     """The tool's origin in the outline beyond the cylinder's end, over the length of that: jaws open and turn."""
     min_wrist_widths: float = Field(default=0.5, gt=0.0)
@@ -60,3 +67,6 @@ class SilhouetteSettings(MethodSettings):
     """The least scatter of lightness, levels of 255: light falls off over a wrist's length."""
     flank_colour_levels: float = Field(default=3.0, gt=0.0)
     """The least scatter of Lab's a and b: compression leaves as much."""
+    max_flank_outliers: float = Field(default=0.05, ge=0.0, lt=1.0)
+    """Part of a flank that may differ from its own colour so far: with more of it, fat or vessels lie beside the wrist,
+    and only what the segmentation knows is taken for it."""

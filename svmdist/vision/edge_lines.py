@@ -24,12 +24,16 @@ BLOCK = 8
 """Neighbouring profiles that vote as one."""
 SPACING_PX = 1.5
 """Between profiles."""
-PEAK_REACH_PX = 2.0
-"""From the line to a profile's own edge."""
+PEAK_REACH_PX, REFINEMENTS = 2.0, 2
+"""From the line to a profile's own edge; and how often the line is looked at anew."""
+WINDOW = 3.0
+"""Where a profile's own edge is sought, over how far it may be off: of texture a third is that near, of an edge all."""
 MIN_POINTS, MIN_BLOCKS = 8, 2
 START_PART = 0.8
 """Of an edge that was found roughly, what is surely shaft: the rest may be wrist already."""
 END_STEPS = 3
+FAINT = 0.3
+"""The slope of a point of an edge over that of most of them, below which it is none."""
 APART_PER_SCALE = 3.0
 """From an edge to another one, over the scale of the slope: that of one step is as wide."""
 REFINED_PER_SCALE = 1.5
@@ -108,16 +112,28 @@ def edge_line(
     )
     if fine is None:
         return None
-    fine_px = np.clip(fine.at(where), -reach_px, reach_px)
-    off_px = place + _points(slopes, fine_px, offsets, seen)
     straight_px = max(settings.straight_px, settings.straight_widths * width_px)
+    min_slope = settings.min_contrast_levels / (np.sqrt(2.0 * np.pi) * 2.0 * shaft.slope_sigma_px)
+    off_px = place + _points(slopes, fine.at(where), offsets, seen, max(PEAK_REACH_PX, coarse_px), min_slope)
     line = _ending_line(at, off_px, fine.part * length_px, straight_px, settings.end_share)
+    # Once more about the line through these points: it may lie beyond what was looked at before, farther on.
+    reach_px = max(PEAK_REACH_PX, WINDOW * straight_px)
+    half_px = reach_px + 3.0 * shaft.slope_sigma_px
+    for _ in range(REFINEMENTS):
+        if line is None:
+            return None
+        place = line[0] + line[1] * at
+        feet_px = start + at[:, None] * along + place[:, None] * across
+        slopes, offsets, seen = _slopes(bgr, feet_px, across, half_px, shaft.slope_sigma_px, picture)
+        off_px = place + _points(slopes, np.zeros(len(at)), offsets, seen, reach_px, min_slope)
+        line = _ending_line(at, off_px, line[2], straight_px, settings.end_share)
     if line is None:
         return None
     middle, slope, end_at = line
     used = np.isfinite(off_px) & (at <= end_at)
     points_px = start + at[used, None] * along + off_px[used, None] * across
-    if len(points_px) < MIN_POINTS:
+    # A line through texture has its points here and there.
+    if len(points_px) < max(MIN_POINTS, settings.min_found * np.count_nonzero(at <= end_at)):
         return None
     first, last = (start + t * along + (middle + slope * t) * across for t in (0.0, end_at))
     ends = bool(end_at < at[-1] - 2.0 * SPACING_PX)
@@ -263,14 +279,16 @@ def _straightest(
     )
 
 
-def _points(slopes: Array, place: Array, offsets: Array, seen: NDArray[np.bool_]) -> Array:
+def _points(
+    slopes: Array, place: Array, offsets: Array, seen: NDArray[np.bool_], reach_px: float, min_slope: float
+) -> Array:
     """Sub-pixel offset of each profile's edge near the line, shape (n,); NaN where there is none.
 
     Colours are projected on what most of the neighbourhood changes by, so that a step has one sign.
     """
     rows = np.arange(len(place))
     column = np.rint((place - offsets[0]) / STEP_PX).astype(int)
-    reach = int(PEAK_REACH_PX / STEP_PX)
+    reach = int(reach_px / STEP_PX)
     columns = np.clip(column[:, None] + np.arange(-reach, reach + 1), 1, len(offsets) - 2)
     change = slopes[:, rows[:, None], columns].sum(2)  # (3, n)
     kernel = np.ones((1, 4 * BLOCK + 1))
@@ -282,7 +300,9 @@ def _points(slopes: Array, place: Array, offsets: Array, seen: NDArray[np.bool_]
     peak = columns[rows, best]
     before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
     inside = (best > 0) & (best < 2 * reach) & seen[rows, peak]
-    good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after) & (top > 0.5)
+    good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after) & (top > min_slope)
+    # What is much fainter than most of the edge is texture beside it.
+    good &= top > FAINT * (np.median(top[good]) if good.any() else 0.0)
     log_before, log_top, log_after = (np.log(np.maximum(value, 1e-9)) for value in (before, top, after))
     bend = log_before - 2.0 * log_top + log_after
     good &= bend < -1e-9

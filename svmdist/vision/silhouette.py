@@ -15,9 +15,11 @@ from svmdist.settings.silhouette import SilhouetteSettings
 from svmdist.transforms import Array
 from svmdist.vision.edge_lines import EdgeLine, edge_line
 from svmdist.vision.instruments.seen import SeenInstrument
-from svmdist.vision.wrist_outline import WristPoint, wrist_point
+from svmdist.vision.wrist_outline import WristPoint, WristShape, wrist_point
 
 DEFAULT, DEFAULT_SHAFT = SilhouetteSettings(), ShaftSettings()
+ENDS_APART = 0.3
+"""Deviation of an end over the distance of both ends: those of a uniform distribution between them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,14 +63,13 @@ def find_silhouette(
     bgr: Image,
     seen: SeenInstrument,
     picture: Image,
-    tool_fraction: float,
+    wrist: WristShape,
     settings: SilhouetteSettings = DEFAULT,
     shaft: ShaftSettings = DEFAULT_SHAFT,
 ) -> Silhouette | None:
     """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges.
 
-    `picture`, shape (h, w), marks what is not border. `tool_fraction` is where between the cylinder's end and the jaws'
-    tips the tool's origin is.
+    `picture`, shape (h, w), marks what is not border. `wrist` is what may be seen beyond the cylinder's end.
     """
     found = [edge_line(bgr, side, seen.width_px, picture, settings, shaft) for side in seen.sides]
     first, second = found
@@ -81,14 +82,17 @@ def find_silhouette(
         return Silhouette((first, second), None, np.inf, None)
     ends = [edge.end_px for edge in (first, second) if edge.ends]
     places = [float(end @ along) for end in ends]
-    place = float(np.mean(places))
+    # One edge may fade before the other, on dark tissue; beyond the cylinder neither stays on its line.
+    apart_px = max(places) - min(places)
+    agree = apart_px <= settings.ends_agree_widths * width_px
+    place = float(np.mean(places)) if agree else max(places)
     middle_px = 0.5 * (first.end_px + second.end_px)
     end_px = middle_px + (place - float(middle_px @ along)) * along
     std_px = settings.min_end_std_widths * width_px + (
-        0.5 * abs(places[0] - places[1]) if len(places) == 2 else 0.5 * width_px
+        ENDS_APART * apart_px if len(places) == 2 else ENDS_APART * width_px
     )
-    wrist = wrist_point(bgr, seen.mask, end_px, along, width_px, tool_fraction, settings)
-    return Silhouette((first, second), end_px, std_px, wrist)
+    point = wrist_point(bgr, seen.mask, end_px, along, width_px, wrist, settings)
+    return Silhouette((first, second), end_px, std_px, point)
 
 
 def _are_a_pair(first: EdgeLine, second: EdgeLine, settings: SilhouetteSettings) -> bool:

@@ -29,6 +29,16 @@ FAR_PERCENTILE = 99.0
 
 
 @dataclass(frozen=True, slots=True)
+class WristShape:
+    """A straight wrist with closed jaws beyond the shaft's end: where between end and tip the tool's origin is, and
+    how long all of it is over the shaft's width.
+    """
+
+    tool_fraction: float
+    length_widths: float
+
+
+@dataclass(frozen=True, slots=True)
 class WristPoint:
     """The tool's origin in the wrist's outline, (2,) in px, with its deviation, and the jaws' tips, (2,) in px."""
 
@@ -43,17 +53,18 @@ def wrist_point(
     end_px: Array,
     along: Array,
     width_px: float,
-    tool_fraction: float,
+    shape: WristShape,
     settings: SilhouetteSettings = DEFAULT,
 ) -> WristPoint | None:
     """Where the tool's origin is beyond a shaft's end, in an image, shape (h, w, 3); None where no wrist is seen.
 
     `mask`, shape (h, w), is what is roughly known of the instrument; `along` (2,) is the shaft's direction to the tip.
-    The origin is `tool_fraction` of the way from the end to the outline's tip, as the crow flies, in the middle of the
-    outline.
+    The origin is the shape's part of the way from the end to the outline's tip, as the crow flies, in the middle of
+    the outline.
     """
     cell_px = width_px / WIDTH_CELLS
-    u = np.arange(-BEHIND, settings.wrist_reach_widths, 1.0 / WIDTH_CELLS) * width_px
+    farthest = settings.wrist_reach * shape.length_widths
+    u = np.arange(-BEHIND, farthest, 1.0 / WIDTH_CELLS) * width_px
     v = np.arange(-BESIDE, BESIDE + 0.5 / WIDTH_CELLS, 1.0 / WIDTH_CELLS) * width_px
     across = np.array([-along[1], along[0]])
     place = end_px + u[:, None, None] * along + v[None, :, None] * across
@@ -68,7 +79,8 @@ def wrist_point(
     different = _unlike_flanks(patch, seen & ~known & (off_axis > FLANK), v, settings)
     if different is None:
         different = np.zeros(known.shape, np.bool_)
-    body = ((different | known) & seen & (ahead >= 0.0)) | shaft
+    near = np.hypot(ahead, off_axis) < farthest
+    body = ((different | known) & seen & near & (ahead >= 0.0)) | shaft
     outline = _attached(body, shaft)
     beyond = outline & (ahead > 0.0)
     if np.count_nonzero(beyond) < MIN_CELLS:
@@ -78,12 +90,12 @@ def wrist_point(
     reach_px = float(np.percentile(distance, FAR_PERCENTILE))
     if reach_px < settings.min_wrist_widths * width_px:
         return None
-    ring = np.abs(distance - tool_fraction * reach_px) < 0.5 * settings.wrist_std * reach_px
+    ring = np.abs(distance - shape.tool_fraction * reach_px) < 0.5 * settings.wrist_std * reach_px
     if np.count_nonzero(ring) < 3:
         return None
     at = offset[ring].mean(0)
     # The middle of an arc lies inside of it.
-    at *= tool_fraction * reach_px / max(float(np.linalg.norm(at)), 1e-9)
+    at *= shape.tool_fraction * reach_px / max(float(np.linalg.norm(at)), 1e-9)
     tip = offset[distance > reach_px - cell_px].mean(0)
     pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
     return WristPoint(pixel, settings.wrist_std * reach_px, tip_px)
@@ -92,7 +104,7 @@ def wrist_point(
 def _unlike_flanks(
     patch: Image, flanks: NDArray[np.bool_], v: Array, settings: SilhouetteSettings
 ) -> NDArray[np.bool_] | None:
-    """What of a patch, shape (m, n, 3), looks like neither flank; None where no flank is in view.
+    """What of a patch, shape (m, n, 3), looks like neither flank; None without a flank of one colour.
 
     Each flank is a colour with its scatter: on tissue that is large, and little differs from it.
     """
@@ -108,6 +120,8 @@ def _unlike_flanks(
         middle = np.median(pixels, axis=0)
         scatter = np.maximum(MAD * np.median(np.abs(pixels - middle), axis=0), floor)
         away = np.sqrt(np.sum(((lab - middle) / scatter) ** 2, axis=2)) > settings.flank_stds
+        if np.mean(away[flanks & side[None, :]]) > settings.max_flank_outliers:
+            return None  # several things are there, and a wrist would be one more
         unlike = away if unlike is None else unlike & away
     return unlike
 

@@ -139,7 +139,7 @@ class ToolDetections:
     @detected
     def silhouette(self) -> Silhouette | None:
         """The silhouette of the instrument's shaft, where the segmentation tells instruments by their shape."""
-        from svmdist.estimation.shaft_pose.model import tool_fraction
+        from svmdist.estimation.shaft_pose.model import wrist_shape
         from svmdist.vision.silhouette import find_silhouette
 
         masks, instrument = self._left.masks, self._arm.profile.instrument
@@ -150,7 +150,7 @@ class ToolDetections:
             self._left.context.bgr_as_recorded,
             masks.seen[0],
             picture,
-            tool_fraction(self._arm.required_chain, instrument),
+            wrist_shape(self._arm.required_chain, instrument),
             self._settings.silhouette,
             self._settings.shaft,
         )

@@ -16,6 +16,7 @@ from svmdist.profile import Instrument, KinematicError
 from svmdist.results import Failure
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array, inverse, make_transform
+from svmdist.vision.wrist_outline import WristShape
 
 DEFAULT = ShaftSettings()
 OUTLINE_END_PER_RADIUS = 0.9
@@ -90,11 +91,12 @@ def shaft_model(
     )
 
 
-def tool_fraction(chain: DHChain, instrument: Instrument) -> float:
-    """Where on the way from the outline's end to the jaws' tips the tool's origin is, with the wrist straight."""
+def wrist_shape(chain: DHChain, instrument: Instrument) -> WristShape:
+    """What is to be seen beyond the outline's end, with the wrist straight."""
     _, T_shaft_tool = shaft_frames(chain, np.zeros(len(chain.joint_names)))
     ahead_m = max(float(T_shaft_tool[2, 3]) - outline_end_m(instrument), 0.0)
-    return ahead_m / (ahead_m + instrument.jaw_length_m)
+    length_m = ahead_m + instrument.jaw_length_m
+    return WristShape(ahead_m / length_m, length_m / (2.0 * instrument.shaft_radius_m))
 
 
 def outline_end_m(instrument: Instrument) -> float:
