@@ -37,9 +37,6 @@ class SilhouetteSettings(MethodSettings):
     """Of the profiles across an edge, how many must show it: those of a line through texture do here and there."""
     min_support: float = Field(default=0.4, gt=0.0, lt=1.0)
     """Response below which there is no edge of an instrument: one goes on for as long as it has more on average."""
-    rival_fraction: float = Field(default=0.8, gt=0.0, le=1.0)
-    """A second straight edge beside the first, this strong against it, may be the true one as well: a shadow's, or a
-    reflection's."""
     straight_px: float = Field(default=0.6, gt=0.0)
     """How far an edge's point may lie off the shaft's line: the wrist goes on beside it a pixel or two off."""
     straight_widths: float = Field(default=0.02, ge=0.0)
@@ -54,8 +51,8 @@ class SilhouetteSettings(MethodSettings):
     """The least deviation of the cylinder's end, over the shaft's width: ears and bevels hide it."""
 
     wrist_reach: float = Field(default=1.25, gt=0.0)
-    """How far beyond the cylinder's end wrist and jaws may reach, over their length when straight: they may come towards
-    the camera."""
+    """How far beyond the cylinder's end wrist and jaws may reach, over their length when straight: they may come
+    towards the camera."""
     wrist_std: float = Field(default=0.12, gt=0.0)
     """The tool's origin in the outline beyond the cylinder's end, over the length of that: jaws open and turn."""
     min_wrist_widths: float = Field(default=0.5, gt=0.0)

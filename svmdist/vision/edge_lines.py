@@ -1,4 +1,4 @@
-"""A straight edge in an image near a rough one, whatever colours meet there, and how far it goes on.
+"""A straight edge in an image near a rough one, whatever colours meet there, from the border to where it ends.
 
 Profiles are taken across the rough line. Where most of them change at places on one straight line, the edge is there:
 each counts by how distinct its change is, up to a bound, so that straightness decides and not strength.
@@ -8,36 +8,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.robust import median, scale_of
 from svmdist.samples import Image
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.settings.silhouette import SilhouetteSettings
 from svmdist.transforms import Array
-from svmdist.vision.edges import STEP_PX, slope_filter
+from svmdist.vision.edge_search import BLOCK, points_near, profiles_across, straightest
 
 DEFAULT, DEFAULT_SHAFT = SilhouetteSettings(), ShaftSettings()
-BLOCK = 8
-"""Neighbouring profiles that vote as one."""
 SPACING_PX = 1.5
 """Between profiles."""
 PEAK_REACH_PX, REFINEMENTS = 2.0, 2
-"""From the line to a profile's own edge; and how often the line is looked at anew."""
+"""From a line to a profile's own edge, at least; and how often the line is looked at anew."""
 WINDOW = 3.0
 """Where a profile's own edge is sought, over how far it may be off: of texture a third is that near, of an edge all."""
-MIN_POINTS, MIN_BLOCKS = 8, 2
+REFINED_PER_SCALE = 1.5
+"""How far from the rough line the fine one is sought, over the rough one's scale."""
+MIN_POINTS = 8
 START_PART = 0.8
 """Of an edge that was found roughly, what is surely shaft: the rest may be wrist already."""
 END_STEPS = 3
-FAINT = 0.3
-"""The slope of a point of an edge over that of most of them, below which it is none."""
-APART_PER_SCALE = 3.0
-"""From an edge to another one, over the scale of the slope: that of one step is as wide."""
-REFINED_PER_SCALE = 1.5
-"""How far from the rough line the fine one is sought, over the rough one's scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +37,12 @@ class EdgeLine:
     """An edge from the border to where it stops being straight.
 
     `points_px`, shape (n, 2), are its sub-pixel points from the border to the end; `start_px` and `end_px`, shape (2,),
-    are on the line through them. `support` is the mean response along it, from 0 to 1; `rival` how strong the next
-    straight edge beside it is, over its own. `ends` is False where it goes on to the border of what was looked at.
+    are on the line through them. `ends` is False where it goes on as far as was looked.
     """
 
     start_px: Array
     end_px: Array
     points_px: Array
-    support: float
-    rival: float
     ends: bool
 
     @property
@@ -61,6 +50,48 @@ class EdgeLine:
         """Unit vector towards the tip, shape (2,)."""
         along = self.end_px - self.start_px
         return np.asarray(along / np.linalg.norm(along))
+
+
+@dataclass(frozen=True, slots=True)
+class _Segment:
+    """A rough side, continued: its start, unit vectors along and across it, (2,), its length, and places on it, (n,).
+
+    An offset is how far something is to the side of it.
+    """
+
+    start_px: Array
+    along: Array
+    across: Array
+    length_px: float
+    at: Array
+
+    @staticmethod
+    def of(rough: Array, beyond_px: float) -> _Segment | None:
+        """That of a side, shape (2, 2) from start to end, and what follows it; None of one that is too short."""
+        start, end = rough
+        length_px = float(np.linalg.norm(end - start))
+        if length_px < 2.0 * BLOCK * SPACING_PX:
+            return None
+        along = (end - start) / length_px
+        at = np.arange(0.5 * SPACING_PX, length_px + beyond_px, SPACING_PX)
+        return _Segment(start, along, np.array([-along[1], along[0]]), length_px, at)
+
+    def points(self, at: Array, off_px: Array) -> Array:
+        """Pixels, shape (n, 2), at places along it and offsets from it, shape (n,)."""
+        return np.asarray(self.start_px + at[:, None] * self.along + off_px[:, None] * self.across)
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """A straight part of an edge: its offset at the segment's start, its slope, and the place where it ends."""
+
+    offset_px: float
+    slope: float
+    end_at: float
+
+    def at(self, at: Array) -> Array:
+        """Its offsets at places, shape (n,)."""
+        return np.asarray(self.offset_px + self.slope * at)
 
 
 def edge_line(
@@ -76,92 +107,77 @@ def edge_line(
     `width_px` is the shaft's: the rough side may be off by a part of it. `picture`, shape (h, w), marks what is not
     border around the endoscope's view: edges of the border are none.
     """
-    start, end = rough
-    length_px = float(np.linalg.norm(end - start))
-    if length_px < 2.0 * BLOCK * SPACING_PX:
+    segment = _Segment.of(rough, settings.end_reach_widths * width_px)
+    line = None if segment is None else _first_line(bgr, segment, width_px, picture, settings, shaft)
+    if segment is None or line is None:
         return None
-    along = (end - start) / length_px
-    across = np.array([-along[1], along[0]])
-    beyond_px = settings.end_reach_widths * width_px
-    at = np.arange(0.5 * SPACING_PX, length_px + beyond_px, SPACING_PX)
-    where, on_side = at / length_px, at <= length_px
-    feet_px = start + at[:, None] * along
+    at, sigma_px = segment.at, shaft.slope_sigma_px
+    straight_px = max(settings.straight_px, settings.straight_widths * width_px)
+    reach_px = max(PEAK_REACH_PX, WINDOW * straight_px)
+    off_px = np.full(len(at), np.nan)
+    # Its points are sought about the line through them, which may lie beyond what was looked at before, farther on.
+    for _ in range(REFINEMENTS):
+        place = line.at(at)
+        profiles = profiles_across(
+            bgr, segment.points(at, place), segment.across, reach_px, sigma_px, picture
+        )
+        off_px = place + points_near(profiles, np.zeros(len(at)), reach_px, _min_slope(settings, sigma_px))
+        line = _ending_line(at, off_px, line.end_at, straight_px, settings.end_share)
+        if line is None:
+            return None
+    before = at <= line.end_at
+    used = np.isfinite(off_px) & before
+    # A line through texture has its points here and there.
+    if np.count_nonzero(used) < max(MIN_POINTS, settings.min_found * np.count_nonzero(before)):
+        return None
+    ends_at = np.array([0.0, line.end_at])
+    first, last = segment.points(ends_at, line.at(ends_at))
+    ends = bool(line.end_at < at[-1] - 2.0 * SPACING_PX)
+    return EdgeLine(first, last, segment.points(at[used], off_px[used]), ends)
 
-    # First roughly, at a scale that tissue's texture is small against, then at the scale of the optics.
+
+def _first_line(
+    bgr: Image,
+    segment: _Segment,
+    width_px: float,
+    picture: Image | None,
+    settings: SilhouetteSettings,
+    shaft: ShaftSettings,
+) -> _Line | None:
+    """The edge roughly: at a scale that tissue's texture is small against, then at the scale of the optics."""
+    at, across = segment.at, segment.across
+    side = int(np.count_nonzero(at <= segment.length_px))
+    where = at / segment.length_px
     coarse_px = max(shaft.slope_sigma_px, settings.search_scale_widths * width_px)
     reach_px = max(settings.edge_reach_fraction * bgr.shape[1], settings.edge_reach_widths * width_px)
     turn_px = max(reach_px, settings.edge_turn_widths * width_px)
-    slopes, offsets, seen = _slopes(bgr, feet_px[on_side], across, reach_px + turn_px, coarse_px, picture)
-    rough_line = _straightest(slopes, seen, where[on_side], offsets, reach_px, turn_px, coarse_px, settings)
-    if rough_line is None:
+    feet_px = segment.points(at[:side], np.zeros(side))
+    profiles = profiles_across(bgr, feet_px, across, reach_px + turn_px, coarse_px, picture)
+    rough = straightest(profiles, where[:side], reach_px, turn_px, settings)
+    if rough is None:
         return None
-    place = rough_line.at(where)
-    feet_px = feet_px + place[:, None] * across
-    reach_px = REFINED_PER_SCALE * coarse_px
-    half_px = reach_px + 3.0 * shaft.slope_sigma_px + PEAK_REACH_PX
-    slopes, offsets, seen = _slopes(bgr, feet_px, across, half_px, shaft.slope_sigma_px, picture)
-    fine = _straightest(
-        slopes[:, on_side],
-        seen[on_side],
-        where[on_side],
-        offsets,
-        reach_px,
-        reach_px,
-        shaft.slope_sigma_px,
-        settings,
+    place, reach_px = rough.at(where), REFINED_PER_SCALE * coarse_px
+    profiles = profiles_across(
+        bgr, segment.points(at, place), across, 2.0 * reach_px, shaft.slope_sigma_px, picture
     )
+    fine = straightest(profiles.first(side), where[:side], reach_px, reach_px, settings)
     if fine is None:
         return None
+    near_px, min_slope = max(PEAK_REACH_PX, coarse_px), _min_slope(settings, shaft.slope_sigma_px)
+    off_px = place + points_near(profiles, fine.at(where), near_px, min_slope)
     straight_px = max(settings.straight_px, settings.straight_widths * width_px)
-    min_slope = settings.min_contrast_levels / (np.sqrt(2.0 * np.pi) * 2.0 * shaft.slope_sigma_px)
-    off_px = place + _points(slopes, fine.at(where), offsets, seen, max(PEAK_REACH_PX, coarse_px), min_slope)
-    line = _ending_line(at, off_px, fine.part * length_px, straight_px, settings.end_share)
-    # Once more about the line through these points: it may lie beyond what was looked at before, farther on.
-    reach_px = max(PEAK_REACH_PX, WINDOW * straight_px)
-    half_px = reach_px + 3.0 * shaft.slope_sigma_px
-    for _ in range(REFINEMENTS):
-        if line is None:
-            return None
-        place = line[0] + line[1] * at
-        feet_px = start + at[:, None] * along + place[:, None] * across
-        slopes, offsets, seen = _slopes(bgr, feet_px, across, half_px, shaft.slope_sigma_px, picture)
-        off_px = place + _points(slopes, np.zeros(len(at)), offsets, seen, reach_px, min_slope)
-        line = _ending_line(at, off_px, line[2], straight_px, settings.end_share)
-    if line is None:
-        return None
-    middle, slope, end_at = line
-    used = np.isfinite(off_px) & (at <= end_at)
-    points_px = start + at[used, None] * along + off_px[used, None] * across
-    # A line through texture has its points here and there.
-    if len(points_px) < max(MIN_POINTS, settings.min_found * np.count_nonzero(at <= end_at)):
-        return None
-    first, last = (start + t * along + (middle + slope * t) * across for t in (0.0, end_at))
-    ends = bool(end_at < at[-1] - 2.0 * SPACING_PX)
-    return EdgeLine(first, last, points_px, fine.support, rough_line.rival, ends)
+    return _ending_line(at, off_px, fine.part * segment.length_px, straight_px, settings.end_share)
 
 
-@dataclass(frozen=True, slots=True)
-class _Found:
-    """A line across profiles: its offset in the side's middle and how much more at its end, px, and how distinct.
-
-    `part` is how much of the side it goes along.
-    """
-
-    offset_px: float
-    slant_px: float
-    support: float
-    rival: float
-    part: float
-
-    def at(self, where: Array) -> Array:
-        """Its offsets at fractions of the side, shape (n,)."""
-        return self.offset_px + self.slant_px * (2.0 * where - 1.0)
+def _min_slope(settings: SilhouetteSettings, sigma_px: float) -> float:
+    """A step of height c smoothed by σ has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ."""
+    return float(settings.min_contrast_levels / (np.sqrt(2.0 * np.pi) * 2.0 * sigma_px))
 
 
 def _ending_line(
     at: Array, off_px: Array, length_px: float, straight_px: float, end_share: float
-) -> tuple[float, float, float] | None:
-    """The straight part from the border on: its line's offset at 0 and slope, and the distance at which it ends.
+) -> _Line | None:
+    """The straight part from the border on, of offsets, shape (n,), at places, shape (n,); NaN is no edge.
 
     A wrist runs on beside the shaft's line, a pixel or two off it. So the line is that of the part next to the
     border, and it ends where fewer than half of the points lie on it.
@@ -182,7 +198,7 @@ def _ending_line(
         if not total[best] > 0.0:
             return None
         end_at = float(at[best])
-    return line[0], line[1], end_at
+    return _Line(line[0], line[1], end_at)
 
 
 def _robust_line(x: Array, y: Array) -> tuple[float, float]:
@@ -204,107 +220,3 @@ def _robust_line(x: Array, y: Array) -> tuple[float, float]:
         )
         offset = height - slope * centre
     return offset, slope
-
-
-def _slopes(
-    bgr: Image, feet_px: Array, across: Array, half_px: float, sigma_px: float, picture: Image | None
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Slopes of three channels, shape (3, n, k), at offsets, shape (k,), and whether each is in the image, (n, k)."""
-    half_px = np.ceil(half_px / STEP_PX) * STEP_PX
-    offsets = np.arange(-half_px, half_px + STEP_PX / 2, STEP_PX)
-    x = feet_px[:, 0, None] + offsets * across[0]
-    y = feet_px[:, 1, None] + offsets * across[1]
-    height, width = bgr.shape[:2]
-    seen = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-    if picture is not None:
-        column, row = (np.clip(np.rint(v), 0, size - 1).astype(int) for v, size in ((x, width), (y, height)))
-        seen &= picture[row, column] > 0
-    left, top = (
-        int(np.clip(least, 0, size - 1)) for least, size in ((x.min() - 1, width), (y.min() - 1, height))
-    )
-    window = bgr[top : max(int(y.max()) + 3, top + 1), left : max(int(x.max()) + 3, left + 1)]
-    places = ((x - left).astype(np.float32), (y - top).astype(np.float32))
-    values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    kernel = slope_filter(len(offsets), sigma_px).astype(np.float32)
-    slopes = np.ascontiguousarray(np.moveaxis(values, 2, 0)) @ kernel
-    return np.asarray(slopes, np.float64), offsets, seen
-
-
-def _straightest(
-    slopes: Array,
-    seen: NDArray[np.bool_],
-    where: Array,
-    offsets: Array,
-    reach_px: float,
-    turn_px: float,
-    sigma_px: float,
-    settings: SilhouetteSettings,
-) -> _Found | None:
-    """The line with the largest mean response among those within a reach of the side, turned by so much at its ends.
-
-    Neighbouring profiles vote as one, by their common change of colour: an edge goes on, texture does not.
-    """
-    count = len(where) // BLOCK
-    if count < 2:
-        return None
-    common = slopes[:, : count * BLOCK].reshape(3, count, BLOCK, -1).mean(2)
-    strength = np.sqrt(np.sum(common * common, 0))
-    # A step of height c, smoothed, has slope c / (σ √(2π)); what is common in the neighbourhood is no step.
-    half = max(
-        settings.full_contrast_levels / (np.sqrt(2.0 * np.pi) * 1.4 * sigma_px),
-        settings.texture_factor * float(np.median(strength)),
-    )
-    blocks = strength / (strength + half)
-    blocks[~seen[: count * BLOCK].reshape(count, BLOCK, -1).all(1)] = 0.0
-    middle = where[: count * BLOCK].reshape(count, BLOCK).mean(1)
-    step_px = max(STEP_PX, 0.5 * sigma_px)
-    slants = np.arange(-turn_px, turn_px + step_px / 2, step_px)
-    candidates = np.flatnonzero(np.abs(offsets) <= reach_px)
-    steps = np.rint(slants[:, None] * (2.0 * middle - 1.0) / STEP_PX).astype(int)  # (slants, blocks)
-    columns = np.clip(candidates[None, None, :] + steps[:, :, None], 0, len(offsets) - 1)
-    # Wrist and jaws may make the rough side too long: the edge goes as far as it gains by that.
-    gain = np.cumsum(blocks[np.arange(count)[None, :, None], columns] - settings.min_support, axis=1)
-    gain[:, : min(MIN_BLOCKS, count) - 1] = -np.inf
-    last = np.argmax(gain, axis=1)
-    total = np.take_along_axis(gain, last[:, None], 1)[:, 0]  # (slants, offsets)
-    slant, offset = np.unravel_index(int(np.argmax(total)), total.shape)
-    best, reached = float(total[slant, offset]), int(last[slant, offset]) + 1
-    if not best > 0.0:
-        return None
-    other = np.abs(offsets[candidates] - offsets[candidates[offset]]) >= APART_PER_SCALE * sigma_px
-    rival = float(total[:, other].max()) / best if other.any() else 0.0
-    support = best / reached + settings.min_support
-    return _Found(
-        float(offsets[candidates[offset]]), float(slants[slant]), support, rival, float(reached / count)
-    )
-
-
-def _points(
-    slopes: Array, place: Array, offsets: Array, seen: NDArray[np.bool_], reach_px: float, min_slope: float
-) -> Array:
-    """Sub-pixel offset of each profile's edge near the line, shape (n,); NaN where there is none.
-
-    Colours are projected on what most of the neighbourhood changes by, so that a step has one sign.
-    """
-    rows = np.arange(len(place))
-    column = np.rint((place - offsets[0]) / STEP_PX).astype(int)
-    reach = int(reach_px / STEP_PX)
-    columns = np.clip(column[:, None] + np.arange(-reach, reach + 1), 1, len(offsets) - 2)
-    change = slopes[:, rows[:, None], columns].sum(2)  # (3, n)
-    kernel = np.ones((1, 4 * BLOCK + 1))
-    change = np.asarray(cv2.filter2D(change, -1, kernel, borderType=cv2.BORDER_REPLICATE), np.float64)
-    change = change / np.maximum(np.linalg.norm(change, axis=0), 1e-9)
-    slope = np.einsum("cn,cnk->nk", change, slopes)
-    window = slope[rows[:, None], columns]
-    best = np.argmax(window, 1)
-    peak = columns[rows, best]
-    before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
-    inside = (best > 0) & (best < 2 * reach) & seen[rows, peak]
-    good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after) & (top > min_slope)
-    # What is much fainter than most of the edge is texture beside it.
-    good &= top > FAINT * (np.median(top[good]) if good.any() else 0.0)
-    log_before, log_top, log_after = (np.log(np.maximum(value, 1e-9)) for value in (before, top, after))
-    bend = log_before - 2.0 * log_top + log_after
-    good &= bend < -1e-9
-    shift = 0.5 * (log_before - log_after) / np.where(good, bend, -1.0)
-    return np.where(good, offsets[peak] + np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan)

@@ -62,7 +62,7 @@ class Silhouette:
 def find_silhouette(
     bgr: Image,
     seen: SeenInstrument,
-    picture: Image,
+    picture: Image | None,
     wrist: WristShape,
     settings: SilhouetteSettings = DEFAULT,
     shaft: ShaftSettings = DEFAULT_SHAFT,

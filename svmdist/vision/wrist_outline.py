@@ -30,8 +30,10 @@ FAR_PERCENTILE = 99.0
 
 @dataclass(frozen=True, slots=True)
 class WristShape:
-    """A straight wrist with closed jaws beyond the shaft's end: where between end and tip the tool's origin is, and
-    how long all of it is over the shaft's width.
+    """A straight wrist with closed jaws beyond the shaft's end, as an outline.
+
+    `tool_fraction` is where between end and tip the tool's origin is, `length_widths` how long all of it is over the
+    shaft's width.
     """
 
     tool_fraction: float
