@@ -39,6 +39,11 @@ class ShaftSettings(MethodSettings):
     anywhere."""
     blur_reach_fraction: float = Field(default=0.022, gt=0.0, lt=0.2)
     """How far the blur of an edge is measured, over the image's width: a tool at 200 mm/s moves so far in 1/60 s."""
+    penumbra_ratio: float = Field(default=1.6, ge=1.0)
+    """Blur of one edge over that of the other, beyond which it is the soft border of a shadow beside the shaft: both
+    edges of a shaft are equally far from the camera, and move alike."""
+    penumbra_blur_px: float = Field(default=1.0, ge=0.0)
+    """Blur that any edge may have, px: below it the ratio of two blurs is noise."""
     point_correlation_px: float = Field(default=2.0, gt=0.0)
     """Neighbouring edge points share pixels: points closer than this along the edge err alike."""
     min_point_std_px: float = Field(default=0.05, gt=0.0)
@@ -65,7 +70,7 @@ class ShaftSettings(MethodSettings):
 
     end_model_std_m: float = Field(default=0.0002, ge=0.0, lt=0.1)
     """A bevel, and glare on it, hide where exactly the dark part ends."""
-    outline_end_std_radii: float = Field(default=0.25, ge=0.0)
+    outline_end_std_radii: float = Field(default=0.4, ge=0.0)
     """How far from where the profile says it the outline stops being a cylinder's, over the shaft's radius: clevises
     differ, and a bent wrist hides their ends."""
     jaw_tip_std: float = Field(default=0.35, gt=0.0)

@@ -81,9 +81,14 @@ def detect_shaft(
         return NO_SHAFT
     towards_tip = region.first.direction + region.second.direction
     towards_tip /= np.linalg.norm(towards_tip)
+    sides = (region.first, region.second)
+    blurs_px = [_blur_px(brightness, side, region, settings) for side in sides]
     contours: list[Contour] = []
-    for side in (region.first, region.second):
-        contour = _contour(brightness, side, region, towards_tip, camera, settings)
+    for side, blur_px, other_px in zip(sides, blurs_px, blurs_px[::-1], strict=True):
+        # Both edges of a shaft are as sharp as each other; a shadow beside it ends in a penumbra.
+        if blur_px > settings.penumbra_ratio * max(other_px, settings.penumbra_blur_px):
+            continue
+        contour = _contour(brightness, side, region, towards_tip, blur_px, camera, settings)
         if contour is not None and all(contour.side != other.side for other in contours):
             contours.append(contour)
     rim = _rim(brightness, region, towards_tip, settings) if region.end_is_free else None
@@ -139,21 +144,31 @@ def _edge_contour(
     return Contour(plane, 1 if right > 0 else -1)
 
 
+def _trimmed(side: Side, region: ShaftRegion, settings: ShaftSettings) -> tuple[Array, Array, Array]:
+    """A side's start and end without its corners, and a vector from the shaft's middle to it, shape (2,) each."""
+    trim = settings.side_trim_fraction * (side.end_px - side.start_px)
+    outward = 0.5 * (side.start_px + side.end_px) - region.middle_px
+    return side.start_px + trim, side.end_px - trim, outward
+
+
+def _blur_px(brightness: Image, side: Side, region: ShaftRegion, settings: ShaftSettings) -> float:
+    """The blur of the edge along a side, as its deviation in px."""
+    reach_px = settings.blur_reach_fraction * brightness.shape[1]
+    return edge_blur_px(brightness, *_trimmed(side, region, settings), reach_px, settings)
+
+
 def _contour(
     brightness: Image,
     side: Side,
     region: ShaftRegion,
     towards_tip: Array,
+    blur_px: float,
     camera: Camera,
     settings: ShaftSettings,
 ) -> Contour | None:
     along = side.end_px - side.start_px
-    trim = settings.side_trim_fraction * along
-    start_px, end_px = side.start_px + trim, side.end_px - trim
-    outward = 0.5 * (side.start_px + side.end_px) - region.middle_px
+    start_px, end_px, outward = _trimmed(side, region, settings)
     width_px = brightness.shape[1]
-    blur_reach_px = settings.blur_reach_fraction * width_px
-    blur_px = edge_blur_px(brightness, start_px, end_px, outward, blur_reach_px, settings)
     # A threshold may cut a blurred edge two of its deviations off its middle.
     reach_px = max(settings.min_edge_reach_px, settings.edge_reach_fraction * width_px) + 2.0 * blur_px
     points_px = edge_points(brightness, start_px, end_px, outward, reach_px, settings, blur_px)

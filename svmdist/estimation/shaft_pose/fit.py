@@ -59,6 +59,9 @@ def fit_shaft(
     deviations: Deviations = EXACT,
 ) -> ShaftFit | Failure:
     """The pose that fits most of what was seen without contradiction; or why there is none."""
+    if shaft.is_stub and shaft.contours and marker is None:
+        # Anything dark at the border has two short sides; nothing here would contradict them.
+        return Failure("too little of the shaft is to be seen, and neither wrist nor distal marker")
     failure = None
     for trusted in _readings(Landmarks(shaft, marker)):
         fit = _fit(trusted, model, camera, settings, deviations)
