@@ -70,9 +70,12 @@ class ShaftSettings(MethodSettings):
 
     end_model_std_m: float = Field(default=0.0002, ge=0.0, lt=0.1)
     """A bevel, and glare on it, hide where exactly the dark part ends."""
-    outline_end_std_radii: float = Field(default=0.4, ge=0.0)
+    outline_end_std_radii: float = Field(default=0.25, ge=0.0)
     """How far from where the profile says it the outline stops being a cylinder's, over the shaft's radius: clevises
     differ, and a bent wrist hides their ends."""
+    unknown_outline_end_std_radii: float = Field(default=0.45, ge=0.0)
+    """The same where the profile does not say it: on two real instruments it was 0 and 0.9 radii before the
+    hinge, half of that from the middle."""
     jaw_tip_std: float = Field(default=0.35, gt=0.0)
     """How far the tip of an outline is from where closed, straight jaws would end, over their length: they open and
     turn against the wrist."""

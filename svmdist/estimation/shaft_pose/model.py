@@ -42,7 +42,8 @@ class ShaftModel:
     marker_std_m: float = 0.0
     """How far the distal marker may be from the tool's origin, along each axis, and how wrong the wrist's length is."""
     outline_end_m: float = 0.0
-    """How far before the hinge the outline stops being a cylinder's."""
+    """How far before the hinge the outline stops being a cylinder's, and how wrong that may be."""
+    outline_end_std_m: float = 0.0
     jaw_length_m: float = 0.0
     jaws: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
     """The direction of straight, closed jaws in the tool's frame, shape (3,), of length 1."""
@@ -86,6 +87,12 @@ def shaft_model(
         instrument.knuckle_radius_m,
         float(np.hypot(instrument.knuckle_position_std_m, error.length_std_m)),
         outline_end_m(instrument),
+        instrument.shaft_radius_m
+        * (
+            settings.unknown_outline_end_std_radii
+            if instrument.outline_end_m is None
+            else settings.outline_end_std_radii
+        ),
         instrument.jaw_length_m,
         straight[2, :3].copy(),
     )

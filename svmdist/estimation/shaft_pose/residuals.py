@@ -111,7 +111,7 @@ def rim_residual(
     ahead_m, radius_m, model_std_m = -model.neck_m, model.radius_m, settings.end_model_std_m
     if rim.is_outline:
         ahead_m, radius_m = model.outline_end_m, 0.0
-        model_std_m = settings.outline_end_std_radii * model.radius_m
+        model_std_m = model.outline_end_std_m
     hinge_m, d = state.T[:3, 3], state.T[:3, 2]
     along_m = float(d @ hinge_m)
     foot_m = hinge_m - along_m * d
@@ -184,7 +184,10 @@ def tip_residual(
     pixel, by_point = camera.project_with_derivative(tool.T[:3, 3] + arm_m)
     std_px = settings.jaw_tip_std * model.jaw_length_m * float(camera.K[0, 0]) / float(tool.T[2, 3])
     by_state = tool.derivative[:3] - skew(arm_m) @ tool.derivative[3:]
-    return Residual("jaws' tip", (wrist.tip_px - pixel) / std_px, by_point @ by_state / std_px)
+    off = (wrist.tip_px - pixel) / std_px
+    # The deviation depends on the depth, too.
+    derivative = by_point @ by_state / std_px - np.outer(off, tool.derivative[2] / float(tool.T[2, 3]))
+    return Residual("jaws' tip", off, derivative)
 
 
 def prior_residual(state: ShaftState, start: Array, model: ShaftModel) -> Residual:
