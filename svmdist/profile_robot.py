@@ -128,6 +128,9 @@ class Instrument(StrictModel):
     shaft_length_m: Length
     shaft_end_m: SmallLength | None = None
     """From the wrist's hinge back to where the dark shaft visibly ends; None: 2.2 radii of the wrist."""
+    outline_end_m: float | None = Field(default=None, gt=-0.1, lt=0.1)
+    """From the wrist's hinge on to where the outline stops being as wide as the shaft, negative behind it; None: 0.9
+    radii of the shaft, and less certain."""
     wrist_radius_m: SmallLength
     knuckle_radius_m: SmallLength
     knuckle_radius_std_fraction: float = Field(default=0.03, ge=0.0, le=1.0)

@@ -134,6 +134,7 @@ class Status(StrEnum):
     NO_STEREO = "no_stereo"
     AMBIGUOUS_POSE = "ambiguous_pose"
     INCONSISTENT = "inconsistent"
+    UNCERTAIN = "uncertain"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
 """The distances between a tool and the tissue in 3D, and their standard deviations.
 
-Errors are propagated to first order (ISO/IEC Guide 98-3, sec. 5.1). Tool and tissue are measured from different
-pixels, but perhaps by the same wrong camera: a method that knows says how their errors go together.
+Errors are propagated to first order (ISO/IEC Guide 98-3, sec. 5.1), those of a length to second. Tool and tissue are
+measured from different pixels, but perhaps by the same wrong camera: a method that knows says how their errors go
+together.
 """
 
 from __future__ import annotations
@@ -89,9 +90,18 @@ def _moves(direction: Array, point_m: Array, pose: ToolPose) -> Array:
 
 
 def _length(offset_m: Array, covariance: Array) -> Distance:
-    """Length of an offset and its standard deviation; at zero length every direction counts alike."""
-    length_m = float(np.linalg.norm(offset_m))
-    if length_m > 0.0:
-        along = offset_m / length_m
-        return Distance(length_m, float(np.sqrt(max(float(along @ covariance @ along), 0.0))))
-    return Distance(0.0, float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0))))
+    """Length of an offset and its standard deviation, to second order.
+
+    To first order an error across the offset does not change its length L: that is true of errors that are small
+    against L, and a tool seen by one camera may be close to the tissue and uncertain along the view. With the unit
+    vector u and the curvature H = (I - u uᵀ) / L, the squared error of the length is
+    uᵀ Σ u + tr((H Σ)²) / 2 + (tr(H Σ) / 2)². It is never more than that of the whole offset, tr Σ, as |δL| <= |δ|.
+    """
+    length_m, most = float(np.linalg.norm(offset_m)), float(np.trace(covariance))
+    if length_m == 0.0:
+        return Distance(0.0, float(np.sqrt(max(most, 0.0))))
+    along = offset_m / length_m
+    across = (covariance - np.outer(along, along @ covariance)) / length_m  # H Σ
+    variance = float(along @ covariance @ along)
+    variance += 0.5 * float(np.sum(across * across.T)) + 0.25 * float(np.trace(across)) ** 2
+    return Distance(length_m, float(np.sqrt(max(min(variance, most), 0.0))))

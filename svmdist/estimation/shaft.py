@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from svmdist.errors import ProfileError
@@ -12,6 +14,9 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.tissue.pose import require_tissue
 from svmdist.results import Failure, FrameResult, ToolEstimate
 from svmdist.samples import Status
+
+if TYPE_CHECKING:  # the detection is imported when it is first asked for
+    from svmdist.estimation.detection.shaft import ShaftDetection
 
 
 class ShaftEstimator:
@@ -43,9 +48,14 @@ class ShaftEstimator:
         self._has_plate |= frame.tool.tag_corners_px is not None
         fit = frame.tool.shaft_fit
         if isinstance(fit, Failure):
-            return result.rejected(Status.NO_INSTRUMENT, fit.reason)
+            return result.rejected(_status(frame.tool.shaft), fit.reason)
         std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
         if not std_m <= self._max_std_m:
             detail = f"the position is uncertain by {std_m * 1e3:.1f} mm"
-            return result.rejected(Status.NO_INSTRUMENT, detail)
+            return result.rejected(Status.UNCERTAIN, detail)
         return measured(result, frame, ToolEstimate(fit.pose, frame.joints, self._has_plate), tissue.pose)
+
+
+def _status(shaft: ShaftDetection) -> Status:
+    """Why there is no pose: both edges were found, and do not tell one; or there is no instrument with two of them."""
+    return Status.UNCERTAIN if len(shaft.contours) == 2 else Status.NO_INSTRUMENT

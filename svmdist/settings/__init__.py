@@ -12,6 +12,7 @@ from svmdist.settings.interlace import InterlaceSettings
 from svmdist.settings.marker import MarkerSettings
 from svmdist.settings.outline import OutlineSettings
 from svmdist.settings.shaft import ShaftSettings
+from svmdist.settings.silhouette import SilhouetteSettings
 from svmdist.settings.stereo import StereoSettings
 from svmdist.settings.tag import TagSettings
 from svmdist.settings.tissue import TissueTrackingSettings
@@ -27,6 +28,7 @@ class Settings(StrictModel):
     outline: OutlineSettings = OutlineSettings()
     marker: MarkerSettings = MarkerSettings()
     shaft: ShaftSettings = ShaftSettings()
+    silhouette: SilhouetteSettings = SilhouetteSettings()
     distal_marker: DistalMarkerSettings = DistalMarkerSettings()
     stereo: StereoSettings = StereoSettings()
     tag: TagSettings = TagSettings()

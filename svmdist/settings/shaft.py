@@ -39,6 +39,11 @@ class ShaftSettings(MethodSettings):
     anywhere."""
     blur_reach_fraction: float = Field(default=0.022, gt=0.0, lt=0.2)
     """How far the blur of an edge is measured, over the image's width: a tool at 200 mm/s moves so far in 1/60 s."""
+    penumbra_ratio: float = Field(default=1.6, ge=1.0)
+    """Blur of one edge over that of the other, beyond which it is the soft border of a shadow beside the shaft: both
+    edges of a shaft are equally far from the camera, and move alike."""
+    penumbra_blur_px: float = Field(default=1.0, ge=0.0)
+    """Blur that any edge may have, px: below it the ratio of two blurs is noise."""
     point_correlation_px: float = Field(default=2.0, gt=0.0)
     """Neighbouring edge points share pixels: points closer than this along the edge err alike."""
     min_point_std_px: float = Field(default=0.05, gt=0.0)
@@ -47,10 +52,15 @@ class ShaftSettings(MethodSettings):
     """How far a point of an edge may lie off its line: ten times the least deviation of a point."""
     line_inlier_per_blur: float = Field(default=0.2, ge=0.0)
     """How that grows with the edge's blur: shading over twice the width shifts the steepest point by more."""
+    line_inlier_per_width: float = Field(default=0.012, ge=0.0)
+    """The same over the shaft's width, for edges of a silhouette: near ones are less sharp, and lenses bend them."""
     shading_std_px: float = Field(default=0.08, ge=0.0)
     """What shading beside an edge shifts it, in addition to noise: see the error budget."""
     shading_std_per_blur: float = Field(default=0.05, ge=0.0)
     """How that grows with the edge's blur, for the same reason."""
+    outline_shading_std_px: float = Field(default=0.15, ge=0.0)
+    """The same where nothing is known of the light: a limb that fades or shines may shift either edge, as sharpening in
+    a camera does."""
     end_strip_fraction: float = Field(default=0.25, gt=0.0, le=1.0)
     """The shaft's end is searched in this part of its half width about the middle, where its arc has its apex."""
     end_reach_half_widths: float = Field(default=0.9, gt=0.0)
@@ -60,8 +70,18 @@ class ShaftSettings(MethodSettings):
 
     end_model_std_m: float = Field(default=0.0002, ge=0.0, lt=0.1)
     """A bevel, and glare on it, hide where exactly the dark part ends."""
-    unknown_bend_rad: float = Field(default=0.4, gt=0.0, lt=3.2)
-    """Standard deviation of the wrist's bend about each axis, where no joints tell it."""
+    outline_end_std_radii: float = Field(default=0.25, ge=0.0)
+    """How far from where the profile says it the outline stops being a cylinder's, over the shaft's radius: clevises
+    differ, and a bent wrist hides their ends."""
+    unknown_outline_end_std_radii: float = Field(default=0.45, ge=0.0)
+    """The same where the profile does not say it: on two real instruments it was 0 and 0.9 radii before the
+    hinge, half of that from the middle."""
+    jaw_tip_std: float = Field(default=0.35, gt=0.0)
+    """How far the tip of an outline is from where closed, straight jaws would end, over their length: they open and
+    turn against the wrist."""
+    unknown_bend_rad: float = Field(default=0.8, gt=0.0, lt=3.2)
+    """Standard deviation of the wrist's bend about each axis, where no joints tell it: any bend within its usual limits
+    of 1.4 rad is as likely as another."""
     gate_chi2: float = Field(default=12.0, gt=0.0)
     """Squared deviation, in units of the variance, that one in 400 true measurements of two numbers exceeds."""
     doubt_square: float = Field(default=2.25, ge=0.0)

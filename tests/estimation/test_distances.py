@@ -168,3 +168,22 @@ def test_a_dome_stands_on_an_outline_of_any_number_of_corners(count: int) -> Non
     ring = np.stack([0.02 * np.cos(angles), 0.02 * np.sin(angles), np.full(count, 0.112)], -1)
     mesh = DomeModel.over(ring, FLOOR, Dome(height_m=0.008)).mesh()
     assert mesh.vertices_m[:, 2].min() == pytest.approx(0.104)
+
+
+@pytest.mark.parametrize("beside_mm", [2.0, 10.0, 40.0])
+def test_a_distance_says_how_uncertain_it_is_where_the_depth_is_the_least_certain(beside_mm):
+    """A tool 6 mm uncertain along the view: the true lengths scatter about the told one as much as is stated."""
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = np.diag([0.5e-3, 0.5e-3, 6e-3]) ** 2
+    tissue = fix()
+    pose = tool_pose(covariance)
+    T = pose.T_camera_tool.copy()
+    T[:3, 3] = tissue.position_m + beside_mm * 1e-3 * np.eye(3)[0]
+    pose = ToolPose(T, covariance, pose.axis)
+    told = measure(pose, tissue)
+    errors_m = np.random.default_rng(4).multivariate_normal(np.zeros(3), covariance[:3, :3], 40_000)
+    errors_m += np.random.default_rng(5).multivariate_normal(np.zeros(3), tissue.covariance, 40_000)
+    lengths_m = np.linalg.norm(pose.position_m - tissue.position_m + errors_m, axis=1)
+    rms_m = np.sqrt(np.mean((lengths_m - told.spatial_m) ** 2))
+    # The second order sees all of it where the offset is as long as its error, and bounds it below that.
+    assert rms_m * 0.97 <= told.spatial_std_m <= rms_m * 1.35

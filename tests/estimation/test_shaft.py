@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.arm import Arm
+from svmdist.estimation.detection.shaft import ShaftDetection
 from svmdist.estimation.frame import frame_of
-from svmdist.estimation.shaft_pose.fit import ShaftFit
-from svmdist.estimation.shaft_pose.model import shaft_frames
+from svmdist.estimation.shaft_pose.fit import ShaftFit, fit_shaft
+from svmdist.estimation.shaft_pose.model import shaft_frames, shaft_model
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import forward_kinematics
-from svmdist.profile import ColourRegion, Profile, load_profile
+from svmdist.profile import AutoSegmentation, ColourRegion, Profile, load_profile
 from svmdist.results import Failure
 from svmdist.samples import Observation
 from svmdist.vision.segmentation.segmenter import make_segmenter
@@ -28,6 +30,11 @@ SIDES = {"right": 0.1, "bottom": np.pi / 2 - 0.2, "left": np.pi + 0.15, "top": -
 
 def picture(camera: Camera, side: str, **kwargs: object) -> ShaftImage:
     return ShaftImage(camera, *entering_from(SIDES[side], camera), **kwargs)  # type: ignore[arg-type]
+
+
+def shaft_of(observation: Observation) -> ShaftDetection:
+    """The shaft's edges and end."""
+    return frame_of(observation, Arm(PROFILE), make_segmenter(PROFILE.segmentation)).tool.shaft
 
 
 def find_tool(observation: Observation, profile: Profile = PROFILE) -> ShaftFit | Failure:
@@ -122,6 +129,47 @@ def test_steel_tip_without_a_coloured_part(side: str):
     check(drawn, fit, axis_rad=0.02, across_m=1e-3, depth_m=1.5e-3)
     assert "rim" in fit.used
     assert np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]) > 0.3 * WRIST_M
+
+
+def test_the_softer_of_two_edges_is_a_shadows():
+    """One edge blurred by 4 px, the other as drawn: a penumbra is no edge of the shaft."""
+    drawn = picture(SMALL, "left")
+    image = drawn.draw(2)
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    tip_px = SMALL.project(drawn.tool_m)[0]
+    along = tip_px - SMALL.project(drawn.tool_m - 0.03 * drawn.direction)[0]
+    below = along[0] * (y - tip_px[1]) - along[1] * (x - tip_px[0]) > 0.0
+    soft = np.where(below[..., None], cv2.GaussianBlur(image, (0, 0), 4.0), image).astype(np.uint8)
+    sharp, shadowed = (shaft_of(Observation(0, pixels, SMALL)) for pixels in (image, soft))
+    assert sorted(contour.side for contour in sharp.contours) == [-1, 1]
+    assert [contour.side for contour in shadowed.contours] == [-1]
+
+
+def test_a_stub_alone_is_no_measurement():
+    """Short sides are found on anything dark at the border: without wrist and marker nothing contradicts them."""
+    drawn = picture(SMALL, "left", background_bgr=RED_BGR)
+    arm = Arm(PROFILE)
+    tool = frame_of(Observation(0, drawn.draw(2), SMALL), arm, make_segmenter(PROFILE.segmentation)).tool
+    assert arm.chain is not None
+    assert PROFILE.instrument is not None
+    model = shaft_model(Failure(""), arm.chain, PROFILE.instrument, PROFILE.kinematic_error)
+    stub = replace(tool.shaft, is_stub=True)
+    assert isinstance(fit_shaft(stub, tool.distal_marker, model, SMALL), ShaftFit)
+    assert isinstance(fit_shaft(stub, None, model, SMALL), Failure)
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("background", [(170.0, 185.0, 205.0), RED_BGR], ids=["pale", "red"])
+def test_axis_without_colours(side: str, background: tuple[float, float, float]):
+    """Told by shape: the axis to 2 degrees, and its distance to 2 %. The tip is not the profile's: it has no jaws."""
+    profile = PROFILE.model_copy(update={"segmentation": AutoSegmentation(method="auto")})
+    drawn = picture(SMALL, side, background_bgr=background)
+    fit = find_tool(Observation(0, drawn.draw(2), SMALL), profile)
+    assert isinstance(fit, ShaftFit), fit
+    d, hinge_m = fit.T_camera_shaft[:3, 2], fit.T_camera_shaft[:3, 3]
+    assert np.arccos(np.clip(d @ drawn.direction, -1.0, 1.0)) < np.deg2rad(2.0)
+    off_m = hinge_m - drawn.tool_m
+    assert np.linalg.norm(off_m - (off_m @ drawn.direction) * drawn.direction) < 0.02 * drawn.tool_m[2]
 
 
 def test_an_image_without_an_instrument_says_so():

@@ -7,15 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.estimation.detection.distal_marker import DistalMarker
 from svmdist.robust import median, scale_of
 from svmdist.samples import Image
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
 from svmdist.vision.cylinder import TangentPlane, tangent_plane
+from svmdist.vision.edge_lines import EdgeLine
 from svmdist.vision.edges import edge_blur_px, edge_points
 from svmdist.vision.lines import fit_line, undistorted
 from svmdist.vision.shading import shading_shift_px
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
+from svmdist.vision.silhouette import Silhouette
+from svmdist.vision.wrist_outline import WristPoint
 
 DEFAULT = ShaftSettings()
 MIN_LINE_POINTS, MIN_END_POINTS = 5, 4
@@ -34,11 +38,16 @@ class Contour:
 
 @dataclass(frozen=True, slots=True)
 class Rim:
-    """Where the dark shaft ends on its middle line: a pixel (2,), the unit direction to the tip (2,), px."""
+    """Where the shaft ends on its middle line: a pixel (2,), the unit direction to the tip (2,), px.
+
+    `is_outline` says that the outline ends to be a cylinder's there; otherwise its dark part ends, on the side that
+    faces the camera.
+    """
 
     pixel: Array
     towards_tip: Array
     std_px: float
+    is_outline: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +55,8 @@ class ShaftDetection:
     """Contours (none, one or two) and the rim, each as far as it is visible.
 
     `towards_tip` (2,) is the direction of the shaft's middle line in the image, None where nothing tells it.
-    `is_stub` says that less of the shaft is visible than it is wide.
+    `is_stub` says that less of the shaft is visible than it is wide. `wrist` is where the tool's origin is in the
+    outline of a whole instrument.
     """
 
     contours: tuple[Contour, ...]
@@ -54,6 +64,7 @@ class ShaftDetection:
     towards_tip: Array | None
     middle_px: Array | None
     is_stub: bool
+    wrist: WristPoint | None = None
 
 
 NO_SHAFT = ShaftDetection((), None, None, None, True)
@@ -70,9 +81,14 @@ def detect_shaft(
         return NO_SHAFT
     towards_tip = region.first.direction + region.second.direction
     towards_tip /= np.linalg.norm(towards_tip)
+    sides = (region.first, region.second)
+    blurs_px = [_blur_px(brightness, side, region, settings) for side in sides]
     contours: list[Contour] = []
-    for side in (region.first, region.second):
-        contour = _contour(brightness, side, region, towards_tip, camera, settings)
+    for side, blur_px, other_px in zip(sides, blurs_px, blurs_px[::-1], strict=True):
+        # Both edges of a shaft are as sharp as each other; a shadow beside it ends in a penumbra.
+        if blur_px > settings.penumbra_ratio * max(other_px, settings.penumbra_blur_px):
+            continue
+        contour = _contour(brightness, side, region, towards_tip, blur_px, camera, settings)
         if contour is not None and all(contour.side != other.side for other in contours):
             contours.append(contour)
     rim = _rim(brightness, region, towards_tip, settings) if region.end_is_free else None
@@ -80,21 +96,79 @@ def detect_shaft(
     return ShaftDetection(tuple(contours), rim, known, region.middle_px, region.is_stub)
 
 
+def detect_silhouette(
+    silhouette: Silhouette | None, camera: Camera, settings: ShaftSettings = DEFAULT
+) -> ShaftDetection:
+    """Contours, end and wrist of a shaft whose silhouette was found, whatever its colour; `NO_SHAFT` for none."""
+    if silhouette is None:
+        return NO_SHAFT
+    towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
+    contours: list[Contour] = []
+    for edge in silhouette.edges:
+        contour = _edge_contour(edge, silhouette.width_px, middle_px, towards_tip, camera, settings)
+        if contour is not None and all(contour.side != other.side for other in contours):
+            contours.append(contour)
+    end_px = silhouette.end_px
+    rim = None if end_px is None else Rim(end_px, towards_tip, silhouette.std_px, is_outline=True)
+    return ShaftDetection(tuple(contours), rim, towards_tip, middle_px, silhouette.is_stub, silhouette.wrist)
+
+
+def wrist_marker(shaft: ShaftDetection) -> DistalMarker | None:
+    """The tool's origin by the outline of the wrist, as a point without a size; None where no wrist is seen."""
+    wrist = shaft.wrist
+    return None if wrist is None else DistalMarker(wrist.pixel, wrist.std_px, None, 0.0)
+
+
+def _edge_contour(
+    edge: EdgeLine,
+    width_px: float,
+    middle_px: Array,
+    towards_tip: Array,
+    camera: Camera,
+    settings: ShaftSettings,
+) -> Contour | None:
+    line = fit_line(
+        undistorted(camera, edge.points_px),
+        1.0 / float(camera.K[0, 0]),
+        min_count=MIN_LINE_POINTS,
+        inlier_px=max(settings.line_inlier_px, settings.line_inlier_per_width * width_px),
+        systematic_px=settings.outline_shading_std_px,
+        correlation_px=settings.point_correlation_px,
+        min_point_std_px=settings.min_point_std_px,
+    )
+    if line is None:
+        return None
+    plane = tangent_plane(line, undistorted(camera, middle_px[None])[0])
+    outward = 0.5 * (edge.start_px + edge.end_px) - middle_px
+    right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
+    return Contour(plane, 1 if right > 0 else -1)
+
+
+def _trimmed(side: Side, region: ShaftRegion, settings: ShaftSettings) -> tuple[Array, Array, Array]:
+    """A side's start and end without its corners, and a vector from the shaft's middle to it, shape (2,) each."""
+    trim = settings.side_trim_fraction * (side.end_px - side.start_px)
+    outward = 0.5 * (side.start_px + side.end_px) - region.middle_px
+    return side.start_px + trim, side.end_px - trim, outward
+
+
+def _blur_px(brightness: Image, side: Side, region: ShaftRegion, settings: ShaftSettings) -> float:
+    """The blur of the edge along a side, as its deviation in px."""
+    reach_px = settings.blur_reach_fraction * brightness.shape[1]
+    return edge_blur_px(brightness, *_trimmed(side, region, settings), reach_px, settings)
+
+
 def _contour(
     brightness: Image,
     side: Side,
     region: ShaftRegion,
     towards_tip: Array,
+    blur_px: float,
     camera: Camera,
     settings: ShaftSettings,
 ) -> Contour | None:
     along = side.end_px - side.start_px
-    trim = settings.side_trim_fraction * along
-    start_px, end_px = side.start_px + trim, side.end_px - trim
-    outward = 0.5 * (side.start_px + side.end_px) - region.middle_px
+    start_px, end_px, outward = _trimmed(side, region, settings)
     width_px = brightness.shape[1]
-    blur_reach_px = settings.blur_reach_fraction * width_px
-    blur_px = edge_blur_px(brightness, start_px, end_px, outward, blur_reach_px, settings)
     # A threshold may cut a blurred edge two of its deviations off its middle.
     reach_px = max(settings.min_edge_reach_px, settings.edge_reach_fraction * width_px) + 2.0 * blur_px
     points_px = edge_points(brightness, start_px, end_px, outward, reach_px, settings, blur_px)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
 from svmdist.estimation.arm import Arm
@@ -20,6 +21,7 @@ if TYPE_CHECKING:  # each detection imports its detector when it is first asked 
     from svmdist.estimation.shaft_pose.fit import ShaftFit
     from svmdist.kinematics.robot_state import RobotState
     from svmdist.vision.shaft_segmentation import ShaftRegion
+    from svmdist.vision.silhouette import Silhouette
     from svmdist.vision.tag.refinement import TagPose
 
 
@@ -89,7 +91,7 @@ class ToolDetections:
     def _marker(self, view: View, region: Region | None) -> DistalMarker | None:
         from svmdist.estimation.detection.distal_marker import detect_distal_marker
 
-        if region is None:
+        if region is None or view.masks.seen is not None:  # told by shape, it has no colour
             return None
         return detect_distal_marker(
             view.context.hsv, view.masks.instrument, region, self._settings.distal_marker
@@ -123,12 +125,33 @@ class ToolDetections:
     @detected
     def shaft(self) -> ShaftDetection:
         """The shaft's edges and end."""
-        from svmdist.estimation.detection.shaft import detect_shaft
+        from svmdist.estimation.detection.shaft import detect_shaft, detect_silhouette
 
+        if self._left.masks.seen is not None:
+            return detect_silhouette(self.silhouette, self._left.camera, self._settings.shaft)
         return detect_shaft(
             self._left.context.brightness,
             self.shaft_region,
             self._left.camera,
+            self._settings.shaft,
+        )
+
+    @detected
+    def silhouette(self) -> Silhouette | None:
+        """The silhouette of the instrument's shaft, where the segmentation tells instruments by their shape."""
+        from svmdist.estimation.shaft_pose.model import wrist_shape
+        from svmdist.vision.silhouette import find_silhouette
+
+        masks, instrument = self._left.masks, self._arm.profile.instrument
+        if not masks.seen or instrument is None or masks.black is None:
+            return None
+        picture = np.asarray(cv2.bitwise_not(masks.black), np.uint8)
+        return find_silhouette(
+            self._left.context.bgr_as_recorded,
+            masks.seen[0],
+            picture,
+            wrist_shape(self._arm.required_chain, instrument),
+            self._settings.silhouette,
             self._settings.shaft,
         )
 
@@ -152,6 +175,7 @@ class ToolDetections:
     @detected
     def shaft_fit(self) -> ShaftFit | Failure:
         """The tool's pose by the shaft and the distal marker, through the wrist."""
+        from svmdist.estimation.detection.shaft import wrist_marker
         from svmdist.estimation.shaft_pose.fit import fit_shaft
         from svmdist.estimation.shaft_pose.model import shaft_model
 
@@ -163,7 +187,7 @@ class ToolDetections:
         )
         return fit_shaft(
             self.shaft,
-            self.distal_marker,
+            self.distal_marker or wrist_marker(self.shaft),
             model,
             self._left.camera,
             self._settings.shaft,

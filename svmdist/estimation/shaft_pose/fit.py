@@ -25,6 +25,7 @@ from svmdist.estimation.shaft_pose.residuals import (
     marker_residuals,
     prior_residual,
     rim_residual,
+    tip_residual,
 )
 from svmdist.estimation.shaft_pose.start import first_shaft
 from svmdist.least_squares import NormalEquations, Steps, minimise
@@ -58,6 +59,9 @@ def fit_shaft(
     deviations: Deviations = EXACT,
 ) -> ShaftFit | Failure:
     """The pose that fits most of what was seen without contradiction; or why there is none."""
+    if shaft.is_stub and shaft.contours and marker is None:
+        # Anything dark at the border has two short sides; nothing here would contradict them.
+        return Failure("too little of the shaft is to be seen, and neither wrist nor distal marker")
     failure = None
     for trusted in _readings(Landmarks(shaft, marker)):
         fit = _fit(trusted, model, camera, settings, deviations)
@@ -102,6 +106,9 @@ def _fit(
             found.append(rim_residual(seen.shaft.rim, state, model, camera, settings))
         if seen.marker is not None:
             found += marker_residuals(seen.marker, BentTool.of(state, model), model, camera, deviations)
+        if seen.shaft.wrist is not None:
+            tool = BentTool.of(state, model)
+            found.append(tip_residual(seen.shaft.wrist, tool, model, camera, settings))
         return [*found, prior_residual(state, start, model)]
 
     def linearise(state: ShaftState) -> NormalEquations:

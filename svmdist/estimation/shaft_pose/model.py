@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,8 +16,11 @@ from svmdist.profile import Instrument, KinematicError
 from svmdist.results import Failure
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array, inverse, make_transform
+from svmdist.vision.wrist_outline import WristShape
 
 DEFAULT = ShaftSettings()
+OUTLINE_END_PER_RADIUS = 0.9
+"""The clevis of a da Vinci instrument of 8 mm reaches so far beyond the wrist's pitch axis, over the shaft's radius."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +41,12 @@ class ShaftModel:
     knuckle_radius_m: float
     marker_std_m: float = 0.0
     """How far the distal marker may be from the tool's origin, along each axis, and how wrong the wrist's length is."""
+    outline_end_m: float = 0.0
+    """How far before the hinge the outline stops being a cylinder's, and how wrong that may be."""
+    outline_end_std_m: float = 0.0
+    jaw_length_m: float = 0.0
+    jaws: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
+    """The direction of straight, closed jaws in the tool's frame, shape (3,), of length 1."""
 
 
 def shaft_model(
@@ -52,6 +61,7 @@ def shaft_model(
     q = None if state is None else state.q
     roll = roll_row(chain)
     T_base_shaft, T_shaft_tool = shaft_frames(chain, np.zeros(len(chain.joint_names)) if q is None else q)
+    _, straight = shaft_frames(chain, np.zeros(len(chain.joint_names)))
     R_nominal, rotation_std_rad, bend_std_rad = None, np.pi, settings.unknown_bend_rad
     if state is not None and state.T_camera_base is not None:
         R_nominal = np.asarray((state.T_camera_base @ T_base_shaft)[:3, :3])
@@ -76,7 +86,31 @@ def shaft_model(
         instrument.shaft_end_m or NECK_PER_RADIUS * instrument.wrist_radius_m,
         instrument.knuckle_radius_m,
         float(np.hypot(instrument.knuckle_position_std_m, error.length_std_m)),
+        outline_end_m(instrument),
+        instrument.shaft_radius_m
+        * (
+            settings.unknown_outline_end_std_radii
+            if instrument.outline_end_m is None
+            else settings.outline_end_std_radii
+        ),
+        instrument.jaw_length_m,
+        straight[2, :3].copy(),
     )
+
+
+def wrist_shape(chain: DHChain, instrument: Instrument) -> WristShape:
+    """What is to be seen beyond the outline's end, with the wrist straight."""
+    _, T_shaft_tool = shaft_frames(chain, np.zeros(len(chain.joint_names)))
+    ahead_m = max(float(T_shaft_tool[2, 3]) - outline_end_m(instrument), 0.0)
+    length_m = ahead_m + instrument.jaw_length_m
+    return WristShape(ahead_m / length_m, length_m / (2.0 * instrument.shaft_radius_m))
+
+
+def outline_end_m(instrument: Instrument) -> float:
+    """How far before the hinge the outline stops being the shaft's."""
+    if instrument.outline_end_m is not None:
+        return instrument.outline_end_m
+    return OUTLINE_END_PER_RADIUS * instrument.shaft_radius_m
 
 
 def roll_row(chain: DHChain) -> int:

@@ -19,6 +19,7 @@ from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, skew
 from svmdist.vision.cylinder import tangent_normal_with_derivatives
 from svmdist.vision.sphere import apparent_radius_px
+from svmdist.vision.wrist_outline import WristPoint
 
 NO_FOCAL_PX = np.ones(2)
 """Where no deviation asks for it."""
@@ -106,20 +107,22 @@ def contour_residual(
 def rim_residual(
     rim: Rim, state: ShaftState, model: ShaftModel, camera: Camera, settings: ShaftSettings
 ) -> Residual:
-    """Where the dark part ends: the end of the generatrix that faces the camera."""
+    """Where the dark part ends: the end of the generatrix that faces the camera. An outline's end is on the axis."""
+    ahead_m, radius_m, model_std_m = -model.neck_m, model.radius_m, settings.end_model_std_m
+    if rim.is_outline:
+        ahead_m, radius_m = model.outline_end_m, 0.0
+        model_std_m = model.outline_end_std_m
     hinge_m, d = state.T[:3, 3], state.T[:3, 2]
     along_m = float(d @ hinge_m)
     foot_m = hinge_m - along_m * d
     distance_m = float(np.linalg.norm(foot_m))
     facing = foot_m / distance_m
-    point_m = hinge_m - model.neck_m * d - model.radius_m * facing
+    point_m = hinge_m + ahead_m * d - radius_m * facing
     across = (np.eye(3) - np.outer(facing, facing)) / distance_m
-    by_hinge = np.eye(3) - model.radius_m * across @ (np.eye(3) - np.outer(d, d))
-    by_direction = -model.neck_m * np.eye(3) + model.radius_m * across @ (
-        along_m * np.eye(3) + np.outer(d, hinge_m)
-    )
+    by_hinge = np.eye(3) - radius_m * across @ (np.eye(3) - np.outer(d, d))
+    by_direction = ahead_m * np.eye(3) + radius_m * across @ (along_m * np.eye(3) + np.outer(d, hinge_m))
     pixel, by_point = camera.project_with_derivative(point_m)
-    model_std_px = settings.end_model_std_m * camera.K[0, 0] / point_m[2]
+    model_std_px = model_std_m * camera.K[0, 0] / point_m[2]
     std_px = float(np.hypot(rim.std_px, model_std_px))
     off = float((rim.pixel - pixel) @ rim.towards_tip) / std_px
     # The deviation depends on the depth, too.
@@ -170,6 +173,21 @@ def marker_residuals(
             )
         )
     return found
+
+
+def tip_residual(
+    wrist: WristPoint, tool: BentTool, model: ShaftModel, camera: Camera, settings: ShaftSettings
+) -> Residual:
+    """The outline's tip: closed jaws that go on as the wrist does. How long it looks tells how far that is turned."""
+    along = tool.T[:3, :3] @ model.jaws
+    arm_m = model.jaw_length_m * along
+    pixel, by_point = camera.project_with_derivative(tool.T[:3, 3] + arm_m)
+    std_px = settings.jaw_tip_std * model.jaw_length_m * float(camera.K[0, 0]) / float(tool.T[2, 3])
+    by_state = tool.derivative[:3] - skew(arm_m) @ tool.derivative[3:]
+    off = (wrist.tip_px - pixel) / std_px
+    # The deviation depends on the depth, too.
+    derivative = by_point @ by_state / std_px - np.outer(off, tool.derivative[2] / float(tool.T[2, 3]))
+    return Residual("jaws' tip", off, derivative)
 
 
 def prior_residual(state: ShaftState, start: Array, model: ShaftModel) -> Residual:

@@ -72,7 +72,10 @@ def _along_axis(
 ) -> Array | None:
     """The hinge: where the axis passes the landmark's ray, less the landmark's place on the straight tool."""
     if shaft.rim is not None:
-        ray, ahead_m = _ray(shaft.rim.pixel, camera), -model.neck_m
+        ray, ahead_m = (
+            _ray(shaft.rim.pixel, camera),
+            model.outline_end_m if shaft.rim.is_outline else -model.neck_m,
+        )
     elif marker is not None:
         ray, ahead_m = _ray(marker.centre_px, camera), float(model.T_shaft_tool[2, 3])
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,18 +20,33 @@ from svmdist.estimation.shaft_pose.residuals import (
     marker_residuals,
     prior_residual,
     rim_residual,
+    tip_residual,
 )
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector
 from svmdist.vision.cylinder import TangentPlane, tangent_normal
+from svmdist.vision.wrist_outline import WristPoint
 
 IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 CAMERA = Camera(640, 480, IDEAL.K, np.array([-0.12, 0.03, 1e-3, -5e-4, 0.0]))
 WRIST = make_transform(rotation_of(np.array([0.2, -0.1, 0.4])), [0.001, -0.002, 0.009])
-MODEL = ShaftModel(WRIST, 0.02, rotation_of(np.array([0.3, 0.9, -0.2])), 0.05, 0.004, 0.006, 0.00175)
+MODEL = ShaftModel(
+    WRIST,
+    0.02,
+    rotation_of(np.array([0.3, 0.9, -0.2])),
+    0.05,
+    0.004,
+    0.006,
+    0.00175,
+    0.0,
+    0.003,
+    0.001,
+    0.009,
+)
 STEP = 1e-6
 PLANE = TangentPlane(np.array([0.6, 0.0, 0.8]), np.diag([0.0, 1e-6, 4e-6]))
 MARKER = DistalMarker(np.array([310.0, 250.0]), 0.5, 11.0, 0.2)
+TIP = WristPoint(np.array([310.0, 250.0]), 4.0, np.array([330.0, 265.0]))
 RIM = Rim(np.array([300.0, 240.0]), np.array([0.6, 0.8]), 0.4)
 
 
@@ -48,6 +64,10 @@ def states() -> list[ShaftState]:
 RESIDUALS: dict[str, Callable[[ShaftState], Residual]] = {
     "contour": lambda state: contour_residual(Contour(PLANE, 1), PLANE.whitening, state, MODEL.radius_m),
     "rim": lambda state: rim_residual(RIM, state, MODEL, CAMERA, ShaftSettings()),
+    "outline's end": lambda state: rim_residual(
+        replace(RIM, is_outline=True), state, MODEL, CAMERA, ShaftSettings()
+    ),
+    "tip": lambda state: tip_residual(TIP, BentTool.of(state, MODEL), MODEL, CAMERA, ShaftSettings()),
     "marker": lambda state: marker_residuals(MARKER, BentTool.of(state, MODEL), MODEL, CAMERA)[0],
     "size": lambda state: marker_residuals(MARKER, BentTool.of(state, MODEL), MODEL, CAMERA)[1],
     "prior": lambda state: prior_residual(state, np.eye(4), MODEL),

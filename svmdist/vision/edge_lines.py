@@ -1,0 +1,222 @@
+"""A straight edge in an image near a rough one, whatever colours meet there, from the border to where it ends.
+
+Profiles are taken across the rough line. Where most of them change at places on one straight line, the edge is there:
+each counts by how distinct its change is, up to a bound, so that straightness decides and not strength.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.robust import median, scale_of
+from svmdist.samples import Image
+from svmdist.settings.shaft import ShaftSettings
+from svmdist.settings.silhouette import SilhouetteSettings
+from svmdist.transforms import Array
+from svmdist.vision.edge_search import BLOCK, points_near, profiles_across, straightest
+
+DEFAULT, DEFAULT_SHAFT = SilhouetteSettings(), ShaftSettings()
+SPACING_PX = 1.5
+"""Between profiles."""
+PEAK_REACH_PX, REFINEMENTS = 2.0, 2
+"""From a line to a profile's own edge, at least; and how often the line is looked at anew."""
+WINDOW = 3.0
+"""Where a profile's own edge is sought, over how far it may be off: of texture a third is that near, of an edge all."""
+REFINED_PER_SCALE = 1.5
+"""How far from the rough line the fine one is sought, over the rough one's scale."""
+MIN_POINTS = 8
+START_PART = 0.8
+"""Of an edge that was found roughly, what is surely shaft: the rest may be wrist already."""
+END_STEPS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeLine:
+    """An edge from the border to where it stops being straight.
+
+    `points_px`, shape (n, 2), are its sub-pixel points from the border to the end; `start_px` and `end_px`, shape (2,),
+    are on the line through them. `ends` is False where it goes on as far as was looked.
+    """
+
+    start_px: Array
+    end_px: Array
+    points_px: Array
+    ends: bool
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector towards the tip, shape (2,)."""
+        along = self.end_px - self.start_px
+        return np.asarray(along / np.linalg.norm(along))
+
+
+@dataclass(frozen=True, slots=True)
+class _Segment:
+    """A rough side, continued: its start, unit vectors along and across it, (2,), its length, and places on it, (n,).
+
+    An offset is how far something is to the side of it.
+    """
+
+    start_px: Array
+    along: Array
+    across: Array
+    length_px: float
+    at: Array
+
+    @staticmethod
+    def of(rough: Array, beyond_px: float) -> _Segment | None:
+        """That of a side, shape (2, 2) from start to end, and what follows it; None of one that is too short."""
+        start, end = rough
+        length_px = float(np.linalg.norm(end - start))
+        if length_px < 2.0 * BLOCK * SPACING_PX:
+            return None
+        along = (end - start) / length_px
+        at = np.arange(0.5 * SPACING_PX, length_px + beyond_px, SPACING_PX)
+        return _Segment(start, along, np.array([-along[1], along[0]]), length_px, at)
+
+    def points(self, at: Array, off_px: Array) -> Array:
+        """Pixels, shape (n, 2), at places along it and offsets from it, shape (n,)."""
+        return np.asarray(self.start_px + at[:, None] * self.along + off_px[:, None] * self.across)
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """A straight part of an edge: its offset at the segment's start, its slope, and the place where it ends."""
+
+    offset_px: float
+    slope: float
+    end_at: float
+
+    def at(self, at: Array) -> Array:
+        """Its offsets at places, shape (n,)."""
+        return np.asarray(self.offset_px + self.slope * at)
+
+
+def edge_line(
+    bgr: Image,
+    rough: Array,
+    width_px: float,
+    picture: Image | None = None,
+    settings: SilhouetteSettings = DEFAULT,
+    shaft: ShaftSettings = DEFAULT_SHAFT,
+) -> EdgeLine | None:
+    """The edge of an image, shape (h, w, 3), near a rough side, shape (2, 2) from start to end; None without one.
+
+    `width_px` is the shaft's: the rough side may be off by a part of it. `picture`, shape (h, w), marks what is not
+    border around the endoscope's view: edges of the border are none.
+    """
+    segment = _Segment.of(rough, settings.end_reach_widths * width_px)
+    line = None if segment is None else _first_line(bgr, segment, width_px, picture, settings, shaft)
+    if segment is None or line is None:
+        return None
+    at, sigma_px = segment.at, shaft.slope_sigma_px
+    straight_px = max(settings.straight_px, settings.straight_widths * width_px)
+    reach_px = max(PEAK_REACH_PX, WINDOW * straight_px)
+    off_px = np.full(len(at), np.nan)
+    # Its points are sought about the line through them, which may lie beyond what was looked at before, farther on.
+    for _ in range(REFINEMENTS):
+        place = line.at(at)
+        profiles = profiles_across(
+            bgr, segment.points(at, place), segment.across, reach_px, sigma_px, picture
+        )
+        off_px = place + points_near(profiles, np.zeros(len(at)), reach_px, _min_slope(settings, sigma_px))
+        line = _ending_line(at, off_px, line.end_at, straight_px, settings.end_share)
+        if line is None:
+            return None
+    before = at <= line.end_at
+    used = np.isfinite(off_px) & before
+    # A line through texture has its points here and there.
+    if np.count_nonzero(used) < max(MIN_POINTS, settings.min_found * np.count_nonzero(before)):
+        return None
+    ends_at = np.array([0.0, line.end_at])
+    first, last = segment.points(ends_at, line.at(ends_at))
+    ends = bool(line.end_at < at[-1] - 2.0 * SPACING_PX)
+    return EdgeLine(first, last, segment.points(at[used], off_px[used]), ends)
+
+
+def _first_line(
+    bgr: Image,
+    segment: _Segment,
+    width_px: float,
+    picture: Image | None,
+    settings: SilhouetteSettings,
+    shaft: ShaftSettings,
+) -> _Line | None:
+    """The edge roughly: at a scale that tissue's texture is small against, then at the scale of the optics."""
+    at, across = segment.at, segment.across
+    side = int(np.count_nonzero(at <= segment.length_px))
+    where = at / segment.length_px
+    coarse_px = max(shaft.slope_sigma_px, settings.search_scale_widths * width_px)
+    reach_px = max(settings.edge_reach_fraction * bgr.shape[1], settings.edge_reach_widths * width_px)
+    turn_px = max(reach_px, settings.edge_turn_widths * width_px)
+    feet_px = segment.points(at[:side], np.zeros(side))
+    profiles = profiles_across(bgr, feet_px, across, reach_px + turn_px, coarse_px, picture)
+    rough = straightest(profiles, where[:side], reach_px, turn_px, settings)
+    if rough is None:
+        return None
+    place, reach_px = rough.at(where), REFINED_PER_SCALE * coarse_px
+    profiles = profiles_across(
+        bgr, segment.points(at, place), across, 2.0 * reach_px, shaft.slope_sigma_px, picture
+    )
+    fine = straightest(profiles.first(side), where[:side], reach_px, reach_px, settings)
+    if fine is None:
+        return None
+    near_px, min_slope = max(PEAK_REACH_PX, coarse_px), _min_slope(settings, shaft.slope_sigma_px)
+    off_px = place + points_near(profiles, fine.at(where), near_px, min_slope)
+    straight_px = max(settings.straight_px, settings.straight_widths * width_px)
+    return _ending_line(at, off_px, fine.part * segment.length_px, straight_px, settings.end_share)
+
+
+def _min_slope(settings: SilhouetteSettings, sigma_px: float) -> float:
+    """A step of height c smoothed by σ has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ."""
+    return float(settings.min_contrast_levels / (np.sqrt(2.0 * np.pi) * 2.0 * sigma_px))
+
+
+def _ending_line(
+    at: Array, off_px: Array, length_px: float, straight_px: float, end_share: float
+) -> _Line | None:
+    """The straight part from the border on, of offsets, shape (n,), at places, shape (n,); NaN is no edge.
+
+    A wrist runs on beside the shaft's line, a pixel or two off it. So the line is that of the part next to the
+    border, and it ends where fewer than half of the points lie on it.
+    """
+    end_at = START_PART * length_px
+    found = np.isfinite(off_px)
+    line = (0.0, 0.0)
+    for _ in range(END_STEPS):
+        part = found & (at <= max(end_at, 0.3 * length_px))
+        if np.count_nonzero(part) < MIN_POINTS:
+            return None
+        line = _robust_line(at[part], off_px[part])
+        residual = np.where(found, np.abs(off_px - line[0] - line[1] * at), np.inf)
+        on_line = residual < straight_px
+        # The sum is largest where the part with more points on the line than off it ends.
+        total = np.cumsum(np.where(on_line, 1.0 - end_share, -end_share))
+        best = int(np.argmax(total))
+        if not total[best] > 0.0:
+            return None
+        end_at = float(at[best])
+    return _Line(line[0], line[1], end_at)
+
+
+def _robust_line(x: Array, y: Array) -> tuple[float, float]:
+    """Offset and slope of the line through most points, by Tukey's biweight from a median start."""
+    half = len(x) // 2
+    slopes = (y[half : 2 * half] - y[:half]) / np.maximum(x[half : 2 * half] - x[:half], 1e-9)
+    slope = median(slopes)
+    offset = median(y - slope * x)
+    for _ in range(8):
+        residual = y - offset - slope * x
+        scale = max(scale_of(residual), 0.08) * 4.0
+        weight = np.square(np.maximum(1.0 - np.square(residual / scale), 0.0))
+        total = weight.sum()
+        if not total > 0.0:
+            break
+        centre, height = float(weight @ x) / total, float(weight @ y) / total
+        slope = float(weight @ ((x - centre) * (y - height))) / max(
+            float(weight @ np.square(x - centre)), 1e-9
+        )
+        offset = height - slope * centre
+    return offset, slope
