@@ -50,6 +50,12 @@ class ToolDetections:
         return None if fiducial is None else self._scene.tags.get(fiducial.id)
 
     @detected
+    def right_tag_corners_px(self) -> Array | None:
+        """The same in the right view."""
+        fiducial = self._arm.profile.fiducial
+        return None if fiducial is None else self._scene.right_tags.get(fiducial.id)
+
+    @detected
     def region(self) -> Region | None:
         """The coloured region of the instrument's distal part."""
         return self._region(self._left)
@@ -133,15 +139,29 @@ class ToolDetections:
         )
 
     @detected
+    def right_shaft(self) -> ShaftDetection | None:
+        """The same in the right view; None where there is none."""
+        from svmdist.estimation.detection.shaft import detect_shaft
+
+        right = self._right
+        if right is None:
+            return None
+        region = self._shaft_region(right, self.right_tag_corners_px)
+        return detect_shaft(right.context.brightness, region, right.camera, self._settings.shaft)
+
+    @detected
     def shaft_region(self) -> ShaftRegion | None:
         """The dark bar that comes in from the border, without the tag's plate on it."""
+        return self._shaft_region(self._left, self.tag_corners_px)
+
+    def _shaft_region(self, view: View, corners_px: Array | None) -> ShaftRegion | None:
         from svmdist.vision.shaft_segmentation import bright_fraction, find_shaft
         from svmdist.vision.tag.detection import tag_plate
 
-        rule, masks = self._arm.profile.segmentation.shaft, self._left.masks
+        rule, masks = self._arm.profile.segmentation.shaft, view.masks
         if rule is None or masks.shaft is None:
             return None
-        corners_px, settings = self.tag_corners_px, self._settings.shaft
+        settings = self._settings.shaft
         covered = None if corners_px is None else tag_plate(corners_px, masks.shaft.shape, self._settings.tag)
         region = find_shaft(masks.shaft, rule, covered, masks.black, settings)
         if region is None or self._arm.profile.fiducial is None or covered is not None or not region.is_stub:
