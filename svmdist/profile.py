@@ -45,6 +45,7 @@ from svmdist.profile_segmentation import (
     Segmentation,
 )
 from svmdist.settings import Settings
+from svmdist.settings.stereo import StereoSettings
 from svmdist.toml_model import Byte, StrictModel, parse_toml
 
 __all__ = [
@@ -82,6 +83,8 @@ __all__ = [
     "shipped_profiles",
 ]
 
+BEHIND_PLANE = 1.5
+"""The range of stereo reaches so far, over the distance of the plane that the tissue lies on."""
 SHIPPED = Path(__file__).with_name("profiles")
 DEFAULT_PROFILE = "psm13"
 
@@ -142,6 +145,15 @@ class Profile(StrictModel):
     entry: EntrySide | None = None
     """The side of the picture that it comes in from, where no joints tell instruments apart."""
     other_instruments: tuple[OtherInstrument, ...] = ()
+
+    @property
+    def stereo_in_range(self) -> StereoSettings:
+        """The settings of stereo, their range as far as the profile's plane asks for it."""
+        settings = self.settings.stereo
+        if self.tissue is None:
+            return settings
+        far_m = max(settings.far_m, BEHIND_PLANE * self.tissue.plane_distance_m)
+        return settings.model_copy(update={"far_m": far_m})
 
     @property
     def instrument_names(self) -> tuple[str, ...]:

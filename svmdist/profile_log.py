@@ -56,3 +56,6 @@ class Limits(StrictModel):
     """One message that is no image: joints, transforms and the like hold a few kilobytes."""
     json_bytes: Size = 16 * MIB
     """One JSON message; parsing can take thirty times its size in memory."""
+    pair_tolerance_s: float = Field(default=5e-4, ge=0.0, le=0.5)
+    """How far the stamps of the left and the right image of a pair may be apart. Cameras that are triggered together
+    differ by less than half a millisecond, which is less than any exposure; others by up to half a frame."""

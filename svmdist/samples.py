@@ -92,11 +92,15 @@ Sample = ImageSample | JointSample | TransformsSample | PoseSample | CameraSampl
 
 @dataclass(frozen=True, slots=True)
 class RightView:
-    """The right image of a stereo pair, its camera, and where that stands: `T_left_right`, shape (4, 4)."""
+    """The right image of a stereo pair, its camera, and where that stands: `T_left_right`, shape (4, 4).
+
+    `delay_s` is by how much its stamp is later than the left image's.
+    """
 
     image_bgr: Image
     camera: Camera
     T_left_right: Array
+    delay_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

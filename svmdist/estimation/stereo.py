@@ -7,17 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.estimation.arm import Arm
-from svmdist.estimation.detection.stereo_match import match_distal_marker
+from svmdist.estimation.detection.shaft import NO_SHAFT
+from svmdist.estimation.detection.stereo_match import StereoMatch, match_distal_marker
 from svmdist.estimation.detection.stereo_surface import StereoSurface
 from svmdist.estimation.distances import measured
 from svmdist.estimation.filter.nominal import nominal_tool
 from svmdist.estimation.first_step import with_tissue
 from svmdist.estimation.frame import Frame, Needs
-from svmdist.estimation.instrument.stereo_pose import (
-    nominal_orientation_pose,
-    refine_depth,
-    with_calibration,
-)
+from svmdist.estimation.instrument.stereo_fit import fit_two_views
+from svmdist.estimation.instrument.stereo_pose import nominal_orientation_pose, with_calibration
+from svmdist.estimation.instrument.stereo_watch import DisparityWatch
+from svmdist.estimation.instrument.two_views import TwoViews
+from svmdist.estimation.shaft_pose.model import shaft_model
+from svmdist.estimation.shaft_pose.residuals import Landmarks
 from svmdist.estimation.tissue.pose import require_tissue
 from svmdist.geometry.surfaces import Cloud
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
@@ -25,21 +27,29 @@ from svmdist.samples import Rejection, Status
 from svmdist.transforms import inverse
 from svmdist.vision.rectified import RectifiedPair
 
+UNKNOWN_END = 0.5
+"""Deviation of the distance from hinge to the shaft's end where the profile does not state it, over itself."""
+
 
 class StereoEstimator:
-    """`--method stereo`. Keeps between frames whether it saw the tag's plate, and nothing else."""
+    """`--method stereo`. Keeps between frames whether it saw the tag's plate, and whether disparities fit the sizes."""
 
     name = "stereo"
     keeps_state = True
 
     def __init__(self, arm: Arm) -> None:
         profile = arm.profile
-        require_tissue(profile)
+        self._tissue = require_tissue(profile)
         self._chain = arm.required_chain
         self._profile = profile
         self._uses_shaft = profile.segmentation.shaft is not None and profile.instrument is not None
         self._has_plate = False
-        tool = ("distal_marker", "right_distal_marker", *(("shaft_fit",) if self._uses_shaft else ()))
+        self._watch = DisparityWatch(profile.settings.stereo)
+        tool = (
+            "distal_marker",
+            "right_distal_marker",
+            *(("shaft", "right_shaft") if self._uses_shaft else ()),
+        )
         self.needs = Needs(scene=("tissue", "stereo_surface", "tags"), tool=tool, right_view=True)
 
     def estimate(self, frame: Frame) -> FrameResult:
@@ -56,13 +66,43 @@ class StereoEstimator:
         if isinstance(pose, Rejection):
             return result.rejected(pose.status, pose.detail)
 
-        # The tissue's surface, and the distances. The surface has its own error in place of the dome's.
-        surface = frame.scene.stereo_surface
+        # The tissue's surface, and the distances. A surface by stereo has its own error in place of the dome's.
+        surface, seen = frame.scene.stereo_surface, tissue.pose
         if surface is None:
-            return result.rejected(Status.NO_STEREO, "the views do not agree on the tissue's surface")
-        std_m = float(np.hypot(surface.std_m, self._calibration_std_m(surface, frame)))
-        seen = replace(tissue.pose, surface=Cloud(surface.points_m), surface_std_m=std_m, dome=None)
+            result = replace(
+                result, detail="the views do not agree on the tissue's surface: the profile's is used"
+            )
+        else:
+            std_m = float(np.hypot(surface.std_m, self._calibration_std_m(surface, frame)))
+            depth_m = float(np.median(surface.points_m[:, 2]))
+            std_m = float(np.linalg.norm([std_m, self._watch.doubt * depth_m]))
+            std_m = float(np.hypot(std_m, self._off_plane_m(surface, std_m)))
+            seen = replace(tissue.pose, surface=Cloud(surface.points_m), surface_std_m=std_m, dome=None)
         return measured(result, frame, ToolEstimate(pose, frame.joints, self._has_plate), seen)
+
+    def _off_plane_m(self, surface: StereoSurface, std_m: float) -> float:
+        """How far the surface stands off where the profile's plane and shape allow it, 0 where it does not.
+
+        Matching of tissue that has hardly any texture may find any surface.
+        """
+        tissue = self._tissue
+        height_m = surface.points_m @ np.array(tissue.plane_normal) + tissue.plane_distance_m
+        top_m = 0.0 if tissue.dome is None else tissue.dome.height_m
+        if tissue.mesh is not None:
+            return 0.0
+        shape_m = tissue.surface_std_m if tissue.dome is None else tissue.dome.height_std_m
+        beside_m = float(np.linalg.norm(np.median(surface.points_m, 0)[:2]))
+        parts = (
+            std_m,
+            tissue.plane_distance_std_m,
+            tissue.motion_std_m,
+            shape_m,
+            tissue.plane_tilt_std_rad * beside_m,
+        )
+        allowed_m = self._profile.settings.stereo.depth_gate_stds * float(np.linalg.norm(parts))
+        middle_m = float(np.median(height_m))
+        off_m = max(-middle_m, middle_m - top_m, 0.0)
+        return off_m if off_m > allowed_m else 0.0
 
     def _calibration_std_m(self, surface: StereoSurface, frame: Frame) -> float:
         """How far all of the surface may be off in depth by focal length, baseline and the right camera's rotation."""
@@ -78,24 +118,76 @@ class StereoEstimator:
         return float(at_m[2] / disparity_px * np.sqrt(variance_px2))
 
     def _tool(self, frame: Frame, pair: RectifiedPair) -> ToolPose | Rejection:
-        """The shaft's pose corrected by the disparity; else the triangulated point, turned by nominal kinematics."""
-        instrument, settings = self._profile.instrument, self._profile.settings.stereo
+        """What both views show, fitted together; without sizes of a shaft the triangulated marker, turned nominally."""
+        stereo = self._profile.stereo_in_range
+        instrument = self._profile.instrument
         radius_m = instrument.knuckle_radius_m if instrument else None
         left, right = frame.tool.distal_marker, frame.tool.right_distal_marker
-        match = match_distal_marker(left, right, pair, radius_m, frame.left.camera, settings)
+        radius_std = instrument.knuckle_radius_std_fraction if instrument else 0.0
+        match = match_distal_marker(left, right, pair, radius_m, frame.left.camera, stereo, radius_std)
+        self._has_plate |= frame.tool.tag_corners_px is not None
+        find = self._fitted if self._uses_shaft else self._triangulated
+        pose: ToolPose | Rejection | Failure = find(frame, pair, match)
+        if isinstance(pose, Failure):
+            robot = frame.robot_in_camera
+            if isinstance(match, StereoMatch) and isinstance(robot, Failure):  # a place, and no direction
+                return Rejection(frame.stamp_ns, Status.NO_JOINTS, robot.reason)
+            return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, pose.reason)
+        if isinstance(pose, ToolPose) and not pose.position_std_m <= stereo.max_depth_std_m:
+            said = f"the position is uncertain by {pose.position_std_m * 1e3:.1f} mm"
+            return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, said)
+        return pose
+
+    def _fitted(self, frame: Frame, pair: RectifiedPair, match: StereoMatch | Failure) -> ToolPose | Failure:
+        if frame.tool.region is None and frame.tool.right_region is None:
+            # What hides the distal part ends the shaft, too: its end is then anywhere.
+            return Failure("the instrument's distal part is hidden in both views")
+        instrument, settings = self._profile.instrument, self._profile.settings
+        right, right_view = frame.scene.observation.right, frame.right
+        assert instrument is not None
+        assert right is not None  # the pair has one
+        assert right_view is not None
+        model = shaft_model(
+            frame.robot, self._chain, instrument, self._profile.kinematic_error, settings.shaft
+        )
+        if isinstance(match, StereoMatch) and match.is_other_part:
+            # What is coloured is not what the profile describes: it is somewhere about the tool's origin.
+            place_m = settings.stereo.other_part_place * instrument.knuckle_radius_m
+            model = replace(model, marker_std_m=float(np.hypot(model.marker_std_m, place_m)))
+        seen = TwoViews(
+            Landmarks(frame.tool.shaft, frame.tool.distal_marker),
+            Landmarks(frame.tool.right_shaft or NO_SHAFT, frame.tool.right_distal_marker),
+            None if isinstance(match, Failure) else match,
+            frame.left.camera,
+            right_view.camera,
+            inverse(right.T_left_right),
+            pair,
+            settings.stereo.tool_speed_m_s * abs(right.delay_s),
+        )
+        shaft = settings.shaft
+        if instrument.shaft_end_m is None:  # where the dark part ends is guessed from another size
+            shaft = shaft.model_copy(update={"end_model_std_m": UNKNOWN_END * model.neck_m})
+        found = fit_two_views(seen, model, frame.arm.deviations, shaft, settings.stereo)
+        if isinstance(found, Failure):
+            return found
+        if found.check is not None:
+            self._watch.add(found.check)
+        pose, doubt = found.fit.pose, self._watch.doubt
+        if doubt > 0.0:
+            covariance = pose.covariance.copy()
+            covariance[:3, :3] += doubt**2 * np.outer(pose.position_m, pose.position_m)
+            pose = replace(pose, covariance=covariance)
+        return pose
+
+    def _triangulated(
+        self, frame: Frame, pair: RectifiedPair, match: StereoMatch | Failure
+    ) -> ToolPose | Rejection | Failure:
+        robot, right = frame.robot_in_camera, frame.scene.observation.right
         if isinstance(match, Failure):
-            return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, match.reason)
-        seen = frame.scene.observation.right
-        assert seen is not None  # the pair has one
-        match = with_calibration(match, seen, pair, frame.arm.deviations)
-        if self._uses_shaft:
-            self._has_plate |= frame.tool.tag_corners_px is not None
-            fit = frame.tool.shaft_fit
-            pose = None if isinstance(fit, Failure) else refine_depth(fit.pose, match, pair, settings)
-            if pose is not None:
-                return pose
-        robot = frame.robot_in_camera
+            return match
         if isinstance(robot, Failure):
             return Rejection(frame.stamp_ns, Status.NO_JOINTS, robot.reason)
+        assert right is not None  # the pair has one
+        match = with_calibration(match, right, pair, frame.arm.deviations)
         nominal = nominal_tool(self._chain, self._profile.kinematic_error, robot)
         return nominal_orientation_pose(match, pair, nominal)

@@ -110,7 +110,8 @@ class EncodedObservation:
         image = decode_image(self.matched.right, self.right.topic, losses)
         if isinstance(image, Rejection) or _has_other_size(image.image_bgr, self.right.camera):
             return None
-        return RightView(image.image_bgr, self.right.camera, self.right.T_left_right)
+        delay_s = (image.stamp_ns - self.stamp_ns) * 1e-9
+        return RightView(image.image_bgr, self.right.camera, self.right.T_left_right, delay_s)
 
 
 def decode_image(logged: LoggedImage, topic: str, losses: list[Loss]) -> ImageSample | Rejection:

@@ -78,7 +78,13 @@ class Observer:
         ]
         has_transforms = needs.transforms and self._moving_tf() is not None
         lag_ns = 0 if self._world is None else self._world.lag_ns
-        matcher = Matcher(buffers, has_right=right is not None, has_transforms=has_transforms, lag_ns=lag_ns)
+        matcher = Matcher(
+            buffers,
+            has_right=right is not None,
+            has_transforms=has_transforms,
+            lag_ns=lag_ns,
+            pair_tolerance_ns=round(self._messages.limits.pair_tolerance_s * 1e9),
+        )
         items = self.items(image_topic, joint_topics, None if right is None else right.topic, with_tf=True)
         if self._world is not None:
             joints = [self._world.joints_of(arm.name) for arm in arms]

@@ -123,8 +123,9 @@ class JointBuffer:
 class RightBuffer:
     """Right images that wait for their left ones, still encoded; beyond 64 MiB the oldest are forgotten."""
 
-    def __init__(self) -> None:
+    def __init__(self, tolerance_ns: int = PAIR_TOLERANCE_NS) -> None:
         self._images: deque[LoggedImage] = deque()
+        self._tolerance_ns = tolerance_ns
         self._size_bytes = 0
         self.newest_ns = -1
 
@@ -137,12 +138,12 @@ class RightBuffer:
             self._pass_over()
 
     def take(self, stamp_ns: int) -> LoggedImage | None:
-        """Hand out the image nearest to a stamp, once; None where none is within half a millisecond.
+        """Hand out the image nearest to a stamp, once; None where none is within the tolerance.
 
         Frames of a video are handed out in file order: one that was passed over is gone.
         """
         near = [
-            logged for logged in self._images if abs(logged.image.stamp_ns - stamp_ns) <= PAIR_TOLERANCE_NS
+            logged for logged in self._images if abs(logged.image.stamp_ns - stamp_ns) <= self._tolerance_ns
         ]
         if not near:
             return None
@@ -182,12 +183,18 @@ class Matcher:
     """Finds what belongs to an image; images wait for right images and for transforms where there are any."""
 
     def __init__(
-        self, arms: Sequence[ArmBuffer], *, has_right: bool, has_transforms: bool, lag_ns: int = 0
+        self,
+        arms: Sequence[ArmBuffer],
+        *,
+        has_right: bool,
+        has_transforms: bool,
+        lag_ns: int = 0,
+        pair_tolerance_ns: int = PAIR_TOLERANCE_NS,
     ) -> None:
         self._arms = tuple(arms)
         # Joints that are stamped late may be logged late, too.
         self._look_ahead_ns = LOOK_AHEAD_NS + max(0, -lag_ns)
-        self._right = RightBuffer()
+        self._right = RightBuffer(pair_tolerance_ns)
         self._has_right = has_right
         self._has_transforms = has_transforms
         self._waiting: deque[LoggedImage] = deque()

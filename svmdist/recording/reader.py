@@ -221,7 +221,7 @@ class Recording:
         """Yield what an estimator may see of every image, in file order; memory does not grow with the log.
 
         Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples
-        at most 0.1 s apart. The right image is the one within half a millisecond, where the cameras form a
+        at most 0.1 s apart. The right image is the one within `[limits] pair_tolerance_s`, where the cameras form a
         stereo pair. Each is None where the log has none. Raises RecordingError at once where the log has no
         images or no camera.
         """

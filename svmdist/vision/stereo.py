@@ -56,6 +56,8 @@ class DisparitySurface:
     centre_px: Array
     mismatch_px: float
     matched_fraction: float
+    agreeing_fraction: float = 1.0
+    """The share of the matches that lie within two of matching's pixels of the surface."""
 
     def at(self, points_px: Array) -> Array:
         """Disparity in px, shape (n,), at pixels of the left image, shape (n, 2)."""
@@ -103,7 +105,9 @@ def fit_surface(
         settings,
     )
     matched_fraction = count / max(int(np.count_nonzero(matches.is_core)), 1)
-    return DisparitySurface(coefficients, centre_px, mismatch_px, matched_fraction)
+    error_px = matches.disparity_px[is_matched][few] - _basis(points_px[few], centre_px) @ coefficients
+    agreeing = float(np.mean(np.abs(error_px) < 2.0 * matches.step_px))
+    return DisparitySurface(coefficients, centre_px, mismatch_px, matched_fraction, agreeing)
 
 
 def _basis(points_px: Array, centre_px: Array) -> Array:

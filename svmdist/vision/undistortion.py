@@ -17,15 +17,33 @@ from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
 
 
-def as_pinholes(observation: Observation) -> Observation:
-    """The observation with both views as ideal cameras give them; the same object where they are already."""
+def as_pinholes(observation: Observation, row_offset_px: float = 0.0) -> Observation:
+    """The observation with both views as ideal cameras give them; the same object where they are already.
+
+    `row_offset_px` is by how much rows of the right view lie below those of the left one after that; it is removed.
+    """
     left, right = observation.camera, observation.right
     if left.has_distortion:
         image = _mapped(observation.image_bgr, left, np.eye(3), left)
         observation = replace(observation, image_bgr=image, camera=left.pinhole)
-    if right is None or _is_rectified(left, right):
+    if right is None:
         return observation
-    return replace(observation, right=_beside(left, right))
+    if not _is_rectified(left, right):
+        right = _beside(left, right)
+        observation = replace(observation, right=right)
+    if row_offset_px == 0.0:
+        return observation
+    raised = _raised(right.image_bgr, row_offset_px)
+    return replace(observation, right=replace(right, image_bgr=raised))
+
+
+def _raised(image: Image, rows_px: float) -> Image:
+    """An image moved up by a number of rows, not a whole one in general."""
+    height, width = image.shape[:2]
+    moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -rows_px]])
+    return np.asarray(
+        cv2.warpAffine(image, moved, (width, height), None, cv2.INTER_CUBIC, cv2.BORDER_CONSTANT), np.uint8
+    )
 
 
 def seen_through(camera: Camera, pinhole_px: Array) -> Array:
@@ -53,7 +71,7 @@ def _beside(left: Camera, right: RightView) -> RightView:
     R_left_right, place_m = right.T_left_right[:3, :3], right.T_left_right[:3, 3]
     ideal = replace(left.pinhole, frame_id=right.camera.frame_id, P=None, R_rectified_camera=None)
     image = _mapped(right.image_bgr, right.camera, R_left_right, ideal)
-    return RightView(image, ideal, make_transform(np.eye(3), place_m))
+    return replace(right, image_bgr=image, camera=ideal, T_left_right=make_transform(np.eye(3), place_m))
 
 
 def _mapped(image: Image, camera: Camera, R_ideal_camera: Array, ideal: Camera) -> Image:

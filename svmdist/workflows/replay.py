@@ -32,6 +32,7 @@ from svmdist.vision.undistortion import seen_through
 from svmdist.workflows.adapting import adapted_segmenters
 from svmdist.workflows.ahead import in_order, keep_freed_memory, one_opencv_thread, usable_cores
 from svmdist.workflows.conditions import CLEAN, ReplayCondition
+from svmdist.workflows.row_alignment import row_offset_to_remove_px
 from svmdist.workflows.setup import Setup
 
 if TYPE_CHECKING:  # a log of one instrument needs none
@@ -163,6 +164,9 @@ class _Replay:
         self._lanes = [[MultiInstrumentEstimator(setup, arms) for setup in setups] for _ in conditions]
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
         self._segmenters = adapted_segmenters(self._setup.segmenter, recording, self._conditions)
+        self._row_offset_px = 0.0
+        if self._needs.right_view:
+            self._row_offset_px = row_offset_to_remove_px(recording, self._setup.profile)
 
     def _association(self) -> Association | None:
         """What tells the instruments apart; None where there is one, and images show no others as such."""
@@ -197,7 +201,7 @@ class _Replay:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
         ledger = CostLedger() if self._clock is None else CostLedger(self._clock)
         seen = self._conditions[at].apply(found[0], number)
-        scene = Scene(seen, self._setup.profile, self._segmenters[at], ledger)
+        scene = Scene(seen, self._setup.profile, self._segmenters[at], ledger, self._row_offset_px)
         prefetch(scene, self._needs.scene)
         lanes = self._lanes[at]
         if self._associations[at] is not None:

@@ -23,7 +23,7 @@ class DistalMarker:
     """The marker: the middle of its region, (2,), and its radius, with standard deviations, in px.
 
     `radius_px` is that of the whole sphere, None where the image's border or something else cuts it; `disc` is the
-    circle along its border that the radius comes from.
+    circle along its border that the radius comes from, `area_px` the area of what is visible.
     """
 
     centre_px: Array
@@ -31,6 +31,7 @@ class DistalMarker:
     radius_px: float | None
     radius_std_px: float
     disc: Disc | None = None
+    area_px: float = 0.0
 
 
 def detect_distal_marker(
@@ -46,13 +47,14 @@ def detect_distal_marker(
     disc = marker_disc(image_hsv, mask, region, settings)
     if disc is None:
         std_px = 0.5 * float(np.sqrt(region.area_px / np.pi))
-        return DistalMarker(region.centroid_px, std_px, None, 0.0)
+        return DistalMarker(region.centroid_px, std_px, None, 0.0, None, region.area_px)
     whole_px = disc.radius_px / settings.visible_radius
     own_px = np.hypot(
         disc.scatter_px / np.sqrt(settings.border_points), settings.border_std_per_blur * disc.blur_px
     )
     radius_std_px = float(np.hypot(settings.radius_std * whole_px, own_px))
-    return DistalMarker(region.centroid_px, settings.centroid_std * whole_px, whole_px, radius_std_px, disc)
+    std_px = settings.centroid_std * whole_px
+    return DistalMarker(region.centroid_px, std_px, whole_px, radius_std_px, disc, region.area_px)
 
 
 def marker_disc(

@@ -23,7 +23,8 @@ if TYPE_CHECKING:  # each detection imports its detector when it is first asked 
 class Scene:
     """One moment of a log before the instruments are told apart; all methods and instruments share its detections.
 
-    Its `observation` is what ideal cameras would have seen; `lens` is the left camera as it is.
+    Its `observation` is what ideal cameras would have seen; `lens` is the left camera as it is. `row_offset_px`
+    is by how much the right view's rows lie below the left one's.
     """
 
     def __init__(
@@ -32,12 +33,13 @@ class Scene:
         profile: Profile,
         segmenter: Segmenter,
         ledger: CostLedger | None = None,
+        row_offset_px: float = 0.0,
     ) -> None:
         self.lens = observation.camera
         recorded = observation
         observation = with_first_fields(observation, profile.settings.interlace)
         self.is_interlaced = observation is not recorded
-        self.observation = observation = as_pinholes(observation)
+        self.observation = observation = as_pinholes(observation, row_offset_px)
         self.ledger = ledger or CostLedger()
         self.found: dict[str, Any] = {}
         self._profile = profile
@@ -75,15 +77,21 @@ class Scene:
             pair,
             tissue.region.hull,
             (self.left.masks.tissue, self.right.masks.tissue),
-            self._profile.settings.stereo,
+            self._profile.stereo_in_range,
         )
 
     @detected
     def tags(self) -> dict[int, Array]:
         """Corners, shape (4, 2) in px, of every tag of the fiducial's family in the left view, by number."""
+        return self._tags(self.left)
+
+    @detected
+    def right_tags(self) -> dict[int, Array]:
+        """The same in the right view."""
+        return {} if self.right is None else self._tags(self.right)
+
+    def _tags(self, view: FrameContext) -> dict[int, Array]:
         from svmdist.vision.tag.detection import find_tags
 
         fiducial = self._profile.fiducial
-        return (
-            {} if fiducial is None else find_tags(self.left.grey, fiducial.family, self._profile.settings.tag)
-        )
+        return {} if fiducial is None else find_tags(view.grey, fiducial.family, self._profile.settings.tag)

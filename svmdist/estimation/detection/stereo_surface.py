@@ -38,17 +38,42 @@ def detect_stereo_surface(
 
     The grey images and the tissue's `masks` in both have shape (h, w); `hull` has shape (n, 1, 2) in px.
     """
+    if pair.R_rows_left is not None:
+        left_grey, right_grey, masks, hull = _turned(left_grey, right_grey, pair, hull, masks)
     far_px, near_px = (
         pair.disparity_at(depth_m) + pair.offset_px for depth_m in (settings.far_m, settings.near_m)
     )
     bounds = (int(np.floor(far_px)), int(np.ceil(near_px)))
     surface = fit_surface(left_grey, right_grey, *masks, *bounds, settings)
-    if surface is None:
+    if surface is None or surface.agreeing_fraction < settings.min_agreeing_matches:
         return None
     points_m = _cloud(surface, hull, pair, masks[0].shape, settings.far_m)
     depth_m = float(np.median(points_m[:, 2]))
     std_px = settings.surface_std_px * max(1.0, surface.mismatch_px / settings.clean_mismatch_px)
     return StereoSurface(points_m, depth_m / pair.disparity_at(depth_m) * std_px)
+
+
+def _turned(
+    left_grey: Image,
+    right_grey: Image,
+    pair: RectifiedPair,
+    hull: NDArray[np.int32],
+    masks: tuple[Image, Image],
+) -> tuple[Image, Image, tuple[Image, Image], NDArray[np.int32]]:
+    """Both views, their masks and the hull as cameras turned to the baseline would have them."""
+    height, width = left_grey.shape
+    at_left, at_right = pair.homography(), pair.homography(right=True)
+
+    def warped(image: Image, H: Array, how: int) -> Image:
+        return np.asarray(cv2.warpPerspective(image, H, (width, height), None, how), np.uint8)
+
+    turned_px = cv2.perspectiveTransform(hull.reshape(-1, 1, 2).astype(np.float64), at_left)
+    return (
+        warped(left_grey, at_left, cv2.INTER_LINEAR),
+        warped(right_grey, at_right, cv2.INTER_LINEAR),
+        (warped(masks[0], at_left, cv2.INTER_NEAREST), warped(masks[1], at_right, cv2.INTER_NEAREST)),
+        np.round(turned_px).astype(np.int32),
+    )
 
 
 def _cloud(

@@ -52,6 +52,12 @@ class ToolDetections:
         return None if fiducial is None else self._scene.tags.get(fiducial.id)
 
     @detected
+    def right_tag_corners_px(self) -> Array | None:
+        """The same in the right view."""
+        fiducial = self._arm.profile.fiducial
+        return None if fiducial is None else self._scene.right_tags.get(fiducial.id)
+
+    @detected
     def region(self) -> Region | None:
         """The coloured region of the instrument's distal part."""
         return self._region(self._left)
@@ -125,29 +131,40 @@ class ToolDetections:
     @detected
     def shaft(self) -> ShaftDetection:
         """The shaft's edges and end."""
+        return self._shaft(self._left, self.silhouette, self.tag_corners_px)
+
+    @detected
+    def right_shaft(self) -> ShaftDetection | None:
+        """The same in the right view; None where there is none."""
+        right = self._right
+        if right is None:
+            return None
+        corners_px = None if right.masks.seen is not None else self.right_tag_corners_px
+        return self._shaft(right, self._silhouette(right), corners_px)
+
+    def _shaft(self, view: View, silhouette: Silhouette | None, corners_px: Array | None) -> ShaftDetection:
         from svmdist.estimation.detection.shaft import detect_shaft, detect_silhouette
 
-        if self._left.masks.seen is not None:
-            return detect_silhouette(self.silhouette, self._left.camera, self._settings.shaft)
-        return detect_shaft(
-            self._left.context.brightness,
-            self.shaft_region,
-            self._left.camera,
-            self._settings.shaft,
-        )
+        if view.masks.seen is not None:
+            return detect_silhouette(silhouette, view.camera, self._settings.shaft)
+        region = self.shaft_region if view is self._left else self._shaft_region(view, corners_px)
+        return detect_shaft(view.context.brightness, region, view.camera, self._settings.shaft)
 
     @detected
     def silhouette(self) -> Silhouette | None:
         """The silhouette of the instrument's shaft, where the segmentation tells instruments by their shape."""
+        return self._silhouette(self._left)
+
+    def _silhouette(self, view: View) -> Silhouette | None:
         from svmdist.estimation.shaft_pose.model import wrist_shape
         from svmdist.vision.silhouette import find_silhouette
 
-        masks, instrument = self._left.masks, self._arm.profile.instrument
+        masks, instrument = view.masks, self._arm.profile.instrument
         if not masks.seen or instrument is None or masks.black is None:
             return None
         picture = np.asarray(cv2.bitwise_not(masks.black), np.uint8)
         return find_silhouette(
-            self._left.context.bgr_as_recorded,
+            view.context.bgr_as_recorded,
             masks.seen[0],
             picture,
             wrist_shape(self._arm.required_chain, instrument),
@@ -158,13 +175,16 @@ class ToolDetections:
     @detected
     def shaft_region(self) -> ShaftRegion | None:
         """The dark bar that comes in from the border, without the tag's plate on it."""
+        return self._shaft_region(self._left, self.tag_corners_px)
+
+    def _shaft_region(self, view: View, corners_px: Array | None) -> ShaftRegion | None:
         from svmdist.vision.shaft_segmentation import bright_fraction, find_shaft
         from svmdist.vision.tag.detection import tag_plate
 
-        rule, masks = self._arm.profile.segmentation.shaft, self._left.masks
+        rule, masks = self._arm.profile.segmentation.shaft, view.masks
         if rule is None or masks.shaft is None:
             return None
-        corners_px, settings = self.tag_corners_px, self._settings.shaft
+        settings = self._settings.shaft
         covered = None if corners_px is None else tag_plate(corners_px, masks.shaft.shape, self._settings.tag)
         region = find_shaft(masks.shaft, rule, covered, masks.black, settings)
         if region is None or self._arm.profile.fiducial is None or covered is not None or not region.is_stub:

@@ -1,4 +1,4 @@
-"""The tool's pose from the distal marker's disparity: it corrects a pose of one view, or places the nominal one."""
+"""The tool's pose from the distal marker's disparity alone: it places the nominal one."""
 
 from __future__ import annotations
 
@@ -10,43 +10,8 @@ from svmdist.estimation.detection.stereo_match import StereoMatch
 from svmdist.estimation.filter.constants import Deviations
 from svmdist.results import ToolPose
 from svmdist.samples import RightView
-from svmdist.settings.stereo import StereoSettings
-from svmdist.transforms import Array, inverse, rotation_of
+from svmdist.transforms import inverse
 from svmdist.vision.rectified import RectifiedPair
-
-DEFAULT = StereoSettings()
-UPDATES = 4
-
-
-def refine_depth(
-    pose: ToolPose, match: StereoMatch, pair: RectifiedPair, settings: StereoSettings = DEFAULT
-) -> ToolPose | None:
-    """A pose of one view, corrected by the disparity; None where the two contradict each other.
-
-    A Kalman update with the single measurement d = f b / z, iterated, since it is far from linear.
-    """
-    P = pose.covariance
-    depth_m = float(pose.position_m[2])
-    step: Array = np.zeros(6)
-    for iteration in range(UPDATES):
-        z = depth_m + float(step[2])
-        if z <= 0.0:
-            return None
-        H = np.zeros(6)
-        H[2] = -pair.disparity_at(z) / z
-        S = float(H @ P @ H) + match.disparity_std_px**2
-        innovation = match.disparity_px - pair.disparity_at(z) + float(H @ step)
-        if iteration == 0 and abs(innovation) > settings.depth_gate_stds * np.sqrt(S):
-            return None
-        K = P @ H / S
-        step = K * innovation
-    T = pose.T_camera_tool.copy()
-    T[:3, 3] += step[:3]
-    turn = rotation_of(step[3:])
-    T[:3, :3] = turn @ T[:3, :3]
-    keep = np.eye(6) - np.outer(K, H)
-    covariance = keep @ P @ keep.T + np.outer(K, K) * match.disparity_std_px**2
-    return ToolPose(T, covariance, turn @ pose.axis)
 
 
 def with_calibration(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from threading import get_ident
 
@@ -11,6 +12,7 @@ import numpy as np
 from svmdist.samples import Image
 from svmdist.settings.tag import TagSettings
 from svmdist.transforms import Array, make_transform
+from svmdist.vision.tag.corners import refine_corners
 
 DICTIONARIES = {
     "16h5": cv2.aruco.DICT_APRILTAG_16h5,
@@ -23,37 +25,68 @@ LONG_CODE_CELLS, SHORT_CODE_RATE = 5, 0.6
 DEFAULT = TagSettings()
 
 
+@dataclass(frozen=True, slots=True)
+class FoundTag:
+    """A tag's number and its corners, shape (4, 2) in px: upper left, upper right, lower right, lower left as read."""
+
+    number: int
+    corners_px: Array
+
+
 def find_tags(image_grey: Image, family: str, settings: TagSettings = DEFAULT) -> dict[int, Array]:
     """Corners, shape (4, 2) in px, of the tags of a family by number, the largest where one is found twice.
 
     Upper left, upper right, lower right, lower left as one reads the tag.
     """
+    found: dict[int, Array] = {}
+    for tag in find_every_tag(image_grey, family, settings):
+        known = found.get(tag.number)
+        if known is None or _area_px2(tag.corners_px) > _area_px2(known):
+            found[tag.number] = tag.corners_px
+    return found
+
+
+def find_every_tag(image_grey: Image, family: str, settings: TagSettings = DEFAULT) -> list[FoundTag]:
+    """Every tag of a family in an image, shape (h, w), also where several have one number."""
     # OpenCV takes the smallest perimeter relative to the image's longer side.
     min_perimeter = 4.0 * settings.min_side_px / max(image_grey.shape)
-    rate = settings.error_correction_rate
-    detector = _detector(family, rate, settings.corner_window_cells, min_perimeter, get_ident())
+    detector = _detector(
+        family,
+        settings.error_correction_rate,
+        settings.cell_samples,
+        settings.cell_margin,
+        min_perimeter,
+        get_ident(),
+    )
     corners, ids, _ = detector.detectMarkers(image_grey)
-    found: dict[int, Array] = {}
-    for quadrilateral, number in zip(corners, [] if ids is None else ids.ravel(), strict=True):
-        seen = np.asarray(quadrilateral, np.float64).reshape(4, 2)
-        known = found.get(int(number))
-        if known is None or _area_px2(seen) > _area_px2(known):
-            found[int(number)] = seen
-    return found
+    cell_count = detector.getDictionary().markerSize + 2
+    return [
+        FoundTag(
+            int(number),
+            refine_corners(image_grey, np.asarray(seen, np.float64).reshape(4, 2), cell_count, settings),
+        )
+        for seen, number in zip(corners, [] if ids is None else ids.ravel(), strict=True)
+    ]
 
 
 @lru_cache(maxsize=32)
 def _detector(
-    family: str, error_correction_rate: float, corner_window_cells: float, min_perimeter: float, _thread: int
+    family: str,
+    error_correction_rate: float,
+    cell_samples: int,
+    cell_margin: float,
+    min_perimeter: float,
+    _thread: int,
 ) -> cv2.aruco.ArucoDetector:
     """The detector of a family; each thread has its own, since it keeps state while it works."""
     dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
     if dictionary.markerSize < LONG_CODE_CELLS:
         error_correction_rate = min(error_correction_rate, SHORT_CODE_RATE)
     parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    parameters.relativeCornerRefinmentWinSize = corner_window_cells
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     parameters.errorCorrectionRate = error_correction_rate
+    parameters.perspectiveRemovePixelPerCell = cell_samples
+    parameters.perspectiveRemoveIgnoredMarginPerCell = cell_margin
     parameters.minMarkerPerimeterRate = min_perimeter
     return cv2.aruco.ArucoDetector(dictionary, parameters)
 

@@ -1,0 +1,351 @@
+"""The tool's pose from what both views show of it: edges, the cylinder's end, the distal marker and its disparity.
+
+The unknowns are those of the fit to one view: the shaft's frame in the left camera, and the wrist's bend. What the
+right view shows is predicted there, through the pair's geometry. Any of it may be missing; what contradicts the rest is
+left out, and what that says of the depth is stated as uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from svmdist.estimation.filter.constants import EXACT, Deviations
+from svmdist.estimation.instrument.stereo_watch import DisparityCheck
+from svmdist.estimation.instrument.two_views import (
+    DISPARITY,
+    MARKER,
+    RIM,
+    SIZE,
+    VIEWS,
+    Predicted,
+    TwoViews,
+    measurements,
+)
+from svmdist.estimation.shaft_pose.fit import ShaftFit
+from svmdist.estimation.shaft_pose.model import ShaftModel
+from svmdist.estimation.shaft_pose.residuals import (
+    BentTool,
+    Residual,
+    ShaftState,
+    prior_residual,
+)
+from svmdist.estimation.shaft_pose.start import first_shaft
+from svmdist.least_squares import NormalEquations, Steps, minimise
+from svmdist.results import Failure, ToolPose, across_std_rad
+from svmdist.settings.shaft import ShaftSettings
+from svmdist.settings.stereo import StereoSettings
+from svmdist.transforms import Array, inverse, make_transform
+
+STEPS = Steps(max_steps=20, settled=1e-5, damping=1e-6)
+PRIOR = "nominal kinematics"
+MAX_CHECK_STD = 0.1
+"""Of the depth: what tells it less certainly is no check of a disparity."""
+CERTAIN = 100.0
+"""What costs more to refuse than this is not refused."""
+MAX_TURN_RAD = 0.5
+"""Of one step: beyond it the derivatives of the residuals say nothing."""
+SUSPECTS = 6
+"""Of contradicting measurements, those with the largest residuals are tried to do without."""
+ONE_IN_400 = 2.807
+"""Deviations that one in 400 normal numbers exceeds, to one side or the other."""
+
+
+@dataclass(frozen=True, slots=True)
+class StereoFit:
+    """The fit, and the measurements that were left out of it because they contradict the rest.
+
+    `check` holds the disparity against the depth by everything else, None where nothing else tells it.
+    """
+
+    fit: ShaftFit
+    refused: tuple[str, ...]
+    check: DisparityCheck | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Solution:
+    """The state of least squares, its residuals by their names, and its cost and information, shape (8, 8)."""
+
+    state: ShaftState
+    found: dict[str, Residual]
+    cost: float
+    information: Array
+
+    def excess(self, gate_chi2: float) -> dict[str, float]:
+        """Each residual's normalised square over what one in 400 true ones exceeds."""
+        return {
+            name: _square(residual) / _bound(gate_chi2, len(residual.whitened))
+            for name, residual in self.found.items()
+        }
+
+
+def fit_two_views(
+    seen: TwoViews,
+    model: ShaftModel,
+    deviations: Deviations = EXACT,
+    settings: ShaftSettings | None = None,
+    stereo: StereoSettings | None = None,
+) -> StereoFit | Failure:
+    """The pose that fits most of what both views show; or why there is none."""
+    settings, stereo = settings or ShaftSettings(), stereo or StereoSettings()
+    measured = measurements(seen, model, deviations, settings)
+    failure = Failure("nothing of the instrument is to be seen")
+    whole = _is_disc_in_both(seen)
+    for start in first_poses(seen, model):
+        if isinstance(start, Failure):
+            failure = start
+            continue
+        agreed = _agreeing(start, measured, _penalties(seen, stereo), model, settings.gate_chi2, stereo)
+        found = (
+            agreed
+            if isinstance(agreed, Failure)
+            else _fitted(agreed, measured, seen, model, settings, stereo)
+        )
+        if isinstance(found, StereoFit) and found.fit.pose.position_std_m <= stereo.max_depth_std_m:
+            return found
+        if whole and MARKER in measured:
+            # A disc at one place in both views is the tool, whatever stands beside it.
+            only = {name: measured[name] for name in (MARKER, DISPARITY)}
+            alone = _solve(start, only, model)
+            if alone is not None and max(alone.excess(settings.gate_chi2).values()) <= 1.0:
+                return _fitted(alone, measured, seen, model, settings, stereo)
+        failure = found if isinstance(found, Failure) else Failure(_uncertain(found.fit.pose))
+    return failure
+
+
+def _uncertain(pose: ToolPose) -> str:
+    return f"the position is uncertain by {pose.position_std_m * 1e3:.1f} mm"
+
+
+def _is_disc_in_both(seen: TwoViews) -> bool:
+    left, right = seen.left.marker, seen.right.marker
+    return bool(seen.match and left and right and left.disc and right.disc)
+
+
+def _fitted(
+    agreed: _Solution,
+    measured: dict[str, Predicted],
+    seen: TwoViews,
+    model: ShaftModel,
+    settings: ShaftSettings,
+    stereo: StereoSettings,
+) -> StereoFit:
+    state = agreed.state
+    tool = BentTool.of(state, model)
+    of_state = np.asarray(np.linalg.inv(agreed.information))
+    covariance = tool.derivative @ of_state @ tool.derivative.T
+    T = state.T
+    pose = ToolPose(tool.T, covariance, T[:3, 2].copy(), across_std_rad(of_state[3:6, 3:6], T[:3, 2]))
+    refused = tuple(name for name in measured if name not in agreed.found)
+    check = _check(agreed, measured, seen, model)
+    pose = _with_doubt(pose, measured, agreed, check, settings, stereo)
+    return StereoFit(ShaftFit(pose, T, tuple(agreed.found)), refused, check)
+
+
+def _has_width(found: Mapping[str, object]) -> bool:
+    """Whether both sides of the shaft in one view are among what was found."""
+    return any(all(f"{view} side {side}" in found for side in ("+1", "-1")) for view in VIEWS)
+
+
+def _check(
+    agreed: _Solution, measured: dict[str, Predicted], seen: TwoViews, model: ShaftModel
+) -> DisparityCheck | None:
+    """The disparity against the depth by the width of a long shaft; None without both.
+
+    A marker's size is no check: blood and jaws make it small. Nor are the edges of a stub, which are often mistaken.
+    """
+    is_long = dict(zip(VIEWS, (not view.shaft.is_stub for view in (seen.left, seen.right)), strict=True))
+    others = {
+        name: predict
+        for name, predict in measured.items()
+        if name in agreed.found
+        and name not in (DISPARITY, SIZE)
+        and all(is_long[view] for view in VIEWS if name.startswith(view))
+    }
+    if DISPARITY not in measured or not _has_width(others):
+        return None
+    without = _solve(agreed.state.T, others, model)
+    if without is None:
+        return None
+    residual = measured[DISPARITY](without.state)
+    slope = residual.derivative[0]
+    of_pose = float(slope @ np.linalg.inv(without.information) @ slope)
+    C = _by_constants([residual])
+    std = float(np.sqrt(of_pose + 1.0 + (C @ C.T)[0, 0]))
+    # Whitened numbers over what all of the depth would change: a share of the disparity, or of the depth.
+    tool_m = BentTool.of(without.state, model).T[:3, 3]
+    towards = np.concatenate([tool_m, np.zeros(5)])
+    per_whole = abs(float(slope @ towards))
+    if of_pose > (MAX_CHECK_STD * per_whole) ** 2:
+        return None
+    return DisparityCheck(float(residual.whitened[0]) / per_whole, std / per_whole)
+
+
+def _penalties(seen: TwoViews, stereo: StereoSettings) -> dict[str, float]:
+    """What refusing each measurement costs, -2 log of how often such a one is mistaken."""
+    share = {RIM: stereo.mistaken_rim, SIZE: stereo.mistaken_size, DISPARITY: stereo.mistaken_disparity}
+    # Two views do not mistake something for a disc at one place.
+    share[MARKER] = 0.0 if _is_disc_in_both(seen) else stereo.mistaken_marker
+    for view, landmarks in zip(VIEWS, (seen.left, seen.right), strict=True):
+        edge = stereo.mistaken_stub if landmarks.shaft.is_stub else stereo.mistaken_edge
+        share |= {f"{view} side {side}": edge for side in ("+1", "-1")}
+    return {name: -2.0 * float(np.log(max(value, 1e-300))) for name, value in share.items()}
+
+
+def _agreeing(
+    start: Array,
+    measured: dict[str, Predicted],
+    penalties: dict[str, float],
+    model: ShaftModel,
+    gate_chi2: float,
+    stereo: StereoSettings,
+) -> _Solution | Failure:
+    """The fit to all measurements, or to those that are left when as few as needed are refused."""
+    kept = dict(measured)
+    solution = _solve(start, kept, model)
+    if solution is None:
+        return Failure("the fit to both views does not converge")
+    for count in range(stereo.max_refused + 1):
+        excess = solution.excess(gate_chi2)
+        worst = max(excess, key=lambda name: excess[name])
+        if excess[worst] <= 1.0:
+            return solution
+        if count == stereo.max_refused or len(kept) < 2:
+            break
+        # The largest residual need not be the wrong measurement: it is the one without which the rest fits best, and
+        # of the kind that is often mistaken.
+        trials = {
+            name: _solve(start, {k: v for k, v in kept.items() if k != name}, model)
+            for name in sorted(kept, key=lambda name: -excess[name])[:SUSPECTS]
+            if penalties[name] < CERTAIN
+        }
+        usable = {name: trial for name, trial in trials.items() if trial is not None}
+        if not usable:
+            break
+        out = min(usable, key=lambda name: usable[name].cost + penalties[name])
+        solution = usable[out]
+        del kept[out]
+    return Failure(f"{worst} does not fit the rest")
+
+
+def first_poses(seen: TwoViews, model: ShaftModel) -> Iterator[Array | Failure]:
+    """First `T_left_shaft`, shape (4, 4): by the sides in either view, by the triangulated marker; or what is missing.
+
+    Both sides of a shaft tell its direction, which nominal kinematics may not.
+    """
+    tool_m = None if seen.match is None else seen.pair.point(seen.match.left_px, seen.match.disparity_px)[0]
+    right_model = model
+    if model.R_camera_shaft is not None:
+        right_model = replace(model, R_camera_shaft=seen.T_right_left[:3, :3] @ model.R_camera_shaft)
+    views = (
+        (seen.left, model, seen.left_camera, np.eye(4)),
+        (seen.right, right_model, seen.right_camera, inverse(seen.T_right_left)),
+    )
+    for has_sides in (True, False):
+        for landmarks, expected, camera, T_left_view in views:
+            if (len(landmarks.shaft.contours) == 2) != has_sides:
+                continue
+            first = first_shaft(landmarks.shaft, landmarks.marker, expected, camera)
+            if isinstance(first, Failure):
+                yield first
+                continue
+            T = T_left_view @ first
+            if tool_m is not None:  # disparity is nearer to the truth than the width of a stub
+                yield make_transform(T[:3, :3], tool_m - T[:3, :3] @ model.T_shaft_tool[:3, 3])
+            yield np.asarray(T)
+    if tool_m is not None and model.R_camera_shaft is not None:
+        R = model.R_camera_shaft
+        yield make_transform(R, tool_m - R @ model.T_shaft_tool[:3, 3])
+
+
+def _solve(start: Array, measured: dict[str, Predicted], model: ShaftModel) -> _Solution | None:
+    """The state of least squares; None where the measurements are undefined at the start."""
+
+    def residuals(state: ShaftState) -> dict[str, Residual]:
+        found = {name: predict(state) for name, predict in measured.items()}
+        return found | {PRIOR: prior_residual(state, start, model)}
+
+    def linearise(state: ShaftState) -> NormalEquations:
+        found = list(residuals(state).values())
+        r = np.concatenate([residual.whitened for residual in found])
+        J = np.concatenate([residual.derivative for residual in found])
+        # Errors of constants are unknowns of variance one, solved for and left out: I + C Cᵀ in place of I.
+        C = _by_constants(found)
+        weighted = np.linalg.solve(np.eye(len(r)) + C @ C.T, np.column_stack([J, r]))
+        return NormalEquations(float(r @ weighted[:, -1]), J.T @ weighted[:, -1], J.T @ weighted[:, :-1])
+
+    def retract(state: ShaftState, step: Array) -> ShaftState:
+        turn_rad = float(np.linalg.norm(step[3:]))
+        return state.retracted(step * min(1.0, MAX_TURN_RAD / max(turn_rad, 1e-12)))
+
+    least = minimise(ShaftState(start, np.zeros(2)), linearise, retract, STEPS)
+    if least is None:
+        return None
+    return _Solution(least.state, residuals(least.state), least.equations.cost, least.equations.information)
+
+
+def _by_constants(found: list[Residual]) -> Array:
+    """Derivative of all residuals, one below the other, by every constant, shape (m, k): several may share one."""
+    columns: dict[str, Array] = {}
+    rows, at = sum(len(residual.whitened) for residual in found), 0
+    for residual in found:
+        after = at + len(residual.whitened)
+        for bias in residual.constants:
+            column = columns.setdefault(bias.name, np.zeros((rows, bias.jacobian.shape[-1])))
+            column[at:after] += bias.jacobian
+        at = after
+    return np.concatenate([np.zeros((rows, 0)), *columns.values()], -1)
+
+
+def _square(residual: Residual) -> float:
+    """The residual's normalised square, with what constants may do to it."""
+    C = _by_constants([residual])
+    covariance = np.eye(len(residual.whitened)) + C @ C.T
+    return float(residual.whitened @ np.linalg.solve(covariance, residual.whitened))
+
+
+def _bound(gate_chi2: float, count: int) -> float:
+    """The gate of two numbers, for as many as a residual has (Wilson and Hilferty 1931, at one in 400)."""
+
+    def quantile(k: int) -> float:
+        part = 2.0 / (9.0 * k)
+        return float(k * (1.0 - part + ONE_IN_400 * np.sqrt(part)) ** 3)
+
+    return gate_chi2 * quantile(count) / quantile(2)
+
+
+def _with_doubt(
+    pose: ToolPose,
+    measured: dict[str, Predicted],
+    agreed: _Solution,
+    check: DisparityCheck | None,
+    settings: ShaftSettings,
+    stereo: StereoSettings,
+) -> ToolPose:
+    """The pose as uncertain in depth as size or disparity contradict it, where no two others agree about the depth.
+
+    Blood makes a marker small, a turned camera a disparity large, a shadow a shaft wide: one against one, there is no
+    telling which is wrong; one against two is. A disparity that was not refused pulls the others, right or wrong.
+    """
+    found = agreed.found
+    has_width = _has_width(found)
+    variance, is_alone = 0.0, has_width + (SIZE in found) < 2
+    if check is not None and (DISPARITY in found or is_alone):
+        bound = stereo.kept_doubt_stds if DISPARITY in found else np.sqrt(settings.doubt_square)
+        if abs(check.off) > bound * check.std:
+            variance = check.off**2
+    if SIZE in measured and has_width + (DISPARITY in found) < 2:
+        residual = measured[SIZE](agreed.state)
+        bound = stereo.kept_doubt_stds**2 if SIZE in found else settings.doubt_square
+        if _square(residual) > bound:
+            towards = np.concatenate([pose.position_m, np.zeros(5)])  # of a depth that is larger by its whole
+            off = float(residual.whitened[0]) / float(residual.derivative[0] @ towards)
+            variance = max(variance, off**2)
+    if variance == 0.0:
+        return pose
+    covariance = pose.covariance.copy()
+    covariance[:3, :3] += variance * np.outer(pose.position_m, pose.position_m)
+    return replace(pose, covariance=covariance)

@@ -1,0 +1,57 @@
+"""By how many rows the views of a log's pairs are apart.
+
+It is found from the first pairs before any row is made, so that rows do not depend on how many threads work.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+
+from svmdist.profile import Profile
+from svmdist.recording.encoded import Needs
+from svmdist.recording.reader import Recording
+from svmdist.results import Failure
+from svmdist.samples import Observation, Rejection
+from svmdist.transforms import Array
+from svmdist.vision.frame_context import to_grey
+from svmdist.vision.interlace import with_first_fields
+from svmdist.vision.rectified import rectified_pair
+from svmdist.vision.row_offset import RowOffset, agreed_offset, row_differences
+from svmdist.vision.undistortion import as_pinholes
+
+
+def row_offset(recording: Recording, profile: Profile) -> RowOffset | None:
+    """The offset between the rows of both views; None where the log has no pairs, or they do not tell it."""
+    settings = profile.stereo_in_range
+    needs = Needs(joints=False, transforms=False, right=True)
+    encoded = recording.encoded_observations(recording.instruments[:1], needs)
+    found: list[Array] = []
+    for one in islice(encoded, 0, settings.row_pairs * settings.row_stride, settings.row_stride):
+        decoded = one.decode().found
+        if isinstance(decoded, Rejection) or decoded[0].right is None:
+            continue
+        found.append(_differences(decoded[0], profile))
+    return agreed_offset(np.concatenate(found), settings) if found else None
+
+
+def row_offset_to_remove_px(recording: Recording, profile: Profile) -> float:
+    """The offset where it is more than the settings leave, and known; else 0."""
+    offset = row_offset(recording, profile)
+    if offset is None or abs(offset.px) < profile.settings.stereo.min_row_offset_px:
+        return 0.0
+    return offset.px
+
+
+def _differences(seen: Observation, profile: Profile) -> Array:
+    seen = as_pinholes(with_first_fields(seen, profile.settings.interlace))
+    right, settings = seen.right, profile.stereo_in_range
+    assert right is not None  # asked for before
+    pair = rectified_pair(seen.camera, right)
+    if isinstance(pair, Failure):
+        return np.zeros(0)
+    far_px, near_px = (
+        pair.disparity_at(depth_m) + pair.offset_px for depth_m in (settings.far_m, settings.near_m)
+    )
+    return row_differences(to_grey(seen.image_bgr), to_grey(right.image_bgr), far_px, near_px, settings)

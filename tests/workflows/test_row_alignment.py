@@ -1,0 +1,103 @@
+"""The offset between the rows of a log's pairs: found once, removed from every row of results, for any --jobs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from svmdist.camera import Camera
+from svmdist.estimation.detection.scene import Scene
+from svmdist.profile import load_profile
+from svmdist.recording.reader import open_recording
+from svmdist.recording.writer import RecordingWriter
+from svmdist.samples import CameraSample, ImageSample
+from svmdist.workflows import replay
+from svmdist.workflows.row_alignment import row_offset, row_offset_to_remove_px
+from svmdist.workflows.setup import prepare
+
+CAMERA = Camera.from_horizontal_fov(420, 280, np.pi / 3)
+BASELINE_M = 0.005
+PROFILE = load_profile()
+
+
+def log(path: Path, rows_px: float, apart_ns: int = 0) -> Path:
+    """A log of eight pairs of a soft texture, the right view some rows lower, and of another time."""
+    P = np.hstack([CAMERA.K, np.zeros((3, 1))])
+    P[0, 3] = -CAMERA.K[0, 0] * BASELINE_M
+    right_camera = replace(CAMERA, P=P, frame_id="camera_right")
+    disparity_px = CAMERA.K[0, 0] * BASELINE_M / 0.1
+    rng = np.random.default_rng(5)
+    with RecordingWriter(path, {"scenario": "test", "seed": "5"}) as writer:
+        for frame in range(8):
+            stamp_ns = 10**9 + frame * 10**8
+            texture = cv2.GaussianBlur(rng.normal(0.0, 1.0, (280, 420, 3)), (0, 0), 3.0)
+            texture = np.clip(120.0 + 20.0 * texture / texture.std(), 0, 255).astype(np.uint8)
+            moved = np.array([[1.0, 0.0, -disparity_px], [0.0, 1.0, rows_px]])
+            right = cv2.warpAffine(texture, moved, (420, 280), None, cv2.INTER_CUBIC, cv2.BORDER_REFLECT)
+            writer.write("/ECM/left/camera_info", CameraSample(stamp_ns, CAMERA))
+            writer.write("/ECM/right/camera_info", CameraSample(stamp_ns, right_camera))
+            writer.write("/ECM/left/image", ImageSample(stamp_ns, "camera", texture))
+            late_ns = stamp_ns + apart_ns
+            writer.write(
+                "/ECM/right/image", ImageSample(late_ns, "camera_right", np.asarray(right, np.uint8))
+            )
+    return path
+
+
+@pytest.mark.parametrize("rows_px", [-2.5, 0.0, 1.5])
+def test_the_offset_of_a_log_is_found(tmp_path: Path, rows_px: float) -> None:
+    """To a tenth of a pixel; none, or less than half a pixel, is left alone."""
+    recording = open_recording(log(tmp_path / "pair.mcap", rows_px), PROFILE)
+    settings = PROFILE.settings.model_copy(
+        update={"stereo": PROFILE.settings.stereo.model_copy(update={"row_stride": 2})}
+    )
+    profile = PROFILE.model_copy(update={"settings": settings})
+    found = row_offset(recording, profile)
+    assert found is not None
+    assert found.px == pytest.approx(rows_px, abs=0.1)
+    removed_px = row_offset_to_remove_px(recording, profile)
+    assert removed_px == (found.px if rows_px else 0.0)
+
+
+def test_every_scene_has_it_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the number of threads, the right view that detectors see is where the left one's rows are."""
+    path = log(tmp_path / "pair.mcap", 2.0)
+    seen: dict[int, list[np.ndarray]] = {}
+    kept: list[tuple[int, np.ndarray]] = []
+
+    class Kept(Scene):
+        def __init__(self, *args, **options) -> None:  # type: ignore[no-untyped-def]
+            super().__init__(*args, **options)
+            assert self.observation.right is not None
+            kept.append((self.observation.stamp_ns, self.observation.right.image_bgr))
+
+    monkeypatch.setattr(replay, "Scene", Kept)
+    for jobs in (1, 3):
+        kept.clear()
+        setup = prepare(PROFILE.name, method="stereo")
+        assert len(list(replay.replay(open_recording(path, setup.profile), [setup], jobs=jobs))) == 8
+        seen[jobs] = [image for _, image in sorted(kept, key=lambda one: one[0])]
+    disparity_px = CAMERA.K[0, 0] * BASELINE_M / 0.1
+    for alone, together in zip(seen[1], seen[3], strict=True):
+        np.testing.assert_array_equal(alone, together)
+    left = next(iter(open_recording(path, PROFILE).images())).image_bgr
+    level = cv2.warpAffine(
+        left, np.array([[1.0, 0.0, -disparity_px], [0.0, 1.0, 0.0]]), (420, 280), None, cv2.INTER_CUBIC
+    )
+    inner = np.s_[10:-10, 10:-40]
+    assert np.sqrt(np.mean((seen[1][0][inner].astype(float) - level[inner]) ** 2)) < 2.0
+
+
+def test_views_of_different_times_are_paired_as_the_profile_allows(tmp_path: Path) -> None:
+    """Four milliseconds are too many by default, and not where the profile says so; the delay is told."""
+    path = log(tmp_path / "apart.mcap", 0.0, apart_ns=4_000_000)
+    assert all(one.right is None for one in open_recording(path, PROFILE).observations())  # type: ignore[union-attr]
+    limits = PROFILE.limits.model_copy(update={"pair_tolerance_s": 5e-3})
+    allowing = PROFILE.model_copy(update={"limits": limits})
+    for one in open_recording(path, allowing).observations():
+        assert one.right is not None  # type: ignore[union-attr]
+        assert one.right.delay_s == pytest.approx(4e-3)  # type: ignore[union-attr]
