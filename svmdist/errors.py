@@ -14,6 +14,14 @@ class SvmdistError(Exception):
     """Base of all errors that svmdist raises on purpose; its text is one line for a person."""
 
 
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end by a signal other than an interrupt; `signal_number` says which."""
+
+    def __init__(self, signal_number: int) -> None:
+        super().__init__()
+        self.signal_number = signal_number
+
+
 class UsageError(SvmdistError):
     """The request itself is wrong: an option's value, a combination, a file that may not be replaced."""
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError, did_you_mean
+from svmdist.input_file import open_regular
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
 from svmdist.perturbations.clock import later_ns
@@ -338,7 +339,7 @@ class Recording:
         digest = hashlib.sha256()
         for file in self._files():
             try:
-                with file.open("rb") as stream:
+                with open_regular(file) as stream:
                     while piece := stream.read(1 << 20):
                         digest.update(piece)
             except OSError as problem:

@@ -15,6 +15,7 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 
 from svmdist.errors import RecordingError
+from svmdist.input_file import open_regular
 from svmdist.profile import Limits
 from svmdist.recording.health import Health, LossKind
 from svmdist.recording.mcap_file.chunks import ChunkError, expand_chunk, expand_truncated_chunk
@@ -53,7 +54,7 @@ class Container:
         Raises RecordingError when the file cannot be opened or read, or does not begin as MCAP does.
         """
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 size_bytes = file.seek(0, 2)
                 file.seek(0)
                 yield from self._walk(file, size_bytes)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
+from svmdist.input_file import open_regular
 from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.mcap_file.definitions import DefinitionError, Definitions
@@ -129,7 +130,7 @@ class Content:
         if self._has_recalled:
             return
         self._has_recalled = True
-        with self._path.open("rb") as file:
+        with open_regular(self._path) as file:
             summary = read_trusted_summary(file, file.seek(0, 2), self._limits)
         if summary is not None:
             self.definitions.complete(summary.schemas, summary.channels)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from svmdist.errors import RecordingError
+from svmdist.input_file import open_regular
 from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.rosbag import bag1_records
@@ -50,7 +51,7 @@ class Rosbag1Source:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield the messages of some topics, or of all, in file order."""
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 size_bytes = file.seek(0, 2)
                 file.seek(len(MAGIC))
                 for message in _Pass(self.health, self._limits).read(file, size_bytes):

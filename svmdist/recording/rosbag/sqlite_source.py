@@ -11,6 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 from svmdist.errors import RecordingError
+from svmdist.input_file import open_regular
 from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.sources import RawMessage, TopicInfo, merge_topics
@@ -104,7 +105,7 @@ def _refuse_truncated_file(path: Path) -> None:
     SQLite refuses most of these too, but where only a part of the last page is missing, it takes zeros for it.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             header = file.read(HEADER_BYTES)
             size_bytes = file.seek(0, 2)
     except OSError as problem:
