@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.camera import Camera, DistortionModel
+from svmdist.camera import MAX_COEFFICIENTS, Camera, DistortionModel
 from svmdist.perturbations.clock import later_ns
 from svmdist.recording.messages.images import ImageError
 from svmdist.recording.names import MAX_NAME_BYTES, cut
@@ -167,24 +167,23 @@ def checked_camera(
 ) -> Camera:
     """Build a camera; DecodeError for a matrix of another size, an uncalibrated camera or an unknown distortion."""
     check_names((frame_id,), "frame")
-    if len(K) != 9 or len(R) not in {0, 9} or len(P) not in {0, 12} or len(D) > 14:
+    if len(K) != 9 or len(R) not in {0, 9} or len(P) not in {0, 12} or len(D) > MAX_COEFFICIENTS:
         raise DecodeError(f"K, R, P, D have {len(K)}, {len(R)}, {len(P)}, {len(D)} elements")
     check_numbers([*K, *D, *R, *P], "a calibration")
-    if K[0] <= 0 or K[4] <= 0 or min(size_px) < 1:
-        raise DecodeError(
-            f"the camera is not calibrated: fx = {K[0]}, fy = {K[4]}, {size_px[0]}x{size_px[1]} px"
-        )
     distortion_model = cut(distortion_model)
     if any(D) and distortion_model.lower() not in KNOWN_DISTORTION:
         choices = ", ".join(sorted(filter(None, KNOWN_DISTORTION)))
         raise DecodeError(f"distortion model {distortion_model!r} is not known; the choices are {choices}")
-    return Camera(
-        size_px[0],
-        size_px[1],
-        np.array(K, np.float64).reshape(3, 3),
-        np.array(D, np.float64),
-        np.array(R, np.float64).reshape(3, 3) if any(R) else None,
-        np.array(P, np.float64).reshape(3, 4) if any(P) else None,
-        frame_id,
-        KNOWN_DISTORTION.get(distortion_model.lower(), "plumb_bob") if any(D) else "plumb_bob",
-    )
+    try:
+        return Camera(
+            size_px[0],
+            size_px[1],
+            np.array(K, np.float64).reshape(3, 3),
+            np.array(D, np.float64),
+            np.array(R, np.float64).reshape(3, 3) if any(R) else None,
+            np.array(P, np.float64).reshape(3, 4) if any(P) else None,
+            frame_id,
+            KNOWN_DISTORTION.get(distortion_model.lower(), "plumb_bob") if any(D) else "plumb_bob",
+        )
+    except ValueError as problem:
+        raise DecodeError(str(problem)) from None
