@@ -2,8 +2,8 @@
 
     uv run --with atheris python -m tests.fuzz mcap -max_total_time=600 -max_len=65536
 
-Inputs that reach new code join the corpus in `tests/data/corpus`: keep those that are small. One that fails is written to
-the working folder, and belongs there too, when it is mended. atheris has wheels for Linux and macOS.
+Inputs that reach new code join the corpus in `tests/data/corpus`: keep those that are small. One that fails is written
+to the working folder, and belongs there too, when it is mended. atheris has wheels for Linux and macOS.
 """
 
 from __future__ import annotations
