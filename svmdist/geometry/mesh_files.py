@@ -49,6 +49,8 @@ def read_closed_mesh(path: Path, metres_per_unit: float) -> Mesh:
     vertices_m, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     faces = np.asarray(index.reshape(-1, 3), np.int64)
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    if len(faces) == 0:
+        raise ProfileError(f"{path}: an empty mesh: every face of it runs into itself")
     size_m = float(np.linalg.norm(np.ptp(vertices_m, axis=0)))
     if not MIN_SIZE_M <= size_m <= MAX_SIZE_M:
         raise ProfileError(
