@@ -4,6 +4,8 @@ import gc
 import os
 import signal
 import sys
+import threading
+import time
 from types import FrameType
 
 from svmdist.errors import Terminated
@@ -15,6 +17,7 @@ COLLECT_AFTER = 20_000
 """Objects between two garbage collections, in place of Python's 700: start-up alone makes 50,000, all to stay."""
 
 
+AGAIN_S = 0.02
 ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """Signals that ask a process to end, as an interrupt does: what it was writing is put away first."""
 
@@ -64,6 +67,26 @@ def _hear_signals() -> None:
     for number in ENDING:
         if signal.getsignal(number) == signal.SIG_DFL:  # `nohup` has it ignored
             signal.signal(number, end)
+    sys.unraisablehook = _not_in_vain
+
+
+def _not_in_vain(lost: "sys.UnraisableHookArgs") -> None:
+    """Send a signal again that met Python where it ignores exceptions, as while it puts an import away."""
+    problem = lost.exc_value
+    if not isinstance(problem, KeyboardInterrupt):
+        sys.__unraisablehook__(lost)
+        return
+    number = problem.signal_number if isinstance(problem, Terminated) else signal.SIGINT
+    if number in ENDING:
+        for ending in ENDING:
+            signal.signal(ending, signal.SIG_DFL)
+        _hear_signals()
+
+    def send() -> None:
+        time.sleep(AGAIN_S)  # until then the place where exceptions are ignored is left
+        os.kill(os.getpid(), number)
+
+    threading.Thread(target=send, daemon=True).start()
 
 
 if __name__ == "__main__":

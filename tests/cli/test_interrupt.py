@@ -193,3 +193,33 @@ def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
     assert b"Traceback" not in shown
     assert shown.count(INTERRUPTED.encode()) == 1
     assert shown.rindex(b"\x1b[?25h") < shown.index(INTERRUPTED.encode())
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "said"), [("SIGINT", 130, INTERRUPTED), ("SIGTERM", 143, TERMINATED)]
+)
+def test_where_python_ignores_exceptions(name: str, code: int, said: str) -> None:
+    """A signal that comes while an object is taken away, or an import is put away, ends the command all the same."""
+    script = f"""
+import os, signal, time
+import svmdist.__main__ as entry, svmdist.cli.main as main
+class Gone:
+    def __del__(self):
+        os.kill(os.getpid(), signal.{name})
+        time.sleep(0.05)
+def command():
+    gone = Gone()
+    del gone
+    time.sleep(60)
+main.run = command
+entry.run()
+"""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, timeout=LIMIT_S, check=False
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert done.returncode == code
+    assert done.stderr.splitlines() == [said]
