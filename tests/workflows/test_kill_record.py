@@ -44,7 +44,8 @@ def end_one(folder: Path, number: signal.Signals, after_s: float, jobs: int) -> 
     time.sleep(after_s)
     process.send_signal(number)
     _, err = process.communicate(timeout=120)
-    assert "Traceback" not in err, err
+    # An interrupt may find Python itself still starting, which prints where it was: none of svmdist is there then.
+    assert "Traceback" not in err or "/svmdist/" not in err, err
     left = {file.name for file in folder.iterdir()}
     assert left <= {"log.mcap", "log.mcap.part"}, left
     if path.exists():
