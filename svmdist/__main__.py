@@ -4,8 +4,6 @@ import gc
 import os
 import signal
 import sys
-import threading
-import time
 from types import FrameType
 
 from svmdist.errors import Terminated
@@ -81,6 +79,9 @@ def _not_in_vain(lost: "sys.UnraisableHookArgs") -> None:
         for ending in ENDING:
             signal.signal(ending, signal.SIG_DFL)
         _hear_signals()
+
+    import threading  # here: until this module is loaded, an interrupt prints where it met it
+    import time
 
     def send() -> None:
         time.sleep(AGAIN_S)  # until then the place where exceptions are ignored is left
