@@ -2,7 +2,11 @@
 
 import gc
 import os
+import signal
 import sys
+from types import FrameType
+
+from svmdist.errors import Terminated
 
 # Plugins of pydantic are no part of svmdist; looking for them reads the metadata of every installed package.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
@@ -11,21 +15,79 @@ COLLECT_AFTER = 20_000
 """Objects between two garbage collections, in place of Python's 700: start-up alone makes 50,000, all to stay."""
 
 
+AGAIN_S = 0.02
+ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""Signals that ask a process to end, as an interrupt does: what it was writing is put away first."""
+
+
 def run() -> None:
     """Entry point: run the command line; an interrupt ends it with a line and 130, while it still loads, too."""
     gc.set_threshold(COLLECT_AFTER)
+    _fill_standard_files()
+    _hear_signals()
     try:
         from svmdist.cli.main import run as run_commands
 
         run_commands()
+    except Terminated as problem:
+        print("svmdist: terminated", file=sys.stderr)
+        sys.exit(128 + problem.signal_number)
     except KeyboardInterrupt:
         print("svmdist: interrupted", file=sys.stderr)
         sys.exit(130)
     finally:
-        import signal
-
         # What is left is Python's own clean-up: an interrupt there shall end it, not print where it was.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _fill_standard_files() -> None:
+    """Keep the places of closed standard streams: a file that got one would get what libraries print, too."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+
+
+def _hear_signals() -> None:
+    """Let signals that would end this process at once end it as an interrupt does."""
+    owner = os.getpid()
+
+    def end(number: int, _: FrameType | None) -> None:
+        if os.getpid() != owner:  # a forked worker, whose owner tells what there is to tell
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+            return
+        for other in ENDING:
+            signal.signal(other, signal.SIG_IGN)  # it is ending already
+        raise Terminated(number)
+
+    for number in ENDING:
+        if signal.getsignal(number) == signal.SIG_DFL:  # `nohup` has it ignored
+            signal.signal(number, end)
+    sys.unraisablehook = _not_in_vain
+
+
+def _not_in_vain(lost: "sys.UnraisableHookArgs") -> None:
+    """Send a signal again that met Python where it ignores exceptions, as while it puts an import away."""
+    problem = lost.exc_value
+    if not isinstance(problem, KeyboardInterrupt):
+        sys.__unraisablehook__(lost)
+        return
+    number = problem.signal_number if isinstance(problem, Terminated) else signal.SIGINT
+    if number in ENDING:
+        for ending in ENDING:
+            signal.signal(ending, signal.SIG_DFL)
+        _hear_signals()
+
+    import threading  # here: until this module is loaded, an interrupt prints where it met it
+    import time
+
+    def send() -> None:
+        time.sleep(AGAIN_S)  # until then the place where exceptions are ignored is left
+        os.kill(os.getpid(), number)
+
+    threading.Thread(target=send, daemon=True).start()
 
 
 if __name__ == "__main__":

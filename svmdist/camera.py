@@ -17,6 +17,12 @@ from svmdist.transforms import Array, make_transform
 R_OPENGL_OPENCV: Array = np.diag([1.0, -1.0, -1.0])
 """OpenCV axes (x right, y down, z forward) in OpenGL's (x right, y up, z backward); its own inverse."""
 
+MAX_COEFFICIENTS = 14
+MAX_COEFFICIENT = 1e5
+"""Of a lens: rational models of endoscopes have some hundreds."""
+MAX_FOCAL_PX = 1e7
+"""Beyond it an image of 4,000 px is less than a minute of arc wide."""
+
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "fisheye"]
 
 
@@ -39,11 +45,34 @@ class Camera:
     distortion_model: DistortionModel = "plumb_bob"
 
     def __post_init__(self) -> None:
-        """Complete the distortion: OpenCV knows four coefficients, five, eight, twelve or fourteen."""
+        """Complete the distortion: OpenCV knows four coefficients, five, eight, twelve or fourteen.
+
+        Raises ValueError for shapes, sizes and coefficients that no camera has.
+        """
+        self._require_sound()
         count = len(self.D)
         whole = next((size for size in (0, 4, 5, 8, 12, 14) if size >= count), count)
         if whole != count:
             object.__setattr__(self, "D", np.pad(self.D, (0, whole - count)))
+
+    def _require_sound(self) -> None:
+        shapes = {"K": (self.K, (3, 3)), "R": (self.R_rectified_camera, (3, 3)), "P": (self.P, (3, 4))}
+        for name, (matrix, shape) in shapes.items():
+            if matrix is not None and matrix.shape != shape:
+                raise ValueError(f"{name} has shape {matrix.shape}, expected {shape}")
+        if self.D.ndim != 1 or len(self.D) > MAX_COEFFICIENTS:
+            raise ValueError(f"D has shape {self.D.shape}; at most {MAX_COEFFICIENTS} coefficients are known")
+        if self.distortion_model == "fisheye" and self.D[4:].any():
+            raise ValueError(f"D has {len(self.D)} coefficients, and fisheye has 4")
+        if not (0.0 < self.K[0, 0] <= MAX_FOCAL_PX and 0.0 < self.K[1, 1] <= MAX_FOCAL_PX):
+            raise ValueError(
+                f"the camera is not calibrated: fx = {self.K[0, 0]}, fy = {self.K[1, 1]} px;"
+                f" expected 0 to {MAX_FOCAL_PX:g}"
+            )
+        if not (np.abs(self.D) <= MAX_COEFFICIENT).all():
+            raise ValueError(f"D has a coefficient beyond ±{MAX_COEFFICIENT:g}")
+        if min(self.width_px, self.height_px) < 1:
+            raise ValueError(f"the camera is not calibrated: {self.width_px}x{self.height_px} px")
 
     @property
     def has_distortion(self) -> bool:

@@ -7,11 +7,18 @@ that the command line can print it as it stands.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 
 
 class SvmdistError(Exception):
     """Base of all errors that svmdist raises on purpose; its text is one line for a person."""
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end by a signal other than an interrupt; `signal_number` says which."""
+
+    def __init__(self, signal_number: int) -> None:
+        super().__init__()
+        self.signal_number = signal_number
 
 
 class UsageError(SvmdistError):
@@ -48,6 +55,8 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
     >>> did_you_mean("sweeep", ["approach", "sweep"])
     'did you mean sweep? The choices are: approach, sweep'
     """
+    from difflib import get_close_matches  # here: whatever starts loads this module, and few of them need it
+
     known = sorted(choices)
     if not known:
         return "there are none to choose from"

@@ -7,6 +7,7 @@ stands here, so that another scene needs another profile and no other code.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from pydantic import Field, model_validator
@@ -266,7 +267,7 @@ def profile_path(name_or_path: str | Path) -> Path:
     if text in shipped_profiles():
         return SHIPPED / f"{text}.toml"
     path = Path(text)
-    if not path.suffix and not path.exists():
+    if not path.suffix and not os.path.exists(path):
         raise ProfileError(
             f"no profile named {text}: {did_you_mean(text, shipped_profiles())}; or give a path to a .toml"
         )

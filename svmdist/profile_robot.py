@@ -54,6 +54,10 @@ class Robot(StrictModel):
     convention: Literal["standard", "modified"] = "standard"
     joints: tuple[Joint, ...] = Field(min_length=1)
     tool_rotation: Rotation | None = None
+    limit_tolerance_rad: Angle = Field(default=0.5, ge=0.0)
+    """How far beyond its limits a joint that turns may be reported: encoders have offsets, and limits are rounded."""
+    limit_tolerance_m: float = Field(default=0.05, ge=0.0)
+    """The same of a joint that slides. Joints that are farther out are no joints: `no_joints`."""
 
     @model_validator(mode="after")
     def _sound(self) -> Robot:

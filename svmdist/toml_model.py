@@ -17,9 +17,12 @@ from pydantic import (
     Tag,
     ValidationError,
     ValidationInfo,
+    field_validator,
 )
 
 from svmdist.errors import SvmdistError, did_you_mean
+from svmdist.input_file import read_regular, why
+from svmdist.toml_limits import find_excess
 
 Model = TypeVar("Model", bound="StrictModel")
 
@@ -28,6 +31,25 @@ class StrictModel(BaseModel):
     """Base of everything read from TOML: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _bounded(cls, value: Any) -> Any:
+        """Numbers that overflow when they are squared, or vanish, are a slip of the pen."""
+        _require_bounded(value)
+        return value
+
+
+def _require_bounded(value: Any) -> None:
+    if isinstance(value, float):
+        if value and not MIN_NUMBER <= abs(value) <= MAX_NUMBER:
+            raise ValueError(f"a number is 0, or from {MIN_NUMBER:g} to {MAX_NUMBER:g} in size")
+    elif isinstance(value, tuple | list):
+        for item in value:
+            _require_bounded(item)
+    elif isinstance(value, dict):
+        for item in value.values():
+            _require_bounded(item)
 
 
 def _parse_angle(value: Any) -> Any:
@@ -60,15 +82,22 @@ def _parse_size(value: Any) -> Any:
 
 def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
     """A relative path starts from the folder of the file that names it, wherever the program was started."""
+    if "\0" in str(path):
+        raise ValueError("a path cannot have the character NUL")
     return Path(info.context["folder"]) / path if info.context else path
 
 
+MAX_FILE_BYTES = 4 << 20
+"""A profile has a few kilobytes."""
+MAX_NUMBER, MIN_NUMBER = 1e9, 1e-30
+"""Squares of such numbers, and what is divided by them, are numbers still; nothing real is beyond."""
 SIZE_UNITS = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 MIB = SIZE_UNITS["MiB"]
 Angle = Annotated[float, BeforeValidator(_parse_angle)]
 Size = Annotated[int, BeforeValidator(_parse_size), Field(ge=1 << 10, le=1 << 40)]
-Length = Annotated[float, Field(gt=0.0, lt=10.0)]
-SmallLength = Annotated[float, Field(gt=0.0, lt=0.1)]
+Length = Annotated[float, Field(gt=1e-6, lt=10.0)]
+"""A micrometre is less than anything here is measured to."""
+SmallLength = Annotated[float, Field(gt=1e-6, lt=0.1)]
 """Of a part that a hand holds: 0.1 m and more is a number of millimetres that was meant."""
 NeighbourFile = Annotated[Path, AfterValidator(_beside_the_file)]
 Byte = Annotated[int, Field(ge=0, le=255)]
@@ -78,12 +107,16 @@ Hue = Annotated[int, Field(ge=0, le=179)]
 def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Model:
     """Read a TOML file into a model; every problem becomes one line that names the file and the key."""
     try:
-        data = tomllib.loads(path.read_text("utf-8"))
+        text = read_regular(path, MAX_FILE_BYTES).decode("utf-8")
+        excess = find_excess(text)
+        if excess is not None:
+            raise error(f"{path}: {excess}")
+        data = tomllib.loads(text)
     except OSError as problem:
-        raise error(f"{path}: cannot read: {problem.strerror or problem}") from None
+        raise error(f"{path}: cannot read: {why(problem)}") from None
     except UnicodeDecodeError as problem:
         raise error(f"{path}: not a TOML file: byte {problem.start} is not UTF-8") from None
-    except tomllib.TOMLDecodeError as problem:
+    except (ValueError, RecursionError) as problem:  # TOMLDecodeError is a ValueError
         raise error(f"{path}: not a TOML file: {problem}") from None
     try:
         return model.model_validate(data, context={"folder": path.parent})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.camera import R_OPENGL_OPENCV, Camera
+from svmdist.camera import R_OPENGL_OPENCV, Camera, DistortionModel
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 
@@ -91,3 +92,39 @@ def test_the_projections_derivative(distortion, skew_px):
         step = 1e-7 * np.eye(3)[column]
         ahead, back = (camera.project((p_m + sign * step).reshape(-1, 3)) for sign in (1.0, -1.0))
         np.testing.assert_allclose(J[..., column].reshape(-1, 2), (ahead - back) / 2e-7, atol=2e-4)
+
+
+@pytest.mark.parametrize("model", ["plumb_bob", "rational_polynomial", "fisheye"])
+@pytest.mark.parametrize("count", range(17))
+def test_every_length_of_distortion_projects_or_is_refused(model: DistortionModel, count: int) -> None:
+    """What the camera takes, OpenCV takes as well: nothing is left for its first use to find."""
+    K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
+    if count > 14 or (model == "fisheye" and count > 4):
+        with pytest.raises(ValueError, match="coefficients"):
+            Camera(640, 480, K, np.full(count, 0.01), distortion_model=model)
+        return
+    camera = Camera(640, 480, K, np.full(count, 0.01), distortion_model=model)
+    pixels = camera.project([[0.01, 0.02, 0.1], [0.0, 0.0, 0.2]])
+    assert np.isfinite(pixels).all()
+    np.testing.assert_allclose(pixels[1], [320.0, 240.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"K": np.eye(2)}, "K has shape"),
+        ({"K": np.diag([0.0, 500.0, 1.0])}, "not calibrated"),
+        ({"K": np.diag([1e9, 500.0, 1.0])}, "not calibrated"),
+        ({"K": np.diag([np.nan, 500.0, 1.0])}, "not calibrated"),
+        ({"D": np.array([1e9])}, "beyond"),
+        ({"D": np.array([np.nan])}, "beyond"),
+        ({"D": np.zeros((5, 1))}, "D has shape"),
+        ({"P": np.eye(3)}, "P has shape"),
+        ({"R_rectified_camera": np.eye(4)}, "R has shape"),
+        ({"width_px": 0}, "0x480"),
+    ],
+)
+def test_what_is_no_camera_is_refused_where_it_is_made(change: dict[str, Any], said: str) -> None:
+    fields = {"width_px": 640, "height_px": 480, "K": np.diag([500.0, 500.0, 1.0])} | change
+    with pytest.raises(ValueError, match=said):
+        Camera(**fields)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.errors import OutputError
-from svmdist.output_file import atomic_file, write_atomically
+from svmdist.output_file import BusyError, atomic_file, lock, locked_file, write_atomically
 
 
 def _cut_short(error: BaseException) -> Iterator[str]:
@@ -79,3 +79,50 @@ def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
         atomic_file(path) as target,
     ):
         target.write_text("x")
+
+
+def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
+    """Temporary files of this name that nobody holds go; those of another name, or of a process at work, stay."""
+    path = tmp_path / "rows.csv"
+    names = (".rows.csv.77.part", ".rows.csv.x.part", ".rows.csv.78.part")
+    stale, other, at_work = (tmp_path / name for name in names)
+    for left in (stale, other, at_work):
+        left.write_text("half")
+    with locked_file(at_work, "wb"):
+        write_atomically(path, ["whole\n"])
+    assert not stale.exists()
+    assert sorted(tmp_path.iterdir()) == sorted([path, other, at_work])
+
+
+def test_a_lock_is_held_by_one(tmp_path: Path) -> None:
+    """A second one is refused until the first has ended; then the file is emptied for it."""
+    path = tmp_path / "log.part"
+    with locked_file(path, "xb") as number:
+        os.write(number, b"half")
+        with pytest.raises(BusyError), locked_file(path, "wb"):
+            pass
+        assert path.read_bytes() == b"half"
+    with pytest.raises(FileExistsError), locked_file(path, "xb"):
+        pass
+    with locked_file(path, "wb"):
+        assert path.read_bytes() == b""
+
+
+def test_a_lock_is_that_of_the_file_under_the_name(tmp_path: Path) -> None:
+    """Who opens a name anew, when its file got a final one, makes a new file and does not write into that."""
+    path, final = tmp_path / "log.part", tmp_path / "log"
+    first = lock(path, "xb")
+    os.write(first, b"whole")
+    path.rename(final)
+    with locked_file(path, "wb") as second:
+        os.write(second, b"other")
+    os.close(first)
+    assert (final.read_bytes(), path.read_bytes()) == (b"whole", b"other")
+
+
+@pytest.mark.parametrize("length", [200, 250, 255])
+def test_long_names_are_written(tmp_path: Path, length: int) -> None:
+    path = tmp_path / ("n" * length)
+    write_atomically(path, ["whole\n"])
+    assert path.read_text() == "whole\n"
+    assert list(tmp_path.iterdir()) == [path]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -37,7 +38,7 @@ def calibrate_command(
     from svmdist.workflows.calibrate import calibrate
 
     require_output(output, files)
-    if output.exists() and not force:
+    if os.path.exists(output) and not force:
         raise UsageError(f"{output} exists; --force replaces it")
     loaded = load_profile(profile)
     recordings = [open_recording(path, loaded, topics=topics_of(topic)) for path in files]

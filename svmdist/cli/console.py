@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import codecs
+import io
 import os
 import sys
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TextIO
 
 from svmdist.cli.options import TableFormat
 from svmdist.errors import OutputError, UsageError
-from svmdist.output_file import write_atomically
+from svmdist.input_file import why
+from svmdist.output_file import FALLBACK, write_atomically
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -38,7 +42,13 @@ def say(message: str) -> None:
     """Print one line for a person to stderr, without markup or control characters."""
     from svmdist.report.text import printable
 
-    print(printable(message), file=sys.stderr)
+    with suppress(OSError):  # where stderr is full, there is nobody left to tell
+        print(printable(message), file=sys.stderr)
+
+
+def with_notes(message: str, error: BaseException) -> str:
+    """A message, with what was noted on the error on its way: what is left of the work."""
+    return "; ".join([message, *getattr(error, "__notes__", [])])
 
 
 def error_console() -> Console:
@@ -48,19 +58,60 @@ def error_console() -> Console:
     return Console(stderr=True, markup=False, emoji=False, highlight=False)
 
 
-def write_lines(lines: Iterable[str], output: Path | None) -> None:
-    """Write lines to stdout as they come, or atomically to a file; raises OutputError."""
-    if output is None:
-        try:
-            for line in lines:
-                sys.stdout.write(line)
-            sys.stdout.flush()
-        except BrokenPipeError:
-            # The reader of the pipe has enough, as `head` does. Python would complain again when it flushes.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise SystemExit(ExitCode.CLEAN) from None
+def write_lines(lines: Iterable[str], output: Path | None, *, is_json: bool = False) -> None:
+    """Write lines to stdout as they come, or atomically to a file, in UTF-8; raises OutputError.
+
+    Where stdout has another encoding, JSON is written in ASCII: whoever reads it need not know which.
+    """
+    if output is not None:
+        write_atomically(output, lines)
         return
-    write_atomically(output, lines)
+    require_output(None)
+    escapes = is_json and not _is_utf8(sys.stdout)
+    for line in lines:
+        _write(sys.stdout, _escaped(line) if escapes and not line.isascii() else line)
+    _write(sys.stdout, "", flush=True)
+
+
+def _write(stream: TextIO, text: str, *, flush: bool = False) -> None:
+    """Write to stdout; of the errors only its own are meant, not those of what makes the lines."""
+    try:
+        stream.write(text)
+        if flush:
+            stream.flush()
+    except BrokenPipeError:
+        # The reader of the pipe has enough, as `head` does.
+        abandon(stream)
+        raise SystemExit(ExitCode.CLEAN) from None
+    except OSError as problem:
+        abandon(stream)
+        raise OutputError(f"stdout: cannot write: {why(problem)}") from None
+
+
+def _is_utf8(stream: TextIO) -> bool:
+    return codecs.lookup(getattr(stream, "encoding", None) or "ascii").name == "utf-8"
+
+
+def _escaped(line: str) -> str:
+    """JSON in ASCII: what else there is stands in its texts."""
+    import json
+
+    return "".join(character if character.isascii() else json.dumps(character)[1:-1] for character in line)
+
+
+def abandon(stream: TextIO | None) -> None:
+    """Let a stream that accepts no more lose what it still holds: Python would complain again when it flushes."""
+    with suppress(OSError, ValueError, AttributeError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, stream.fileno())  # type: ignore[union-attr]
+        os.close(null)
+
+
+def adapt_streams() -> None:
+    """Let no text fail for want of a character in the terminal's encoding, in a file's name, or in the C locale."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=FALLBACK)
 
 
 def write_tables(tables: Sequence[Table], notes: Sequence[str], output: Path | None) -> None:
@@ -86,9 +137,7 @@ class Summary:
 
 def write_summary(summary: Summary, form: TableFormat, output: Path | None) -> None:
     """Write tables, CSV, or a JSON array of objects."""
-    import json
-
-    from svmdist.report.table import csv_lines
+    from svmdist.report.table import csv_lines, json_text
 
     match form:
         case TableFormat.TABLE:
@@ -96,7 +145,7 @@ def write_summary(summary: Summary, form: TableFormat, output: Path | None) -> N
         case TableFormat.CSV:
             write_lines(csv_lines(summary.keys, summary.rows), output)
         case TableFormat.JSON:
-            write_lines([json.dumps(list(summary.rows), indent=1, ensure_ascii=False) + "\n"], output)
+            write_lines([json_text(list(summary.rows), indent=1) + "\n"], output, is_json=True)
 
 
 def terminal_width(output: Path | None) -> int | None:
@@ -107,14 +156,24 @@ def terminal_width(output: Path | None) -> int | None:
 def require_output(output: Path | None, inputs: Iterable[Path] = ()) -> None:
     """Fail before the work rather than after it; raises OutputError, and UsageError where it is one of the inputs."""
     if output is None:
+        if sys.stdout is None:  # as `svmdist … >&-` has it
+            raise OutputError("stdout: cannot write: it is closed; give --output FILE")
         return
-    if output.exists() and any(path.exists() and path.samefile(output) for path in inputs):
+    try:
+        os.stat(output)
+    except FileNotFoundError:
+        is_there = False
+    except (OSError, ValueError) as problem:
+        raise OutputError(f"{output}: cannot write: {why(problem)}") from None
+    else:
+        is_there = True
+    if is_there and any(os.path.exists(path) and path.samefile(output) for path in inputs):
         raise UsageError(f"{output}: is the recording to read; give the output another name")
     if output.is_dir():
         raise OutputError(f"{output}: cannot write: it is a folder")
     if not output.parent.is_dir():
         raise OutputError(f"{output}: cannot write: there is no folder {output.parent}")
-    target = output if output.exists() else output.parent
+    target = output if is_there else output.parent
     if not os.access(target, os.W_OK):
         raise OutputError(f"{output}: cannot write: permission denied")
 

@@ -78,7 +78,8 @@ def estimate_command(
     tally: Tally = Counter()
     rows = _started(_rows(recordings, setup, wanted, tally, rules, given, jobs))
     planar = setup.method in PLANAR_METHODS
-    write_lines(_lines(form, rows, rules is not None, several, terminal_width(output), planar), output)
+    lines = _lines(form, rows, rules is not None, several, terminal_width(output), planar)
+    write_lines(lines, output, is_json=form in {RowFormat.JSON, RowFormat.JSONL})
     _summarise(tally)
     raise typer.Exit(report_health(recordings))
 

@@ -56,7 +56,7 @@ def fk_command(
         case PoseFormat.CSV:
             write_lines(csv_lines(POSE_KEYS, pose_rows(result)), output)
         case PoseFormat.JSON:
-            write_lines(json_array_lines(POSE_KEYS, pose_rows(result)), output)
+            write_lines(json_array_lines(POSE_KEYS, pose_rows(result)), output, is_json=True)
         case PoseFormat.TUM:
             write_lines(tum_lines(result), output)
     if result.errors is not None:

@@ -29,12 +29,10 @@ def info_command(
 
     It also lists the commands and methods that the recording can serve, and what is missing for the others.
     """
-    import json
-
     from svmdist.profile import load_profile
     from svmdist.recording.inspect import inspect_recording
     from svmdist.report.info import TOPIC_KEYS, info_document, info_lines, topic_row
-    from svmdist.report.table import csv_lines
+    from svmdist.report.table import csv_lines, json_text
 
     require_output(output, [file])
     loaded = load_profile(profile)
@@ -45,7 +43,5 @@ def info_command(
         case TableFormat.CSV:
             write_lines(csv_lines(TOPIC_KEYS, (topic_row(entry) for entry in summary.topics)), output)
         case TableFormat.JSON:
-            write_lines(
-                [json.dumps(info_document(summary, loaded), indent=1, ensure_ascii=False) + "\n"], output
-            )
+            write_lines([json_text(info_document(summary, loaded), indent=1) + "\n"], output, is_json=True)
     raise typer.Exit(report_health([summary]))

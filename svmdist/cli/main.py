@@ -12,8 +12,9 @@ import typer
 from typer.core import TyperGroup
 
 from svmdist.cli import blur_bench, calibrate, compare, estimate, fk, info, record, show, validate
-from svmdist.cli.console import ExitCode, say
-from svmdist.errors import SvmdistError, UsageError, did_you_mean
+from svmdist.cli.console import ExitCode, abandon, adapt_streams, say, with_notes
+from svmdist.cli.resources import what_lacks
+from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
 
 
 class Commands(TyperGroup):
@@ -35,9 +36,10 @@ def _interruptible() -> Iterator[None]:
     """Turn an interrupt into one line and the exit code that shells give it."""
     try:
         yield
-    except KeyboardInterrupt:
-        say("svmdist: interrupted")
-        sys.exit(ExitCode.INTERRUPTED)
+    except KeyboardInterrupt as problem:
+        is_ended = isinstance(problem, Terminated)
+        say(with_notes("svmdist: terminated" if is_ended else "svmdist: interrupted", problem))
+        sys.exit(128 + problem.signal_number if isinstance(problem, Terminated) else ExitCode.INTERRUPTED)
 
 
 @contextmanager
@@ -63,7 +65,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Exit codes: 0 clean, 1 unusable, 2 usage, 3 usable with loss, 4 worse than the baseline,"
-    " 130 interrupted.",
+    " 130 interrupted, 143 terminated.",
 )
 
 
@@ -99,11 +101,19 @@ app.command("fk")(fk.fk_command)
 
 def run() -> None:
     """Run the command line and exit with its code."""
+    adapt_streams()
     try:
         app()
     except UsageError as problem:
         say(f"svmdist: {problem}")
         sys.exit(ExitCode.USAGE)
     except SvmdistError as problem:
-        say(f"svmdist: {problem}")
+        say(with_notes(f"svmdist: {problem}", problem))
+        sys.exit(ExitCode.UNUSABLE)
+    except Exception as problem:
+        lack = what_lacks(problem)
+        if lack is None:
+            raise  # a fault of svmdist's own: its traceback is what helps to find it
+        say(with_notes(f"svmdist: {lack}", problem))
+        abandon(sys.stdout)
         sys.exit(ExitCode.UNUSABLE)

@@ -183,9 +183,7 @@ def validate_command(
 
 
 def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
-    import json
-
-    from svmdist.report.table import csv_lines
+    from svmdist.report.table import csv_lines, json_text
     from svmdist.report.validation import score_keys, score_row, validation_document
     from svmdist.report.validation_tables import remarks, validation_tables
 
@@ -199,6 +197,4 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
             scores = (*result.scores, *result.overall)
             write_lines(csv_lines(score_keys(), (score_row(score) for score in scores)), output)
         case TableFormat.JSON:
-            write_lines(
-                [json.dumps(validation_document(result), indent=1, ensure_ascii=False) + "\n"], output
-            )
+            write_lines([json_text(validation_document(result), indent=1) + "\n"], output, is_json=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from svmdist.errors import ProfileError
 from svmdist.geometry.surfaces import Mesh
+from svmdist.input_file import read_regular, why
 from svmdist.transforms import Array
 
 Indices = NDArray[np.int64]
@@ -20,6 +21,8 @@ MAX_TRIANGLES = 20_000
 MAX_FILE_BYTES = 64 << 20
 MIN_SIZE_M, MAX_SIZE_M = 1e-3, 1.0
 """Across: what an endoscope sees. Beyond it, the unit is another one than the profile says."""
+MAX_COORDINATE = 1e9
+"""Of a corner, in whatever unit: its square is a number still."""
 FLAT = 1e-6
 """Volume over the cube of the diagonal below which nothing is enclosed."""
 STL_HEADER_BYTES = 84
@@ -40,12 +43,14 @@ def read_closed_mesh(path: Path, metres_per_unit: float) -> Mesh:
         raise ProfileError(
             f"{path}: {len(triangles)} triangles; at most {MAX_TRIANGLES} are taken: decimate the mesh first"
         )
-    if not np.isfinite(triangles).all():
-        raise ProfileError(f"{path}: not every coordinate is a finite number")
+    if not (np.abs(triangles) <= MAX_COORDINATE).all():  # false for what is no number, too
+        raise ProfileError(f"{path}: not every coordinate is a finite number within ±{MAX_COORDINATE:g}")
     triangles = triangles * metres_per_unit
     vertices_m, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     faces = np.asarray(index.reshape(-1, 3), np.int64)
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    if len(faces) == 0:
+        raise ProfileError(f"{path}: an empty mesh: every face of it runs into itself")
     size_m = float(np.linalg.norm(np.ptp(vertices_m, axis=0)))
     if not MIN_SIZE_M <= size_m <= MAX_SIZE_M:
         raise ProfileError(
@@ -67,12 +72,9 @@ def _triangles(path: Path) -> Array:
             f"{path}: expected a mesh in a file .obj or .stl, found {path.suffix or 'no ending'}"
         )
     try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise ProfileError(f"{path}: {size >> 20} MiB; a mesh file may have {MAX_FILE_BYTES >> 20} MiB")
-        content = path.read_bytes()
+        content = read_regular(path, MAX_FILE_BYTES)
     except OSError as problem:
-        raise ProfileError(f"{path}: cannot read the mesh: {problem.strerror or problem}") from None
+        raise ProfileError(f"{path}: cannot read the mesh: {why(problem)}") from None
     try:
         return reader(content)
     except (ValueError, IndexError, OverflowError) as problem:

@@ -22,4 +22,5 @@ def chain_of(robot: Robot) -> DHChain:
         )
         for joint in robot.joints
     )
-    return DHChain(rows, robot.convention, robot.T_last_tool)
+    tolerance = (robot.limit_tolerance_rad, robot.limit_tolerance_m)
+    return DHChain(rows, robot.convention, robot.T_last_tool, *tolerance)

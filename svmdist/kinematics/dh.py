@@ -41,6 +41,10 @@ class DHChain:
     rows: tuple[DHRow, ...]
     convention: Convention = "standard"
     T_last_tool: Array = field(default_factory=lambda: np.eye(4))
+    limit_tolerance_rad: float = np.inf
+    """How far beyond its limits a joint that turns may be reported."""
+    limit_tolerance_m: float = np.inf
+    """The same of a joint that slides."""
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
@@ -56,6 +60,16 @@ class DHChain:
     def upper(self) -> Array:
         """Upper joint limits in rad or m, shape (n_joints,)."""
         return _constant([row.upper for row in self.rows if row.joint != "fixed"])
+
+    @cached_property
+    def limit_tolerance(self) -> Array:
+        """How far beyond its limits each joint may be reported, in rad or m, shape (n_joints,)."""
+        return np.where(self.is_revolute, self.limit_tolerance_rad, self.limit_tolerance_m)
+
+    def are_within_limits(self, q: Array) -> NDArray[np.bool_]:
+        """Which joints, shape (..., n_joints), are within their limits and the tolerance."""
+        tolerance = self.limit_tolerance
+        return np.asarray((q >= self.lower - tolerance) & (q <= self.upper + tolerance))
 
     @cached_property
     def moving_rows(self) -> NDArray[np.intp]:

@@ -19,6 +19,16 @@ NO_JOINTS = Failure("no joints near the image")
 NO_CAMERA = Failure("no transform from the camera to the base")
 
 
+def _outside(chain: DHChain, q: Array, joint: int) -> Failure:
+    """Why joints are not believed: the first one that is where it cannot be."""
+    unit = "rad" if chain.is_revolute[joint] else "m"
+    lower, upper = (limits[joint] for limits in (chain.lower, chain.upper))
+    return Failure(
+        f"joint {chain.joint_names[joint]} is at {q[joint]:.6g} {unit}, outside its limits {lower:.4g} to {upper:.4g}"
+        f" {unit} and the tolerance {chain.limit_tolerance[joint]:.4g} {unit}"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class RobotState:
     """Joints of a chain at a stamp, and where the camera stands: the nominal (uncorrected) kinematics of one frame.
@@ -48,17 +58,25 @@ class RobotState:
         """The state by a sample's joints, or what they lack; the camera's transform may be missing."""
         if joints is None:
             return NO_JOINTS
+        has_track = track is not None and track.names == joints.names
+        rows = (
+            np.vstack([joints.positions, track.positions]) if track and has_track else joints.positions[None]
+        )
         try:
-            if track is None or track.names != joints.names:
-                return cls(
-                    chain, stamp_ns, select_joints(chain, joints.names, joints.positions), T_camera_base
-                )
-            rows = np.vstack([joints.positions, track.positions])
-            q, *around = select_joints(chain, joints.names, rows)
+            selected = select_joints(chain, joints.names, rows)
         except KinematicsError as problem:
             return Failure(str(problem))
-        of_chain = JointTrack(track.stamps_ns, chain.joint_names, np.array(around))
-        return cls(chain, stamp_ns, np.asarray(q), T_camera_base, of_chain)
+        within = chain.are_within_limits(selected)
+        q, around = selected[0], selected[1:]
+        if not within[0].all():
+            return _outside(chain, q, int(np.argmin(within[0])))
+        of_chain = None
+        if track is not None and has_track:
+            usable = within[1:].all(axis=1)  # one stray sample beside the image shall not stop it
+            of_chain = JointTrack(track.stamps_ns[usable], chain.joint_names, around[usable])
+        return cls(
+            chain, stamp_ns, q, T_camera_base, of_chain if of_chain and len(of_chain.stamps_ns) else None
+        )
 
     def shifted(self, time_offset_s: float) -> RobotState:
         """The state with the joints that were stamped so much later; the same where the log does not have them.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import count
 
-from svmdist.recording.names import sanitize
+from svmdist.recording.names import cut, sanitize
 
 MAX_LISTED_LOSSES = 1000
 """A file with a million broken chunks must not fill the memory with reports about them."""
@@ -36,6 +36,12 @@ class Loss:
     detail: str
     byte_offset: int | None = None
     topic: str | None = None
+
+    def __post_init__(self) -> None:
+        """Keep no more of a text than is shown: it may come from the file."""
+        object.__setattr__(self, "detail", cut(self.detail))
+        if self.topic is not None:
+            object.__setattr__(self, "topic", cut(self.topic))
 
     def __str__(self) -> str:
         place = "" if self.byte_offset is None else f" at byte {self.byte_offset}"

@@ -6,6 +6,13 @@ from collections.abc import Iterable
 
 MAX_NAME_LENGTH = 300
 MAX_LISTED_NAMES = 40
+MAX_NAME_BYTES = 4096
+"""Of a topic, a frame, a joint, a schema: longer ones are no names."""
+
+
+def cut(text: str) -> str:
+    """The beginning of a text that may be endless, to be kept or shown."""
+    return text if len(text) <= MAX_NAME_LENGTH else f"{text[:MAX_NAME_LENGTH]}..."
 
 
 def sanitize(name: str) -> str:
@@ -14,7 +21,7 @@ def sanitize(name: str) -> str:
     >>> sanitize("/left\x1b[31m")
     '/left\\x1b[31m'
     """
-    shown = name if len(name) <= MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]}..."
+    shown = cut(name)
     if shown.isprintable():
         return shown
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in shown)

@@ -78,12 +78,19 @@ class Observer:
         ]
         has_transforms = needs.transforms and self._moving_tf() is not None
         lag_ns = 0 if self._world is None else self._world.lag_ns
+
+        def repeated(logged: LoggedImage) -> None:
+            stamp = f"an image of {logged.image.stamp_ns} ns"
+            detail = f"{stamp} repeats a stamp, or comes too far behind later ones; it is left out"
+            self._messages.health.add(Loss(LossKind.MESSAGE, detail, logged.offset, image_topic))
+
         matcher = Matcher(
             buffers,
             has_right=right is not None,
             has_transforms=has_transforms,
             lag_ns=lag_ns,
             pair_tolerance_ns=round(self._messages.limits.pair_tolerance_s * 1e9),
+            on_repeat=repeated,
         )
         items = self.items(image_topic, joint_topics, None if right is None else right.topic, with_tf=True)
         if self._world is not None:

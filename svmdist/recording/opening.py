@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from svmdist.errors import RecordingError
+from svmdist.input_file import open_regular, why
 from svmdist.profile import Limits
 from svmdist.recording.mcap_file.framing import MAGIC as MCAP_MAGIC
 from svmdist.recording.mcap_file.source import McapSource
@@ -43,16 +44,12 @@ def open_source(path: Path, limits: Limits) -> Source:
                 return Rosbag2Source(path, limits)
             detail = f"a directory without {METADATA_FILE}"
             raise RecordingError(f"{path}: is {detail}; expected {WHAT_IS_EXPECTED}")
-        if not path.exists():
-            raise RecordingError(f"{path}: no such file")
-        if not path.is_file():
-            raise RecordingError(f"{path}: is no regular file, and only one can be read more than once")
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             start = file.read(64)
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: no such file") from None
     except (OSError, ValueError) as problem:
-        raise RecordingError(
-            f"{path}: cannot read: {getattr(problem, 'strerror', None) or problem}"
-        ) from None
+        raise RecordingError(f"{path}: cannot read: {why(problem)}") from None
     source = _open_file(path, start, limits)
     if is_message_compressed(source):
         raise RecordingError(

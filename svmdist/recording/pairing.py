@@ -6,8 +6,9 @@ pair.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -24,6 +25,10 @@ from svmdist.transforms import Array
 LOOK_AHEAD_NS = 3_000_000_000
 """How long, in log time, an image waits for the joints behind its stamp: clocks may differ by seconds."""
 MAX_WAITING_BYTES = 64 << 20
+MAX_SWAPPED_IMAGES = 4
+"""As many images wait for one that is stamped before them: two chunks of a log that changed places hold no more."""
+MAX_SWAPPED_ITEMS = 1500
+"""Nor do they wait for more messages than these: the joints at their stamp would be forgotten meanwhile."""
 MAX_JOINT_SAMPLES = 5_000
 """Five seconds of joints at 1 kHz, and 2 MB: images may be stamped that much before the joints around them."""
 JOINT_TRACK_NS = 200_000_000
@@ -180,7 +185,10 @@ class ArmBuffer:
 
 
 class Matcher:
-    """Finds what belongs to an image; images wait for right images and for transforms where there are any."""
+    """Finds what belongs to an image; images wait for right images and for transforms where there are any.
+
+    `on_repeat` hears of images that are left out, for their stamp has come before.
+    """
 
     def __init__(
         self,
@@ -190,6 +198,7 @@ class Matcher:
         has_transforms: bool,
         lag_ns: int = 0,
         pair_tolerance_ns: int = PAIR_TOLERANCE_NS,
+        on_repeat: Callable[[LoggedImage], None] | None = None,
     ) -> None:
         self._arms = tuple(arms)
         # Joints that are stamped late may be logged late, too.
@@ -197,25 +206,52 @@ class Matcher:
         self._right = RightBuffer(pair_tolerance_ns)
         self._has_right = has_right
         self._has_transforms = has_transforms
-        self._waiting: deque[LoggedImage] = deque()
+        self._waiting: list[LoggedImage] = []
         self._waiting_bytes = 0
+        self._last_ns = -1
+        self._taken = 0
+        self._taken_at: dict[int, int] = {}
+        self._on_repeat = on_repeat
 
     def match(self, items: Iterable[Item]) -> Iterator[Matched]:
-        """Yield every image in order with what is known at its stamp; items come in file order."""
+        """Yield every image with what is known at its stamp, by stamp and each once; items come in file order."""
         for item in items:
             self._take_up(item)
             while self._waiting and (self._waiting_bytes > MAX_WAITING_BYTES or self._is_ready()):
-                ready = self._waiting.popleft()
-                self._waiting_bytes -= ready.size_bytes
-                yield self._matched(ready)
-        for left in self._waiting:
-            yield self._matched(left)
+                yield self._matched(self._next())
+        while self._waiting:
+            yield self._matched(self._next())
+
+    def _next(self) -> LoggedImage:
+        ready = self._waiting.pop(0)
+        self._waiting_bytes -= ready.size_bytes
+        self._last_ns = ready.image.stamp_ns
+        del self._taken_at[self._last_ns]
+        return ready
+
+    def _put(self, logged: LoggedImage) -> None:
+        """Let an image wait in its place, by stamp; one whose stamp was there before, or has passed, is a repeat."""
+        stamp_ns = logged.image.stamp_ns
+        place = bisect_left(self._waiting, stamp_ns, key=lambda waiting: waiting.image.stamp_ns)
+        is_there = place < len(self._waiting) and self._waiting[place].image.stamp_ns == stamp_ns
+        # Frames of a video are decoded as they come: one that would have to wait its turn again is out of it, too.
+        is_late = stamp_ns <= self._last_ns or (logged.image.is_ordered and place < len(self._waiting))
+        if is_there or is_late:
+            if logged.image.is_ordered:
+                with suppress(ImageError):
+                    logged.image.decode()
+            if self._on_repeat is not None:
+                self._on_repeat(logged)
+            return
+        self._taken_at[stamp_ns] = self._taken
+        self._waiting.insert(place, logged)
+        self._waiting_bytes += logged.size_bytes
 
     def _take_up(self, item: Item) -> None:
+        self._taken += 1
         match item:
             case LoggedImage():
-                self._waiting.append(item)
-                self._waiting_bytes += item.size_bytes
+                self._put(item)
             case RightImage(logged=logged):
                 self._right.add(logged)
             case LoggedJoints(sample=joints, arm=arm):
@@ -227,12 +263,17 @@ class Matcher:
 
     def _is_ready(self) -> bool:
         first = self._waiting[0]
-        if self._waiting[-1].log_time_ns - first.log_time_ns > self._look_ahead_ns:
+        newest_ns = max(waiting.log_time_ns for waiting in self._waiting)
+        if newest_ns - first.log_time_ns > self._look_ahead_ns:
             return True
-        newest_ns = [self._right.newest_ns] if self._has_right else []
-        newest_ns += [arm.joints.newest_ns - JOINT_TRACK_NS for arm in self._arms if arm.has_joints]
-        newest_ns += [arm.transforms.newest_ns for arm in self._arms if self._has_transforms]
-        return all(first.image.stamp_ns <= newest for newest in newest_ns)
+        since = self._taken - self._taken_at[first.image.stamp_ns]
+        may_be_swapped = len(self._waiting) <= MAX_SWAPPED_IMAGES and since <= MAX_SWAPPED_ITEMS
+        if may_be_swapped and not first.image.is_ordered:
+            return False
+        passed_ns = [self._right.newest_ns] if self._has_right else []
+        passed_ns += [arm.joints.newest_ns - JOINT_TRACK_NS for arm in self._arms if arm.has_joints]
+        passed_ns += [arm.transforms.newest_ns for arm in self._arms if self._has_transforms]
+        return all(first.image.stamp_ns <= newest for newest in passed_ns)
 
     def _matched(self, logged: LoggedImage) -> Matched:
         stamp_ns = logged.image.stamp_ns

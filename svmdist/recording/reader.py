@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,6 +12,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError, did_you_mean
+from svmdist.input_file import open_regular
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
 from svmdist.perturbations.clock import later_ns
@@ -19,7 +21,7 @@ from svmdist.profile import Limits, Profile
 from svmdist.recording.arms import LoggedArm, find_arms
 from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
 from svmdist.recording.encoded import EVERYTHING, Decoded, EncodedObservation, Needs
-from svmdist.recording.health import Health, LossKind
+from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.names import sanitize, sanitize_list
 from svmdist.recording.observing import Observer
 from svmdist.recording.opening import open_source
@@ -260,21 +262,30 @@ class Recording:
     def joint_track(self) -> JointTrack:
         """Read all joint states."""
         topic = self._choice.require(Role.JOINTS)
-        samples: list[JointSample] = []
+        names: tuple[str, ...] | None = None
+        stamps, values = array("q"), array("d")  # a sample as an object is five times as large
         replayed = None if self._world is None else self._world.joints_of(self._arms[0].name)
         for raw, sample in self._messages.samples(topic):
             if not isinstance(sample, JointSample):
                 continue
-            if samples and sample.names != samples[0].names:
+            names = names or sample.names
+            if sample.names != names:
                 self._messages.record_loss(LossKind.MESSAGE, OTHER_JOINTS, raw)
                 continue
-            samples += [sample] if replayed is None else replayed.replayed(sample)
-        if not samples:
+            for each in [sample] if replayed is None else replayed.replayed(sample):
+                stamps.append(each.stamp_ns)
+                values.extend(each.positions)
+        if names is None or not stamps:
             raise RecordingError(f"{self.path.name}: no usable joint states on {sanitize(topic)}")
-        stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
+        stamps_ns = np.array(stamps, np.int64)
+        positions = np.frombuffer(values, np.float64).reshape(len(stamps), len(names))
         order = sort_stamps(stamps_ns)
-        positions = np.array([sample.positions for sample in samples])
-        return JointTrack(stamps_ns[order], samples[0].names, positions[order])
+        if len(order) < len(stamps_ns):
+            detail = f"{len(stamps_ns) - len(order)} joint states repeat a stamp; the last one counts"
+            self.health.add(Loss(LossKind.MESSAGE, detail, None, topic))
+        elif (np.diff(order) == 1).all():
+            return JointTrack(stamps_ns, names, positions)
+        return JointTrack(stamps_ns[order], names, positions[order])
 
     def transform_track(self, parent: str, child: str, *, ground_truth: bool = False) -> TransformTrack:
         """Read `T_parent_child` over time, composed along the tree of the nominal or the true transforms.
@@ -338,7 +349,7 @@ class Recording:
         digest = hashlib.sha256()
         for file in self._files():
             try:
-                with file.open("rb") as stream:
+                with open_regular(file) as stream:
                     while piece := stream.read(1 << 20):
                         digest.update(piece)
             except OSError as problem:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import version
@@ -13,6 +14,7 @@ from typing import IO, Self
 from mcap.writer import CompressionType, Writer
 
 from svmdist.errors import OutputError, UsageError
+from svmdist.output_file import BusyError, is_held, lock
 from svmdist.recording.messages.encoding import EncodedSample, encode, message_type
 from svmdist.recording.sources import METADATA_NAME
 from svmdist.samples import Sample
@@ -22,6 +24,7 @@ CHUNK_BYTES = 240 * 1024
 CHUNK_SPAN_NS = 250_000_000
 """A chunk spans at most a quarter of a second of log time: what a killed recorder loses. It is log time
 and not the wall clock that ends a chunk, for a rerun shall be byte-identical."""
+IS_HELD = "another process is recording to it; wait for its end, or give another name"
 RECORD_HEAD_BYTES = 9
 MESSAGE_HEAD_BYTES = 22
 
@@ -61,7 +64,8 @@ class RecordingWriter:
         self._refuse_to_replace(self.path)
         self._refuse_to_replace(self.part_path)
         try:
-            self._file = open(self.part_path, "wb" if self._force else "xb")
+            # One process at a time: two that write one file would leave what neither wrote.
+            self._file = os.fdopen(lock(self.part_path, "wb" if self._force else "xb"), "wb")
             self._writer = Writer(
                 self._file,
                 chunk_size=1 << 40,  # this class ends the chunks, before they grow too large
@@ -71,6 +75,11 @@ class RecordingWriter:
             self._writer.start(library=f"svmdist {version('svmdist')}")
             self._writer.add_metadata(METADATA_NAME, dict(sorted(self._metadata.items())))
             self._file.flush()
+        except BusyError:
+            raise UsageError(f"{self.part_path}: {IS_HELD}") from None
+        except FileExistsError:  # it was made since we looked
+            self._refuse_to_replace(self.part_path)
+            raise
         except OSError as problem:
             raise self._failure(problem) from problem
         return self
@@ -102,7 +111,11 @@ class RecordingWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._file is None or self._file.closed:
+        if self._file is None:
+            return
+        if self._channels and isinstance(error, KeyboardInterrupt | OutputError):
+            error.add_note(f"what was recorded until then is in {self.part_path}")
+        if self._file.closed:
             return
         if kind is not None:
             # Keep what there is; the caller's exception matters more than another one from here.
@@ -117,9 +130,11 @@ class RecordingWriter:
             self._writer.finish()
             self._file.flush()
             os.fsync(self._file.fileno())  # a full disk may show only here
-            self._file.close()
             self._refuse_to_replace(self.path)
-            self.part_path.replace(self.path)
+            if sys.platform == "win32":  # an open file cannot be renamed there
+                self._file.close()
+            self.part_path.replace(self.path)  # before the lock is given up: until then the file is ours
+            self._file.close()
         except OSError as problem:
             raise self._failure(problem) from problem
 
@@ -148,7 +163,9 @@ class RecordingWriter:
         return channel_id
 
     def _refuse_to_replace(self, path: Path) -> None:
-        if not self._force and path.exists():
+        if not self._force and os.path.lexists(path):
+            if path == self.part_path and is_held(path):
+                raise UsageError(f"{path}: {IS_HELD}")
             what = "is left from an interrupted recording" if path == self.part_path else "exists already"
             raise UsageError(f"{path}: {what}; give another name, or --force to replace it")
 

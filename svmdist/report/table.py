@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,6 +17,8 @@ if TYPE_CHECKING:  # rows that are written as they come need no layout, and star
     from rich.table import Table as RichTable
 
     from svmdist.workflows.scoring.metric import Metric
+
+SURROGATES = re.compile("[\ud800-\udfff]")
 
 Cell = str | int | float | None
 Row = Mapping[str, Cell]
@@ -194,7 +197,7 @@ def csv_lines(keys: Sequence[str], rows: Iterable[Row]) -> Iterator[str]:
 def json_lines(keys: Sequence[str], rows: Iterable[Row]) -> Iterator[str]:
     """Yield one JSON object a line; a value that does not exist is null."""
     for row in rows:
-        yield json.dumps({key: json_value(row.get(key)) for key in keys}, ensure_ascii=False) + "\n"
+        yield json_text({key: json_value(row.get(key)) for key in keys}) + "\n"
 
 
 def json_array_lines(keys: Sequence[str], rows: Iterable[Row]) -> Iterator[str]:
@@ -204,6 +207,12 @@ def json_array_lines(keys: Sequence[str], rows: Iterable[Row]) -> Iterator[str]:
         yield separator + line.rstrip("\n")
         separator = ",\n"
     yield "[]\n" if separator == "[\n" else "\n]\n"
+
+
+def json_text(document: object, indent: int | None = None) -> str:
+    """JSON of a document. A byte of a file's name that is not UTF-8 becomes U+FFFD, which every reader takes."""
+    text = json.dumps(document, indent=indent, ensure_ascii=False)
+    return text if text.isascii() else SURROGATES.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def json_value(value: Cell) -> Cell:

@@ -20,6 +20,7 @@ from svmdist.simulation.bullet import BulletClient, quiet_stdout
 from svmdist.simulation.closing import Closing
 from svmdist.simulation.room.surfaces import NO_PART
 from svmdist.simulation.scene import Scene, make_floor, risen
+from svmdist.simulation.temporary import writing_temporary_files
 from svmdist.simulation.urdf import LinkVisual, part_link, urdf_of
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
@@ -93,15 +94,17 @@ class DrawnWorld(Closing):
         self._tissue: int | None = None
         self._floor: int | None = None
         self._retractor: int | None = None
+        with writing_temporary_files():
+            self._folder = tempfile.TemporaryDirectory(prefix="svmdist-")
         self.client = BulletClient()
-        self._folder = tempfile.TemporaryDirectory(prefix="svmdist-")
         self._plugin = -1
         try:
             pb = self.client.pb
             if egl:
                 self._plugin = _load_egl(self.client)
             self.kind = pb.ER_BULLET_HARDWARE_OPENGL if egl else pb.ER_TINY_RENDERER
-            self._build(scene, others, still, moving)
+            with writing_temporary_files():
+                self._build(scene, others, still, moving)
         except BaseException:
             self.close()
             raise

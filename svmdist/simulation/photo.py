@@ -24,6 +24,7 @@ from svmdist.simulation.bodies.meshes import DrawnMesh
 from svmdist.simulation.closing import Closing
 from svmdist.simulation.room.shading import FULL_LIGHT_M, LAMP_M
 from svmdist.simulation.scene import Scene, make_floor, risen
+from svmdist.simulation.temporary import writing_temporary_files
 from svmdist.transforms import Array, make_transform, transform_points
 
 VARIANT = "scalar_rgb"
@@ -47,15 +48,17 @@ class PhotoRenderer(Closing):
         self._mi = _load_mitsuba()
         self._scenes = (scene, *others)
         self._scene = scene
-        self._folder = tempfile.TemporaryDirectory(prefix="svmdist-")
+        with writing_temporary_files():
+            self._folder = tempfile.TemporaryDirectory(prefix="svmdist-")
         self._turn = 0
         self._posed: Any = None
         try:
-            self._files = {
-                id(mesh): str(mesh.write_obj(Path(self._folder.name) / f"{number}.obj"))
-                for number, mesh in enumerate(self._meshes())
-            }
-            self._floor_file = str(make_floor().write_obj(Path(self._folder.name) / "floor.obj"))
+            with writing_temporary_files():
+                self._files = {
+                    id(mesh): str(mesh.write_obj(Path(self._folder.name) / f"{number}.obj"))
+                    for number, mesh in enumerate(self._meshes())
+                }
+                self._floor_file = str(make_floor().write_obj(Path(self._folder.name) / "floor.obj"))
         except BaseException:
             self.close()
             raise

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
+from svmdist.input_file import read_regular, why
 from svmdist.output_file import write_atomically
 from svmdist.workflows.scoring.metric import Better, Metric, Tolerance, cells
 from svmdist.workflows.scoring.metric_table import stored_metrics
@@ -20,6 +21,7 @@ from svmdist.workflows.validate import Validation
 
 SCHEMA: Literal["svmdist.baseline/1"] = "svmdist.baseline/1"
 
+MAX_FILE_BYTES = 64 << 20
 
 FIRST_KEYS = ("r_squared", "rmse_m", "p95_abs_error_m", "coverage")
 """What every baseline stores, in this order. Metrics that came later are missing in older ones."""
@@ -140,10 +142,10 @@ def find_regressions(validation: Validation, baseline: Baseline, *, complete: bo
 def load_baseline(path: Path) -> Baseline:
     """Read a baseline file; raises RecordingError that says what is wrong with it."""
     try:
-        return Baseline.model_validate_json(path.read_text("utf-8"))
+        return Baseline.model_validate_json(read_regular(path, MAX_FILE_BYTES).decode("utf-8"))
     except OSError as problem:
-        raise RecordingError(f"{path}: cannot read the baseline: {problem.strerror or problem}") from None
-    except (ValidationError, UnicodeDecodeError, json.JSONDecodeError) as problem:
+        raise RecordingError(f"{path}: cannot read the baseline: {why(problem)}") from None
+    except (ValidationError, UnicodeDecodeError, RecursionError) as problem:
         first = str(problem).splitlines()[0]
         raise RecordingError(f"{path}: not a baseline of schema {SCHEMA}: {first}") from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +10,13 @@ from numpy.typing import NDArray
 
 from svmdist.errors import RecordingError
 from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import forward_kinematics, select_joints
+from svmdist.kinematics.dh import MANY, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
 from svmdist.tracks import MAX_GAP_NS, PoseTrack
 from svmdist.transforms import Array, inverse, rotation_angle
+
+BLOCK = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -50,11 +53,22 @@ def fk(recording: Recording, profile: Profile, max_gap_ns: int = MAX_GAP_NS) -> 
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)
     joints = recording.joint_track()
-    T_base_tool = forward_kinematics(chain, select_joints(chain, joints.names, joints.positions))
+    T_base_tool = np.empty((len(joints.stamps_ns), 4, 4))
+    # In blocks: the joints in the chain's order, and what is computed of them, would be as large again.
+    for block in _blocks(len(T_base_tool)):
+        q = select_joints(chain, joints.names, joints.positions[block])
+        T_base_tool[block] = forward_kinematics(chain, q)
     errors = None
     if recording.topic_of("pose") is not None:
         errors = _errors(joints.stamps_ns, T_base_tool, recording.pose_track(), max_gap_ns)
     return ForwardKinematics(joints.stamps_ns, T_base_tool, errors)
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """Parts of so many rows, none of which is short unless all of it is: short ones are computed in another way."""
+    starts = range(0, max(count - MANY, 1), BLOCK)
+    yield from (slice(at, at + BLOCK) for at in starts[:-1])
+    yield slice(starts[-1], count)
 
 
 def _errors(

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.report.estimates import ESTIMATE_KEYS
-from svmdist.samples import CameraSample, Sample
+from svmdist.samples import CameraSample, JointSample, Sample
 from tests.cli.conftest import Cli
 from tests.synthetic import make_scene, write_log
 
@@ -94,6 +94,24 @@ def test_a_method_says_what_the_log_lacks(cli: Cli, tmp_path: Path, method: str,
     header, *rows = outcome.out.splitlines()
     assert header.endswith(",detail,tool_std_m,axis_std_rad,consistency")
     assert [f"{row.split(',')[2]} ({row.split(',')[-4]})" for row in rows] == [said.removeprefix("3 ")] * 3
+
+
+@pytest.mark.parametrize("place_m", [1000.0, 1e8, -1e8])
+def test_joints_where_no_joint_can_be(cli: Cli, tmp_path: Path, place_m: float) -> None:
+    """An instrument that is a kilometre in is not believed: no row is `ok`, and the joint is named."""
+
+    def far_away(_: str, sample: Sample) -> Sample:
+        if not isinstance(sample, JointSample):
+            return sample
+        positions = sample.positions.copy()
+        positions[sample.names.index("insertion")] = place_m
+        return replace(sample, positions=positions)
+
+    path = write_log(tmp_path / "far.mcap", frame_count=3, change=far_away)
+    for method in ("kinematic", "fused"):
+        outcome = cli("estimate", path, "--method", method, "-f", "csv")
+        line = _one_line(outcome.err)
+        assert line.startswith("svmdist: 0 of 3 frames measured (0.0%); 3 no_joints (joint insertion is at ")
 
 
 def test_truncated_file(cli: Cli, tmp_path: Path, synthetic_log: Path, synthetic_calibration: Path) -> None:

@@ -21,6 +21,7 @@ from svmdist.samples import ImageSample
 from tests.cli.conftest import Cli
 
 INTERRUPTED = "svmdist: interrupted"
+TERMINATED = "svmdist: terminated"
 LIMIT_S = 120.0
 """A process that has not ended by then is killed, which fails its test; all of them need a few seconds."""
 
@@ -124,19 +125,44 @@ def test_while_rows_are_written_to_a_file(
     assert [file.read_text() for file in tmp_path.iterdir()] == ([before] if before else [])
 
 
-def test_while_a_log_is_recorded(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "code", "said"),
+    [(signal.SIGINT, 130, INTERRUPTED), (signal.SIGTERM, 143, TERMINATED), (signal.SIGHUP, 129, TERMINATED)],
+    ids=["INT", "TERM", "HUP"],
+)
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_while_a_log_is_recorded(
+    tmp_path: Path, number: signal.Signals, code: int, said: str, jobs: int
+) -> None:
     """A real signal between two frames: no log under its name, and what there is stays in its `.part`, readable."""
     pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
     path, part = tmp_path / "r.mcap", tmp_path / "r.mcap.part"
-    with running("record", "--duration", 60, "-o", path, stderr=subprocess.PIPE) as process:
+    with running("record", "--duration", 60, "-j", jobs, "-o", path, stderr=subprocess.PIPE) as process:
         while process.poll() is None and not (part.exists() and part.stat().st_size > 100_000):
             time.sleep(0.02)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         _, err = process.communicate()
-    assert process.returncode == 130
-    assert err.splitlines() == [INTERRUPTED]
+    assert process.returncode == code
+    assert err.splitlines() == [f"{said}; what was recorded until then is in {part}"]
     assert list(tmp_path.iterdir()) == [part]
     assert any(isinstance(image, ImageSample) for image in open_recording(part, load_profile()).images())
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP], ids=["TERM", "HUP"])
+def test_terminated_while_rows_are_written_to_a_file(
+    tmp_path: Path, golden: Path, number: signal.Signals
+) -> None:
+    """The temporary file goes with the process; nothing is left under the file's name."""
+    logs = [golden / "sweep.mcap"] * 40
+    output = tmp_path / "rows.csv"
+    with running("estimate", *logs, "-f", "csv", "-o", output, stderr=subprocess.PIPE) as process:
+        while process.poll() is None and not any(tmp_path.iterdir()):
+            time.sleep(0.02)
+        process.send_signal(number)
+        _, err = process.communicate()
+    assert process.returncode == 128 + number
+    assert err.splitlines() == [TERMINATED]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
@@ -167,3 +193,33 @@ def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
     assert b"Traceback" not in shown
     assert shown.count(INTERRUPTED.encode()) == 1
     assert shown.rindex(b"\x1b[?25h") < shown.index(INTERRUPTED.encode())
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "said"), [("SIGINT", 130, INTERRUPTED), ("SIGTERM", 143, TERMINATED)]
+)
+def test_where_python_ignores_exceptions(name: str, code: int, said: str) -> None:
+    """A signal that comes while an object is taken away, or an import is put away, ends the command all the same."""
+    script = f"""
+import os, signal, time
+import svmdist.__main__ as entry, svmdist.cli.main as main
+class Gone:
+    def __del__(self):
+        os.kill(os.getpid(), signal.{name})
+        time.sleep(0.05)
+def command():
+    gone = Gone()
+    del gone
+    time.sleep(60)
+main.run = command
+entry.run()
+"""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, timeout=LIMIT_S, check=False
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert done.returncode == code
+    assert done.stderr.splitlines() == [said]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.kinematics.dh import forward_kinematics, frame_transforms
+from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, frame_transforms
 from svmdist.kinematics.jacobian import joint_axis, pose_jacobian, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure
 from svmdist.samples import JointSample
+from svmdist.tracks import JointTrack
 from svmdist.transforms import make_transform, rotation_of
 from tests.shipped import CHAIN, POSTURE
 
@@ -70,3 +71,49 @@ def test_poses_are_those_of_forward_kinematics() -> None:
         np.testing.assert_allclose(state.jacobian(name), pose_jacobian(CHAIN, POSTURE, name), atol=1e-13)
         assert state.jacobian(name) is state.jacobian(name)
     assert state.frames is state.frames
+
+
+BOUNDED = DHChain(
+    (
+        DHRow("arm", "revolute", lower=-1.0, upper=1.0),
+        DHRow("insertion", "prismatic", lower=0.0, upper=0.24),
+    ),
+    limit_tolerance_rad=0.1,
+    limit_tolerance_m=0.01,
+)
+
+
+@pytest.mark.parametrize(
+    ("positions", "said"),
+    [
+        (
+            [0.5, 1000.0],
+            "joint insertion is at 1000 m, outside its limits 0 to 0.24 m and the tolerance 0.01 m",
+        ),
+        ([0.5, 1e8], "joint insertion is at 1e+08 m"),
+        ([-1.2, 0.1], "joint arm is at -1.2 rad, outside its limits -1 to 1 rad and the tolerance 0.1 rad"),
+        ([1.05, 0.245], None),
+        ([-1.05, -0.005], None),
+    ],
+)
+def test_joints_outside_their_limits_are_not_believed(positions: list[float], said: str | None) -> None:
+    """Beyond the limits by more than the tolerance, the first such joint is named."""
+    joints = JointSample(0, ("arm", "insertion"), np.array(positions))
+    state = RobotState.of(BOUNDED, joints, T_CAMERA_BASE, 0)
+    if said is None:
+        assert isinstance(state, RobotState)
+    else:
+        assert isinstance(state, Failure)
+        assert state.reason.startswith(said)
+
+
+def test_a_stray_sample_beside_the_image_is_left_out() -> None:
+    """The joints at the stamp are sound: a sample of an impossible place near them has no part in their rates."""
+    joints = JointSample(20, ("arm", "insertion"), np.array([0.5, 0.1]))
+    positions = np.array([[0.5, 0.1], [0.5, 0.1], [0.5, 1e6]])
+    track = JointTrack(np.array([10, 20, 30], np.int64), joints.names, positions)
+    state = RobotState.of(BOUNDED, joints, T_CAMERA_BASE, 20, track)
+    assert isinstance(state, RobotState)
+    assert state.track is not None
+    assert state.track.stamps_ns.tolist() == [10, 20]
+    np.testing.assert_allclose(state.rates, 0.0)

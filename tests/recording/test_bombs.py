@@ -13,9 +13,11 @@ import lz4.frame
 import pytest
 import zstandard
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from .builders import write_messages
-from .faults import join
+from .faults import join, pack_chunk
 
 MAGIC = b"\x89MCAP0\r\n"
 GIB = 1 << 30
@@ -23,10 +25,15 @@ READ = """
 import sys, time
 from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
+from svmdist.recording.inspect import inspect_recording
 from svmdist.recording.reader import open_recording
 from svmdist.samples import Rejection
 started = time.process_time()
 try:
+    inspect_recording(sys.argv[1], load_profile())
+    inspected = time.process_time() - started
+    assert inspected < 2.0, f"to inspect it took {inspected} s"
+    started = time.process_time()
     recording = open_recording(sys.argv[1], load_profile(), topics={"image": "/image"})
     found = list(recording.images())
     assert all(isinstance(item, Rejection) for item in found), found
@@ -145,6 +152,80 @@ def many_joints(path: Path) -> None:
     write_messages(path, [("/image", "foxglove.JointStates", "protobuf", data, 1)])
 
 
+def whole(records: list[tuple[int, bytes]]) -> bytes:
+    """A file of some records, without a summary."""
+    return MAGIC + join([(1, bytes(8)), *records, (15, bytes(4)), (2, bytes(20))]) + MAGIC
+
+
+def indexed(records: list[tuple[int, bytes]], places: list[int]) -> bytes:
+    """A file whose index, with a true CRC, names chunks at some places."""
+    body = MAGIC + join([(1, bytes(8)), *records, (15, bytes(4))])
+    head = struct.Struct("<QQQQ")
+    index = join([(8, head.pack(0, 0, place, 0) + bytes(32)) for place in places])
+    footer = struct.pack("<BQQQ", 2, 20, len(body), 0)
+    return body + index + footer + struct.pack("<I", zlib.crc32(index + footer)) + MAGIC
+
+
+def text(content: bytes) -> bytes:
+    """A text behind its length."""
+    return struct.pack("<I", len(content)) + content
+
+
+def endless_names(path: Path) -> None:
+    """A topic, a schema and an encoding of 60 MiB each, in chunks of a few kilobytes."""
+    name = b"\x1b" * (60 << 20)
+    plain = (3, struct.pack("<H", 1) + text(b"foxglove.CompressedImage") + text(b"protobuf") + text(b""))
+    channels = [
+        [(3, struct.pack("<H", 2) + text(name) + text(b"protobuf") + text(b""))],
+        [plain, (4, struct.pack("<HH", 1, 1) + text(name) + text(b"protobuf") + text(b""))],
+        [plain, (4, struct.pack("<HH", 2, 1) + text(b"/image") + text(name) + text(b""))],
+    ]
+    path.write_bytes(whole([(6, pack_chunk("zstd", join(records))) for records in channels]))
+
+
+def endless_image_encoding(path: Path) -> None:
+    """Raw images whose encoding has 50 MiB: 500 MiB of messages in 20 KB."""
+    image = RawImage(width=2, height=2, encoding="x" * (50 << 20), step=6, data=bytes(12)).SerializeToString()
+    write_messages(path, [("/image", "foxglove.RawImage", "protobuf", image, n) for n in range(10)])
+
+
+def misframed_chunks(path: Path) -> None:
+    """Chunks that contradict themselves, each of which sends the reader to the index of all of them."""
+    size, count = 49, 20_000
+    path.write_bytes(indexed([(6, b"\xff" * 40)] * count, [25 + size * n for n in range(count)]))
+
+
+def chunks_that_are_too_long(path: Path) -> None:
+    """The same with chunks behind whose data something else follows."""
+    body = pack_chunk("", b"") + bytes(30)
+    path.write_bytes(indexed([(6, body)] * 20_000, [30 + (9 + len(body)) * n for n in range(20_000)]))
+
+
+def a_million_empty_chunks(path: Path) -> None:
+    """Chunks that hold nothing, and are expanded one by one."""
+    path.write_bytes(whole([(6, pack_chunk("zstd", b""))] * 1_000_000))
+
+
+def a_million_tiny_messages(path: Path) -> None:
+    """Messages without content, in a few kilobytes."""
+    definitions = [
+        (3, struct.pack("<H", 1) + text(b"foxglove.CompressedImage") + text(b"protobuf") + text(b"")),
+        (4, struct.pack("<HH", 1, 1) + text(b"/image") + text(b"protobuf") + text(b"")),
+    ]
+    chunk = (6, pack_chunk("zstd", join([(5, struct.pack("<HIQQ", 1, 0, 0, 0))]) * 900_000))
+    path.write_bytes(whole([(6, pack_chunk("zstd", join(definitions))), *[chunk] * 5]))
+
+
+def messages_of_endless_joints(path: Path) -> None:
+    """Thousands of messages of ten thousand joints each."""
+    joints = JointStates()
+    for number in range(10_000):
+        joints.joints.add(name=f"j{number}", position=1.0)
+    data = joints.SerializeToString()
+    messages = [("/PSM1/measured_js", "foxglove.JointStates", "protobuf", data, n) for n in range(1000)]
+    write_messages(path, [*messages, ("/image", "foxglove.JointStates", "protobuf", data, 1)])
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads its peak memory from /proc")
 @pytest.mark.parametrize(
     "bomb",
@@ -160,6 +241,13 @@ def many_joints(path: Path) -> None:
         many_map_entries,
         png_bomb,
         many_joints,
+        endless_names,
+        endless_image_encoding,
+        misframed_chunks,
+        chunks_that_are_too_long,
+        a_million_empty_chunks,
+        a_million_tiny_messages,
+        messages_of_endless_joints,
     ],
 )
 def test_bombs_are_refused(tmp_path: Path, bomb: Callable[[Path], None]) -> None:

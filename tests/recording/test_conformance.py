@@ -1,13 +1,15 @@
-"""The MCAP project's conformance files read equal to their JSON."""
+"""The MCAP project's conformance files read equal to their JSON.
+
+They stand in `tests/data/mcap-conformance.tar.xz`, under the licence beside it (MIT).
+"""
 
 from __future__ import annotations
 
 import json
-import os
+import tarfile
 from pathlib import Path
 from typing import Any
 
-import pytest
 from mcap.opcode import Opcode
 
 from svmdist.profile import Limits
@@ -16,9 +18,7 @@ from svmdist.recording.mcap_file.container import Container
 from svmdist.recording.mcap_file.content import MessageRecord
 from svmdist.recording.mcap_file.record_parsers import parse
 
-REPOSITORY = Path(__file__).parents[2]
-FOLDER = Path(os.environ.get("SVMDIST_CONFORMANCE", REPOSITORY.parent / "shared" / "conformance"))
-FILES = sorted(FOLDER.glob("*.mcap"))
+ARCHIVE = Path(__file__).parents[1] / "data" / "mcap-conformance.tar.xz"
 
 
 def as_json(value: Any) -> Any:
@@ -56,10 +56,10 @@ def read_as_json(path: Path) -> list[dict[str, Any]]:
     return found
 
 
-@pytest.mark.skipif(
-    not FILES, reason=f"no conformance files in {FOLDER}; SVMDIST_CONFORMANCE names another place"
-)
-def test_all_files_read_equal_to_their_json() -> None:
-    assert len(FILES) == 416
-    for path in FILES:
+def test_all_files_read_equal_to_their_json(tmp_path: Path) -> None:
+    with tarfile.open(ARCHIVE) as archive:
+        archive.extractall(tmp_path, filter="data")
+    files = sorted(tmp_path.glob("*.mcap"))
+    assert len(files) == 416
+    for path in files:
         assert read_as_json(path) == json.loads(path.with_suffix(".json").read_text())["records"], path.name

@@ -102,3 +102,52 @@ def test_pixel_data_that_end_early_are_refused_although_every_crc_is_right() -> 
     for broken in (zlib.compress(raw[: len(raw) // 2]), zlib.compress(raw)[:-200], b""):
         with pytest.raises(ImageError):
             decode_still(png(broken), Limits())
+
+
+LARGE = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (240, 320, 3), np.uint8), (0, 0), 2)
+
+
+def jpeg(subsampling: int, progressive: int, restart_interval: int) -> bytes:
+    """Compress the image in one of the ways that cameras do."""
+    options = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, subsampling, cv2.IMWRITE_JPEG_PROGRESSIVE, progressive]
+    options += [cv2.IMWRITE_JPEG_RST_INTERVAL, restart_interval]
+    return cv2.imencode(".jpg", LARGE, options)[1].tobytes()
+
+
+WAYS = [(0x411111, 0, 0), (0x221111, 0, 0), (0x221111, 0, 4), (0x211111, 1, 0)]
+
+
+@pytest.mark.parametrize("way", WAYS, ids=["4:4:4", "4:2:0", "restarts", "progressive"])
+def test_a_jpeg_has_the_pixels_that_opencv_gives(way: tuple[int, int, int]) -> None:
+    data = jpeg(*way)
+    expected = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    np.testing.assert_array_equal(decode_still(data, Limits()), expected)
+
+
+@pytest.mark.parametrize("way", WAYS, ids=["4:4:4", "4:2:0", "restarts", "progressive"])
+def test_damage_that_the_decoder_notices_is_no_image(way: tuple[int, int, int]) -> None:
+    """A JPEG's data that end early, before an end marker all the same, or lack blocks, are refused.
+
+    OpenCV gives grey below the damage, or shifted blocks. The format has no checksum: damage inside one block, behind
+    which the decoder finds its place again, cannot be found.
+    """
+    data = jpeg(*way)
+    begin = data.index(b"\xff\xda") + 14
+    for share in (0.1, 0.5, 0.9):
+        place = begin + int(share * (len(data) - begin))
+        damaged = {
+            "its end is missing": data[:place] + data[-2:],
+            "400 bytes are missing": data[: place - 400] + data[place:],
+        }
+        for what, broken in damaged.items():
+            assert cv2.imdecode(np.frombuffer(broken, np.uint8), cv2.IMREAD_COLOR) is not None, what
+            with pytest.raises(ImageError):
+                decode_still(broken, Limits())
+
+
+def test_a_jpeg_of_endless_scans_is_refused() -> None:
+    data = jpeg(*WAYS[-1])
+    scan = data[data.rindex(b"\xff\xda") : -2]
+    decode_still(data, Limits())
+    with pytest.raises(ImageError, match="more than 100 scans"):
+        decode_still(data[:-2] + 200 * scan + data[-2:], Limits())

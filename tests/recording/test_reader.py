@@ -94,7 +94,8 @@ def test_topics_are_found_by_role(tmp_path: Path, profile: Profile) -> None:
 
 def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path: Path, profile: Profile) -> None:
     good = encode(ImageSample(1, "camera", np.zeros((24, 32, 3), np.uint8)))
-    small = encode(ImageSample(2, "camera", np.zeros((10, 10, 3), np.uint8)))
+    last = encode(ImageSample(5, "camera", np.zeros((24, 32, 3), np.uint8)))
+    small = encode(ImageSample(4, "camera", np.zeros((10, 10, 3), np.uint8)))
     broken = CompressedImage(data=CompressedImage.FromString(good).data[:-20]).SerializeToString()
     rows = [
         (
@@ -107,7 +108,7 @@ def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path: Path, profil
     ]
     rows += [
         ("/ECM/left/image", IMAGE, "protobuf", data, number)
-        for number, data in enumerate((good, broken, b"\xff\xff", small, good))
+        for number, data in enumerate((good, broken, b"\xff\xff", small, last), 1)
     ]
     recording = open_recording(write_messages(tmp_path / "a.mcap", rows), profile)
     found = list(recording.observations())

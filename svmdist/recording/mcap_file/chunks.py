@@ -6,6 +6,7 @@ import zlib
 
 from svmdist.profile import Limits
 from svmdist.recording.decompress import DecompressionError, decompress, decompress_prefix
+from svmdist.recording.effort import Effort
 from svmdist.recording.mcap_file.record_parsers import ChunkBody, MalformedRecordError, parse_chunk
 
 
@@ -17,16 +18,19 @@ class ChunkError(ValueError):
         self.is_misframed = is_misframed
 
 
-def expand_chunk(body: bytes, limits: Limits) -> tuple[memoryview, int]:
+def expand_chunk(body: bytes, limits: Limits, effort: Effort) -> tuple[memoryview, int]:
     """Expand a chunk and verify its CRC; ChunkError says why it cannot be used.
 
     The number tells how many bytes of the body are known fields: what is behind them may be fields of a newer
-    version of MCAP, or other records where the length of this one is wrong.
+    version of MCAP, or other records where the length of this one is wrong. TooMuchError when the file expands to
+    more than its size allows.
     """
     chunk = _parse(body)
     if len(chunk.data) < chunk.data_length:
         raise ChunkError("its data are longer than its record", is_misframed=True)
-    return _expand_whole(chunk, limits), chunk.data_start + chunk.data_length
+    data = _expand_whole(chunk, limits)
+    effort.expand(len(data))
+    return data, chunk.data_start + chunk.data_length
 
 
 def expand_truncated_chunk(body: bytes, limits: Limits, *, may_be_prefix: bool) -> memoryview:

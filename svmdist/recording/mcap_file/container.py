@@ -8,6 +8,7 @@ file that ends early, everything before the end is delivered, for truncation cha
 from __future__ import annotations
 
 import zlib
+from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -15,7 +16,9 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 
 from svmdist.errors import RecordingError
+from svmdist.input_file import open_regular
 from svmdist.profile import Limits
+from svmdist.recording.effort import Effort, TooMuchError
 from svmdist.recording.health import Health, LossKind
 from svmdist.recording.mcap_file.chunks import ChunkError, expand_chunk, expand_truncated_chunk
 from svmdist.recording.mcap_file.content import IN_CHUNKS, Content, MessageRecord, Record
@@ -44,6 +47,7 @@ class Container:
         self._limits = limits
         self._check = check or DataSectionCheck(path, limits)
         self._summary = Summary()
+        self._trusted: tuple[Summary | None, list[int]] | None = None
         self._data_ended = False
         self._is_aligned = True  # no record was jumped over, so running CRCs mean something
 
@@ -53,10 +57,16 @@ class Container:
         Raises RecordingError when the file cannot be opened or read, or does not begin as MCAP does.
         """
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 size_bytes = file.seek(0, 2)
                 file.seek(0)
-                yield from self._walk(file, size_bytes)
+                self.content.effort = Effort(size_bytes)
+                try:
+                    yield from self._walk(file, size_bytes)
+                except TooMuchError as problem:
+                    self.content.report_lost_messages()
+                    detail = f"{problem}; the rest is not read"
+                    self.content.record_loss(LossKind.STRUCTURE, detail, file.tell())
         except OSError as problem:
             raise RecordingError(f"{self.path}: cannot read: {problem.strerror or problem}") from None
 
@@ -65,6 +75,7 @@ class Container:
         if stream.read(len(MAGIC)) != MAGIC:
             raise RecordingError(f"{self.path}: not an MCAP file")
         while (frame := stream.next_frame()) is not None:
+            self.content.effort.idle()
             if frame.opcode == Opcode.FOOTER and frame.end + len(MAGIC) == size_bytes:
                 yield Record(frame.opcode, memoryview(frame.body or b""), frame.offset)
                 self._finish(frame, stream)
@@ -81,7 +92,7 @@ class Container:
                 yield Record(frame.opcode, memoryview(frame.body or b""), frame.offset)
             elif frame.opcode == Opcode.CHUNK and frame.body is not None:
                 try:
-                    data, length = expand_chunk(frame.body, self._limits)
+                    data, length = expand_chunk(frame.body, self._limits, self.content.effort)
                 except ChunkError as problem:
                     self.content.record_loss(LossKind.CHUNK, f"dropped: {problem}", frame.offset)
                     if problem.is_misframed:
@@ -163,11 +174,9 @@ class Container:
         self, file: BinaryIO, size_bytes: int, stream: FrameStream, frame: Frame, length: int
     ) -> None:
         """Go back to the end of a chunk whose record is too long, where an index whose CRC is right says so."""
-        summary = read_trusted_summary(file, size_bytes, self._limits)
-        inside = summary is not None and any(
-            frame.offset < place < frame.end for place in summary.chunk_offsets
-        )
-        if not inside:
+        _, places = self._index(file, size_bytes)
+        next_at = bisect_right(places, frame.offset)
+        if next_at == len(places) or places[next_at] >= frame.end:
             stream.jump(stream.position)  # looking for a summary has moved the file
             return
         self._is_aligned = False
@@ -180,15 +189,16 @@ class Container:
     ) -> bool:
         """Find the next chunk after a record whose length is wrong, by an index whose CRC is right."""
         self._is_aligned = False
-        summary = read_trusted_summary(file, size_bytes, self._limits)
-        places = [] if summary is None else [place for place in summary.chunk_offsets if place > frame.offset]
+        summary, offsets = self._index(file, size_bytes)
+        next_at = bisect_right(offsets, frame.offset)
+        places = offsets[next_at : next_at + 1]
         if summary is not None and not places and summary.start > frame.offset:
             self._data_ended = True
             stream.crc = 0
             places = [summary.start]
         if places:
-            stream.jump(min(places))
-            detail = f"a record of impossible length {frame.length}; reading goes on at byte {min(places)}"
+            stream.jump(places[0])
+            detail = f"a record of impossible length {frame.length}; reading goes on at byte {places[0]}"
         else:
             stream.jump(stream.position)  # looking for a summary has moved the file
             detail = f"a record of impossible length {frame.length}"
@@ -197,6 +207,13 @@ class Container:
                 detail += f"; the rest is unreadable, {self.content.tally.message_count} messages recovered"
         self.content.record_loss(LossKind.STRUCTURE, detail, frame.offset)
         return bool(places) or or_go_on
+
+    def _index(self, file: BinaryIO, size_bytes: int) -> tuple[Summary | None, list[int]]:
+        """The summary where its CRC is right, and the places of chunks that it names, sorted; read once."""
+        if self._trusted is None:
+            summary = read_trusted_summary(file, size_bytes, self._limits)
+            self._trusted = summary, sorted(summary.chunk_offsets) if summary is not None else []
+        return self._trusted
 
     # The end of the data and of the file
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
+from svmdist.input_file import open_regular
 from svmdist.profile import Limits
+from svmdist.recording.effort import Effort
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.mcap_file.definitions import DefinitionError, Definitions
 from svmdist.recording.mcap_file.framing import HEAD, split_records
@@ -58,6 +60,7 @@ class Content:
         self._health = health
         self._topics = topics
         self._has_recalled = False
+        self.effort = Effort(0)  # of a file whose size is not known yet
 
     def read_chunk(
         self, data: memoryview, offset: int, *, is_prefix: bool = False
@@ -83,6 +86,8 @@ class Content:
                     yield message
             elif opcode in IN_CHUNKS:
                 yield from self.read(opcode, body, offset)
+            else:
+                self.effort.idle()
         if reached < len(data) and not is_prefix:
             self.record_loss(LossKind.CHUNK, "its last record is incomplete", offset)
 
@@ -93,6 +98,7 @@ class Content:
             if message is not None:
                 yield message
             return
+        self.effort.idle()
         try:
             if opcode == Opcode.SCHEMA:
                 self.definitions.add_schema(body)
@@ -106,6 +112,7 @@ class Content:
     def _message(self, body: memoryview, offset: int) -> MessageRecord | None:
         """Count a message; None for one that is lost, or that nobody asked for."""
         if len(body) < MESSAGE_HEAD.size:
+            self.effort.idle()
             self.record_loss(LossKind.RECORD, "a message without a head", offset)
             return None
         channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(body)
@@ -114,9 +121,11 @@ class Content:
             self._recall_definitions()
             channel = self.definitions.channels.get(channel_id)
         if channel is None or channel_id in self.definitions.ambiguous:
+            self.effort.idle()
             self.tally.lost_by_channel[channel_id] += 1
             self.loss_count += 1
             return None
+        self.effort.message()
         self.tally.add_message(channel_id, log_time_ns)
         if self._topics is not None and channel.topic not in self._topics:
             return None
@@ -129,7 +138,7 @@ class Content:
         if self._has_recalled:
             return
         self._has_recalled = True
-        with self._path.open("rb") as file:
+        with open_regular(self._path) as file:
             summary = read_trusted_summary(file, file.seek(0, 2), self._limits)
         if summary is not None:
             self.definitions.complete(summary.schemas, summary.channels)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
+from svmdist.input_file import open_regular
 from svmdist.profile import Limits
 from svmdist.recording.mcap_file.framing import MAGIC, FrameStream
 from svmdist.recording.mcap_file.summary import read_footer
@@ -28,7 +29,7 @@ class DataSectionCheck:
         return self._result
 
     def _read(self) -> bool | None:
-        with self._path.open("rb") as file:
+        with open_regular(self._path) as file:
             size_bytes = file.seek(0, 2)
             ends_well = read_footer(file, size_bytes) is not None
             file.seek(0)

@@ -30,6 +30,8 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from svmdist.recording.names import MAX_NAME_BYTES
+
 CHUNK_HEAD = struct.Struct("<QQQII")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 CHUNK_INDEX_HEAD = struct.Struct("<QQQQ")
@@ -53,6 +55,16 @@ class StrictStream(ReadDataStream):
             raise MalformedRecordError(f"{length} bytes expected, {self._left} left")
         self._left -= length
         return super().read(length)
+
+    def read_name(self, what: str) -> str:
+        """Read the name of something; MalformedRecordError when it is longer than a name, or not UTF-8."""
+        length = self.read4()
+        if length > MAX_NAME_BYTES:
+            raise MalformedRecordError(f"a {what} of {length} bytes, the limit is {MAX_NAME_BYTES}")
+        try:
+            return str(self.read(length), "utf-8")
+        except UnicodeDecodeError as problem:
+            raise MalformedRecordError(str(problem)) from None
 
 
 _RECORD_TYPES: dict[int, type[McapRecord]] = {
@@ -123,19 +135,17 @@ class ChunkBody:
 
 def parse_schema(body: memoryview) -> SchemaBody:
     """Read a schema record."""
-    record = parse(Opcode.SCHEMA, body)
-    assert isinstance(record, Schema)
-    return SchemaBody(record.id, record.name, record.encoding, record.data)
+    stream = StrictStream(body)
+    schema_id = stream.read2()
+    name, encoding = stream.read_name("schema"), stream.read_name("schema encoding")
+    return SchemaBody(schema_id, name, encoding, stream.read(stream.read4()))
 
 
 def parse_channel(body: memoryview) -> ChannelBody:
     """Read a channel record."""
     stream = StrictStream(body)
-    try:
-        channel_id, schema_id = stream.read2(), stream.read2()
-        topic, message_encoding = stream.read_prefixed_string(), stream.read_prefixed_string()
-    except UnicodeDecodeError as problem:
-        raise MalformedRecordError(str(problem)) from None
+    channel_id, schema_id = stream.read2(), stream.read2()
+    topic, message_encoding = stream.read_name("topic"), stream.read_name("message encoding")
     return ChannelBody(channel_id, schema_id, topic, message_encoding)
 
 

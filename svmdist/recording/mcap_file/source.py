@@ -9,6 +9,7 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from svmdist.errors import RecordingError
+from svmdist.input_file import open_regular
 from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.mcap_file.container import Container
@@ -89,7 +90,7 @@ class McapSource:
 
     def _topics_of_summary(self) -> tuple[TopicInfo, ...] | None:
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 size_bytes = file.seek(0, 2)
                 summary = read_trusted_summary(file, size_bytes, self._limits)
         except OSError as problem:

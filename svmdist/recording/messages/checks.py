@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.camera import Camera, DistortionModel
+from svmdist.camera import MAX_COEFFICIENTS, Camera, DistortionModel
 from svmdist.perturbations.clock import later_ns
 from svmdist.recording.messages.images import ImageError
+from svmdist.recording.names import MAX_NAME_BYTES, cut
 from svmdist.samples import Image, JointSample, TransformSample, TransformsSample, Vector
 from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
 
@@ -18,8 +19,10 @@ MAX_STAMP_NS = (1 << 63) - 1
 NS = 1_000_000_000
 MAX_MAGNITUDE = 1e12
 """In m, rad or px, far beyond anything real; squares and differences of such numbers are still finite."""
-MAX_JOINTS = 10_000
-MAX_TRANSFORMS = 10_000
+MAX_JOINTS = 256
+"""Of one message: two arms on their set-up joints, and their instruments, have fifty."""
+MAX_TRANSFORMS = 1000
+"""Of one message: several robots with all their links have a hundred."""
 Quaternion = tuple[float, float, float, float]
 KNOWN_DISTORTION: dict[str, DistortionModel] = {
     "": "plumb_bob",
@@ -80,6 +83,12 @@ def check_numbers(values: Sequence[float], what: str) -> None:
         raise DecodeError(f"{what}: {numbers[bad][0]} is no usable number")
 
 
+def check_names(names: Sequence[str], what: str) -> None:
+    """Refuse endless names with DecodeError: they would be kept."""
+    if max(map(len, names), default=0) > MAX_NAME_BYTES:
+        raise DecodeError(f"a {what}'s name of more than {MAX_NAME_BYTES} characters")
+
+
 @dataclass(frozen=True, slots=True)
 class RawTransform:
     """One transform as a message states it, checked: the matrix is computed only where it is needed.
@@ -131,6 +140,7 @@ def checked_transform(
             rotation_from_quaternion_xyzw(quaternion_xyzw)
         except ValueError as problem:
             raise DecodeError(str(problem)) from None
+    check_names((parent, child), "frame")
     return RawTransform(stamp_ns, parent, child, translation_m, quaternion_xyzw)
 
 
@@ -140,6 +150,7 @@ def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[floa
         raise DecodeError(f"{len(names)} joint names and {len(positions)} positions")
     if len(set(names)) != len(names):
         raise DecodeError("joint names repeat")
+    check_names(names, "joint")
     check_numbers(positions, "joint positions")
     # Every message brings the same names: one string each serves all the samples that are kept.
     return JointSample(stamp_ns, tuple(map(sys.intern, names)), np.array(positions, np.float64))
@@ -155,23 +166,24 @@ def checked_camera(
     distortion_model: str,
 ) -> Camera:
     """Build a camera; DecodeError for a matrix of another size, an uncalibrated camera or an unknown distortion."""
-    if len(K) != 9 or len(R) not in {0, 9} or len(P) not in {0, 12} or len(D) > 14:
+    check_names((frame_id,), "frame")
+    if len(K) != 9 or len(R) not in {0, 9} or len(P) not in {0, 12} or len(D) > MAX_COEFFICIENTS:
         raise DecodeError(f"K, R, P, D have {len(K)}, {len(R)}, {len(P)}, {len(D)} elements")
     check_numbers([*K, *D, *R, *P], "a calibration")
-    if K[0] <= 0 or K[4] <= 0 or min(size_px) < 1:
-        raise DecodeError(
-            f"the camera is not calibrated: fx = {K[0]}, fy = {K[4]}, {size_px[0]}x{size_px[1]} px"
-        )
+    distortion_model = cut(distortion_model)
     if any(D) and distortion_model.lower() not in KNOWN_DISTORTION:
         choices = ", ".join(sorted(filter(None, KNOWN_DISTORTION)))
         raise DecodeError(f"distortion model {distortion_model!r} is not known; the choices are {choices}")
-    return Camera(
-        size_px[0],
-        size_px[1],
-        np.array(K, np.float64).reshape(3, 3),
-        np.array(D, np.float64),
-        np.array(R, np.float64).reshape(3, 3) if any(R) else None,
-        np.array(P, np.float64).reshape(3, 4) if any(P) else None,
-        frame_id,
-        KNOWN_DISTORTION.get(distortion_model.lower(), "plumb_bob") if any(D) else "plumb_bob",
-    )
+    try:
+        return Camera(
+            size_px[0],
+            size_px[1],
+            np.array(K, np.float64).reshape(3, 3),
+            np.array(D, np.float64),
+            np.array(R, np.float64).reshape(3, 3) if any(R) else None,
+            np.array(P, np.float64).reshape(3, 4) if any(P) else None,
+            frame_id,
+            KNOWN_DISTORTION.get(distortion_model.lower(), "plumb_bob") if any(D) else "plumb_bob",
+        )
+    except ValueError as problem:
+        raise DecodeError(str(problem)) from None

@@ -11,6 +11,7 @@ os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
 
 import cv2
 import numpy as np
+import simplejpeg
 
 from svmdist.profile import Limits
 from svmdist.samples import Image
@@ -18,6 +19,9 @@ from svmdist.samples import Image
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC = b"\xff\xd8\xff"
 JPEG_END = b"\xff\xd9"
+JPEG_SCAN = b"\xff\xda"
+MAX_JPEG_SCANS = 100
+"""A progressive JPEG has about ten; each costs a pass over the whole image, whatever few bytes it takes."""
 JPEG_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 JPEG_BARE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
 
@@ -36,17 +40,44 @@ def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
     if len(data) > limits.image_bytes:
         raise ImageError(f"{len(data)} bytes, the limit is {limits.image_bytes}")
     if data.startswith(PNG_MAGIC):
-        width_px, height_px = _check_png(data)
-    elif data.startswith(JPEG_MAGIC):
-        width_px, height_px = _check_jpeg(data)
-    else:
-        raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
+        return _decode_png(data, limits)
+    if data.startswith(JPEG_MAGIC):
+        return _decode_jpeg(data, limits)
+    raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
+
+
+def _decode_png(data: bytes, limits: Limits) -> Image:
+    size_px = _check_png(data)
+    check_dimensions(*size_px, limits)
+    return _decode_by_opencv(data, size_px)
+
+
+def _decode_jpeg(data: bytes, limits: Limits) -> Image:
+    """Decode a JPEG strictly: OpenCV's decoder hides its warnings, and fills what is damaged with grey.
+
+    The pixels are those of OpenCV to the last bit, for both are libjpeg-turbo.
+    """
+    width_px, height_px = _check_jpeg(data)
     check_dimensions(width_px, height_px, limits)
+    try:
+        _, _, colours, _ = simplejpeg.decode_jpeg_header(data)
+        if colours in {"CMYK", "YCCK"}:
+            simplejpeg.decode_jpeg(data, "CMYK", strict=True)  # whether it is whole; OpenCV knows its colours
+            return _decode_by_opencv(data, (width_px, height_px))
+        image = simplejpeg.decode_jpeg(data, "BGR", strict=True)
+    except (ValueError, MemoryError) as problem:
+        raise ImageError(" ".join(str(problem).split()) or "not enough memory") from None
+    if image.shape != (height_px, width_px, 3):
+        raise ImageError("its data do not decode")
+    return np.asarray(image, np.uint8)
+
+
+def _decode_by_opencv(data: bytes, size_px: tuple[int, int]) -> Image:
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except (cv2.error, MemoryError) as problem:
         raise ImageError(" ".join(str(problem).split())) from None
-    if image is None or image.shape != (height_px, width_px, 3):
+    if image is None or image.shape != (*size_px[::-1], 3):
         raise ImageError("its data do not decode")
     return np.asarray(image, np.uint8)
 
@@ -92,6 +123,9 @@ def _check_jpeg(data: bytes) -> tuple[int, int]:
     """Read the dimensions from the frame header, and see that the end marker is there."""
     if JPEG_END not in data[-64:]:  # some cameras pad with zeros behind it
         raise ImageError(f"a JPEG that ends early, after {len(data)} bytes")
+    # Inside a scan a byte 0xFF is followed by 0, so that these two bytes begin one, here or in a thumbnail.
+    if data.count(JPEG_SCAN) > MAX_JPEG_SCANS:
+        raise ImageError(f"a JPEG of more than {MAX_JPEG_SCANS} scans")
     position = 2
     while position + 4 <= len(data):
         if data[position] != 0xFF:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from svmdist.profile import Limits
 from svmdist.recording.messages.images import ImageError, check_dimensions
+from svmdist.recording.names import cut
 from svmdist.samples import Image
 
 CHANNELS = {
@@ -56,7 +57,9 @@ def decode_raw(
     Raises ImageError for an encoding that is not known, and sizes that contradict each other.
     """
     if encoding not in CHANNELS:
-        raise ImageError(f"image encoding {encoding!r} is not known; the choices are {', '.join(CHANNELS)}")
+        raise ImageError(
+            f"image encoding {cut(encoding)!r} is not known; the choices are {', '.join(CHANNELS)}"
+        )
     width_px, height_px = size_px
     check_dimensions(width_px, height_px, limits)
     channels = CHANNELS[encoding]

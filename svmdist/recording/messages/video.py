@@ -11,6 +11,7 @@ import numpy as np
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
 from svmdist.recording.messages.images import ImageError, check_dimensions
+from svmdist.recording.names import cut
 from svmdist.samples import Image
 
 NAL_UNIT = re.compile(rb"\x00\x00\x01(.)", re.DOTALL)
@@ -40,7 +41,7 @@ class VideoDecoder:
         self._loss_count = loss_count
         self._needs_key_frame = True  # until this frame has come out whole
         if video_format != "h264":
-            raise ImageError(f"video format {video_format!r} is not known; h264 is expected")
+            raise ImageError(f"video format {cut(video_format)!r} is not known; h264 is expected")
         if len(data) > self._limits.image_bytes:
             raise ImageError(f"{len(data)} bytes, the limit is {self._limits.image_bytes}")
         if needs_key_frame:

@@ -10,6 +10,8 @@ from typing import BinaryIO
 
 from svmdist.profile import Limits
 from svmdist.recording.decompress import DecompressionError, decompress, decompress_prefix
+from svmdist.recording.effort import Effort
+from svmdist.recording.names import MAX_NAME_BYTES
 
 MAGIC = b"#ROSBAG V2.0\n"
 OP_MESSAGE, OP_BAG_HEADER, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION = 2, 3, 5, 6, 7
@@ -50,6 +52,8 @@ class BagRecord:
 
     def text(self, name: bytes) -> str:
         """Read a field as text; BrokenRecordError where there is none."""
+        if len(self.fields.get(name, b"")) > MAX_NAME_BYTES:
+            raise BrokenRecordError(f"a {name.decode()} of more than {MAX_NAME_BYTES} bytes")
         try:
             return self.fields[name].decode("utf-8")
         except (KeyError, UnicodeDecodeError):
@@ -106,12 +110,14 @@ def parse_fields(header: bytes | memoryview) -> dict[bytes, bytes]:
     return fields
 
 
-def chunk_records(chunk: BagRecord, limits: Limits) -> Iterator[BagRecord]:
+def chunk_records(chunk: BagRecord, limits: Limits, effort: Effort) -> Iterator[BagRecord]:
     """Yield the complete records inside a chunk, of a truncated one those in its readable prefix.
 
-    Raises BrokenRecordError for a chunk that does not expand, before the first record of it.
+    Raises BrokenRecordError for a chunk that does not expand, before the first record of it, and
+    TooMuchError where the bag expands to more than its size allows.
     """
     content = _expand(chunk, limits)
+    effort.expand(len(content))
     position, count = 0, 0
     while position + LENGTH.size <= len(content):
         (header_length,) = LENGTH.unpack_from(content, position)

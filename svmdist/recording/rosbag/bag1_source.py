@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 from svmdist.errors import RecordingError
+from svmdist.input_file import open_regular
 from svmdist.profile import Limits
+from svmdist.recording.effort import Effort, TooMuchError
 from svmdist.recording.health import Health, Loss, LossKind
+from svmdist.recording.names import cut
 from svmdist.recording.rosbag import bag1_records
 from svmdist.recording.rosbag.bag1_records import (
     MAGIC,
@@ -50,10 +53,10 @@ class Rosbag1Source:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield the messages of some topics, or of all, in file order."""
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 size_bytes = file.seek(0, 2)
                 file.seek(len(MAGIC))
-                for message in _Pass(self.health, self._limits).read(file, size_bytes):
+                for message in _Pass(self.health, self._limits, Effort(size_bytes)).read(file, size_bytes):
                     if topics is None or message.topic in topics:
                         yield message
         except OSError as problem:
@@ -63,7 +66,8 @@ class Rosbag1Source:
 class _Pass:
     """One pass over a bag: connections so far, counts, and what the bag declares."""
 
-    def __init__(self, health: Health, limits: Limits) -> None:
+    def __init__(self, health: Health, limits: Limits, effort: Effort) -> None:
+        self._effort = effort
         self._health = health
         self._limits = limits
         self._connections: dict[int, tuple[str, str]] = {}
@@ -81,7 +85,12 @@ class _Pass:
                 self._record_loss(LossKind.STRUCTURE, detail, offset)
                 return
             if record is not None:
-                yield from self._record(record)
+                try:
+                    self._effort.idle()
+                    yield from self._record(record)
+                except TooMuchError as problem:
+                    self._record_loss(LossKind.STRUCTURE, f"{problem}; the rest is not read", offset)
+                    return
             if record is None or record.is_truncated:
                 self._truncated(size_bytes)
                 return
@@ -97,7 +106,7 @@ class _Pass:
                 case bag1_records.OP_BAG_HEADER if not record.is_truncated:
                     self._is_indexed = record.number(b"index_pos") != 0
                 case bag1_records.OP_CHUNK:
-                    for inner in chunk_records(record, self._limits):
+                    for inner in chunk_records(record, self._limits, self._effort):
                         yield from self._inner(inner)
                 case bag1_records.OP_CHUNK_INFO if not record.is_truncated:
                     pairs = bytes(record.data)[: len(record.data) // 8 * 8]
@@ -110,6 +119,8 @@ class _Pass:
             self._record_loss(LossKind.CHUNK, str(problem), record.offset)
 
     def _inner(self, record: BagRecord) -> Iterator[RawMessage]:
+        if record.op != OP_MESSAGE:
+            self._effort.idle()
         if record.op == OP_CONNECTION:
             self._connect(record)
         elif record.op == OP_MESSAGE:
@@ -120,12 +131,13 @@ class _Pass:
                 )
                 return
             time_ns = record.time_ns()
+            self._effort.message()
             self._message_count += 1
             yield RawMessage(*connection, "ros1", time_ns, record.data, record.offset, self._loss_count)
 
     def _connect(self, record: BagRecord) -> None:
         key = record.number(b"conn")
-        schema = parse_fields(record.data).get(b"type", b"").decode("utf-8", "replace")
+        schema = cut(parse_fields(record.data).get(b"type", b"").decode("utf-8", "replace"))
         connection = (record.text(b"topic"), schema)
         known = self._connections.setdefault(key, connection)
         if known != connection:

@@ -13,6 +13,7 @@ from typing import Any
 
 import yaml
 
+from svmdist.input_file import read_regular, why
 from svmdist.recording.rosbag import METADATA_FILE
 
 MAX_BYTES = 1 << 20
@@ -41,12 +42,9 @@ def read_metadata(folder: Path) -> BagMetadata:
     """Read a folder's metadata.yaml; MetadataError where it is too large, no YAML, or not rosbag2's."""
     path = folder / METADATA_FILE
     try:
-        if not path.is_file():
-            raise MetadataError(f"{METADATA_FILE} is no regular file")
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+        data = read_regular(path, MAX_BYTES)
     except OSError as problem:
-        raise MetadataError(f"cannot read {METADATA_FILE}: {problem.strerror or problem}") from None
+        raise MetadataError(f"cannot read {METADATA_FILE}: {why(problem)}") from None
     return parse_metadata(data)
 
 

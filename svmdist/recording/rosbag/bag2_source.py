@@ -15,6 +15,7 @@ from pathlib import Path
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
 from svmdist.recording.decompress import DecompressionError, decompress_message
+from svmdist.recording.effort import Effort, TooMuchError
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.mcap_file.source import McapSource
 from svmdist.recording.names import sanitize
@@ -79,6 +80,7 @@ class Rosbag2Source:
         """Yield the messages of some topics, or of all, file by file."""
         losses = 0
         counts: Counter[str] = Counter()
+        effort = Effort(sum(part.path.stat().st_size for part in self._parts))
         for part in self._parts:
             part_losses = 0
             for raw in part.messages(topics):
@@ -90,7 +92,8 @@ class Rosbag2Source:
                     continue
                 try:
                     data = decompress_message(raw.data, self._message_bytes, self._limits)
-                except DecompressionError as problem:
+                    effort.expand(len(data))
+                except (DecompressionError, TooMuchError) as problem:
                     losses += 1
                     self.health.add(Loss(LossKind.MESSAGE, str(problem), raw.offset, raw.topic))
                     continue

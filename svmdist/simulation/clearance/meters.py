@@ -18,6 +18,7 @@ from svmdist.simulation.clearance.bounds import HalfSpaces, PartBounds
 from svmdist.simulation.clearance.relief_meter import ReliefMeter, seen_from_tissue
 from svmdist.simulation.closing import Closing
 from svmdist.simulation.scene import Scene
+from svmdist.simulation.temporary import writing_temporary_files
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation, transform_points
 
 SCALE = 1000.0
@@ -36,7 +37,7 @@ class _Meter(Closing):
         return [self._body(mesh) for _, mesh in parts]
 
     def _body(self, mesh: DrawnMesh) -> int:
-        with tempfile.TemporaryDirectory(prefix="svmdist-") as folder:
+        with writing_temporary_files(), tempfile.TemporaryDirectory(prefix="svmdist-") as folder:
             file = mesh.write_obj(Path(folder) / "part.obj", SCALE)
             shape = self._client.call("createCollisionShape", self._client.pb.GEOM_MESH, fileName=str(file))
         body = int(self._client.call("createMultiBody", 0, shape))

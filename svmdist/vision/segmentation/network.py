@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import ProfileError, did_you_mean
+from svmdist.input_file import open_regular, why
 from svmdist.profile import ClassRegion, OnnxSegmentation
 from svmdist.samples import Image
 
@@ -177,11 +178,10 @@ def _enlarged(score: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.f
 
 def _read(path: Path) -> cv2.dnn.Net:
     try:
-        size = path.stat().st_size
-        with path.open("rb"):
-            pass
+        with open_regular(path) as file:
+            size = file.seek(0, 2)
     except OSError as problem:
-        raise ProfileError(f"{path}: cannot read the network: {problem.strerror or problem}") from None
+        raise ProfileError(f"{path}: cannot read the network: {why(problem)}") from None
     if size > MAX_FILE_BYTES:
         raise ProfileError(
             f"{path}: cannot read the network: {size >> 20} MiB; an ONNX file holds at most 2 GiB"

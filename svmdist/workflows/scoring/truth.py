@@ -148,7 +148,9 @@ def kinematic_track(recording: Recording, profile: Profile, max_gap_ns: int = MA
 
     def at(stamps_ns: NDArray[np.int64]) -> Sampled:
         q = joints.at(stamps_ns, max_gap_ns)
-        return Sampled(forward_kinematics(chain, select_joints(chain, joints.names, q.values)), q.valid)
+        selected = select_joints(chain, joints.names, q.values)
+        within = chain.are_within_limits(selected).all(axis=-1)  # joints that cannot be are no reference
+        return Sampled(forward_kinematics(chain, selected), q.valid & within)
 
     return at
 

@@ -8,6 +8,7 @@ import struct
 import pytest
 
 from svmdist.profile import Limits
+from svmdist.recording.effort import Effort
 from svmdist.recording.mcap_file.chunks import ChunkError, expand_chunk, expand_truncated_chunk
 from tests.recording.faults import pack_chunk
 
@@ -24,7 +25,7 @@ def test_a_chunk_gives_its_content_and_the_length_of_its_fields(compression: str
     """Bytes behind the fields may be those of a newer version: they are not counted."""
     body = pack_chunk(compression, CONTENT)
     for behind in (b"", b"new field"):
-        content, known_bytes = expand_chunk(body + behind, LIMITS)
+        content, known_bytes = expand_chunk(body + behind, LIMITS, Effort(0))
         assert bytes(content) == CONTENT
         assert known_bytes == len(body)
 
@@ -38,7 +39,7 @@ def test_a_flipped_byte_of_the_data_is_always_told(compression: str) -> None:
         broken = bytearray(body)
         broken[place] ^= 0x10
         try:
-            content, _ = expand_chunk(bytes(broken), LIMITS)
+            content, _ = expand_chunk(bytes(broken), LIMITS, Effort(0))
         except ChunkError:
             continue
         assert bytes(content) == CONTENT  # a byte of the compression's own that says nothing of the content
@@ -47,31 +48,31 @@ def test_a_flipped_byte_of_the_data_is_always_told(compression: str) -> None:
 def test_a_wrong_crc_is_told_and_none_is_accepted() -> None:
     """A CRC of 0 means that the writer gave none."""
     with pytest.raises(ChunkError, match="its CRC is wrong"):
-        expand_chunk(pack_chunk("zstd", CONTENT, crc=1), LIMITS)
-    assert bytes(expand_chunk(pack_chunk("zstd", CONTENT, crc=0), LIMITS)[0]) == CONTENT
+        expand_chunk(pack_chunk("zstd", CONTENT, crc=1), LIMITS, Effort(0))
+    assert bytes(expand_chunk(pack_chunk("zstd", CONTENT, crc=0), LIMITS, Effort(0))[0]) == CONTENT
 
 
 def test_another_size_than_the_declared_one_is_told() -> None:
     for size_bytes in (len(CONTENT) - 1, len(CONTENT) + 1, 1 << 60):
         with pytest.raises(ChunkError, match="bytes declared"):
-            expand_chunk(pack_chunk("zstd", CONTENT, size_bytes), LIMITS)
+            expand_chunk(pack_chunk("zstd", CONTENT, size_bytes), LIMITS, Effort(0))
 
 
 @pytest.mark.parametrize("end", [0, 31, 35, 43, -1])
 def test_a_body_that_contradicts_its_length_is_misframed(end: int) -> None:
     """Truncated in the head, or before the end of the data: the length of the record is what is wrong."""
     with pytest.raises(ChunkError) as told:
-        expand_chunk(pack_chunk("zstd", CONTENT)[:end], LIMITS)
+        expand_chunk(pack_chunk("zstd", CONTENT)[:end], LIMITS, Effort(0))
     assert told.value.is_misframed
     with pytest.raises(ChunkError) as told:
-        expand_chunk(pack_chunk("zstd", CONTENT, crc=1), LIMITS)
+        expand_chunk(pack_chunk("zstd", CONTENT, crc=1), LIMITS, Effort(0))
     assert not told.value.is_misframed
 
 
 def test_a_name_of_a_compression_without_an_end_is_misframed() -> None:
     head = struct.pack("<QQQII", 0, 0, 10, 0, 1 << 31)
     with pytest.raises(ChunkError, match="head is incomplete") as told:
-        expand_chunk(head + bytes(100), LIMITS)
+        expand_chunk(head + bytes(100), LIMITS, Effort(0))
     assert told.value.is_misframed
 
 

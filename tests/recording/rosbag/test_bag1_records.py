@@ -11,6 +11,7 @@ import lz4.frame
 import pytest
 
 from svmdist.profile import Limits
+from svmdist.recording.effort import Effort
 from svmdist.recording.rosbag.bag1_records import (
     MAX_HEADER_BYTES,
     OP_CHUNK,
@@ -138,7 +139,7 @@ def test_lengths_above_the_limits_are_refused() -> None:
 
 @COMPRESSIONS
 def test_a_chunk_holds_the_records_that_were_put_into_it(compression: str) -> None:
-    records = list(chunk_records(chunk(compression), LIMITS))
+    records = list(chunk_records(chunk(compression), LIMITS, Effort(0)))
     assert [(record.fields, bytes(record.data)) for record in records] == MESSAGES
     assert {record.offset for record in records} == {99}
 
@@ -147,15 +148,15 @@ def test_a_chunk_holds_the_records_that_were_put_into_it(compression: str) -> No
 @pytest.mark.parametrize("wrong_by", [-1, 1])
 def test_a_chunk_of_another_size_is_refused(compression: str, wrong_by: int) -> None:
     with pytest.raises(BrokenRecordError, match="bytes declared, found"):
-        list(chunk_records(chunk(compression, size_bytes=len(CONTENT) + wrong_by), LIMITS))
+        list(chunk_records(chunk(compression, size_bytes=len(CONTENT) + wrong_by), LIMITS, Effort(0)))
 
 
 @COMPRESSIONS
 def test_a_chunk_above_the_limit_is_refused(compression: str) -> None:
     with pytest.raises(BrokenRecordError, match="the limit is 1024"):
-        list(chunk_records(chunk(compression), Limits(chunk_bytes=1024)))
+        list(chunk_records(chunk(compression), Limits(chunk_bytes=1024), Effort(0)))
     with pytest.raises(BrokenRecordError, match="more than 3 records"):
-        list(chunk_records(chunk(compression), Limits(chunk_records=3)))
+        list(chunk_records(chunk(compression), Limits(chunk_records=3), Effort(0)))
 
 
 def test_a_bomb_of_bz2_stops_at_the_declared_size() -> None:
@@ -163,7 +164,7 @@ def test_a_bomb_of_bz2_stops_at_the_declared_size() -> None:
     bomb = bz2.compress(bytes(1 << 26))
     fields = {b"compression": b"bz2", b"size": struct.pack("<I", 1024)}
     with pytest.raises(BrokenRecordError, match="1024 bytes declared, found 1025 or more"):
-        list(chunk_records(BagRecord(0, fields, bomb, len(bomb)), LIMITS))
+        list(chunk_records(BagRecord(0, fields, bomb, len(bomb)), LIMITS, Effort(0)))
 
 
 @COMPRESSIONS
@@ -175,7 +176,7 @@ def test_a_truncated_chunk_gives_its_first_records(compression: str) -> None:
     size_bytes = len(COMPRESS[compression](CONTENT))
     for end in (0, 10, size_bytes // 2, size_bytes - 1):
         try:
-            records = list(chunk_records(chunk(compression, end=end), LIMITS))
+            records = list(chunk_records(chunk(compression, end=end), LIMITS, Effort(0)))
         except BrokenRecordError:
             assert end <= 10  # not even the head of the compression is there
             continue
@@ -186,7 +187,7 @@ def test_a_truncated_chunk_gives_its_first_records(compression: str) -> None:
 def test_a_chunk_whose_last_record_is_incomplete_is_told_after_the_others() -> None:
     content = CONTENT[:-1]
     fields = {b"compression": b"none", b"size": struct.pack("<I", len(content))}
-    records = chunk_records(BagRecord(0, fields, content, len(content)), LIMITS)
+    records = chunk_records(BagRecord(0, fields, content, len(content)), LIMITS, Effort(0))
     assert [bytes(next(records).data) for _ in MESSAGES[:-1]] == [data for _, data in MESSAGES[:-1]]
     with pytest.raises(BrokenRecordError, match="the last record of a chunk is incomplete"):
         next(records)
@@ -200,4 +201,4 @@ def test_what_does_not_expand_is_told() -> None:
     ):
         fields = {b"compression": compression, b"size": struct.pack("<I", 10)}
         with pytest.raises(BrokenRecordError, match=reason):
-            list(chunk_records(BagRecord(0, fields, b"\xff" * 50, 50), LIMITS))
+            list(chunk_records(BagRecord(0, fields, b"\xff" * 50, 50), LIMITS, Effort(0)))

@@ -139,3 +139,83 @@ def test_the_file_is_not_changed(tmp_path: Path) -> None:
     delivered(SqliteSource(path, LIMITS))
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+def scripted(path: Path, script: str) -> SqliteSource:
+    """The source of a database that a script makes."""
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(script)
+        database.commit()
+    return SqliteSource(path, LIMITS)
+
+
+@pytest.mark.parametrize(
+    "ids", ["'1', 'two'", "x'0102', 7.5", "NULL, NULL"], ids=["text", "blobs and fractions", "nothing"]
+)
+def test_ids_that_are_no_numbers_are_losses(tmp_path: Path, ids: str) -> None:
+    """SQLite keeps whatever it is given, unless the column is a key of whole numbers."""
+    first, second = ids.split(", ")
+    script = SCHEMA.replace("messages(id INTEGER PRIMARY KEY", "messages(id")
+    script += f"INSERT INTO messages VALUES ({first}, 1, 5, x'00'), ({second}, 1, 6, x'01');"
+    source = scripted(tmp_path / "a.db3", script)
+    assert delivered(source) == []
+    assert {loss.kind for loss in source.health.losses} == {LossKind.RECORD}
+
+
+@pytest.mark.parametrize("value", ["'text'", "7", "NULL", "1.5"])
+def test_data_and_times_of_another_type_are_losses(tmp_path: Path, value: str) -> None:
+    script = SCHEMA + f"INSERT INTO messages VALUES (1, 1, 5, {value}), (2, 1, 6, x'01')"
+    script += f", (3, 1, {'NULL' if value == '7' else value}, x'02');"
+    source = scripted(tmp_path / "a.db3", script)
+    assert delivered(source) == [("/js", 6, b"\x01")]
+    assert not source.health.is_clean
+
+
+@pytest.mark.parametrize("table", ["topics", "messages"])
+def test_columns_that_are_computed_are_refused(tmp_path: Path, table: str) -> None:
+    """A row of a few bytes could give two gigabytes."""
+    column = {
+        "messages": ("data BLOB)", "data BLOB AS (zeroblob(2000000000)))"),
+        "topics": (
+            "serialization_format TEXT)",
+            "serialization_format TEXT, more BLOB AS (zeroblob(2000000000)))",
+        ),
+    }[table]
+    script = SCHEMA[: SCHEMA.index("INSERT")].replace(*column)
+    source = scripted(tmp_path / "a.db3", script)
+    with pytest.raises(RecordingError, match="not of rosbag2"):
+        delivered(source)
+    with pytest.raises(RecordingError, match="not of rosbag2"):
+        source.topics()
+
+
+def test_topics_that_contradict_each_other(tmp_path: Path) -> None:
+    """Two rows of one name, or of one id, give no message twice, and none of a type that is in doubt."""
+    script = SCHEMA.replace("topics(id INTEGER PRIMARY KEY", "topics(id INTEGER")
+    script += (
+        "INSERT INTO topics VALUES (1, '/js', 'other/msg/Type', 'cdr'), (3, '/tf', 'other/msg/Type', 'cdr');"
+    )
+    script += "INSERT INTO messages VALUES (1, 1, 5, x'01'), (2, 2, 6, x'02'), (3, 3, 7, x'03');"
+    source = scripted(tmp_path / "a.db3", script)
+    assert delivered(source) == [("/tf", 6, b"\x02")]
+    assert LossKind.DEFINITION in {loss.kind for loss in source.health.losses}
+
+
+@pytest.mark.parametrize("name", ["x'ff'", "NULL", "CAST(x'ff' AS TEXT)", "printf('%.5000c', 'a')"])
+def test_topics_without_a_name(tmp_path: Path, name: str) -> None:
+    """What is no text, not UTF-8 or endless names nothing."""
+    script = SCHEMA + f"UPDATE topics SET name = {name} WHERE id = 1;"
+    script += "INSERT INTO messages VALUES (1, 1, 5, x'01'), (2, 2, 6, x'02');"
+    source = scripted(tmp_path / "a.db3", script)
+    assert delivered(source) == [("/tf", 6, b"\x02")]
+    assert [info.topic for info in source.topics()] == ["/tf"]
+    assert not source.health.is_clean
+
+
+def test_a_row_that_takes_for_ever_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SQLite's own steps are counted, not the time: a query that goes on without a row is broken off."""
+    monkeypatch.setattr("svmdist.recording.rosbag.sqlite_source.MAX_STEPS", 1_000_000)
+    source = SqliteSource(write(tmp_path / "a.db3"), LIMITS)
+    endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i FROM n WHERE i < 0"
+    with pytest.raises(RecordingError, match="interrupted"):
+        list(source._rows(endless))

@@ -1,0 +1,256 @@
+"""Files and paths that nobody would write by hand: each gets one line that names it, at once, and exit code 1 or 2."""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from svmdist.profile import SHIPPED
+from tests.cli.conftest import Cli
+from tests.cli.running import ended, one_line
+
+PSM13 = (SHIPPED / "psm13.toml").read_text("utf-8")
+DEEP, DEEP_TABLES, DIGITS = "[" * 10_000 + "]" * 10_000, "{b=" * 10_000 + "1" + "}" * 10_000, "9" * 5_000
+LINUX = pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="needs pipes and devices as Linux has them"
+)
+
+
+def named(folder: Path, kind: str, name: str) -> Path:
+    """A pipe without a writer, or a device without an end, under a name."""
+    path = folder / name
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    return path
+
+
+def as_profile(path: Path) -> list[object]:
+    """Use it as a profile."""
+    return ["info", "x.mcap", "--profile", path.rename(path.with_suffix(".toml"))]
+
+
+def as_calibration(path: Path) -> list[object]:
+    """Use it as a calibration."""
+    return ["estimate", "x.mcap", "--calibration", path]
+
+
+def as_mesh(path: Path) -> list[object]:
+    """Use it as the tissue's shape."""
+    mesh = path.rename(path.with_suffix(".obj"))
+    profile = path.with_name("mine.toml")
+    plane = PSM13[PSM13.index("[tissue]") : PSM13.index("[tissue.dome]")]
+    kept = (
+        PSM13[: PSM13.index("[tissue]")] + plane + f'mesh = "{mesh}"\n' + PSM13[PSM13.index("[simulation]") :]
+    )
+    profile.write_text(kept)
+    return ["estimate", "x.mcap", "--method", "fused", "--profile", profile]
+
+
+def as_network(path: Path) -> list[object]:
+    """Use it as the network that tells classes."""
+    profile = path.with_name("mine.toml")
+    network = f'[segmentation]\nmethod = "onnx"\nmodel = "{path}"\nwidth_px = 64\nheight_px = 64\n'
+    network += (
+        "tissue = { class_ids = [1], min_area_px = 9 }\ninstrument = { class_ids = [2], min_area_px = 9 }\n"
+    )
+    kept = PSM13[: PSM13.index("[segmentation.tissue]")] + network + PSM13[PSM13.index("[marker]") :]
+    profile.write_text(kept)
+    return ["estimate", "x.mcap", "--method", "fused", "--profile", profile]
+
+
+def as_recording(path: Path) -> list[object]:
+    """Use it as a recording."""
+    return ["estimate", path]
+
+
+def as_metadata(path: Path) -> list[object]:
+    """Use it as the metadata.yaml of a bag."""
+    path.rename(path.with_name("metadata.yaml"))
+    return ["info", path.parent]
+
+
+def as_member(ending: str) -> Callable[[Path], list[object]]:
+    """Use it as a storage file of a bag."""
+
+    def use(path: Path) -> list[object]:
+        path.rename(path.with_name(f"bag_0{ending}"))
+        path.with_name("metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+        return ["info", path.parent]
+
+    return use
+
+
+@LINUX
+@pytest.mark.parametrize("kind", ["pipe", "zeros"])
+@pytest.mark.parametrize(
+    "use",
+    [
+        as_profile,
+        as_calibration,
+        as_mesh,
+        as_network,
+        as_recording,
+        as_metadata,
+        as_member(".mcap"),
+        as_member(".db3"),
+    ],
+    ids=[
+        "profile",
+        "calibration",
+        "mesh",
+        "network",
+        "recording",
+        "metadata",
+        "mcap of a bag",
+        "db3 of a bag",
+    ],
+)
+def test_what_is_no_regular_file_is_not_waited_for(
+    tmp_path: Path, kind: str, use: Callable[[Path], list[object]]
+) -> None:
+    """A pipe would be waited for without end, and a device fill the memory."""
+    done = ended(*use(named(tmp_path, kind, "it")), cwd=tmp_path)
+    assert done.returncode == 1
+    assert "regular file" in done.stderr or "without metadata.yaml" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@LINUX
+@pytest.mark.parametrize("kind", ["pipe", "zeros"])
+def test_a_baseline_is_a_regular_file(tmp_path: Path, kind: str) -> None:
+    from svmdist.errors import RecordingError
+    from svmdist.workflows.baseline import load_baseline
+
+    with pytest.raises(RecordingError, match="regular file"):
+        load_baseline(named(tmp_path, kind, "baseline.json"))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "[robot]\njoints = " + DEEP + "\n",
+            "line 2, key robot.joints: nested more than 50 deep",
+        ),
+        ("a = " + DEEP_TABLES + "\n", "line 1, key a: nested more than 50 deep"),
+        (
+            'name = "x"\n[features]\nfeature_count = ' + DIGITS,
+            "line 3, key features.feature_count: a number of",
+        ),
+        ("[" + "a." * 10_000 + "b]\n", "unknown key a"),
+    ],
+    ids=["lists", "tables", "digits", "dotted"],
+)
+def test_a_profile_without_measure(cli: Cli, tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    outcome = cli("info", "x.mcap", "--profile", path)
+    assert outcome.code == 1
+    line = one_line(outcome.err)
+    assert "mine.toml" in line
+    assert said in line
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("focal_std", "focal_std_fraction = 1e308", "camera_error.focal_std_fraction"),
+        ("plane_distance_std_m = 1.0e-3", "plane_distance_std_m = 1e308", "tissue.plane_distance_std_m"),
+        ("a_m = 0.43", "a_m = 1e308", "robot.joints.1.a_m"),
+        ("shaft_radius_m = 0.004", "shaft_radius_m = 1e-308", "instrument.shaft_radius_m"),
+        ("position_m = [0.0, 0.0085, 0.0046]", "position_m = [0.0, -1e308, 0.0]", "fiducial.position_m"),
+    ],
+)
+def test_numbers_of_a_profile_are_bounded(
+    cli: Cli, tmp_path: Path, before: str, after: str, said: str
+) -> None:
+    """What would overflow when it is squared is refused where it stands, not warned of by NumPy later."""
+    path = tmp_path / "mine.toml"
+    text = PSM13.replace(before, after, 1) if before in PSM13 else PSM13 + f"[camera_error]\n{after}\n"
+    path.write_text(text)
+    line = one_line(cli("info", "x.mcap", "--profile", path).err)
+    assert "mine.toml" in line
+    assert said in line
+
+
+@pytest.mark.parametrize("number", ["1e308", "-1e200"])
+def test_coordinates_of_a_mesh_are_bounded(tmp_path: Path, number: str) -> None:
+    from svmdist.errors import ProfileError
+    from svmdist.geometry.mesh_files import read_closed_mesh
+
+    path = tmp_path / "organ.obj"
+    path.write_text(f"v 0 0 0\nv {number} 0 0\nv 0 30 0\nv 0 0 30\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    with pytest.raises(ProfileError, match="finite number within"):
+        read_closed_mesh(path, 1e-3)
+
+
+@pytest.mark.parametrize("key", ["mesh", "model"])
+def test_nul_in_a_path_of_a_profile(cli: Cli, tmp_path: Path, key: str) -> None:
+    path = tmp_path / "mine.toml"
+    if key == "mesh":
+        path.write_text(PSM13.replace("surface_std_m = 5e-5", 'mesh = "a\\u0000b.stl"'))
+    else:
+        path.write_text(f'name = "x"\n[segmentation]\nmethod = "onnx"\n{key} = "a\\u0000b"\n')
+    line = one_line(cli("info", "x.mcap", "--profile", path).err)
+    assert "mine.toml" in line
+    assert key in line
+    assert "NUL" in line
+
+
+@pytest.mark.parametrize("length", [254, 255, 256, 300])
+@pytest.mark.parametrize("command", ["info", "profile", "output", "record"])
+def test_long_names(cli: Cli, tmp_path: Path, synthetic_log: Path, command: str, length: int) -> None:
+    """A name that the file system does not know how to keep is one line; the longest that it keeps is written."""
+    path = tmp_path / ("n" * (length - 5) + ".toml")
+    arguments: dict[str, list[object]] = {
+        "info": ["info", path],
+        "profile": ["info", "x.mcap", "--profile", path],
+        "output": ["info", synthetic_log, "-f", "csv", "-o", path],
+        "record": ["record", "--duration", "0.2", "--rate", "5", "-o", path],
+    }
+    if command == "record":
+        pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+    outcome = cli(*arguments[command])
+    if command == "output" and length <= 255:
+        assert (outcome.code, outcome.err) == (0, "")
+        assert list(tmp_path.iterdir()) == [path]
+        return
+    assert outcome.code == 1
+    assert path.name[:100] in one_line(outcome.err)
+
+
+@LINUX
+@pytest.mark.parametrize("name", ["loop", "loop/rows.csv"])
+@pytest.mark.parametrize("command", ["info", "record"])
+def test_an_output_in_a_loop_of_links(
+    cli: Cli, tmp_path: Path, synthetic_log: Path, command: str, name: str
+) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "pool")
+    (tmp_path / "pool").symlink_to(tmp_path / "loop")
+    before = sorted(tmp_path.iterdir())
+    arguments = ["info", synthetic_log] if command == "info" else ["record", "--duration", "0.2"]
+    outcome = cli(*arguments, "-o", tmp_path / name)
+    assert (outcome.code, outcome.out) == (1, "")
+    assert str(tmp_path / name) in one_line(outcome.err)
+    assert sorted(tmp_path.iterdir()) == before
+    assert (tmp_path / "loop").is_symlink()
+
+
+@LINUX
+def test_a_metadata_of_newlines_takes_no_time(tmp_path: Path, synthetic_log: Path) -> None:
+    """A megabyte that begins nothing is read like any other file."""
+    (tmp_path / "metadata.yaml").write_text("\n" * (1 << 20))
+    (tmp_path / "bag_0.mcap").write_bytes(synthetic_log.read_bytes())
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = ended("info", tmp_path, cwd=tmp_path)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert done.returncode == 3
+    assert "metadata.yaml" in done.stderr
+    assert after.ru_utime - before.ru_utime < 5.0

@@ -1,0 +1,194 @@
+"""A system that runs out of something, or knows other letters: one line and exit code 1, or plain ASCII."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.cli.running import LIMIT_S, ended, one_line
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs the limits of Linux")
+MIB = 1 << 20
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["info"], ["info", "-f", "json"], ["estimate"], ["estimate", "-f", "csv"], ["fk", "-f", "csv"]],
+    ids=" ".join,
+)
+def test_a_full_stdout(synthetic_log: Path, synthetic_calibration: Path, arguments: list[str]) -> None:
+    """What cannot be written is an error, whoever notices it: the write, the flush, or Python at its end."""
+    command, *options = arguments
+    if command == "estimate":
+        options += ["--calibration", str(synthetic_calibration)]
+    with Path("/dev/full").open("w") as full:
+        done = ended(command, synthetic_log, *options, stdout=full)
+    assert done.returncode == 1
+    assert one_line(done.stderr) == "svmdist: stdout: cannot write: No space left on device"
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["estimate", "--help"]], ids=" ".join)
+def test_a_full_stdout_of_help(arguments: list[str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = ended(*arguments, stdout=full)
+    assert done.returncode == 1
+    assert "No space left on device" in one_line(done.stderr)
+
+
+@pytest.mark.parametrize("command", ["info", "estimate"])
+def test_a_closed_stdout(synthetic_log: Path, synthetic_calibration: Path, command: str) -> None:
+    options = ["--calibration", synthetic_calibration] if command == "estimate" else []
+    done = ended(command, synthetic_log, *options, before=lambda: os.close(1))
+    assert done.returncode == 1
+    assert "stdout" in one_line(done.stderr)
+
+
+def limited(what: int, amount: int) -> Callable[[], None]:
+    """A limit that holds from the start of the process."""
+    return lambda: resource.setrlimit(what, (amount, amount))
+
+
+def test_a_limit_of_file_sizes(tmp_path: Path, synthetic_log: Path, synthetic_calibration: Path) -> None:
+    """`ulimit -f`: stdout in a file, and files of its own."""
+    command = ["estimate", synthetic_log, "--calibration", synthetic_calibration, "-f", "csv"]
+    limit = limited(resource.RLIMIT_FSIZE, 2048)
+    with (tmp_path / "stdout").open("w") as stdout:
+        done = ended(*command, before=limit, stdout=stdout)
+    assert (done.returncode, one_line(done.stderr)) == (1, "svmdist: stdout: cannot write: File too large")
+    done = ended(*command, "-o", tmp_path / "rows.csv", before=limit)
+    assert done.returncode == 1
+    assert "rows.csv: cannot write: File too large" in one_line(done.stderr)
+    assert [path.name for path in tmp_path.iterdir()] == ["stdout"]
+
+
+def test_a_recording_that_grows_too_large(tmp_path: Path) -> None:
+    """What was recorded until then stays, and is named; so it is where the scene itself cannot be put down."""
+    pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+    path = tmp_path / "r.mcap"
+    done = ended(
+        "record", "--duration", 20, "-j", 1, "-o", path, before=limited(resource.RLIMIT_FSIZE, 2 * MIB)
+    )
+    assert done.returncode == 1
+    line = one_line(done.stderr)
+    assert "File too large" in line
+    assert f"what was recorded until then is in {path}.part" in line
+    assert list(tmp_path.iterdir()) == [path.with_name("r.mcap.part")]
+
+
+@pytest.mark.parametrize("size", [1000, 20_000])
+def test_a_full_folder_for_temporary_files(tmp_path: Path, size: int) -> None:
+    """The renderer's meshes go through TMPDIR: a limit of file sizes stands for a full one."""
+    pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+    done = ended(
+        "record", "--duration", 0.2, "-o", tmp_path / "r.mcap", before=limited(resource.RLIMIT_FSIZE, size)
+    )
+    assert done.returncode == 1
+    assert "TMPDIR" in one_line(done.stderr)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_folder_for_temporary_files(tmp_path: Path) -> None:
+    pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+    script = "import sys, tempfile; tempfile._candidate_tempdir_list = lambda: ['/nowhere']\n"
+    script += "sys.argv[:] = ['svmdist', 'record', '--duration', '0.2', '-o', sys.argv[1]]\n"
+    script += "from svmdist.__main__ import run; run()"
+    done = subprocess.run(
+        [sys.executable, "-c", script, tmp_path / "r.mcap"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=LIMIT_S,
+    )
+    assert done.returncode == 1
+    assert "TMPDIR" in one_line(done.stderr)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("memory_mib", [150, 250, 350, 450, 600])
+def test_a_limit_of_memory(synthetic_log: Path, synthetic_calibration: Path, memory_mib: int) -> None:
+    """`ulimit -v`: it works, or says in a line that memory is what it lacks; libraries may add lines of their own."""
+    limit = limited(resource.RLIMIT_AS, memory_mib * MIB)
+    command = ["estimate", synthetic_log, "--calibration", synthetic_calibration, "-f", "csv", "-j", "1"]
+    done = ended(*command, before=limit, environment={"OPENBLAS_NUM_THREADS": "1"})
+    assert "Traceback" not in done.stderr, done.stderr
+    if done.returncode != 0:
+        assert done.returncode == 1
+        assert "memory" in done.stderr.strip().splitlines()[-1]
+
+
+@pytest.mark.parametrize("count", [5, 8, 12, 20])
+def test_a_limit_of_open_files(tmp_path: Path, synthetic_log: Path, count: int) -> None:
+    """`ulimit -n`."""
+    limit = limited(resource.RLIMIT_NOFILE, count)
+    done = ended("info", synthetic_log, "-f", "csv", "-o", tmp_path / "rows.csv", before=limit)
+    assert "Traceback" not in done.stderr, done.stderr
+    if done.returncode != 0:
+        assert done.returncode == 1
+        assert "Too many open files" in one_line(done.stderr)
+        assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
+@pytest.mark.parametrize("form", ["table", "csv", "json", "jsonl"])
+def test_other_encodings(
+    tmp_path: Path, synthetic_log: Path, synthetic_calibration: Path, encoding: str, form: str
+) -> None:
+    """Tables fall back to ASCII, and JSON stays what it is, whatever stdout is encoded in."""
+    log = tmp_path / "größe–Ω.mcap"
+    log.write_bytes(synthetic_log.read_bytes())
+    command = ["estimate", log, "--calibration", synthetic_calibration, "-f", form]
+    there = {"PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"}
+    done = ended(*command, environment=there, encoding=encoding, errors="strict")
+    assert done.returncode == 0, done.stderr
+    text = done.stdout
+    if form in {"json", "jsonl"}:
+        assert text.isascii()
+        rows = json.loads(text) if form == "json" else [json.loads(line) for line in text.splitlines()]
+        assert {row["recording"] for row in rows} == {"größe–Ω"}
+    else:
+        assert len(text.splitlines()) > 40
+        assert ("gr??e-?" if encoding == "ascii" else "größe") in text
+
+
+@pytest.mark.parametrize("command", ["info", "estimate"])
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
+def test_a_name_that_is_not_utf8(
+    tmp_path: Path, synthetic_log: Path, synthetic_calibration: Path, command: str, encoding: str
+) -> None:
+    """Bytes of a file's name that are no text are shown as unknown characters."""
+    log = Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\xff\xfe.mcap"))
+    log.write_bytes(synthetic_log.read_bytes())
+    options = [] if command == "info" else ["--calibration", synthetic_calibration]
+    for form in ("table", "json"):
+        for output in ([], ["-o", tmp_path / "out"])[: 2 if form == "json" else 1]:
+            done = ended(
+                command,
+                log,
+                *options,
+                "-f",
+                form,
+                *output,
+                environment={"PYTHONIOENCODING": encoding},
+                encoding="utf-8",
+            )
+            assert done.returncode == 0, done.stderr
+            assert "Traceback" not in done.stderr
+            text = (tmp_path / "out").read_text("utf-8") if output else done.stdout
+            if form == "json":
+                assert "a\N{REPLACEMENT CHARACTER}\N{REPLACEMENT CHARACTER}" in json.dumps(
+                    json.loads(text), ensure_ascii=False
+                )
+
+
+@pytest.mark.parametrize("command", ["record", "estimate", "validate"])
+def test_help_in_ascii(command: str) -> None:
+    done = ended(command, "--help", environment={"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"})
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Options:" in done.stdout

@@ -1,0 +1,201 @@
+"""Mutants of what every parser takes: a value, or an error of its own; no other exception, and no endless work.
+
+A corpus of small inputs stands in `tests/data/corpus`, a folder a parser; `tests/fuzz.py` looks for more that reach new
+code, by coverage. `pytest -m fault` makes 23,000 mutants of them, the plain run a few hundred.
+"""
+
+from __future__ import annotations
+
+import random
+import time
+import tomllib
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.errors import ProfileError, SvmdistError
+from svmdist.geometry.mesh_files import read_closed_mesh
+from svmdist.profile import Limits, Profile, load_profile
+from svmdist.recording.inspect import inspect_recording
+from svmdist.recording.messages.checks import DecodeError
+from svmdist.recording.messages.decoding import SCHEMAS, Decoder
+from svmdist.recording.messages.images import ImageError, decode_still
+from svmdist.recording.rosbag.bag2_metadata import MetadataError, parse_metadata
+from svmdist.recording.sources import RawMessage
+from svmdist.samples import Sample
+from svmdist.toml_limits import find_excess
+
+from .faults import mutate_body
+
+CORPUS = Path(__file__).parents[1] / "data" / "corpus"
+LIMITS = Limits()
+MAX_SECONDS = 10.0
+"""Of processor, for one mutant."""
+
+
+def log(data: bytes, folder: Path) -> None:
+    """A whole file, of whatever kind it says that it is: MCAP, ROS 1, SQLite."""
+    path = folder / "mutant"
+    path.write_bytes(data)
+    with suppress(SvmdistError):
+        inspect_recording(path, load_profile())
+
+
+def yaml(data: bytes, _: Path) -> None:
+    """The metadata.yaml of a bag."""
+    with suppress(MetadataError):
+        parse_metadata(data)
+
+
+def profile(data: bytes, folder: Path) -> None:
+    """A profile; NumPy may not warn of its numbers either."""
+    path = folder / "mutant.toml"
+    path.write_bytes(data)
+    with suppress(ProfileError):
+        loaded = load_profile(path)
+        if loaded.tissue is not None:
+            np.linalg.inv(loaded.tissue.T_tissue_mesh)
+
+
+def toml(data: bytes, _: Path) -> None:
+    """Where no excess is found, Python's own parser ends in time, with a document or its own error."""
+    text = data.decode("utf-8", "replace")
+    if find_excess(text) is None:
+        with suppress(tomllib.TOMLDecodeError):
+            tomllib.loads(text)
+
+
+def mesh(data: bytes, folder: Path) -> None:
+    """A mesh, in either format."""
+    for ending in (".obj", ".stl"):
+        path = folder / f"mutant{ending}"
+        path.write_bytes(data)
+        read_closed_mesh.cache_clear()
+        with suppress(ProfileError):
+            read_closed_mesh(path, 1e-3)
+
+
+def image(data: bytes, _: Path) -> None:
+    """A compressed image."""
+    with suppress(ImageError):
+        decoded = decode_still(data, LIMITS)
+        assert decoded.dtype == np.uint8
+        assert decoded.ndim == 3
+
+
+def message(encoding: str) -> Callable[[bytes, Path], None]:
+    """A message of an encoding, taken for each schema that it may have."""
+
+    def decode(data: bytes, _: Path) -> None:
+        for schema in SCHEMAS[encoding]:
+            raw = RawMessage("/t", schema, encoding, 1, data)
+            with suppress(DecodeError):
+                found: Sample | object = Decoder(LIMITS).decode(raw)
+                pixels = getattr(found, "decode", None)
+                if pixels is not None:
+                    with suppress(ImageError):
+                        pixels()
+
+    return decode
+
+
+TARGETS: dict[str, Callable[[bytes, Path], None]] = {
+    "mcap": log,
+    "bag1": log,
+    "sqlite": log,
+    "yaml": yaml,
+    "profile": profile,
+    "toml": toml,
+    "mesh": mesh,
+    "image": image,
+    "protobuf": message("protobuf"),
+    "json": message("json"),
+    "cdr": message("cdr"),
+    "ros1": message("ros1"),
+}
+SHARES = {"mcap": 3000, "bag1": 2000, "sqlite": 1500, "profile": 500}
+"""Mutants in the long run; of the others 2,000: 23,000 in all."""
+
+
+def mutants(seeds: list[bytes], count: int, seed: int) -> list[bytes]:
+    """Mutants of a corpus, and pieces of two of its inputs put together."""
+    rng = random.Random(seed)
+    found = []
+    for _ in range(count):
+        data = rng.choice(seeds)
+        for _ in range(rng.choice((1, 1, 2, 4))):
+            start = rng.randrange(len(data) + 1)
+            end = min(len(data), start + rng.choice((8, 64, 512, 4096)))
+            data = data[:start] + mutate_body(data[start:end], rng) + data[end:]
+        if rng.random() < 0.1:
+            other = rng.choice(seeds)
+            data = data[: rng.randrange(len(data) + 1)] + other[rng.randrange(len(other) + 1) :]
+        found.append(data)
+    return found
+
+
+def check(target: str, data: bytes, folder: Path) -> None:
+    """Give a target an input; whatever is raised, or takes too long, names the input."""
+    started = time.process_time()
+    try:
+        TARGETS[target](data, folder)
+    except Exception as problem:
+        problem.add_note(f"{target} of {len(data)} bytes: {data[:400]!r}")
+        raise
+    assert time.process_time() - started < MAX_SECONDS, data[:400]
+
+
+def corpus_of(target: str) -> list[bytes]:
+    """The inputs of a target; small ones first."""
+    found = sorted((CORPUS / target).iterdir(), key=lambda path: (path.stat().st_size, path.name))
+    assert found, f"no corpus for {target}"
+    return [path.read_bytes() for path in found]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "is_long", [False, pytest.param(True, marks=pytest.mark.fault)], ids=["short", "long"]
+)
+@pytest.mark.parametrize("target", TARGETS)
+def test_mutants_give_a_value_or_an_error_of_ours(tmp_path: Path, target: str, is_long: bool) -> None:
+    seeds = corpus_of(target)
+    for data in seeds:
+        check(target, data, tmp_path)
+    count = SHARES.get(target, 2000) if is_long else 30
+    for data in mutants(seeds, count, seed=11 if is_long else 10):
+        check(target, data, tmp_path)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.fault
+@pytest.mark.parametrize("target", ["mcap", "bag1", "sqlite"])
+def test_mutants_of_logs_stay_small(tmp_path: Path, target: str) -> None:
+    """With a limit of 1 GiB on the memory that the process may claim, none of the mutants lacks any."""
+    import subprocess
+    import sys
+
+    script = (
+        "import resource, sys\n"
+        "from pathlib import Path\n"
+        "from tests.recording.test_mutants import check, corpus_of, mutants\n"
+        "import cv2; cv2.setNumThreads(1)\n"
+        "held = int(next(l.split()[1] for l in open('/proc/self/status') if l.startswith('VmSize'))) << 10\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (held + (1 << 30),) * 2)\n"
+        f"for data in mutants(corpus_of({target!r}), 500, 12): check({target!r}, data, Path(sys.argv[1]))\n"
+    )
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", script, tmp_path], cwd=root, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_profile_of_the_corpus_is_one(tmp_path: Path) -> None:
+    """The mutants begin at what is right: else they would all fail at the first line."""
+    for data in corpus_of("profile"):
+        path = tmp_path / "it.toml"
+        path.write_bytes(data)
+        assert isinstance(load_profile(path), Profile)
