@@ -47,7 +47,7 @@ def measured(
         capsules = frame.arm.body.posed(pose, tool.joints, tool.has_plate)
         gap = separation(capsules, tissue.surface)
         std_m = float(np.hypot(clearance_std_m(gap, pose, tissue, coupling), frame.arm.body.surface_std_m))
-        clearance = Distance(gap.distance_m, std_m, as_vector(gap.direction))
+        clearance = Distance(gap.distance_m, _with_overlap(gap.distance_m, std_m), as_vector(gap.direction))
     distances = Distances(planar, spatial, clearance)
     return replace(with_tool(result, frame, tool), status=Status.OK, distances=distances)
 
@@ -87,6 +87,15 @@ def variance_along(direction: Array, point_m: Array, pose: ToolPose) -> float:
 def _moves(direction: Array, point_m: Array, pose: ToolPose) -> Array:
     """How far a pose's (δp, δθ) moves a point of the tool along a direction: derivative, shape (6,)."""
     return np.concatenate([direction, np.cross(point_m - pose.position_m, direction)])
+
+
+def _with_overlap(distance_m: float, std_m: float) -> float:
+    """The deviation of a clearance with what may be wrong where surfaces seem to overlap.
+
+    Bodies do not: soft tissue has given way, which its model does not know, and the clearance is 0; or tool or tissue
+    is elsewhere. How much of the overlap that explains is not known, so that all of it is a deviation.
+    """
+    return float(np.hypot(std_m, max(-distance_m, 0.0)))
 
 
 def _length(offset_m: Array, covariance: Array) -> Distance:

@@ -10,6 +10,7 @@ from svmdist.perturbations.perturbation import Perturbation, Place
 
 MARKER = "the coloured part is what the set-up adds, as the paper has it: it wears, and stays"
 TOOLS = "Bouget et al. 2017; Allan et al. 2019: what instruments in operations look like"
+PRESSED = "Liu et al. 2007; Samur et al. 2007: instruments press livers in by millimetres; how far is assumed"
 BREATH = "Richa, Bó & Poignet 2011: breathing and heartbeat move what is operated on by millimetres"
 VIDEO = "ITU-R BT.601: first-generation endoscopes give 4:2:2 fields; recorders keep 4:2:0 (ITU-T H.264)"
 TIP = "Collins & Bartoli 2012; Okatani & Deguchi 1997: the endoscope carries the light"
@@ -69,6 +70,14 @@ IMAGES: tuple[Perturbation, ...] = (
         1.5,
         Uniform(0.0, 1.0),
         "assumed: no organ is of the profile's family",
+    ),
+    _image(
+        "dent",
+        "mm",
+        "Tissue gives way to what presses on it, and `contact` goes so much deeper than a touch.",
+        4.0,
+        Uniform(0.5, 2.5),
+        PRESSED,
     ),
     _image(
         "tip", "of the way", "From the coloured part, 0, to bare steel, 1.", 1.0, Uniform(0.0, 0.2), MARKER
@@ -133,6 +142,14 @@ IMAGES: tuple[Perturbation, ...] = (
         6.0,
         Always(1.0),
         VIDEO,
+    ),
+    _image(
+        "rolling",
+        "ms",
+        "Rows are exposed one after another, the last one so much later than the first; the stamp is the middle row's.",
+        100.0,
+        None,
+        "",
     ),
     _image(
         "light",

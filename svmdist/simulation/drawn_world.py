@@ -92,6 +92,9 @@ class DrawnWorld(Closing):
         self._arms: list[_Arm] = []
         self._poses: list[dict[str, Array]] = []
         self._tissue: int | None = None
+        self._tissue_texture: int | None = None
+        self._shaped: int | None = None
+        self._shaped_mesh: DrawnMesh | None = None
         self._floor: int | None = None
         self._retractor: int | None = None
         with writing_temporary_files():
@@ -124,12 +127,31 @@ class DrawnWorld(Closing):
     def raise_tissue(self, rise_m: float) -> None:
         """Put tissue and floor so far above their place at rest."""
         if self._tissue is not None and self._floor is not None:
-            self.place(self._tissue, risen(rise_m) @ self._scene.T_world_tissue)
+            at_rest, shaped = self._tissue, self._shaped
+            self.place(at_rest if shaped is None else shaped, risen(rise_m) @ self._scene.T_world_tissue)
             self.place(self._floor, risen(rise_m))
+
+    def shape_tissue(self, mesh: DrawnMesh | None) -> None:
+        """Draw the organ with another mesh in its frame, or as it is at rest; `raise_tissue` then puts it in its place.
+
+        Bodies are drawn in the order in which they came, and the shaped one is always the last.
+        """
+        if self._tissue is None or mesh is self._shaped_mesh:
+            return
+        if self._shaped is not None:
+            self.client.call("removeBody", self._shaped)
+            self._shaped = None
+        self._shaped_mesh = mesh
+        if mesh is not None:
+            self.place(self._tissue, _AWAY)
+            self._shaped = self._add_mesh(mesh)
+            assert self._tissue_texture is not None  # the tissue is painted
+            self.client.call("changeVisualShape", self._shaped, -1, textureUniqueId=self._tissue_texture)
 
     def is_still(self, picture: Picture) -> NDArray[np.bool_]:
         """Where a picture shows tissue or floor, shape (h, w)."""
-        return np.isin(picture.bodies, [body for body in (self._tissue, self._floor) if body is not None])
+        still = (self._tissue, self._shaped, self._floor)
+        return np.isin(picture.bodies, [body for body in still if body is not None])
 
     def parts(self, picture: Picture) -> tuple[NDArray[np.int16], tuple[Array, ...]]:
         """Which instrument's part is seen where, int16 (h, w), numbers of poses `T_world_part`, (4, 4) each."""
@@ -192,7 +214,7 @@ class DrawnWorld(Closing):
         if still:
             self._tissue = self.add_body(scene.organ.mesh, "organ")
             self.place(self._tissue, scene.T_world_tissue)
-            self._paint(self._tissue, scene.tissue_texture, "tissue")
+            self._tissue_texture = self._paint(self._tissue, scene.tissue_texture, "tissue")
             self._floor = self.add_body(make_floor(), "floor")
             self._paint(self._floor, scene.floor_texture, "floor")
         if moving:
@@ -247,11 +269,26 @@ class DrawnWorld(Closing):
         )
         return int(self.client.call("createMultiBody", 0, -1, shape))
 
-    def _paint(self, body: int, texture_bgr: Image, name: str) -> None:
+    def _add_mesh(self, mesh: DrawnMesh) -> int:
+        """Add a mesh at the origin without a file, in half of the time; drawn alike to the last bit."""
+        shape = self.client.call(
+            "createVisualShape",
+            self.client.pb.GEOM_MESH,
+            vertices=mesh.vertices_m.tolist(),
+            indices=mesh.faces.ravel().tolist(),
+            uvs=mesh.uv.tolist(),
+            normals=mesh.normals.tolist(),
+            rgbaColor=_WHITE,
+        )
+        return int(self.client.call("createMultiBody", 0, -1, shape))
+
+    def _paint(self, body: int, texture_bgr: Image, name: str) -> int:
+        """Put a texture onto a body; its number."""
         file = Path(self._folder.name) / f"{name}.png"
         cv2.imwrite(str(file), texture_bgr)
-        texture = self.client.call("loadTexture", str(file))
+        texture = int(self.client.call("loadTexture", str(file)))
         self.client.call("changeVisualShape", body, -1, textureUniqueId=texture)
+        return texture
 
     def place(self, body: int, T_world_body: Array) -> None:
         """Put a body at a pose, shape (4, 4)."""

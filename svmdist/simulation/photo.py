@@ -71,15 +71,17 @@ class PhotoRenderer(Closing):
         *,
         turn: int | None = None,
         rise_m: float = 0.0,
+        tissue: DrawnMesh | None = None,
     ) -> Image:
         """Draw the robot at joints `q`, shape (n_joints,), as `Renderer.frame_of` does."""
         scene = self._scene
         bodies: dict[str, Any] = {}
         T_rise = risen(rise_m)
-        tissue = _wet(self._texture(scene.tissue_texture), 0.28)
-        bodies["tissue"] = self._body(
-            self._files[id(scene.organ.mesh)], T_rise @ scene.T_world_tissue, tissue
-        )
+        surface = _wet(self._texture(scene.tissue_texture), 0.28)
+        file = self._files[id(scene.organ.mesh)]
+        if tissue is not None:  # Mitsuba reads the file at once
+            file = str(tissue.write_obj(Path(self._folder.name) / "tissue.obj"))
+        bodies["tissue"] = self._body(file, T_rise @ scene.T_world_tissue, surface)
         floor = _wet(self._texture(scene.floor_texture), 0.5)
         bodies["floor"] = self._body(self._floor_file, T_rise, floor)
         for number, (its, at) in enumerate(zip(self._scenes, (q, *others), strict=True)):

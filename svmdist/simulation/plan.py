@@ -97,11 +97,14 @@ class Plan:
         return [Block(frame, *span) for frame, span in enumerate(zip(begins, ends, strict=True))]
 
     def moment(self, index: int, after_ns: float = 0.0) -> Moment:
-        """What stands where at the stamp number `index`, or so much later: on a straight line between two stamps."""
+        """What stands where at the stamp number `index`, or so much later: on a straight line between two stamps.
+
+        So it is before the first stamp: the robot moved before the recording, too. After the last one it holds still.
+        """
         if not after_ns:
             return self._moment(lambda values: values[index])
         since_ns = self.stamps_ns - self.stamps_ns[index]  # stamps are too large for a float
-        above = min(int(np.searchsorted(since_ns, after_ns)), len(since_ns) - 1)
+        above = int(np.clip(np.searchsorted(since_ns, after_ns), 1, len(since_ns) - 1))
         below = above - 1
         share = min((after_ns - since_ns[below]) / (since_ns[above] - since_ns[below]), 1.0)
         return self._moment(lambda values: values[below] + share * (values[above] - values[below]))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from svmdist.errors import SimulationError, did_you_mean
 from svmdist.perturbations.video import dimmed
 from svmdist.samples import Image
+from svmdist.simulation.bodies.meshes import DrawnMesh
 from svmdist.simulation.closing import Closing
 from svmdist.simulation.drawn_world import DrawnWorld, Picture
 from svmdist.simulation.photo import PhotoRenderer
@@ -63,6 +64,8 @@ class Renderer(Closing):
         self.projection = projection_matrix(scene.drawn_camera, PIXEL_SHIFT[name])
         self._backgrounds: dict[tuple[int, int], Picture] = {}
         self._background_rise_m = 0.0
+        self._tissue: DrawnMesh | None = None
+        self._background_tissue: DrawnMesh | None = None
         self._still: DrawnWorld | None = None
         self._whole: DrawnWorld | None = None
         self._turn = 0
@@ -83,12 +86,15 @@ class Renderer(Closing):
         *,
         turn: int | None = None,
         rise_m: float = 0.0,
+        tissue: DrawnMesh | None = None,
     ) -> Image:
         """Draw the robot at joints `q`, shape (n_joints,), and the retractor where it is in the scene.
 
-        `others` are the joints of the further arms. Tissue and floor have risen by `rise_m`.
+        `others` are the joints of the further arms. Tissue and floor have risen by `rise_m`; `tissue` is the organ's
+        mesh where it is not as at rest.
         """
         self._moment = Moment((q, *others), T_world_retractor, rise_m)
+        self._tissue = tissue
         self._pose(self.world)
         return self._draw(0, turn)
 
@@ -157,15 +163,17 @@ class Renderer(Closing):
     def _background(self, camera: int, turn: int) -> Picture:
         """Tissue and floor as a camera sees them in even or in odd turns."""
         rise_m = 0.0 if self._moment is None else self._moment.rise_m
-        if rise_m != self._background_rise_m:
+        is_same = rise_m == self._background_rise_m and self._tissue is self._background_tissue
+        if not is_same:
             self._backgrounds.clear()
         key = camera, turn % 2
         if key not in self._backgrounds:
             if self._still is None:
                 self._still = DrawnWorld(self._scene, still=True, moving=False)
-            if rise_m != self._background_rise_m:
+            if not is_same:
+                self._still.shape_tissue(self._tissue)
                 self._still.raise_tissue(rise_m)
-                self._background_rise_m = rise_m
+                self._background_rise_m, self._background_tissue = rise_m, self._tissue
             self._backgrounds[key] = self._still.picture(self._views[camera], self.projection, turn)
         return self._backgrounds[key]
 
@@ -179,7 +187,10 @@ class Renderer(Closing):
     def _pose(self, world: DrawnWorld) -> None:
         assert self._moment is not None  # nothing is drawn before it is posed
         world.pose(self._moment.q[0], self._moment.T_world_retractor, self._moment.q[1:])
-        if self._scene.room.moves_tissue:
+        room = self._scene.room
+        if room.dent:
+            world.shape_tissue(self._tissue)
+        if room.dent or room.moves_tissue:
             world.raise_tissue(self._moment.rise_m)
 
     def close(self) -> None:

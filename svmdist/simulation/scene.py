@@ -148,7 +148,7 @@ def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Sce
         T_world_base=make_transform(rotation_z(settings.base_yaw_rad), settings.base_position_m),
         T_world_camera=_camera_pose(settings.camera_height_m, extras, seed),
         T_world_tissue=T_world_tissue,
-        organ=make_organ(shape, relief, _tissue_shape(room, seed)),
+        organ=make_organ(shape, relief, _tissue_shape(room, seed), is_soft=room.dent > 0.0),
         parts=make_parts(
             profile.instrument,
             tuple(row.name for row in chain.rows),

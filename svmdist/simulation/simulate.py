@@ -18,9 +18,11 @@ from svmdist.simulation.closing import Closing
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.plan import Block, Moment, Plan, between_topic, make_plan
+from svmdist.simulation.pressing import Pressing
 from svmdist.simulation.renderer import make_renderer
-from svmdist.simulation.room.fields import FIELD_NS, interlaced
+from svmdist.simulation.room.exposure import exposures, exposures_at_most, woven
 from svmdist.simulation.sensor import NoiseState, Sensor
+from svmdist.simulation.shutter import motion_px
 from svmdist.transforms import Array
 
 Noise = tuple[Array | None, ...]
@@ -68,6 +70,12 @@ class Simulator(Closing):
         scene, *others = (arm.scene for arm in plan.arms)
         with ExitStack() as stack:
             self._meters = [stack.enter_context(ClearanceMeter(arm.scene)) for arm in plan.arms]
+            self._pressing = None
+            if scene.room.dent:
+                arms = [
+                    (arm.scene, meter.samples) for arm, meter in zip(plan.arms, self._meters, strict=True)
+                ]
+                self._pressing = Pressing(arms)
             self._between = [stack.enter_context(BetweenMeter(scene, other)) for other in others]
             self._view = make_renderer(scene, plan.renderer, others, plan.seed)
             stack.enter_context(self._view)
@@ -135,8 +143,11 @@ class Simulator(Closing):
 
     def _clearances_m(self, q: list[Array], rise_m: Array | None) -> _Clearances:
         """Those of a block's moments, by the joints of each arm, shape (n, n_joints), and the tissue's rise, (n,)."""
+        to_tissue_m = [meter.clearances_m(its, rise_m) for meter, its in zip(self._meters, q, strict=True)]
+        if self._pressing is not None:
+            to_tissue_m = self._pressing.clearances_m(to_tissue_m, q, rise_m)
         return _Clearances(
-            [meter.clearances_m(its, rise_m) for meter, its in zip(self._meters, q, strict=True)],
+            to_tissue_m,
             [between.clearances_m(q[0], its) for between, its in zip(self._between, q[1:], strict=True)],
         )
 
@@ -174,23 +185,29 @@ class Simulator(Closing):
 
     def _images(self, stamp_ns: int, index: int, frame: int, noise: Noise) -> Iterator[tuple[str, Sample]]:
         scene, topics = self._plan.scene, self._plan.topics
-        fields_ns = [0.0] if not scene.room.interlace else [0.0, scene.room.interlace * FIELD_NS]
-        fields = [
-            self._pictures(self._plan.moment(index, after_ns), frame * len(fields_ns) + number)
-            for number, after_ns in enumerate(fields_ns)
+        parts = exposures(scene.room, scene.camera.height_px, motion_px(self._plan, index))
+        first = frame * exposures_at_most(scene.room)
+        drawn = [
+            self._pictures(self._plan.moment(index, part.after_ns), first + number)
+            for number, part in enumerate(parts)
         ]
         named = ((topics.image, scene.camera), (topics.right_image, scene.right_camera))
-        for sensor, (topic, camera), its, drawn in zip(
-            self._sensors, named[: len(self._sensors)], noise, zip(*fields, strict=True), strict=True
+        for sensor, (topic, camera), its, images in zip(
+            self._sensors, named[: len(self._sensors)], noise, zip(*drawn, strict=True), strict=True
         ):
-            image = sensor.expose(interlaced(*drawn), its, frame)
+            image = sensor.expose(woven(images, parts), its, frame)
             yield topic, ImageSample(stamp_ns, camera.frame_id, image)
 
     def _pictures(self, moment: Moment, number: int) -> list[Image]:
         """What each camera sees of a moment, which is that number `number` of the recording."""
         turn = number * len(self._sensors)
         left = self._view.frame_of(
-            moment.q[0], moment.T_world_retractor, moment.q[1:], turn=turn, rise_m=moment.rise_m
+            moment.q[0],
+            moment.T_world_retractor,
+            moment.q[1:],
+            turn=turn,
+            rise_m=moment.rise_m,
+            tissue=None if self._pressing is None else self._pressing.tissue(moment),
         )
         return [left, self._view.right_frame(turn=turn + 1)] if self._plan.extras.stereo else [left]
 

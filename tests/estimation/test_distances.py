@@ -56,10 +56,26 @@ def tool_pose(covariance: np.ndarray | None = None) -> ToolPose:
 
 
 def fix(covariance: np.ndarray | None = None) -> TissuePose:
-    floor = Plane(np.array([0.0, 0.0, -1.0]), -0.112)
+    floor = Plane(np.array([0.0, 0.0, -1.0]), -0.125)  # 3 mm below the instrument
     return TissuePose(
         np.array([0.0, 0.001, 0.112]), np.zeros((3, 3)) if covariance is None else covariance, floor
     )
+
+
+def test_an_overlap_is_a_deviation() -> None:
+    """Soft tissue gives way: 2 mm inside its model, the interval reaches contact. Outside nothing is added."""
+    rng = np.random.default_rng(3)
+    A = rng.normal(0.0, 1.0, (6, 6)) * np.array([2e-4] * 3 + [8e-3] * 3)[:, None]
+    apart = measure(tool_pose(A @ A.T), fix(), JOINTS)
+    floor = fix().surface
+    assert isinstance(floor, Plane)
+    assert apart.clearance_m > 0.0
+    for clearance_m in (0.0005, -1e-6, -0.002):
+        risen = Plane(floor.normal, floor.offset_m + apart.clearance_m - clearance_m)
+        found = measure(tool_pose(A @ A.T), TissuePose(fix().position_m, fix().covariance, risen), JOINTS)
+        assert found.clearance_m == pytest.approx(clearance_m, abs=1e-9)
+        expected_m = np.hypot(apart.clearance_std_m, max(-clearance_m, 0.0))
+        assert found.clearance_std_m == pytest.approx(expected_m, rel=1e-6)
 
 
 def test_stated_deviations_cover_the_truth() -> None:

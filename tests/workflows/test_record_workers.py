@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.errors import SimulationError, UsageError
+from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.profile import Profile, load_profile
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
@@ -24,6 +25,7 @@ from svmdist.workflows import record_workers
 from svmdist.workflows.record import record
 
 EVERYTHING = Extras(True, True, 1.0, (("smoke", 2), ("noise", 1)), 2, 0.0003)
+PRESSED = Extras(True, perturbations=parse_perturbations("dent=2,interlace=1,breathing=1,shadow=1,rolling=5"))
 LONG = """
 import sys
 from pathlib import Path
@@ -61,8 +63,9 @@ def children_of(process_id: int) -> list[int]:
         (Scenario("occlusion", 2, 1.0, 7.0), 0.0, Extras(), None),
         (Scenario("sweep", 2, 1.0, 7.0), 2.0, Extras(), None),
         (Scenario("contact", 2, 0.6, 5.0), 2.0, EVERYTHING, 90),
+        (Scenario("contact", 2, 1.0, 9.0), 0.0, PRESSED, None),
     ],
-    ids=["plain", "noise", "everything"],
+    ids=["plain", "noise", "everything", "pressed"],
 )
 def test_any_number_of_processes_makes_the_same_file(
     tmp_path: Path,

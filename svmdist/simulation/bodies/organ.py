@@ -42,17 +42,23 @@ class Organ:
 
 
 def make_organ(
-    rng: np.random.Generator, relief: Relief | None = None, shape: TissueShape | None = None
+    rng: np.random.Generator,
+    relief: Relief | None = None,
+    shape: TissueShape | None = None,
+    *,
+    is_soft: bool = False,
 ) -> Organ:
     """Make the organ of a random stream, a dome unless it has a shape of its own.
 
     Height over the plane is concave in the normalised radius (1 on the outline, 0 at the apex), and the
     outline is convex, so the body is convex. Convexity lets Bullet compute exact distances to it. Relief is
     added to the height, so that the surface stays one height over the plane and the outline what it was. So does
-    a shape's multiplied height; it rises no higher than the dome, so that scenarios keep clear of it.
+    a shape's multiplied height; it rises no higher than the dome, so that scenarios keep clear of it. A soft organ
+    has triangles as fine as relief has, for its dents.
     """
     is_convex = relief is None and (shape is None or shape.is_convex)
-    ring_count, side_count = (RING_COUNT, SIDE_COUNT) if is_convex else (RELIEF_RING_COUNT, RELIEF_SIDE_COUNT)
+    is_coarse = is_convex and not is_soft
+    ring_count, side_count = (RING_COUNT, SIDE_COUNT) if is_coarse else (RELIEF_RING_COUNT, RELIEF_SIDE_COUNT)
     angle = np.linspace(0.0, 2.0 * np.pi, side_count, endpoint=False)
     outline_m = _outline(angle, rng)
     if shape is not None:

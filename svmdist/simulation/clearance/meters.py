@@ -15,7 +15,7 @@ import numpy as np
 from svmdist.simulation.bodies.meshes import DrawnMesh
 from svmdist.simulation.bullet import BulletClient
 from svmdist.simulation.clearance.bounds import HalfSpaces, PartBounds
-from svmdist.simulation.clearance.relief_meter import ReliefMeter, seen_from_tissue
+from svmdist.simulation.clearance.relief_meter import PartSamples, ReliefMeter, seen_from_tissue
 from svmdist.simulation.closing import Closing
 from svmdist.simulation.scene import Scene
 from svmdist.simulation.temporary import writing_temporary_files
@@ -66,13 +66,15 @@ class ClearanceMeter(_Meter):
     """Measures clearances of one scene.
 
     A fiducial plate counts as a part of the instrument. Every part and the smooth organ is convex, so that
-    Bullet's convex hulls are the real meshes. An organ with relief is not: `ReliefMeter` measures there.
+    Bullet's convex hulls are the real meshes. An organ with relief is not: `ReliefMeter` measures there. The tissue
+    is at rest: `Pressing` tells clearances where it gives way. `samples` are those of the instrument's surface.
     """
 
     def __init__(self, scene: Scene) -> None:
         super().__init__()
         self._scene = scene
-        self._relief = None if scene.organ.is_convex else ReliefMeter(scene)
+        self.samples = PartSamples(scene)
+        self._relief = None if scene.organ.is_convex else ReliefMeter(scene, self.samples)
         if self._relief is not None:
             return
         parts = parts_of(scene)

@@ -43,19 +43,49 @@ class Nearest:
     triangle: int
 
 
-class ReliefMeter:
-    """Measures clearances of one scene whose organ is not convex."""
+class PartSamples:
+    """The surfaces of a scene's instrument as samples, each part's made when they are first asked for; its bounds.
+
+    A fiducial plate is a part.
+    """
 
     def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-        self._organ = OrganSurface(scene.organ.mesh)
-        self._T_tissue_world = inverse(scene.T_world_tissue)
-        parts = [(part.link, part.mesh) for part in scene.parts]
+        parts: list[tuple[str, Mesh]] = [(part.link, part.mesh) for part in scene.parts]
         if scene.plate is not None:
             parts.append((scene.plate.link, scene.plate.mesh.transformed(scene.plate.T_link_tag)))
-        self._parts = [sample_part(mesh) for _, mesh in parts]
-        self._bounds = PartBounds.of(parts)
-        self._half_spaces = HalfSpaces.about(scene.organ.mesh.vertices_m)
+        self._meshes = [mesh for _, mesh in parts]
+        self._trees: dict[int, SurfaceTree] = {}
+        self.bounds = PartBounds.of(parts)
+
+    def __getitem__(self, part: int) -> SurfaceTree:
+        """The samples of a part by its number, in the frame of its link."""
+        if part not in self._trees:
+            self._trees[part] = sample_part(self._meshes[part])
+        return self._trees[part]
+
+    def below_m(self, part: int, T_tissue_part: Array, height_m: float) -> Array:
+        """Samples of a part in the tissue frame, shape (n, 3): all that are below a height, and some above it."""
+        samples = self[part]
+        top = samples.levels[0]
+        low = transform_points(T_tissue_part, top.points_m)[:, 2] - top.radii_m < height_m
+        points_m = samples.items_m.reshape(len(low), -1, 3)[low].reshape(-1, 3)
+        return transform_points(T_tissue_part, points_m)
+
+
+class ReliefMeter:
+    """Measures clearances of one scene whose organ is not convex, or has another surface than at rest.
+
+    `surface`, in the tissue frame, takes the place of the organ's mesh; `samples` may be shared between meters.
+    """
+
+    def __init__(self, scene: Scene, samples: PartSamples | None = None, surface: Mesh | None = None) -> None:
+        mesh = surface or scene.organ.mesh
+        self._scene = scene
+        self._organ = OrganSurface(mesh)
+        self._T_tissue_world = inverse(scene.T_world_tissue)
+        self._parts = samples or PartSamples(scene)
+        self._bounds = self._parts.bounds
+        self._half_spaces = HalfSpaces.about(mesh.vertices_m)
         self._nearest: Nearest | None = None
 
     def clearance_m(self, q: Array) -> float:
@@ -92,7 +122,8 @@ class ReliefMeter:
             return best_m
         low = np.nonzero(least_m <= SLACK_M)[0]
         depth_m = max(
-            (self._organ.depth_m(self._parts[part], T_tissue_part[part]) for part in low), default=0.0
+            (self._organ.depth_m(self._parts, part, T_tissue_part[part]) for part in low.tolist()),
+            default=0.0,
         )
         return -depth_m if depth_m > 0.0 else best_m
 
@@ -121,12 +152,9 @@ class OrganSurface:
         """The smallest distance between points, shape (k, 3), and triangles, shape (k,), pair by pair."""
         return float(point_to_triangle(points_m, self.tree.items_m[triangles]).distance.min())
 
-    def depth_m(self, part: SurfaceTree, T_tissue_part: Array) -> float:
+    def depth_m(self, samples: PartSamples, part: int, T_tissue_part: Array) -> float:
         """How deep the part's deepest sample lies below the surface; zero where none does."""
-        top = part.levels[0]
-        low = transform_points(T_tissue_part, top.points_m)[:, 2] - top.radii_m < self._roof_m.max()
-        points_m = part.items_m.reshape(len(low), -1, 3)[low].reshape(-1, 3)
-        points_m = transform_points(T_tissue_part, points_m)
+        points_m = samples.below_m(part, T_tissue_part, float(self._roof_m.max()))
         below_roof_m = self._below_roof_m(points_m)
         order = np.argsort(-below_roof_m)
         deepest_m = 0.0

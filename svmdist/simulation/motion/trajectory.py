@@ -47,7 +47,7 @@ def make_trajectory(
             at = np.array([motion.lowest_at])
             lowest = _with_jaw(scene, scenario, at, plan_motion(scenario, at, stage))
             with nullcontext(meter) if meter is not None else ClearanceMeter(scene) as its_meter:
-                motion = _lowered(motion, _lowering_m(scene, lowest, its_meter))
+                motion = _lowered(motion, _lowering_m(scene, lowest, its_meter) + _pressed_m(scene, motion))
             if scene.room.moves_tissue:
                 motion = _carried(scene, motion, scenario, progress)
         q = _joints(scene, motion)
@@ -92,6 +92,12 @@ def _lowering_m(scene: Scene, lowest: Motion, meter: ClearanceMeter) -> float:
         clearance_m = meter.clearance_m(_joints(scene, _lowered(lowest, middle))[0])
         low, high = (middle, high) if clearance_m > lowest.clearance_m else (low, middle)
     return 0.5 * (low + high)
+
+
+def _pressed_m(scene: Scene, motion: Motion) -> float:
+    """How much deeper a path goes that touches the tissue, where this gives way."""
+    assert motion.clearance_m is not None
+    return 1e-3 * scene.room.dent if motion.clearance_m < 0.0 else 0.0
 
 
 def _lowered(motion: Motion, by_m: float) -> Motion:

@@ -20,6 +20,7 @@ class Room:
     pulse: float = 0.0
     tissue_shape: float = 0.0
     tissue_ellipsoid: float = 0.0
+    dent: float = 0.0
     tip: float = 0.0
     ring: float = 0.0
     shaft_grey: float = 0.0
@@ -30,6 +31,7 @@ class Room:
     vignette: float = 0.0
     chroma: float = 0.0
     interlace: float = 0.0
+    rolling: float = 0.0
     light: float = 0.0
     shadow: float = 0.0
     wet: float = 0.0

@@ -12,11 +12,13 @@ from svmdist.perturbations.video import border_radius_px, dimmed, light_left, su
 from svmdist.profile import Profile
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.room.fields import FIELD_NS
+from svmdist.simulation.room.exposure import FIELD_NS, exposures, exposures_at_most
+from svmdist.simulation.room.settings import Room
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.plan import make_plan
 from svmdist.simulation.renderer import Renderer
+from svmdist.simulation.shutter import motion_px
 from svmdist.simulation.simulate import Simulator
 
 WIDTH, HEIGHT = 640, 480
@@ -82,9 +84,75 @@ def test_odd_rows_are_a_field_later(profile: Profile) -> None:
     assert np.abs(drawn[0][1::2].astype(int) - drawn[1][1::2]).max() > 60
 
 
+def test_rows_are_exposed_one_after_another(profile: Profile) -> None:
+    """Over 20 ms: each row shows its own instant as if it were drawn alone, and the middle one that of the stamp."""
+    extras = Extras(perturbations=parse_perturbations("rolling=20,breathing=2"))
+    plan = make_plan(Scenario("sweep", 1, 2.0, 2.0), profile, extras=extras)
+    block = plan.blocks[1]
+    with Simulator(plan) as simulator:
+        frame = next(s.image_bgr for _, s in simulator.samples(block, (None,)) if hasattr(s, "image_bgr"))
+    bands = exposures(plan.scene.room, HEIGHT, motion_px(plan, block.begin))
+    assert len(bands) > 10
+    with Renderer(plan.scene, seed=1) as renderer:
+        for number, band in enumerate(bands):
+            middle_ms = 20.0 * (0.5 * (band.first + band.end) / HEIGHT - 0.5)
+            assert band.after_ns == pytest.approx(1e6 * middle_ms)
+            if number % 5 == 0:
+                moment = plan.moment(block.begin, 1e6 * middle_ms)
+                drawn = renderer.frame_of(moment.q[0], turn=48 + number, rise_m=moment.rise_m)
+                np.testing.assert_array_equal(frame[band.rows], drawn[band.rows])
+        still = renderer.frame_of(plan.moment(block.begin).q[0], rise_m=plan.moment(block.begin).rise_m)
+    different = (np.abs(frame.astype(int) - still) > 20).any(axis=2)
+    assert different.sum() > 500
+
+
+@pytest.mark.parametrize(
+    "room", [Room(), Room(interlace=1.0), Room(rolling=30.0), Room(interlace=1.0, rolling=30.0)]
+)
+def test_every_row_is_exposed_once(room: Room) -> None:
+    """In bands that things cross in steps of 0.4 px, of a frame whose height their number does not divide."""
+    for motion in (0.0, 3.3, 1000.0):
+        parts = exposures(room, 479, motion)
+        rows = np.concatenate([np.arange(479)[part.rows] for part in parts])
+        np.testing.assert_array_equal(np.sort(rows), np.arange(479))
+        assert len(parts) <= exposures_at_most(room)
+        if room.rolling:
+            assert motion / len(parts) <= 0.4 or len(parts) == exposures_at_most(room)
+
+
+def test_fields_and_bands_go_together() -> None:
+    """Odd rows are a field later than even ones, and each row later than the one two before it."""
+    parts = exposures(Room(interlace=1.0, rolling=10.0), HEIGHT, 8.0)
+    after_ns = np.empty(HEIGHT)
+    for part in parts:
+        after_ns[part.rows] = part.after_ns
+    np.testing.assert_allclose(after_ns[1::2] - after_ns[::2], FIELD_NS, atol=1e-3)
+    assert np.ptp(after_ns[::2]) == pytest.approx(1e7, rel=0.06)
+    assert (np.diff(after_ns[::2]) >= 0.0).all()
+
+
+def test_motion_grows_with_the_time_that_rows_take(profile: Profile) -> None:
+    """Twice the time, twice the way; none without a rolling shutter."""
+    assert motion_px(make_plan(Scenario("sweep", 1, 1.0, 2.0), profile), 0) == 0.0
+    rolling = make_plan(
+        Scenario("sweep", 1, 1.0, 2.0),
+        profile,
+        extras=Extras(perturbations=parse_perturbations("rolling=10")),
+    )
+    twice = make_plan(
+        Scenario("sweep", 1, 1.0, 2.0),
+        profile,
+        extras=Extras(perturbations=parse_perturbations("rolling=20")),
+    )
+    assert motion_px(twice, 40) == pytest.approx(2.0 * motion_px(rolling, 40), rel=0.05)
+
+
 def test_a_moment_lies_between_two_stamps(profile: Profile) -> None:
     plan = make_plan(Scenario("sweep", 1, 1.0, 2.0), profile)
     q, step_ns = plan.arms[0].q, float(plan.stamps_ns[4] - plan.stamps_ns[3])
     np.testing.assert_array_equal(plan.moment(3).q[0], q[3])
     np.testing.assert_allclose(plan.moment(3, 0.25 * step_ns).q[0], 0.75 * q[3] + 0.25 * q[4], atol=1e-15)
     np.testing.assert_array_equal(plan.moment(len(q) - 1, 1e9).q[0], q[-1])
+    np.testing.assert_allclose(plan.moment(3, -0.25 * step_ns).q[0], 0.75 * q[3] + 0.25 * q[2], atol=1e-15)
+    first_ns = float(plan.stamps_ns[1] - plan.stamps_ns[0])
+    np.testing.assert_allclose(plan.moment(0, -0.5 * first_ns).q[0], 1.5 * q[0] - 0.5 * q[1], atol=1e-15)
