@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from typing import Literal
 
 # OpenCV reads this once, when it is imported; the header check below holds in any case.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
@@ -33,15 +34,7 @@ def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
     16-bit images, which would lose half of their bits.
     """
     data = bytes(data)
-    if len(data) > limits.image_bytes:
-        raise ImageError(f"{len(data)} bytes, the limit is {limits.image_bytes}")
-    if data.startswith(PNG_MAGIC):
-        width_px, height_px = _check_png(data)
-    elif data.startswith(JPEG_MAGIC):
-        width_px, height_px = _check_jpeg(data)
-    else:
-        raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
-    check_dimensions(width_px, height_px, limits)
+    width_px, height_px = still_size(data, limits)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except (cv2.error, MemoryError) as problem:
@@ -49,6 +42,26 @@ def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
     if image is None or image.shape != (height_px, width_px, 3):
         raise ImageError("its data do not decode")
     return np.asarray(image, np.uint8)
+
+
+def still_format(data: bytes) -> Literal["png", "jpeg"] | None:
+    """What Foxglove calls the format of a PNG or JPEG, by its first bytes; None for any other."""
+    return "png" if data.startswith(PNG_MAGIC) else "jpeg" if data.startswith(JPEG_MAGIC) else None
+
+
+def still_size(data: bytes, limits: Limits) -> tuple[int, int]:
+    """Width and height of a PNG or JPEG in px, by its header; ImageError as from `decode_still`."""
+    if len(data) > limits.image_bytes:
+        raise ImageError(f"{len(data)} bytes, the limit is {limits.image_bytes}")
+    match still_format(data):
+        case "png":
+            width_px, height_px = _check_png(data)
+        case "jpeg":
+            width_px, height_px = _check_jpeg(data)
+        case None:
+            raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
+    check_dimensions(width_px, height_px, limits)
+    return width_px, height_px
 
 
 def check_dimensions(width_px: int, height_px: int, limits: Limits) -> None:
