@@ -11,7 +11,18 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from svmdist.cli import blur_bench, calibrate, compare, estimate, fk, importing, info, record, validate
+from svmdist.cli import (
+    blur_bench,
+    calibrate,
+    compare,
+    estimate,
+    fk,
+    importing,
+    info,
+    profile,
+    record,
+    validate,
+)
 from svmdist.cli.console import ExitCode, say
 from svmdist.errors import SvmdistError, UsageError, did_you_mean
 
@@ -87,6 +98,7 @@ def main(version: VersionOption = False) -> None:
 
 
 app.command("import")(importing.import_command)
+app.add_typer(profile.profile_app, name="profile")
 app.command("info")(info.info_command)
 app.command("record")(record.record_command)
 app.command("calibrate")(calibrate.calibrate_command)
