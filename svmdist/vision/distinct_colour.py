@@ -62,11 +62,11 @@ def _marks(images: Sequence[Image], hue: int, mark_count: int) -> DistinctColour
         if fits and sizes.sum() >= MIN_SHARE * total:
             good += 1
             areas.append(float(sizes.mean()))
-            places.append(centres[order].mean(0))
+            places.append(centres[order][np.argsort(centres[order, 0])].ravel())
             pixels.append(hsv[np.isin(labels, order)])
     if good < MIN_FRAMES * len(images):
         return None
-    motion_px = float(np.linalg.norm(np.std(places, axis=0)))
+    motion_px = float(np.linalg.norm(np.std(places, axis=0))) / np.sqrt(mark_count)
     if motion_px < MIN_MOTION * images[0].shape[1]:
         return None
     values = np.concatenate(pixels).astype(np.float64)
