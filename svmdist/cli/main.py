@@ -21,6 +21,7 @@ from svmdist.cli import (
     info,
     profile,
     record,
+    show,
     validate,
 )
 from svmdist.cli.console import ExitCode, say
@@ -100,6 +101,7 @@ def main(version: VersionOption = False) -> None:
 app.command("import")(importing.import_command)
 app.add_typer(profile.profile_app, name="profile")
 app.command("info")(info.info_command)
+app.command("show")(show.show_command)
 app.command("record")(record.record_command)
 app.command("calibrate")(calibrate.calibrate_command)
 app.command("estimate")(estimate.estimate_command)

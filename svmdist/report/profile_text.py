@@ -31,7 +31,7 @@ def profile_lines(draft: ProfileDraft) -> Iterator[str]:
     """The profile, line by line."""
     first = draft.instruments[0]
     yield f"# A first profile for {_plain(draft.log)}, by `svmdist profile new`. Lines that end in MEASURE are guesses."
-    yield "# Every key: docs/profile.md. To check it: svmdist info LOG --profile THIS; svmdist show LOG --profile THIS"
+    yield "# Every key: docs/profile.md. Check it by svmdist info LOG --profile THIS, svmdist show LOG --masks --profile THIS"
     yield f"name = {_text(draft.name)}"
     if first.name != "PSM1" or len(draft.instruments) > 1:
         yield f"instrument_name = {_text(first.name)}"
@@ -73,27 +73,27 @@ def _topics(draft: ProfileDraft, first: InstrumentDraft) -> Iterator[str]:
 
 
 def _segmentation(draft: ProfileDraft) -> Iterator[str]:
-    width_px, height_px = draft.size_px
-    pixels = width_px * height_px
-    found = _mark_note(draft)
-    yield from found
+    yield "[segmentation]"
+    yield 'method = "auto"              # instruments by their straight edges, whatever their colour'
+    if draft.mark is None:
+        return
+    yield ""
+    yield from _mark_note(draft.mark, draft.image_count)
+    yield "# By colours, in place of [segmentation] above; look at the masks and correct tissue and shaft:"
+    yield from (f"# {line}".rstrip() for line in _by_colour(draft.mark, draft.size_px))
+
+
+def _by_colour(mark: DistinctColour, size_px: tuple[int, int]) -> Iterator[str]:
+    pixels = size_px[0] * size_px[1]
     yield "[segmentation.tissue]        # red and pink; OpenCV's HSV, a hue that wraps around 0"
     yield "hue = [165, 15]"
     yield "saturation = [70, 255]"
     yield "value = [60, 255]"
     yield f"min_area_px = {max(50, pixels // 450)}"
-    yield 'components = "largest"'
     yield 'occlusion = "outline"'
     yield ""
-    if draft.mark is None:
-        yield "[segmentation.instrument]    # the tip's steel: grey, neither black nor white"
-        yield "hue = [0, 179]"
-        yield "saturation = [0, 45]"
-        yield "value = [80, 200]"
-        yield f"min_area_px = {max(20, pixels // 4600)}"
-    else:
-        yield "[segmentation.instrument]    # the distal marker, by its colour"
-        yield from _box(draft.mark)
+    yield "[segmentation.instrument]    # the distal marker"
+    yield from _box(mark)
     yield ""
     yield "[segmentation.shaft]         # dark, whatever its hue"
     yield "hue = [0, 179]"
@@ -101,15 +101,10 @@ def _segmentation(draft: ProfileDraft) -> Iterator[str]:
     yield f"min_area_px = {max(50, pixels // 600)}"
 
 
-def _mark_note(draft: ProfileDraft) -> Iterator[str]:
-    if draft.mark is None:
-        yield f"# In {draft.image_count} images no part of an instrument has a colour of its own."
-    else:
-        low, high = draft.mark.hue
-        yield (
-            f"# In {draft.image_count} images a part of about {draft.mark.area_px:.0f} px has a colour of its own"
-            f" (hue {low} to {high}): a distal marker, if it is the jaws' joint."
-        )
+def _mark_note(mark: DistinctColour, image_count: int) -> Iterator[str]:
+    low, high = mark.hue
+    yield f"# In {image_count} images a part of {mark.area_px:.0f} px has a colour of its own, of hue {low} to {high}."
+    yield "# If it is a ring or cap about the jaws' joint, its middle gives the tool's place better than the outline."
 
 
 def _box(mark: DistinctColour) -> Iterator[str]:
