@@ -31,7 +31,7 @@ def profile_lines(draft: ProfileDraft) -> Iterator[str]:
     """The profile, line by line."""
     first = draft.instruments[0]
     yield f"# A first profile for {_plain(draft.log)}, by `svmdist profile new`. Lines that end in MEASURE are guesses."
-    yield "# Every key: docs/profile.md. Check it by svmdist info LOG --profile THIS, svmdist show LOG --masks --profile THIS"
+    yield "# Every key: docs/profile.md. Check it by svmdist info LOG --profile THIS and svmdist show LOG --masks"
     yield f"name = {_text(draft.name)}"
     if first.name != "PSM1" or len(draft.instruments) > 1:
         yield f"instrument_name = {_text(first.name)}"
