@@ -44,7 +44,8 @@ TAG_COUNTS = {"16h5": 30, "25h9": 35, "36h10": 2320, "36h11": 587}
 Rotation = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 
-def _require_rotation(name: str, rotation: Rotation) -> None:
+def require_rotation(name: str, rotation: Rotation) -> None:
+    """Raise ValueError where a matrix is no rotation."""
     R = np.array(rotation)
     if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
         raise ValueError(f"{name} is not a rotation: R R^T = I and det R = 1 are expected")
@@ -64,7 +65,7 @@ class Robot(StrictModel):
         if doubles:
             raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")
         if self.tool_rotation is not None:
-            _require_rotation("tool_rotation", self.tool_rotation)
+            require_rotation("tool_rotation", self.tool_rotation)
         return self
 
     @property
@@ -174,7 +175,7 @@ class Fiducial(StrictModel):
     @model_validator(mode="after")
     def _sound(self) -> Fiducial:
         require_tag(self.family, self.id)
-        _require_rotation("rotation", self.rotation)
+        require_rotation("rotation", self.rotation)
         return self
 
     @property

@@ -9,6 +9,7 @@ import typer
 
 from svmdist.cli.console import report_health, require_output, terminal_width, write_lines
 from svmdist.cli.options import (
+    HandEyeOption,
     OutputOption,
     ProfileOption,
     TableFormat,
@@ -21,6 +22,7 @@ from svmdist.cli.options import (
 def info_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to inspect.", show_default=False)],
     profile: ProfileOption = "psm13",
+    hand_eye: HandEyeOption = None,
     topic: TopicOption = None,
     form: TableFormatOption = TableFormat.TABLE,
     output: OutputOption = None,
@@ -37,7 +39,7 @@ def info_command(
     from svmdist.report.table import csv_lines
 
     require_output(output, [file])
-    loaded = load_profile(profile)
+    loaded = load_profile(profile, hand_eye)
     summary = inspect_recording(file, loaded, topics=topics_of(topic))
     match form:
         case TableFormat.TABLE:

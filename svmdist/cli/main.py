@@ -17,6 +17,7 @@ from svmdist.cli import (
     compare,
     estimate,
     fk,
+    hand_eye,
     importing,
     info,
     profile,
@@ -109,6 +110,7 @@ app.command("validate")(validate.validate_command)
 app.command("compare")(compare.compare_command)
 app.command("blur-bench")(blur_bench.blur_bench_command)
 app.command("fk")(fk.fk_command)
+app.command("hand-eye")(hand_eye.hand_eye_command)
 
 
 def run() -> None:

@@ -9,6 +9,14 @@ from svmdist.profile import Frames, Profile
 from svmdist.profile_instruments import ARM_TOPICS
 from svmdist.recording.sources import Source
 from svmdist.recording.topics import TopicChoice
+from svmdist.transforms import Array
+
+
+@dataclass(frozen=True)
+class FixedTransform:
+    """A camera-to-base transform that holds for a whole log, `T_camera_base`, (4, 4); None says that none is known."""
+
+    T_camera_base: Array | None
 
 
 @dataclass(frozen=True)
@@ -18,6 +26,8 @@ class LoggedArm:
     name: str
     choice: TopicChoice
     frames: Frames
+    fixed: FixedTransform | None = None
+    """Where the base stands in place of what the log's transforms say; None: they say it."""
 
 
 def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) -> tuple[LoggedArm, ...]:
@@ -40,5 +50,7 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
         chosen = {role: topic for role, topic in overrides.items() if is_first or role not in ARM_TOPICS}
         claimed = frozenset(topic for owner in claims if owner != name for topic in claims[owner] if topic)
         choice = TopicChoice(infos, view.topics, chosen, source.path.name, claimed)
-        arms.append(LoggedArm(name, choice, view.frames))
+        found = view.camera_to_base
+        fixed = None if found is None else FixedTransform(found.T_camera_base)
+        arms.append(LoggedArm(name, choice, view.frames, fixed))
     return tuple(arms)

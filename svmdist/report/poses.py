@@ -13,8 +13,8 @@ POSE_KEYS = ("stamp_ns", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 def pose_rows(result: ForwardKinematics) -> Iterator[dict[str, Cell]]:
     """One row a joint state, with the keys of `POSE_KEYS`."""
-    quaternions_xyzw = quaternion_xyzw_from_rotation(result.T_base_tool[:, :3, :3])
-    for stamp_ns, T, q in zip(result.stamps_ns, result.T_base_tool, quaternions_xyzw, strict=True):
+    quaternions_xyzw = quaternion_xyzw_from_rotation(result.poses[:, :3, :3])
+    for stamp_ns, T, q in zip(result.stamps_ns, result.poses, quaternions_xyzw, strict=True):
         values = (int(stamp_ns), *(float(v) for v in T[:3, 3]), *(float(v) for v in q))
         yield dict(zip(POSE_KEYS, values, strict=True))
 

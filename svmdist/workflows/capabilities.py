@@ -63,9 +63,11 @@ def _parts_lacking(profile: Profile, *tables: str) -> tuple[str, ...]:
 
 def _camera_transform_lacking(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
     frames = profile.frames
+    if profile.camera_to_base is not None:
+        return ()
     if {frames.camera, frames.base} <= set(summary.frames):
         return ()
-    return (f"transforms from {frames.camera} to {frames.base}",)
+    return (f"transforms from {frames.camera} to {frames.base} (svmdist hand-eye fits them)",)
 
 
 def instruments_in(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
