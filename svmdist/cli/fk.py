@@ -58,6 +58,7 @@ def fk_command(
     loaded = load_profile(profile, hand_eye)
     topics = topics_of(topic) | ({"joints": joints} if joints else {})
     recording = open_recording(file, loaded, topics=topics)
+    loaded = loaded.for_instrument(recording.instruments[0])
     result = fk(recording, loaded, in_camera=in_camera)
     match form:
         case PoseFormat.CSV:

@@ -17,6 +17,7 @@ from svmdist.cli.options import (
     TopicOption,
     topics_of,
 )
+from svmdist.errors import RecordingError
 
 
 def info_command(
@@ -35,19 +36,28 @@ def info_command(
 
     from svmdist.profile import load_profile
     from svmdist.recording.inspect import inspect_recording
+    from svmdist.recording.reader import open_recording
     from svmdist.report.info import TOPIC_KEYS, info_document, info_lines, topic_row
     from svmdist.report.table import csv_lines
+    from svmdist.workflows.capabilities import look_for_tag
 
     require_output(output, [file])
     loaded = load_profile(profile, hand_eye)
     summary = inspect_recording(file, loaded, topics=topics_of(topic))
+    tags = None
+    if form is not TableFormat.CSV and {"image", "camera_info"} <= set(summary.roles):
+        try:
+            tags = look_for_tag(open_recording(file, loaded, topics=topics_of(topic)), loaded)
+        except RecordingError:  # a calibration that is not usable: the summary tells of it
+            tags = None
     match form:
         case TableFormat.TABLE:
-            write_lines(info_lines(summary, loaded, terminal_width(output)), output)
+            write_lines(info_lines(summary, loaded, terminal_width(output), tags), output)
         case TableFormat.CSV:
             write_lines(csv_lines(TOPIC_KEYS, (topic_row(entry) for entry in summary.topics)), output)
         case TableFormat.JSON:
             write_lines(
-                [json.dumps(info_document(summary, loaded), indent=1, ensure_ascii=False) + "\n"], output
+                [json.dumps(info_document(summary, loaded, tags), indent=1, ensure_ascii=False) + "\n"],
+                output,
             )
     raise typer.Exit(report_health([summary]))

@@ -33,6 +33,9 @@ class LoggedArm:
 def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) -> tuple[LoggedArm, ...]:
     """The profile's own instrument, and every other one whose joints or pose the recording has.
 
+    The own one is left out where the profile names its joints or pose, the recording has neither, and another one is
+    there: a profile of a robot's three arms serves a log of one.
+
     `overrides` choose topics by role: those of an arm are the first one's, and what they name is no other's.
     """
     infos = source.topics()
@@ -40,9 +43,10 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
     others = [other for other in profile.other_instruments if other.topics.are_in(there)]
     first = profile.topics
     of_first = {overrides.get(role) or getattr(first, role) for role in ARM_TOPICS} - {None}
-    claims = {profile.instrument_name: of_first} | {
-        other.name: set(other.topics.named.values()) for other in others
-    }
+    there |= of_first & set(overrides.values())
+    known_by = {overrides.get(role) or getattr(first, role) for role in ("joints", "pose")} - {None}
+    claims = {} if others and known_by and not known_by & there else {profile.instrument_name: of_first}
+    claims |= {other.name: set(other.topics.named.values()) for other in others}
     arms = []
     for name in claims:
         view = profile.for_instrument(name)
