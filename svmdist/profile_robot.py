@@ -141,6 +141,8 @@ class Instrument(StrictModel):
     """How far it may be from there, as a standard deviation along each axis."""
     jaw_length_m: SmallLength
     jaw_radius_m: SmallLength
+    body_std_m: float = Field(default=1e-4, ge=0.0)
+    """How far the real instrument's surface may stand off the capsules that stand in for it."""
 
 
 def require_tag(family: str, tag_id: int) -> None:
@@ -203,6 +205,9 @@ class Dome(StrictModel):
     """How far the apex stands beside the outline's middle, as a standard deviation along each of two axes."""
     gauge_exponent: float = Field(default=2.0, ge=1.0, le=20.0)
     height_exponent: float = Field(default=0.5, gt=0.0, le=2.0)
+    gauge_exponent_std: float = Field(default=0.3, ge=0.0, le=10.0)
+    height_exponent_std: float = Field(default=0.1, ge=0.0, le=1.0)
+    """Standard deviations of the exponents: organs are no ellipsoids, and no two of them are alike."""
 
 
 class Tissue(StrictModel):

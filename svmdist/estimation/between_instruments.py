@@ -29,7 +29,7 @@ def with_clearance_between(
             if first is None or second is None:
                 continue
             gap = capsule_separation(first[0], second[0])
-            std_m = between_std_m(gap, first[1], second[1])
+            std_m = float(np.hypot(between_std_m(gap, first[1], second[1]), np.hypot(first[2], second[2])))
             for at, direction in ((i, gap.direction), (j, -gap.direction)):
                 distance = Distance(gap.distance_m, std_m, as_vector(direction))
                 nearest[at] = min(nearest.get(at, distance), distance, key=lambda found: found.value_m)
@@ -40,7 +40,7 @@ def with_clearance_between(
 
 
 def between_std_m(gap: Separation, pose: ToolPose, other: ToolPose) -> float:
-    """Standard deviation of a separation of two instruments that err independently.
+    """Standard deviation of a separation of two instruments of known shape that err independently.
 
     As for the tissue (see `distances.py`), only the motion of the closest points along the direction counts.
     """
@@ -49,8 +49,8 @@ def between_std_m(gap: Separation, pose: ToolPose, other: ToolPose) -> float:
     return float(np.sqrt(max(variance, 0.0)))
 
 
-def _posed(result: FrameResult, body: InstrumentModel | None) -> tuple[Capsules, ToolPose] | None:
+def _posed(result: FrameResult, body: InstrumentModel | None) -> tuple[Capsules, ToolPose, float] | None:
     tool = result.tool
     if tool is None or body is None or not result.measured:
         return None
-    return body.posed(tool.pose, tool.joints, tool.has_plate), tool.pose
+    return body.posed(tool.pose, tool.joints, tool.has_plate), tool.pose, body.surface_std_m

@@ -45,9 +45,8 @@ def measured(
     if frame.arm.body is not None:
         capsules = frame.arm.body.posed(pose, tool.joints, tool.has_plate)
         gap = separation(capsules, tissue.surface)
-        clearance = Distance(
-            gap.distance_m, clearance_std_m(gap, pose, tissue, coupling), as_vector(gap.direction)
-        )
+        std_m = float(np.hypot(clearance_std_m(gap, pose, tissue, coupling), frame.arm.body.surface_std_m))
+        clearance = Distance(gap.distance_m, std_m, as_vector(gap.direction))
     distances = Distances(planar, spatial, clearance)
     return replace(with_tool(result, frame, tool), status=Status.OK, distances=distances)
 
@@ -64,7 +63,7 @@ def with_tool(result: FrameResult, frame: Frame, tool: ToolEstimate) -> FrameRes
 def clearance_std_m(
     gap: Separation, pose: ToolPose, tissue: TissuePose, coupling: Array = INDEPENDENT
 ) -> float:
-    """Standard deviation of a separation; `coupling` as in `measured`.
+    """Standard deviation of a separation from an instrument of known shape; `coupling` as in `measured`.
 
     The closest points are extremal, so to first order a small motion changes the distance only through
     their own motion along the direction d (envelope theorem): by -d · (δp + δθ x r) for the instrument, with r

@@ -13,12 +13,16 @@ GATE_Z = FilterSettings().gate_z
 
 @dataclass(frozen=True, slots=True)
 class GatingResult:
-    """A measurement at the gate: its normalised innovation squared, of so many degrees of freedom."""
+    """A measurement at the gate: its normalised innovation squared, of so many degrees of freedom.
+
+    `source` is the detection that it was made of: what misleads one measurement of a source misleads the others too.
+    """
 
     name: str
     nis: float
     degrees_of_freedom: int
     is_accepted: bool
+    source: str = ""
 
 
 @lru_cache(maxsize=256)

@@ -40,13 +40,14 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
     """
     infos = source.topics()
     there = {info.topic for info in infos} - {overrides[role] for role in ARM_TOPICS if role in overrides}
-    others = [other for other in profile.other_instruments if other.topics.are_in(there)]
+    others = [other for other in profile.other_instruments if other.is_in(there)]
     first = profile.topics
     of_first = {overrides.get(role) or getattr(first, role) for role in ARM_TOPICS} - {None}
     there |= of_first & set(overrides.values())
     known_by = {overrides.get(role) or getattr(first, role) for role in ("joints", "pose")} - {None}
-    claims = {} if others and known_by and not known_by & there else {profile.instrument_name: of_first}
-    claims |= {other.name: set(other.topics.named.values()) for other in others}
+    is_elsewhere = any(there & set(other.logged_topics.values()) for other in others)
+    claims = {} if is_elsewhere and known_by and not known_by & there else {profile.instrument_name: of_first}
+    claims |= {other.name: set(other.logged_topics.values()) for other in others}
     arms = []
     for name in claims:
         view = profile.for_instrument(name)

@@ -150,13 +150,14 @@ def _camera_transform_lacking(summary: RecordingSummary, profile: Profile) -> tu
 def instruments_in(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
     """Names of the instruments that the log has: the profile's own, and the others whose joints or pose it has."""
     topics = {topic.topic for topic in summary.topics}
-    others = tuple(other.name for other in profile.other_instruments if other.topics.are_in(topics))
+    others = [other for other in profile.other_instruments if other.is_in(topics)]
+    names = tuple(other.name for other in others)
+    theirs = {topic for other in others for topic in other.logged_topics.values()}
     named = {getattr(profile.topics, role) for role in ("joints", "pose")} - {None}
-    own = named | {summary.roles.get(role) for role in ("joints", "pose")}
-    theirs = {topic for other in profile.other_instruments for topic in other.topics.named.values()}
-    if others and named and not (own - theirs) & topics:
-        return others
-    return (profile.instrument_name, *others)
+    own = (named | {summary.roles.get(role) for role in ("joints", "pose")}) - theirs
+    if theirs & topics and named and not own & topics:
+        return names
+    return (profile.instrument_name, *names)
 
 
 def _lacking(summary: RecordingSummary, *roles: str) -> tuple[str, ...]:

@@ -15,14 +15,25 @@ from svmdist.estimation.gate import GatingResult
 from svmdist.settings.filter import FilterSettings
 
 
-@dataclass(frozen=True, slots=True)
-class Judged:
-    """The measurements of one frame: degrees of freedom of all and of accepted ones, and the squares of the latter."""
+@dataclass(slots=True)
+class Tally:
+    """What one source measured: degrees of freedom of all and of accepted results, and the squares of the latter."""
 
-    stamp_ns: int
-    square: float
-    degrees_of_freedom: int
-    accepted_degrees: int
+    degrees: int = 0
+    accepted: int = 0
+    square: float = 0.0
+
+    @property
+    def refused(self) -> int:
+        """Degrees of freedom that did not pass the gate."""
+        return self.degrees - self.accepted
+
+    def add(self, result: GatingResult) -> None:
+        """Count a result."""
+        self.degrees += result.degrees_of_freedom
+        if result.is_accepted:
+            self.accepted += result.degrees_of_freedom
+            self.square += result.nis
 
 
 class Consistency:
@@ -30,39 +41,32 @@ class Consistency:
 
     def __init__(self, settings: FilterSettings) -> None:
         self._settings = settings
-        self._frames: deque[Judged] = deque()
-        self._refused: dict[str, int] = {}
-        self._furthest, self._furthest_name = 0.0, ""
-        self._late_s = self._late_deviations = 0.0
-        self._frame_count = 0
+        self._frames: deque[tuple[int, tuple[GatingResult, ...]]] = deque()
         self._untrusted_since_ns: int | None = None
         self._now_ns = 0
-        self._refused_frames = 0
+        self._tallies: dict[str, Tally] = {}
+        self._tool_sources: set[str] = set()
+        self._is_refused: dict[str, bool] = {}
+        self._frame_count = self._refused_frames = 0
+        self._furthest, self._furthest_name = 0.0, ""
+        self._late_s = self._late_deviations = 0.0
 
     def add(self, stamp_ns: int, results: Sequence[GatingResult], *, of_tool: bool = True) -> None:
         """Take up a frame's results, of the tool or of something else; a frame without any tells nothing."""
         self._now_ns = stamp_ns
         horizon_ns = stamp_ns - round(1e9 * self._settings.consistency_window_s)
-        while self._frames and self._frames[0].stamp_ns < horizon_ns:
+        while self._frames and self._frames[0][0] < horizon_ns:
             self._frames.popleft()
-        if not results:
-            return
-        is_refused = not any(result.is_accepted for result in results)
-        if of_tool:
-            self._frame_count += 1
-            self._refused_frames = self._refused_frames + 1 if is_refused else 0
-        for result in results:
-            count = self._refused.get(result.name, 0)
-            self._refused[result.name] = 0 if result.is_accepted else count + 1
-        squares = [result.nis for result in results if result.is_accepted]
-        self._frames.append(
-            Judged(
-                stamp_ns,
-                sum(squares),
-                sum(result.degrees_of_freedom for result in results),
-                sum(result.degrees_of_freedom for result in results if result.is_accepted),
-            )
-        )
+        if results:
+            self._frames.append((stamp_ns, tuple(results)))
+            if of_tool:
+                self._frame_count += 1
+                self._tool_sources.update(source_of(result) for result in results)
+                is_refused = not any(result.is_accepted for result in results)
+                self._refused_frames = self._refused_frames + 1 if is_refused else 0
+            for result in results:
+                self._is_refused[result.name] = not result.is_accepted
+        self._tallies = _tallies(result for _, members in self._frames for result in members)
 
     def watch_constants(self, found: Iterable[tuple[str, float]]) -> None:
         """Take up how far constants were found from what is stated of them, in stated deviations, by name."""
@@ -83,11 +87,11 @@ class Consistency:
     def clear(self) -> None:
         """Begin anew; what is distrusted stays so."""
         self._frames.clear()
-        self._refused.clear()
-        self._refused_frames = 0
+        self._tallies = {}
+        self._is_refused.clear()
+        self._frame_count = self._refused_frames = 0
         self._furthest, self._furthest_name = 0.0, ""
         self._late_s = self._late_deviations = 0.0
-        self._frame_count = 0
 
     @property
     def ratio(self) -> float | None:
@@ -95,15 +99,27 @@ class Consistency:
 
         Of accepted measurements, so that a wild one alone is no contradiction.
         """
-        degrees = sum(frame.accepted_degrees for frame in self._frames)
-        return sum(frame.square for frame in self._frames) / degrees if degrees else None
+        accepted = sum(tally.accepted for tally in self._tallies.values())
+        return sum(tally.square for tally in self._tallies.values()) / accepted if accepted else None
 
     @property
     def refused_share(self) -> float:
         """Share of the measured degrees of freedom that did not pass the gate."""
-        degrees = sum(frame.degrees_of_freedom for frame in self._frames)
-        accepted = sum(frame.accepted_degrees for frame in self._frames)
-        return 1.0 - accepted / degrees if degrees else 0.0
+        return _refused_share(self._tallies.values())
+
+    @property
+    def young_refused_share(self) -> float:
+        """The same without the source that is refused most, where enough of the tool's others is accepted.
+
+        One detection may be wrong for seconds: a shadow taken for the shaft, a marker that is half hidden. Where two
+        contradict the prediction, it is the prediction that is wrong.
+        """
+        of_tool = {name: tally for name, tally in self._tallies.items() if name in self._tool_sources}
+        worst = max(of_tool, default="", key=lambda name: of_tool[name].refused)
+        others = [tally for name, tally in of_tool.items() if name != worst]
+        if sum(tally.accepted for tally in others) < self._settings.consistency_min_degrees:
+            return self.refused_share
+        return _refused_share(others)
 
     @property
     def widening(self) -> float:
@@ -122,17 +138,14 @@ class Consistency:
             return off
         if self._refused_frames >= settings.max_refused_frames:
             return f"all that was measured in {self._refused_frames} frames contradicts the prediction: {self._worst()}"
-        degrees = sum(frame.degrees_of_freedom for frame in self._frames)
-        if degrees < settings.consistency_min_degrees:
+        if sum(tally.degrees for tally in self._tallies.values()) < settings.consistency_min_degrees:
             return ""
-        # A young filter has no past that outweighs what it refuses: it may have begun with other joints.
-        is_young = self._frame_count <= max(settings.window_solves)
-        if self.refused_share > (
-            settings.max_young_refused_share if is_young else settings.max_refused_share
-        ):
-            return (
-                f"{self.refused_share:.0%} of what was measured contradicts the prediction: {self._worst()}"
-            )
+        share, most = self.refused_share, settings.max_refused_share
+        if self._frame_count <= max(settings.window_solves) and share <= most:
+            # A young filter has no past that outweighs what it refuses: it may have begun with other joints.
+            share, most = self.young_refused_share, settings.max_young_refused_share
+        if share > most:
+            return f"{share:.0%} of what was measured contradicts the prediction: {self._worst()}"
         if (self.ratio or 0.0) > settings.max_consistency:
             return f"innovations are {self.ratio:.1f} times what is expected of them"
         return ""
@@ -158,4 +171,25 @@ class Consistency:
         return ""
 
     def _worst(self) -> str:
-        return ", ".join(name for name, count in self._refused.items() if count) or "measurements"
+        return (
+            ", ".join(name for name, is_refused in self._is_refused.items() if is_refused) or "measurements"
+        )
+
+
+def source_of(result: GatingResult) -> str:
+    """The detection that a result is of; its own name where it does not say."""
+    return result.source or result.name
+
+
+def _tallies(results: Iterable[GatingResult]) -> dict[str, Tally]:
+    """What each source measured."""
+    tallies: dict[str, Tally] = {}
+    for result in results:
+        tallies.setdefault(source_of(result), Tally()).add(result)
+    return tallies
+
+
+def _refused_share(tallies: Iterable[Tally]) -> float:
+    members = list(tallies)
+    degrees = sum(tally.degrees for tally in members)
+    return sum(tally.refused for tally in members) / degrees if degrees else 0.0

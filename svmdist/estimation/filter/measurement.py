@@ -54,6 +54,8 @@ class LinkMeasurement(Protocol):
     STACKED: ClassVar[tuple[str, ...]]
     """Fields with a leading axis in a stack."""
     bias_size: ClassVar[int]
+    source: ClassVar[str]
+    """The detection that it is made of."""
 
     @property
     def name(self) -> str:

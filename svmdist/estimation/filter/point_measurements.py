@@ -17,6 +17,7 @@ from svmdist.vision.sphere import apparent_radius_px
 
 AHEAD_M = np.array([0.0, 0.0, 1.0])
 """Stands in for a point that cannot be seen, so that its projection is a number."""
+MARKER = "distal marker"
 POINT_CORRELATION_TIME_S = FilterSettings().point_correlation_time_s
 
 
@@ -24,6 +25,7 @@ class _PointBias(ABC):
     """The bias of a point: an offset in its link's frame, and what shading does to its pixels."""
 
     bias_size: ClassVar[int] = 4
+    source: ClassVar[str] = MARKER
     point_std_m: float
     shading_bias_px: float
 
@@ -182,6 +184,7 @@ class SizeMeasurement(ConstantBias):
 
     STACKED: ClassVar[tuple[str, ...]] = ("radius_m", "radius_px", "covariance", "bias_std_px")
     bias_size: ClassVar[int] = 1
+    source: ClassVar[str] = MARKER
 
     name: str
     link: str | None

@@ -51,6 +51,7 @@ class ContourMeasurement(_MatrixBias):
         "normal", "across", "covariance", "p_axis_m", "axis", "radius_m", "side", "bias_covariance",
     )  # fmt: skip
     bias_size: ClassVar[int] = 2
+    source: ClassVar[str] = "shaft"
 
     name: str
     link: str | None
@@ -114,6 +115,7 @@ class PoseMeasurement(_MatrixBias):
 
     STACKED: ClassVar[tuple[str, ...]] = ("T_link_frame", "T_camera_frame", "covariance", "bias_covariance")
     bias_size: ClassVar[int] = 6
+    source: ClassVar[str] = "tag"
 
     name: str
     link: str | None

@@ -61,6 +61,11 @@ class InstrumentModel:
         chain = chain_of(profile.robot) if profile.robot else None
         return cls(profile.instrument, chain, profile.fiducial)
 
+    @property
+    def surface_std_m(self) -> float:
+        """How far the instrument's surface may stand off the capsules, as a standard deviation."""
+        return self._instrument.body_std_m
+
     def posed(self, pose: ToolPose, joints: JointSample | None = None, has_plate: bool = False) -> Capsules:
         """Capsules in the camera frame: with the wrist as the joints bend it, or straight without joints.
 

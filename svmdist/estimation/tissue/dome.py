@@ -1,6 +1,7 @@
-"""A dome over the tissue's outline: its surface, and how unsure apex and height are.
+"""A dome over the tissue's outline: its surface, and how unsure apex, height and curvature are.
 
 The dome's height is h f(ρ) with f(ρ) = (1 - ρ^a)^b, over the normalised radius ρ: 0 at the apex, 1 on the outline.
+Apex, h, a and b are its shape.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from svmdist.transforms import Array, inverse, transform_points
 RINGS = 14
 SIDES = 72
 """The dome's mesh: chords of 5° stand 0.03 mm off an outline of 28 mm."""
+SHAPE_SIZE = 5
+MIN_EXPONENTS, MAX_EXPONENTS = np.array([1.0, 0.2]), np.array([20.0, 2.0])
+"""Beyond these a dome is a cone, a spike or a box; a fit does not go there."""
 STEEP_RADIUS = 0.98
 """Towards the rim a dome's slope has no bound; beyond this normalised radius it counts as it is here."""
 
@@ -28,33 +32,40 @@ class DomeModel:
     """A dome where it stands.
 
     `T_camera_tissue`, shape (4, 4), has its z axis along the plane's normal. `outline_m`, shape (n, 2), is the
-    outline in that frame; `shape_m`, shape (3,), the apex's x and y there, and its height; `covariance`, shape (3, 3),
-    of these.
+    outline in that frame; `shape`, shape (5,), the apex's x and y there and its height, in m, then the exponents of
+    gauge and height; `covariance`, shape (5, 5), of these.
     """
 
-    rule: Dome
     T_camera_tissue: Array
     outline_m: Array
-    shape_m: Array
+    shape: Array
     covariance: Array
 
     @staticmethod
     def over(outline_m: Array, T_camera_tissue: Array, rule: Dome) -> DomeModel:
         """The profile's dome over an outline in the camera frame, shape (n, 3) in m: the apex over the origin."""
         flat_m = transform_points(inverse(T_camera_tissue), outline_m)[:, :2]
-        covariance = np.diag([rule.apex_std_m**2, rule.apex_std_m**2, rule.height_std_m**2])
-        return DomeModel(rule, T_camera_tissue, flat_m, np.array([0.0, 0.0, rule.height_m]), covariance)
+        stds = (
+            rule.apex_std_m,
+            rule.apex_std_m,
+            rule.height_std_m,
+            rule.gauge_exponent_std,
+            rule.height_exponent_std,
+        )
+        shape = np.array([0.0, 0.0, rule.height_m, rule.gauge_exponent, rule.height_exponent])
+        return DomeModel(T_camera_tissue, flat_m, shape, np.diag(np.square(stds)))
 
-    def shaped(self, shape_m: Array, covariance: Array) -> DomeModel:
-        """The same outline under another apex and height."""
-        return replace(self, shape_m=shape_m, covariance=covariance)
+    def shaped(self, shape: Array, covariance: Array) -> DomeModel:
+        """The same outline under another shape; exponents that no dome has are taken back to the nearest ones."""
+        shape = np.concatenate([shape[:3], np.clip(shape[3:], MIN_EXPONENTS, MAX_EXPONENTS)])
+        return replace(self, shape=shape, covariance=covariance)
 
     def scaled(self, factor: float) -> DomeModel:
         """The same on a parallel plane by this factor as far from the camera: as high, and wider by it."""
         T = self.T_camera_tissue.copy()
         T[:3, 3] *= factor
-        shape_m = self.shape_m * np.array([factor, factor, 1.0])
-        return replace(self, T_camera_tissue=T, outline_m=factor * self.outline_m, shape_m=shape_m)
+        shape = self.shape * np.array([factor, factor, 1.0, 1.0, 1.0])
+        return replace(self, T_camera_tissue=T, outline_m=factor * self.outline_m, shape=shape)
 
     def mesh(self) -> Mesh:
         """The closed surface in the camera frame, made once.
@@ -71,34 +82,42 @@ class DomeModel:
         """0 at the apex, shape (2,), 1 on the outline, for points in the tissue's frame, shape (n, 2): shape (n,)."""
         return PolarOutline.about(apex_m, self.outline_m).normalised_radius(points_m)
 
-    def height_m(self, points_m: Array, shape_m: Array | None = None) -> Array:
-        """Height over the plane at points in the tissue's frame, shape (n, 2); of another shape where one is given."""
-        if shape_m is None:
-            return np.asarray(self.shape_m[2] * self._profile(self._polar.normalised_radius(points_m)))
-        return np.asarray(shape_m[2] * self._profile(self.normalised_radius(points_m, shape_m[:2])))
+    def height_m(self, points_m: Array) -> Array:
+        """Height over the plane at points in the tissue's frame, shape (n, 2)."""
+        return np.asarray(self.shape[2] * self._profile(self._polar.normalised_radius(points_m)))
 
     def derivative(self, points_m: Array) -> Array:
-        """Of the height at points in the tissue's frame, shape (n, 2), by the shape: shape (n, 3).
+        """Of the height at points in the tissue's frame, shape (n, 2), by the shape: shape (n, 5).
 
         The height counts as zero beyond the outline, and there the derivative does, too.
         """
         radius, by_apex = self._polar.with_derivative(points_m)
-        a, b = self.rule.gauge_exponent, self.rule.height_exponent
-        rest = 1.0 - radius**a
-        slope = np.where(
-            rest > 0.0, -a * b * radius ** (a - 1.0) * np.where(rest > 0.0, rest, 1.0) ** (b - 1.0), 0.0
+        height_m, a, b = self.shape[2:]
+        power = radius**a
+        inside = power < 1.0
+        rest = np.where(inside, 1.0 - power, 1.0)
+        log_radius = np.log(np.where(radius > 0.0, radius, 1.0))
+        profile = np.where(inside, rest**b, 0.0)
+        by_power = np.where(inside, -b * rest ** (b - 1.0), 0.0)
+        by_radius = by_power * a * radius ** (a - 1.0)
+        return np.column_stack(
+            [
+                height_m * by_radius[:, None] * by_apex,
+                profile,
+                height_m * by_power * power * log_radius,
+                height_m * profile * np.log(rest),
+            ]
         )
-        return np.column_stack([self.shape_m[2] * slope[:, None] * by_apex, self._profile(radius)])
 
     def variance_m2(self, point_m: Array, direction: Array) -> float:
         """By how much the surface at a point of the camera frame, shape (3,), may move along a unit vector, shape (3,).
 
-        Height and apex move the surface along the plane's normal; along d a part of it remains: (d · n)².
+        Another shape moves the surface along the plane's normal; along d a part of it remains: (d · n)².
         """
         flat_m = self.to_tissue_frame(point_m[None])[:, :2]
         radius = float(self._polar.normalised_radius(flat_m)[0])
         if radius > STEEP_RADIUS:
-            apex_m = self.shape_m[:2]
+            apex_m = self.shape[:2]
             flat_m = apex_m + (flat_m - apex_m) * STEEP_RADIUS / radius
         J = self.derivative(flat_m)[0]
         along = float(direction @ self.T_camera_tissue[:3, 2])
@@ -106,31 +125,32 @@ class DomeModel:
 
     @cached_property
     def _polar(self) -> PolarOutline:
-        return PolarOutline.about(self.shape_m[:2], self.outline_m)
+        return PolarOutline.about(self.shape[:2], self.outline_m)
 
     @cached_property
     def _mesh(self) -> Mesh:
         corners = np.linspace(0, len(self.outline_m), SIDES, endpoint=False).astype(int)
-        vertices_m = _dome_vertices(self.outline_m[corners], self.shape_m, self._profile(_ring_radii()))
+        vertices_m = _dome_vertices(self.outline_m[corners], self.shape, self._profile(_ring_radii()))
         return _unit_dome().with_vertices(vertices_m).transformed(self.T_camera_tissue)
 
     def _profile(self, radius: Array) -> Array:
-        inside: Array = (1.0 - np.asarray(radius) ** self.rule.gauge_exponent).clip(0.0)
-        return np.asarray(inside**self.rule.height_exponent)
+        a, b = self.shape[3:]
+        inside: Array = (1.0 - np.asarray(radius) ** a).clip(0.0)
+        return np.asarray(inside**b)
 
 
 def _ring_radii() -> Array:
     return np.sin(np.linspace(0.0, np.pi / 2.0, RINGS + 1)[1:])
 
 
-def _dome_vertices(outline_m: Array, shape_m: Array, profile: Array) -> Array:
+def _dome_vertices(outline_m: Array, shape: Array, profile: Array) -> Array:
     """Apex, rings of `SIDES` vertices from the apex outwards, and the floor's middle: shape (v, 3).
 
     `profile`, shape (RINGS,), has the rings' heights over the apex's.
     """
     if _signed_area(outline_m) < 0.0:
         outline_m = outline_m[::-1]
-    apex_m, height_m = shape_m[:2], float(shape_m[2])
+    apex_m, height_m = shape[:2], float(shape[2])
     rings = (apex_m + _ring_radii()[:, None, None] * (outline_m - apex_m)).reshape(-1, 2)
     z_m = np.repeat(height_m * profile, SIDES)
     return np.vstack([[*apex_m, height_m], np.column_stack([rings, z_m]), [*apex_m, 0.0]])

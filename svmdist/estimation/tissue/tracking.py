@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.estimation.gate import chi_square_bound
-from svmdist.estimation.tissue.dome import DomeModel
+from svmdist.estimation.tissue.dome import SHAPE_SIZE, DomeModel
 from svmdist.estimation.tissue.pose import TissuePose
 from svmdist.settings.tissue import TissueTrackingSettings
 from svmdist.transforms import Array
@@ -65,9 +65,9 @@ class TissueTracker:
         self._outlier_count = 0
         self._frame_count = 0
         self._best: TissuePose | None = None
-        # A pose has two degrees of freedom of its own, on the plane; a dome has apex and height.
+        # A pose has two degrees of freedom of its own, on the plane; a dome has five of shape.
         self._place = CorrelatedMean(2, settings)
-        self._shape = CorrelatedMean(3, settings)
+        self._shape = CorrelatedMean(SHAPE_SIZE, settings)
 
     @property
     def wants_shape(self) -> bool:
@@ -77,7 +77,7 @@ class TissueTracker:
 
     def add_shape(self, dome: DomeModel) -> None:
         """Take up a dome as stereo shows it."""
-        self._shape.add(dome.shape_m, dome.covariance)
+        self._shape.add(dome.shape, dome.covariance)
 
     def add(self, pose: TissuePose | None) -> TissuePose | None:
         """Take up a frame's pose, if it has one; gives the tissue as known then."""
@@ -88,7 +88,10 @@ class TissueTracker:
             if self._outlier_count < self._settings.moved_count:
                 return self.now()
             self._best, self._frame_count = None, 0
-            self._place, self._shape = CorrelatedMean(2, self._settings), CorrelatedMean(3, self._settings)
+            self._place, self._shape = (
+                CorrelatedMean(2, self._settings),
+                CorrelatedMean(SHAPE_SIZE, self._settings),
+            )
         self._outlier_count = 0
         self._frame_count += 1
         self._place.add(pose.position_m, pose.own_covariance)

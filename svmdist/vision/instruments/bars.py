@@ -154,10 +154,12 @@ def best_bar(
     best: tuple[float, int, int, Array] | None = None
     for place, first in enumerate(lines):
         for second in lines[place + 1 :]:
-            score = float(support[second]) + 1e-3 * float(support[first])
-            if best is not None and score <= best[0]:
+            cosine = -float(along[first] @ along[second])
+            if cosine < settings.most_taper_cos:
                 continue
-            if along[first] @ along[second] > -settings.most_taper_cos:
+            taper = float(np.arccos(min(cosine, 1.0))) / settings.usual_taper_rad
+            score = (float(support[second]) + 1e-3 * float(support[first])) * float(np.exp(-0.5 * taper**2))
+            if best is not None and score <= best[0]:
                 continue
             axis = along[first] - along[second]
             axis = axis / np.linalg.norm(axis)

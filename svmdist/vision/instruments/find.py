@@ -13,11 +13,18 @@ from svmdist.samples import Image
 from svmdist.vision.instruments.appearance import Appearance, Example, learnt_from
 from svmdist.vision.instruments.bars import Bar, bars_in
 from svmdist.vision.instruments.evidence import JudgedBar, judged
-from svmdist.vision.instruments.working import SQUARE_3, SQUARE_5, WorkingImage
+from svmdist.vision.instruments.sharpen import sharpened
+from svmdist.vision.instruments.working import SQUARE_3, SQUARE_5, Floats, WorkingImage
 from svmdist.vision.instruments.zones import Zones
 
 PERCENTILES = (4, 8, 13, 19, 26, 34)
 """Of each channel in the picture: thresholds under which instruments are sought. They cover 3 to 40 % of a picture."""
+RATIO_LEVELS = (0.0, 1.0, 2.0)
+"""Of the log ratio: at higher ones a shaft parts from a shadow beside it, at lower ones all of it is there."""
+RATIO_DOUBT = 2.0
+"""A colour that speaks against an instrument by no more may be that of a wrist."""
+FAR_D2 = 16.0
+"""Squared deviation from the colours around, of three numbers, that one in a thousand exceeds."""
 ROUND_7 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
 SQUARE_9 = np.ones((9, 9), np.uint8)
 
@@ -74,13 +81,16 @@ def find_instruments(
 ) -> list[Found]:
     """The instruments of an image, the surest first. `sought` are bars that are known without their colours."""
     ratio = appearance.of(image)
-    likely = np.asarray(255 * ((ratio > 0.0) & (image.core > 0)), np.uint8)
-    likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
-    likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_CLOSE, ROUND_7), np.uint8) & image.core
     settings = image.settings
-    bars = _judged_bars(likely, image, 3)
+    likely = _above(ratio, 0.0, image)
+    bars = [
+        one
+        for level in RATIO_LEVELS
+        for one in _judged_bars(_above(ratio, level, image) if level else likely, image, 3, ratio)
+    ]
     bars += [one for one in sought if one.evidence > settings.sure_evidence]
     bars.sort(key=lambda one: -one.evidence)
+    bars = [JudgedBar(sharpened(one.bar, image), one.evidence) for one in bars]
     taken = np.zeros(image.core.shape, bool)
     found: list[Found] = []
     for one in bars:
@@ -90,16 +100,30 @@ def find_instruments(
             continue
         if np.count_nonzero(zones.middle & (likely > 0)) < 0.6 * size:
             continue
-        taken |= zones.middle
-        found.append(Found(one.bar, _belonging(zones, likely, image), one.evidence))
+        mask = _belonging(zones, likely | _unlike_nearby(zones, ratio, image), image)
+        if np.count_nonzero(mask & ~taken) < settings.least_area * image.area_px:
+            continue
+        taken |= mask
+        found.append(Found(one.bar, mask, one.evidence))
         if len(found) >= settings.most_instruments:
             break
     return found
 
 
-def _judged_bars(mask: Image, image: WorkingImage, most_bars: int) -> list[JudgedBar]:
+def _above(ratio: Floats, level: float, image: WorkingImage) -> Image:
+    """What speaks for an instrument by more than a level, without specks and gaps, shape (h, w)."""
+    mask = np.asarray(255 * ((ratio > level) & (image.core > 0)), np.uint8)
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+    return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, ROUND_7), np.uint8) & image.core
+
+
+def _judged_bars(
+    mask: Image, image: WorkingImage, most_bars: int, ratio: Floats | None = None
+) -> list[JudgedBar]:
     settings = image.settings
-    every = (judged(bar, part, image) for bar, part in bars_in(mask, image, settings.most_area, most_bars))
+    every = (
+        judged(bar, part, image, ratio) for bar, part in bars_in(mask, image, settings.most_area, most_bars)
+    )
     return [one for one in every if one is not None and one.evidence > settings.least_evidence]
 
 
@@ -117,7 +141,7 @@ def _apart(sought: list[JudgedBar], image: WorkingImage) -> list[JudgedBar]:
 
 def _of_bars(image: WorkingImage, sought: Sequence[JudgedBar]) -> Example | None:
     """What the sure bars of an image teach; what is near to any bar may be either, and teaches nothing."""
-    if not sought:
+    if not sought or sought[0].evidence < image.settings.teaching_evidence:
         return None
     shape = image.core.shape[0], image.core.shape[1]
     least = min(0.5 * sought[0].evidence, image.settings.sure_evidence)
@@ -133,13 +157,36 @@ def _of_bars(image: WorkingImage, sought: Sequence[JudgedBar]) -> Example | None
     return Example(image, inside, np.asarray(cv2.subtract(image.core, near), np.uint8))
 
 
+def _unlike_nearby(zones: Zones, ratio: Floats, image: WorkingImage) -> Image:
+    """What in the distal zone has not the colours around it, shape (h, w): wrists are reddish by tissue's reflection.
+
+    The colours around are one normal distribution; a pixel far outside of it is not of what lies there.
+    """
+    near = cv2.dilate(zones.distal.astype(np.uint8), SQUARE_9) > 0
+    around = near & ~zones.distal & ~zones.strip & (image.core > 0) & (ratio < 0.0)
+    inside = zones.distal & (image.core > 0) & (ratio > -RATIO_DOUBT)
+    if np.count_nonzero(around) < 50 or not inside.any():
+        return np.zeros_like(image.core)
+    sample = image.colours[around].astype(np.float64)
+    centre = np.median(sample, axis=0)
+    spread = np.cov(sample.T) + np.diag([0.03, 0.03, 0.1]) ** 2
+    off = image.colours[inside] - centre
+    far = np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off) > FAR_D2
+    mask = np.zeros_like(image.core)
+    mask[inside] = 255 * far
+    return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+
+
 def _belonging(zones: Zones, likely: Image, image: WorkingImage) -> NDArray[np.bool_]:
     """What of the likely pixels belongs to the instrument of these zones: what hangs together with its bar."""
     mine = ((zones.strip | zones.distal) & (likely > 0)) | zones.middle
     _, labels = cv2.connectedComponents(mine.astype(np.uint8))
     names = np.unique(labels[zones.middle])
     mask = np.isin(labels, names[names > 0]) & (image.core > 0)
-    return _without_holes(mask, 0.003 * image.area_px)
+    mask = _without_holes(mask, 0.003 * image.area_px)
+    # Where the optics fade, colours tell nothing; the instrument goes on to the border of the picture.
+    outside = zones.strip & (image.picture > 0) & (image.core == 0)
+    return np.asarray(mask | (outside & (cv2.dilate(mask.astype(np.uint8), SQUARE_5) > 0)))
 
 
 def _without_holes(mask: NDArray[np.bool_], most_px: float) -> NDArray[np.bool_]:

@@ -118,7 +118,30 @@ def test_a_young_filter_may_refuse_less() -> None:
     watch = Consistency(SETTINGS)
     told = []
     for frame in range(max(SETTINGS.window_solves) + 2):
-        watch.add(frame * STEP_NS, [judged(1.0)] * 3 + [judged(90.0, False, "edge +1")])
+        watch.add(frame * STEP_NS, [judged(1.0)] * 3 + [judged(90.0, False)])
         told.append(bool(watch.contradiction))
     assert told[:2] == [True, True]
     assert told[-3:] == [True, False, False]
+
+
+def test_one_source_alone_may_be_wrong_in_the_first_frames() -> None:
+    """A shadow taken for the shaft, while the tag agrees; not while only the tissue does, which has no tool."""
+    with_tag, alone = Consistency(SETTINGS), Consistency(SETTINGS)
+    shadow = GatingResult("edge +1", 90.0, 2, False, "shaft")
+    scene = GatingResult("tissue height", 0.5, 1, True, "tissue height")
+    for frame in range(8):
+        stamp_ns = frame * STEP_NS
+        with_tag.add(stamp_ns, [shadow, GatingResult("tag", 5.0, 6, True, "tag")])
+        alone.add(stamp_ns, [shadow, GatingResult("edge -1", 1.0, 3, True, "shaft")])
+        alone.add(stamp_ns, [scene, scene], of_tool=False)
+    assert not with_tag.contradiction
+    assert with_tag.refused_share > SETTINGS.max_young_refused_share
+    assert "edge +1" in alone.contradiction
+
+
+def test_two_sources_that_are_refused_contradict_a_young_filter() -> None:
+    watch = Consistency(SETTINGS)
+    for frame in range(8):
+        refused = [GatingResult(name, 90.0, 2, False, name) for name in ("shaft", "distal marker")]
+        watch.add(frame * STEP_NS, [*refused, GatingResult("tag", 5.0, 6, True, "tag")])
+    assert "shaft, distal marker" in watch.contradiction

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from svmdist.estimation.tissue.dome import DomeModel
 from svmdist.estimation.tissue.radius import PolarOutline
-from svmdist.profile import Dome
 
 ANGLE = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
 OUTLINE_M = np.stack([0.028 * np.cos(ANGLE) + 0.002 * np.cos(3.0 * ANGLE), 0.022 * np.sin(ANGLE)], -1)
@@ -52,15 +53,14 @@ def test_the_derivative_is_that_of_small_steps_of_the_apex() -> None:
 
 @pytest.mark.parametrize("exponents", [(2.0, 0.5), (2.3, 0.62), (1.0, 1.0)])
 def test_a_dome_answers_to_its_shape_as_small_steps_tell(exponents: tuple[float, float]) -> None:
-    rule = Dome(height_m=0.008, gauge_exponent=exponents[0], height_exponent=exponents[1])
-    dome = DomeModel(rule, np.eye(4), OUTLINE_M, np.array([*APEX_M, 0.0083]), np.eye(3))
+    dome = DomeModel(np.eye(4), OUTLINE_M, np.array([*APEX_M, 0.0083, *exponents]), np.eye(5))
     at = APEX_M + 0.9 * np.sqrt(np.random.default_rng(2).uniform(0.01, 1.0, (300, 1))) * (
         OUTLINE_M[np.random.default_rng(3).integers(0, 90, 300)] - APEX_M
     )
     at += 1e-5  # off the rays to the corners, where the derivative jumps
     derivative = dome.derivative(at)
-    for column, step in enumerate(STEP_M * np.eye(3)):
-        ahead, behind = (dome.height_m(at, dome.shape_m + s) for s in (step, -step))
+    for column, step in enumerate(STEP_M * np.eye(5)):
+        ahead, behind = (replace(dome, shape=dome.shape + s).height_m(at) for s in (step, -step))
         close = np.isclose((ahead - behind) / (2.0 * STEP_M), derivative[:, column], rtol=1e-4, atol=1e-5)
         assert close.mean() > 0.98
     np.testing.assert_array_equal(dome.derivative(np.array([[0.1, 0.0]]))[0], 0.0)
@@ -68,10 +68,8 @@ def test_a_dome_answers_to_its_shape_as_small_steps_tell(exponents: tuple[float,
 
 
 def test_the_mesh_is_made_once() -> None:
-    dome = DomeModel(
-        Dome(height_m=0.008), np.eye(4), OUTLINE_M, np.array([0.0, 0.0, 0.008]), np.zeros((3, 3))
-    )
+    dome = DomeModel(np.eye(4), OUTLINE_M, np.array([0.0, 0.0, 0.008, 2.0, 0.5]), np.zeros((5, 5)))
     assert dome.mesh() is dome.mesh()
-    lower = dome.shaped(np.array([0.0, 0.0, 0.007]), dome.covariance)
+    lower = dome.shaped(np.array([0.0, 0.0, 0.007, 2.0, 0.5]), dome.covariance)
     assert lower.mesh().vertices_m[:, 2].max() == pytest.approx(0.007, abs=1e-15)
     assert lower.mesh().faces is dome.mesh().faces
