@@ -35,6 +35,8 @@ def profile_lines(draft: ProfileDraft) -> Iterator[str]:
     yield f"name = {_text(draft.name)}"
     if first.name != "PSM1" or len(draft.instruments) > 1:
         yield f"instrument_name = {_text(first.name)}"
+    if first.entry is not None:
+        yield f'entry = "{first.entry}"              # the side of the picture that it comes in from; names are guesses'
     yield ""
     yield from _topics(draft, first)
     yield ""
@@ -208,6 +210,9 @@ def _tissue(draft: ProfileDraft) -> Iterator[str]:
 def _other(other: InstrumentDraft, first: InstrumentDraft) -> Iterator[str]:
     yield "[[other_instruments]]"
     yield f"name = {_text(other.name)}"
+    if other.entry is not None:
+        yield f'entry = "{other.entry}"'
+        return
     yield ""
     yield "[other_instruments.topics]"
     for role, topic in (("joints", other.joints), ("pose", other.pose)):

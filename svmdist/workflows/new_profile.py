@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from svmdist.recording.inspect import RecordingSummary, inspect_recording
 from svmdist.recording.reader import Recording, open_recording
 from svmdist.samples import Image, Observation, Rejection
 from svmdist.vision.distinct_colour import DistinctColour, find_distinct_colour
+from svmdist.vision.segmentation.auto import AutoSegmenter
 from svmdist.vision.stereo_plane import StereoPlane, fit_plane
 from svmdist.vision.undistortion import as_pinholes
 from svmdist.workflows.log_roles import InstrumentTopics, LogRoles, find_roles
@@ -23,6 +25,8 @@ CHAIN_PROFILES = ("dvrk-psm", "psm13")
 """Profiles that ship whose chains a log's joints may be of."""
 LOOKED_AT = 12
 """Images that colours and plane are taken from, spread over the log."""
+MOST_IMAGES = 0.6
+"""An instrument is one that most of the images show."""
 MIN_PLANES = 3
 LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 3e-3, 0.05, 1e-3
 """Tissue is no plane: what is fitted to all of it is off by this much where the tool works."""
@@ -39,6 +43,8 @@ class InstrumentDraft:
     tool: str
     chain: str | None
     joint_names: tuple[str, ...] = ()
+    entry: str | None = None
+    """The side of the picture that it comes in from, where nothing else tells instruments apart."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,7 @@ def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDr
     images, planes = _look(recording, summary, roles)
     instruments = tuple(
         _instrument(one, summary, path, blank, len(roles.instruments)) for one in roles.instruments
-    ) or (InstrumentDraft("PSM1", None, None, "PSM1_base", "PSM1", None),)
+    ) or _by_sides(_entry_sides(images))
     return ProfileDraft(
         name,
         path.name,
@@ -130,6 +136,31 @@ def _look(
             plane = fit_plane(seen.image_bgr, right.image_bgr, seen.camera.K, float(right.T_left_right[0, 3]))
             planes += [] if plane is None else [plane]
     return images, planes
+
+
+def _entry_sides(images: Sequence[Image]) -> list[str]:
+    """The sides of the picture that instruments come in from in most images, from right to left."""
+    segmenter = AutoSegmenter().adapted_to(images)
+    sides: Counter[str] = Counter()
+    for image in images:
+        height_px, width_px = image.shape[:2]
+        here = set()
+        for one in segmenter.masks(image, None).seen or ():
+            x, y = one.entry_px / [width_px, height_px] - 0.5
+            here.add(("left" if x < 0 else "right") if abs(x) > abs(y) else ("above" if y < 0 else "below"))
+        sides.update(here)
+    found = [side for side, count in sides.items() if count >= MOST_IMAGES * len(images)]
+    return sorted(found, key=("right", "left", "above", "below").index)
+
+
+def _by_sides(sides: Sequence[str]) -> tuple[InstrumentDraft, ...]:
+    """Instruments of which nothing but images tells; one where no image shows several."""
+    entries: list[str | None] = [*sides] if len(sides) > 1 else [None]
+    names = [f"PSM{number}" for number in range(1, len(entries) + 1)]
+    return tuple(
+        InstrumentDraft(name, None, None, f"{name}_base", name, None, entry=entry)
+        for name, entry in zip(names, entries, strict=True)
+    )
 
 
 def _plane(planes: Sequence[StereoPlane]) -> PlaneDraft | None:

@@ -159,3 +159,21 @@ def test_a_rounded_normal_is_normalised() -> None:
     data["tissue"]["plane_normal"] = [0.0, 0.0, -0.9]
     with pytest.raises(ValueError, match=r"must have length 1, found 0\.9"):
         Profile.model_validate(data)
+
+
+def test_instruments_by_the_side_they_come_in_from(tmp_path: Path) -> None:
+    """Where nothing but images tells of two instruments, they are named by their sides; estimate accepts it."""
+    with RecordingWriter(tmp_path / "two.mcap", {}) as writer:
+        for number in range(6):
+            stamp_ns = number * 10**9
+            image = np.full((480, 640, 3), (90, 100, 190), np.uint8)
+            image = np.clip(image + np.random.default_rng(number).normal(0, 6, image.shape), 0, 255).astype(
+                np.uint8
+            )
+            for start, end in (((0, 120), (240, 240 + 4 * number)), ((639, 90), (400, 250 - 4 * number))):
+                cv2.line(image, start, end, (70, 68, 65), 60)
+            writer.write("/scope/image", ImageSample(stamp_ns, "camera", image))
+            writer.write("/scope/camera_info", CameraSample(stamp_ns, CAMERA))
+    profile = _profile(tmp_path / "two.mcap")
+    assert profile.instrument_names == ("PSM1", "PSM2")
+    assert (profile.entry, profile.other_instruments[0].entry) == ("right", "left")
