@@ -114,7 +114,8 @@ def info_lines(
 
 
 def _capability_document(capability: Capability) -> dict[str, Any]:
-    return {"served": capability.served, "missing": list(capability.missing), "note": capability.note}
+    note = {"note": capability.note} if capability.note else {}
+    return {"served": capability.served, "missing": list(capability.missing), **note}
 
 
 def _camera_line(camera: Camera) -> str:

@@ -144,7 +144,7 @@ def _camera_transform_lacking(summary: RecordingSummary, profile: Profile) -> tu
         return ()
     if {frames.camera, frames.base} <= set(summary.frames):
         return ()
-    return (f"transforms from {frames.camera} to {frames.base} (svmdist hand-eye fits them)",)
+    return (f"transforms from {frames.camera} to {frames.base}",)
 
 
 def instruments_in(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:

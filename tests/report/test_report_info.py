@@ -19,7 +19,7 @@ def test_the_document_counts_what_the_log_holds(synthetic_log: Path) -> None:
     topics = {topic["topic"]: topic for topic in document["topics"]}
     assert topics[document["roles"]["image"]]["message_count"] == 40
     assert all(tuple(topic_row(topic)) == TOPIC_KEYS for topic in summary.topics)
-    assert document["methods"]["overlay"] == {"served": True, "missing": [], "note": ""}
+    assert document["methods"]["overlay"] == {"served": True, "missing": []}
 
 
 def test_lines_tell_the_same(synthetic_log: Path) -> None:

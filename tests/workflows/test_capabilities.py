@@ -110,7 +110,7 @@ def test_the_reference_of_validation_is_truth_or_a_pose_and_the_tissues_place() 
 
 def test_nominal_transforms_are_needed_by_the_methods_that_begin_with_them() -> None:
     found = lacking(method_capabilities(without(frames=(FRAMES.camera,)), PROFILE))
-    words = (f"transforms from {FRAMES.camera} to {FRAMES.base} (svmdist hand-eye fits them)",)
+    words = (f"transforms from {FRAMES.camera} to {FRAMES.base}",)
     assert found == {"kinematic": words, "fused": words}
 
 
