@@ -37,6 +37,10 @@ class RecordingError(SvmdistError):
     """A recording cannot be used at all: missing, empty, of another format, without a needed topic."""
 
 
+class SourceError(SvmdistError):
+    """Files cannot be imported: missing, of another form, or images, calibration and tables that do not match."""
+
+
 class OutputError(SvmdistError):
     """A result cannot be written: no such folder, no permission, no space left."""
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from pydantic import Field, model_validator
 
 from svmdist.errors import ProfileError, UsageError, did_you_mean
+from svmdist.profile_hand_eye import HandEye, NamedHandEye, load_hand_eye, with_hand_eye
 from svmdist.profile_instruments import (
     ARM_TOPICS,
     ArmFrames,
@@ -126,6 +127,8 @@ class Profile(StrictModel):
     description: str = ""
     calibration: str | None = None
     """File name of the calibration that ships beside this profile."""
+    hand_eye: NamedHandEye | None = None
+    """What `svmdist hand-eye` wrote, in a file: where robots' bases stand for the camera, in place of the log's."""
     topics: Topics = Topics()
     frames: Frames = Frames()
     limits: Limits = Limits()
@@ -167,7 +170,7 @@ class Profile(StrictModel):
         Raises UsageError that lists the names.
         """
         if name == self.instrument_name:
-            return self.model_copy(update={"other_instruments": ()})
+            return self.model_copy(update={"other_instruments": (), **self._error_of(name)})
         other = next((other for other in self.other_instruments if other.name == name), None)
         if other is None:
             raise UsageError(
@@ -181,6 +184,7 @@ class Profile(StrictModel):
             "instrument_name": name,
             "entry": other.entry,
             "other_instruments": (),
+            **self._error_of(name),
         }
         if self.fiducial is not None:
             tag_id = other.fiducial_id
@@ -192,6 +196,44 @@ class Profile(StrictModel):
         if other.simulation is not None and self.simulation is not None:
             update["simulation"] = self.simulation.model_copy(update=other.simulation.model_dump())
         return self.model_copy(update=update)
+
+    def _error_of(self, name: str) -> dict[str, object]:
+        """The kinematic error of an instrument whose base is known by hand-eye; nothing for any other."""
+        found = self.hand_eye.of(name) if self.hand_eye is not None else None
+        return {} if found is None else {"kinematic_error": with_hand_eye(self.kinematic_error, found)}
+
+    @property
+    def camera_to_base(self) -> HandEye | None:
+        """Where the base of this profile's own instrument stands, by hand-eye; None where no file says it."""
+        return None if self.hand_eye is None else self.hand_eye.of(self.instrument_name)
+
+    @model_validator(mode="after")
+    def _hand_eye_fits(self) -> Profile:
+        self.check_hand_eye()
+        return self
+
+    def check_hand_eye(self) -> None:
+        """Raise ValueError where the hand-eye file is of other frames, or of none of the instruments."""
+        if self.hand_eye is None:
+            return
+        if not any(self.hand_eye.of(name) for name in self.instrument_names):
+            theirs = ", ".join(one.instrument for one in self.hand_eye.transforms)
+            raise ValueError(
+                f"hand_eye: it is for {theirs}; the profile has {', '.join(self.instrument_names)}: fit it anew"
+            )
+        for name in dict.fromkeys(self.instrument_names):
+            view = self.for_instrument(name)
+            found = view.camera_to_base
+            if found is None:
+                continue
+            for what, theirs, ours in (
+                ("camera", found.camera, view.frames.camera),
+                ("base", found.base, view.frames.base),
+            ):
+                if theirs != ours:
+                    raise ValueError(
+                        f"hand_eye: it is for {what} {theirs} of {name}; [frames] {what} is {ours}: fit it anew"
+                    )
 
     @model_validator(mode="after")
     def _instruments_differ(self) -> Profile:
@@ -253,12 +295,21 @@ def shipped_profiles() -> tuple[str, ...]:
     )
 
 
-def load_profile(name_or_path: str | Path = DEFAULT_PROFILE) -> Profile:
+def load_profile(name_or_path: str | Path = DEFAULT_PROFILE, hand_eye: Path | None = None) -> Profile:
     """Read a profile that ships (by name) or one of the user's own (by path), and check it.
 
-    Raises ProfileError that names the file, the key and the nearest valid key.
+    `hand_eye` names a hand-eye file in place of the profile's. Raises ProfileError that names the file, the key and
+    the nearest valid key.
     """
-    return parse_toml(profile_path(name_or_path), Profile, ProfileError)
+    profile = parse_toml(profile_path(name_or_path), Profile, ProfileError)
+    if hand_eye is None:
+        return profile
+    profile = profile.model_copy(update={"hand_eye": load_hand_eye(hand_eye)})
+    try:
+        profile.check_hand_eye()
+    except ValueError as problem:
+        raise ProfileError(f"{hand_eye}: {problem}") from None
+    return profile
 
 
 def profile_path(name_or_path: str | Path) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from svmdist.toml_model import Angle, Length, NeighbourFile, SmallLength, StrictModel
 from svmdist.transforms import Array, make_transform, rotation_z
@@ -36,13 +36,16 @@ class Joint(StrictModel):
 
 AWAY = 0.5
 """z of a plane's normal from which on no camera of less than 120° sees the plane."""
+ROUNDED = 0.01
+"""How far a normal's length may be from 1: numbers that were written with two digits. It is normalised."""
 TAG_COUNTS = {"16h5": 30, "25h9": 35, "36h10": 2320, "36h11": 587}
 """How many tags an AprilTag family has; they are numbered from 0."""
 
 Rotation = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 
-def _require_rotation(name: str, rotation: Rotation) -> None:
+def require_rotation(name: str, rotation: Rotation) -> None:
+    """Raise ValueError where a matrix is no rotation."""
     R = np.array(rotation)
     if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
         raise ValueError(f"{name} is not a rotation: R R^T = I and det R = 1 are expected")
@@ -66,7 +69,7 @@ class Robot(StrictModel):
         if doubles:
             raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")
         if self.tool_rotation is not None:
-            _require_rotation("tool_rotation", self.tool_rotation)
+            require_rotation("tool_rotation", self.tool_rotation)
         return self
 
     @property
@@ -181,7 +184,7 @@ class Fiducial(StrictModel):
     @model_validator(mode="after")
     def _sound(self) -> Fiducial:
         require_tag(self.family, self.id)
-        _require_rotation("rotation", self.rotation)
+        require_rotation("rotation", self.rotation)
         return self
 
     @property
@@ -244,6 +247,16 @@ class Tissue(StrictModel):
     """How far the mesh is turned about the tissue's z axis, counter-clockwise seen from the camera's side."""
     surface_std_m: float = Field(default=0.0, ge=0.0)
     """How far the shape stands off the real surface, as a standard deviation; beside what a dome says of itself."""
+
+    @field_validator("plane_normal")
+    @classmethod
+    def _unit(cls, normal: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Normalise what was rounded."""
+        length = float(np.linalg.norm(normal))
+        if not 1e-12 < abs(length - 1.0) <= ROUNDED:
+            return normal
+        x, y, z = normal
+        return x / length, y / length, z / length
 
     @model_validator(mode="after")
     def _sound(self) -> Tissue:

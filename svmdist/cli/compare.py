@@ -10,6 +10,7 @@ from svmdist.cli.console import Summary, files_or_golden, report_health, require
 from svmdist.cli.degradations import parse_degradations
 from svmdist.cli.options import (
     CalibrationOption,
+    HandEyeOption,
     JobsOption,
     LagOption,
     Method,
@@ -58,6 +59,7 @@ def compare_command(
     ] = None,
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
+    hand_eye: HandEyeOption = None,
     topic: TopicOption = None,
     lag: LagOption = None,
     form: TableFormatOption = TableFormat.TABLE,
@@ -90,7 +92,7 @@ def compare_command(
     methods = list(dict.fromkeys(method)) if method else list(Method)
     planar = (Method.OVERLAY, Method.CENTROID)
     setups = [
-        prepare(profile, chosen.value, "corrected", calibration if chosen in planar else None)
+        prepare(profile, chosen.value, "corrected", calibration if chosen in planar else None, hand_eye)
         for chosen in methods
     ]
     recordings = [

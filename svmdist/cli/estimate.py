@@ -16,6 +16,7 @@ from svmdist.cli.options import (
     EquationsChoice,
     EquationsOption,
     Files,
+    HandEyeOption,
     InstrumentOption,
     JobsOption,
     LagOption,
@@ -48,6 +49,7 @@ def estimate_command(
     equations: EquationsOption = EquationsChoice.CORRECTED,
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
+    hand_eye: HandEyeOption = None,
     topic: TopicOption = None,
     form: RowFormatOption = RowFormat.TABLE,
     output: OutputOption = None,
@@ -69,7 +71,7 @@ def estimate_command(
     require_output(output, files)
     given = parse_lag(lag)
     rules = alarm_rules(alarm_below, alarm_confidence, method.value)
-    setup = prepare(profile, method.value, equations.value, calibration)
+    setup = prepare(profile, method.value, equations.value, calibration, hand_eye)
     if rules:
         require_clearance(setup.method, setup.profile)
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in files]

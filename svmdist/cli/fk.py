@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from svmdist.cli.console import report_health, require_output, say, write_lines
-from svmdist.cli.options import OutputOption, ProfileOption, TopicOption, topics_of
+from svmdist.cli.options import HandEyeOption, OutputOption, ProfileOption, TopicOption, topics_of
 
 if TYPE_CHECKING:
     from svmdist.workflows.fk import PoseErrors
@@ -30,7 +30,14 @@ def fk_command(
         typer.Option("--joints", metavar="TOPIC", help="Topic of the joint states.", show_default=False),
     ] = None,
     profile: ProfileOption = "psm13",
+    hand_eye: HandEyeOption = None,
     topic: TopicOption = None,
+    in_camera: Annotated[
+        bool,
+        typer.Option(
+            "--in-camera", help="In the camera's frame, by the transform of hand-eye or of the log."
+        ),
+    ] = False,
     form: Annotated[
         PoseFormat, typer.Option("--format", "-f", help="Format of the data; tum is the format of evo.")
     ] = PoseFormat.CSV,
@@ -38,8 +45,8 @@ def fk_command(
 ) -> None:
     """Print the tool's pose for every joint state.
 
-    The pose is the forward kinematics of the profile's chain, in its base frame. Where the log has a pose topic,
-    the errors against it are printed on stderr.
+    The pose is the forward kinematics of the profile's chain, in its base frame or the camera's. Where the log has a
+    pose topic, the errors against it are printed on stderr.
     """
     from svmdist.profile import load_profile
     from svmdist.recording.reader import open_recording
@@ -48,10 +55,11 @@ def fk_command(
     from svmdist.workflows.fk import fk
 
     require_output(output, [file])
-    loaded = load_profile(profile)
+    loaded = load_profile(profile, hand_eye)
     topics = topics_of(topic) | ({"joints": joints} if joints else {})
     recording = open_recording(file, loaded, topics=topics)
-    result = fk(recording, loaded)
+    loaded = loaded.for_instrument(recording.instruments[0])
+    result = fk(recording, loaded, in_camera=in_camera)
     match form:
         case PoseFormat.CSV:
             write_lines(csv_lines(POSE_KEYS, pose_rows(result)), output)

@@ -9,6 +9,7 @@ import typer
 
 from svmdist.cli.console import report_health, require_output, terminal_width, write_lines
 from svmdist.cli.options import (
+    HandEyeOption,
     OutputOption,
     ProfileOption,
     TableFormat,
@@ -16,11 +17,13 @@ from svmdist.cli.options import (
     TopicOption,
     topics_of,
 )
+from svmdist.errors import RecordingError
 
 
 def info_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to inspect.", show_default=False)],
     profile: ProfileOption = "psm13",
+    hand_eye: HandEyeOption = None,
     topic: TopicOption = None,
     form: TableFormatOption = TableFormat.TABLE,
     output: OutputOption = None,
@@ -31,17 +34,26 @@ def info_command(
     """
     from svmdist.profile import load_profile
     from svmdist.recording.inspect import inspect_recording
+    from svmdist.recording.reader import open_recording
     from svmdist.report.info import TOPIC_KEYS, info_document, info_lines, topic_row
     from svmdist.report.table import csv_lines, json_text
+    from svmdist.workflows.capabilities import look_for_tag
 
     require_output(output, [file])
-    loaded = load_profile(profile)
+    loaded = load_profile(profile, hand_eye)
     summary = inspect_recording(file, loaded, topics=topics_of(topic))
+    tags = None
+    if form is not TableFormat.CSV and {"image", "camera_info"} <= set(summary.roles):
+        try:
+            tags = look_for_tag(open_recording(file, loaded, topics=topics_of(topic)), loaded)
+        except RecordingError:  # a calibration that is not usable: the summary tells of it
+            tags = None
     match form:
         case TableFormat.TABLE:
-            write_lines(info_lines(summary, loaded, terminal_width(output)), output)
+            write_lines(info_lines(summary, loaded, terminal_width(output), tags), output)
         case TableFormat.CSV:
             write_lines(csv_lines(TOPIC_KEYS, (topic_row(entry) for entry in summary.topics)), output)
         case TableFormat.JSON:
-            write_lines([json_text(info_document(summary, loaded), indent=1) + "\n"], output, is_json=True)
+            document = info_document(summary, loaded, tags)
+            write_lines([json_text(document, indent=1) + "\n"], output, is_json=True)
     raise typer.Exit(report_health([summary]))

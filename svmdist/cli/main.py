@@ -11,7 +11,20 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from svmdist.cli import blur_bench, calibrate, compare, estimate, fk, info, record, show, validate
+from svmdist.cli import (
+    blur_bench,
+    calibrate,
+    compare,
+    estimate,
+    fk,
+    hand_eye,
+    importing,
+    info,
+    profile,
+    record,
+    show,
+    validate,
+)
 from svmdist.cli.console import ExitCode, abandon, adapt_streams, say, with_notes
 from svmdist.cli.resources import what_lacks
 from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
@@ -88,6 +101,8 @@ def main(version: VersionOption = False) -> None:
     """Hold the options of `svmdist` itself; everything else is a subcommand's."""
 
 
+app.command("import")(importing.import_command)
+app.add_typer(profile.profile_app, name="profile")
 app.command("info")(info.info_command)
 app.command("show")(show.show_command)
 app.command("record")(record.record_command)
@@ -97,6 +112,7 @@ app.command("validate")(validate.validate_command)
 app.command("compare")(compare.compare_command)
 app.command("blur-bench")(blur_bench.blur_bench_command)
 app.command("fk")(fk.fk_command)
+app.command("hand-eye")(hand_eye.hand_eye_command)
 
 
 def run() -> None:

@@ -109,6 +109,15 @@ ProfileOption = Annotated[
         "--profile", metavar="NAME|FILE", help="Scene profile: the name of one that ships, or a TOML file."
     ),
 ]
+HandEyeOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--hand-eye",
+        metavar="FILE",
+        help="Camera-to-base transforms of `svmdist hand-eye`, in place of the profile's and the log's.",
+        show_default=False,
+    ),
+]
 CalibrationOption = Annotated[
     Path | None,
     typer.Option(

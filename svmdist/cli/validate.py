@@ -22,6 +22,7 @@ from svmdist.cli.options import (
     CalibrationOption,
     EquationsChoice,
     EquationsOption,
+    HandEyeOption,
     InstrumentOption,
     JobsOption,
     LagOption,
@@ -112,6 +113,7 @@ def validate_command(
     equations: EquationsOption = EquationsChoice.CORRECTED,
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
+    hand_eye: HandEyeOption = None,
     form: TableFormatOption = TableFormat.TABLE,
     output: OutputOption = None,
     topic: TopicOption = None,
@@ -157,7 +159,7 @@ def validate_command(
     stored = load_baseline(baseline) if baseline else None
     if stored:
         require_same_alarms(stored, alarms)
-    setup = prepare(profile, method.value, equations.value, calibration)
+    setup = prepare(profile, method.value, equations.value, calibration, hand_eye)
     references = tuple(Reference(choice.value) for choice in dict.fromkeys(truth)) if truth else None
     rules = truth_rules(tuple(truth_tf or ()), setup.profile, references, round(max_gap * 1e9))
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in paths]

@@ -73,6 +73,7 @@ class Observer:
             ArmBuffer(
                 TransformBuffer(arm.frames.camera, arm.frames.base),
                 has_joints=needs.joints and topic is not None,
+                fixed=arm.fixed,
             )
             for arm, topic in zip(arms, joint_topics, strict=True)
         ]

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from svmdist.recording.arms import FixedTransform
 from svmdist.recording.latest import Latest
 from svmdist.recording.messages.checks import EncodedImage, RawTransforms
 from svmdist.recording.messages.images import ImageError
@@ -170,18 +171,25 @@ class RightBuffer:
 
 
 class ArmBuffer:
-    """The latest joints and transforms of one arm; `has_joints` says that images wait for joints of it."""
+    """The latest joints and transforms of one arm; `has_joints` says that images wait for joints of it.
 
-    def __init__(self, transforms: TransformBuffer, *, has_joints: bool) -> None:
+    `fixed` stands for the transforms where it is given.
+    """
+
+    def __init__(
+        self, transforms: TransformBuffer, *, has_joints: bool, fixed: FixedTransform | None = None
+    ) -> None:
         self.joints = JointBuffer()
         self.transforms = transforms
         self.has_joints = has_joints
+        self.fixed = fixed
 
     def at(self, stamp_ns: int) -> ArmState:
         """What the arm reported at a stamp."""
         joints = self.joints.at(stamp_ns)
         track = None if joints is None else self.joints.track_around(stamp_ns)
-        return ArmState(joints, self.transforms.at(stamp_ns), track)
+        T_camera_base = self.transforms.at(stamp_ns) if self.fixed is None else self.fixed.T_camera_base
+        return ArmState(joints, T_camera_base, track)
 
 
 class Matcher:
@@ -272,7 +280,8 @@ class Matcher:
             return False
         passed_ns = [self._right.newest_ns] if self._has_right else []
         passed_ns += [arm.joints.newest_ns - JOINT_TRACK_NS for arm in self._arms if arm.has_joints]
-        passed_ns += [arm.transforms.newest_ns for arm in self._arms if self._has_transforms]
+        moving = [arm for arm in self._arms if self._has_transforms and arm.fixed is None]
+        passed_ns += [arm.transforms.newest_ns for arm in moving]
         return all(first.image.stamp_ns <= newest for newest in passed_ns)
 
     def _matched(self, logged: LoggedImage) -> Matched:

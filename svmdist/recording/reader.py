@@ -18,7 +18,7 @@ from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
 from svmdist.perturbations.clock import later_ns
 from svmdist.perturbations.replayed import ReplayedWorld
 from svmdist.profile import Limits, Profile
-from svmdist.recording.arms import LoggedArm, find_arms
+from svmdist.recording.arms import FixedTransform, LoggedArm, find_arms
 from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
 from svmdist.recording.encoded import EVERYTHING, Decoded, EncodedObservation, Needs
 from svmdist.recording.health import Health, Loss, LossKind
@@ -39,6 +39,7 @@ from svmdist.samples import (
     TransformsSample,
 )
 from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack, sort_stamps
+from svmdist.transforms import inverse
 
 
 def open_recording(
@@ -143,6 +144,11 @@ class Recording:
         recording = Recording(self._source, self._arms, self._limits, world, lag)
         recording.origin = self.origin
         return recording
+
+    def with_bases(self, fixed: Mapping[str, FixedTransform]) -> Recording:
+        """The same log with the camera-to-base transforms of some instruments, by name, in place of its own."""
+        arms = [replace(arm, fixed=fixed.get(arm.name, arm.fixed)) for arm in self._arms]
+        return Recording(self._source, arms, self._limits, self._world, self.lag)
 
     @property
     def _lag_ns(self) -> int:
@@ -292,7 +298,19 @@ class Recording:
 
         Raises RecordingError where the log has no transforms, or none that link the two frames.
         """
-        return self.transform_tree(ground_truth=ground_truth).track(parent, child)
+        fixed = None if ground_truth else self._fixed_track(parent, child)
+        return fixed or self.transform_tree(ground_truth=ground_truth).track(parent, child)
+
+    def _fixed_track(self, parent: str, child: str) -> TransformTrack | None:
+        """The transform from the camera to a base, or back, where it is known for the whole log."""
+        for arm in self._arms:
+            T = None if arm.fixed is None else arm.fixed.T_camera_base
+            if T is not None and {parent, child} == {arm.frames.camera, arm.frames.base}:
+                T_parent_child = T if parent == arm.frames.camera else inverse(T)
+                return TransformTrack(
+                    parent, child, np.zeros(1, np.int64), T_parent_child[None], is_static=True
+                )
+        return None
 
     def transform_tree(self, *, ground_truth: bool = False) -> TransformTree:
         """Read all transforms, the nominal ones or the true ones."""

@@ -58,6 +58,11 @@ class RecordingWriter:
         self._chunk_bytes = 0
         self._chunk_start_ns: int | None = None
 
+    @property
+    def opened(self) -> bool:
+        """Whether the `.part` file is this writer's own."""
+        return self._file is not None
+
     def __enter__(self) -> Self:
         if self.path.is_dir():
             raise OutputError(f"{self.path}: is a directory, expected the name of a file to write")

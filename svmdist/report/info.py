@@ -10,7 +10,13 @@ from svmdist.profile import Profile
 from svmdist.recording.inspect import RecordingSummary, TopicSummary
 from svmdist.report.table import Cell, Column, number, render, rich_table
 from svmdist.report.text import printable
-from svmdist.workflows.capabilities import Capability, capabilities, instruments_in, method_capabilities
+from svmdist.workflows.capabilities import (
+    Capability,
+    TagCheck,
+    capabilities,
+    instruments_in,
+    method_capabilities,
+)
 
 SCHEMA = "svmdist.info/1"
 
@@ -47,7 +53,9 @@ def topic_row(topic: TopicSummary) -> dict[str, Cell]:
     return {key: getattr(topic, key) for key in TOPIC_KEYS}
 
 
-def info_document(summary: RecordingSummary, profile: Profile) -> dict[str, Any]:
+def info_document(
+    summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
+) -> dict[str, Any]:
     """The JSON document."""
     return {
         "schema": SCHEMA,
@@ -64,16 +72,19 @@ def info_document(summary: RecordingSummary, profile: Profile) -> dict[str, Any]
         "is_clean": summary.health.is_clean,
         "losses": [str(loss) for loss in summary.health.losses],
         "commands": {
-            capability.name: _capability_document(capability) for capability in capabilities(summary, profile)
+            capability.name: _capability_document(capability)
+            for capability in capabilities(summary, profile, tags)
         },
         "methods": {
             capability.name: _capability_document(capability)
-            for capability in method_capabilities(summary, profile)
+            for capability in method_capabilities(summary, profile, tags)
         },
     }
 
 
-def info_lines(summary: RecordingSummary, profile: Profile, width: int | None = None) -> Iterator[str]:
+def info_lines(
+    summary: RecordingSummary, profile: Profile, width: int | None = None, tags: TagCheck | None = None
+) -> Iterator[str]:
     """The summary for a person."""
     yield f"{printable(str(summary.path))}: {summary.size_bytes / 1e6:.2f} MB, {summary.duration_s:.2f} s\n"
     if summary.metadata:
@@ -89,10 +100,11 @@ def info_lines(summary: RecordingSummary, profile: Profile, width: int | None = 
     roles = ", ".join(f"{role} {topic}" for role, topic in summary.roles.items())
     yield f"roles       {printable(roles) or 'none of the topics is one that svmdist reads'}\n"
     yield f"instruments {printable(', '.join(instruments_in(summary, profile)))}\n"
-    for capability in capabilities(summary, profile):
-        answer = "yes" if capability.served else f"no: it lacks {'; '.join(capability.missing)}"
+    for capability in capabilities(summary, profile, tags):
+        note = f", {capability.note}" if capability.note else ""
+        answer = f"yes{note}" if capability.served else f"no: it lacks {'; '.join(capability.missing)}"
         yield f"{capability.name:<11} {printable(answer)}\n"
-    methods = method_capabilities(summary, profile)
+    methods = method_capabilities(summary, profile, tags)
     yield f"methods     {', '.join(each.name for each in methods if each.served) or 'none'}\n"
     for each in methods:
         if not each.served:
@@ -102,7 +114,8 @@ def info_lines(summary: RecordingSummary, profile: Profile, width: int | None = 
 
 
 def _capability_document(capability: Capability) -> dict[str, Any]:
-    return {"served": capability.served, "missing": list(capability.missing)}
+    note = {"note": capability.note} if capability.note else {}
+    return {"served": capability.served, "missing": list(capability.missing), **note}
 
 
 def _camera_line(camera: Camera) -> str:

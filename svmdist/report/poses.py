@@ -15,7 +15,7 @@ POSE_KEYS = ("stamp_ns", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 def pose_rows(result: ForwardKinematics) -> Iterator[dict[str, Cell]]:
     """One row a joint state, with the keys of `POSE_KEYS`."""
     for at in range(0, len(result.stamps_ns), BLOCK):
-        stamps_ns, poses = result.stamps_ns[at : at + BLOCK], result.T_base_tool[at : at + BLOCK]
+        stamps_ns, poses = result.stamps_ns[at : at + BLOCK], result.poses[at : at + BLOCK]
         quaternions_xyzw = quaternion_xyzw_from_rotation(poses[:, :3, :3])
         for stamp_ns, T, q in zip(stamps_ns, poses, quaternions_xyzw, strict=True):
             values = (int(stamp_ns), *(float(v) for v in T[:3, 3]), *(float(v) for v in q))

@@ -8,6 +8,7 @@ from svmdist.settings.distal_marker import DistalMarkerSettings
 from svmdist.settings.exposure import ExposureSettings
 from svmdist.settings.filter import FilterSettings
 from svmdist.settings.fused import FusedSettings
+from svmdist.settings.hand_eye import HandEyeSettings
 from svmdist.settings.interlace import InterlaceSettings
 from svmdist.settings.marker import MarkerSettings
 from svmdist.settings.outline import OutlineSettings
@@ -34,5 +35,6 @@ class Settings(StrictModel):
     tag: TagSettings = TagSettings()
     filter: FilterSettings = FilterSettings()
     fused: FusedSettings = FusedSettings()
+    hand_eye: HandEyeSettings = HandEyeSettings()
     association: AssociationSettings = AssociationSettings()
     tissue: TissueTrackingSettings = TissueTrackingSettings()

@@ -36,18 +36,24 @@ class PoseErrors:
 
 @dataclass(frozen=True)
 class ForwardKinematics:
-    """`T_base_tool`, shape (n, 4, 4), at the stamps of the joint states; errors where the log has poses."""
+    """Poses of the tool, (n, 4, 4) in the base's frame or the camera's, at the stamps of the joint states.
+
+    `errors` are those against a pose topic, in the base's frame; None where the log has none.
+    """
 
     stamps_ns: NDArray[np.int64]
-    T_base_tool: Array
+    poses: Array
     errors: PoseErrors | None
 
 
-def fk(recording: Recording, profile: Profile, max_gap_ns: int = MAX_GAP_NS) -> ForwardKinematics:
+def fk(
+    recording: Recording, profile: Profile, max_gap_ns: int = MAX_GAP_NS, *, in_camera: bool = False
+) -> ForwardKinematics:
     """Compute the tool's pose for every joint state of a recording by the profile's chain.
 
-    Raises RecordingError where there are no joint states or the profile has no chain, and KinematicsError
-    where the chain's joints are not in them.
+    With `in_camera` in the camera's frame, by the transform of a hand-eye file or of the log; joint states without a
+    transform at their stamp are left out. Raises RecordingError where there are no joint states, no transform, or the
+    profile has no chain, and KinematicsError where the chain's joints are not in them.
     """
     if profile.robot is None:
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
@@ -61,7 +67,12 @@ def fk(recording: Recording, profile: Profile, max_gap_ns: int = MAX_GAP_NS) -> 
     errors = None
     if recording.topic_of("pose") is not None:
         errors = _errors(joints.stamps_ns, T_base_tool, recording.pose_track(), max_gap_ns)
-    return ForwardKinematics(joints.stamps_ns, T_base_tool, errors)
+    if not in_camera:
+        return ForwardKinematics(joints.stamps_ns, T_base_tool, errors)
+    frames = profile.frames
+    base = recording.transform_track(frames.camera, frames.base).at(joints.stamps_ns, max_gap_ns)
+    poses = base.values[base.valid] @ T_base_tool[base.valid]
+    return ForwardKinematics(joints.stamps_ns[base.valid], poses, errors)
 
 
 def _blocks(count: int) -> Iterator[slice]:

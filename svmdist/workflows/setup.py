@@ -89,18 +89,20 @@ def prepare(
     method: str = "overlay",
     equations: Equations = "corrected",
     calibration: Path | None = None,
+    hand_eye: Path | None = None,
 ) -> Setup:
     """Load what a measurement needs, by names and paths.
 
     A planar method needs a calibration: the given one, else the one that ships beside the profile. A method
-    that measures in 3D needs none, and knows no other equations. Raises ProfileError, CalibrationError or
+    that measures in 3D needs none, and knows no other equations. `hand_eye` is a file of camera-to-base transforms in
+    place of the profile's. Raises ProfileError, CalibrationError or
     UsageError.
     """
     if method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
     if equations not in ("corrected", "printed"):
         raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
-    loaded = load_profile(profile)
+    loaded = load_profile(profile, hand_eye)
     setup = _resolve(profile, loaded, method, equations, calibration)
     # A network or a mesh that cannot be used is told before a recording is opened.
     _ = setup.segmenter

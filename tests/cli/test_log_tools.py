@@ -291,7 +291,8 @@ def test_info_tells_what_a_log_can_serve(cli: Cli, tmp_path: Path, synthetic_log
     assert document["is_clean"]
     assert all(command["served"] for command in document["commands"].values())
     assert document["instruments"] == ["PSM1"]
-    assert "methods     overlay, centroid, fiducial, shaft, kinematic, fused\n" in table.out
+    assert "methods     overlay, centroid, shaft, kinematic, fused\n" in table.out
+    assert "fiducial  no: it lacks the tag 36h11 0: it is in none of 8 images looked at" in table.out
     assert document["methods"]["stereo"] == {
         "served": False,
         "missing": ["a topic for right_image", "a topic for right_camera_info"],

@@ -80,9 +80,9 @@ def test_poses_are_those_of_forward_kinematics_in_every_form(
             assert str(value) == row[key] or float(row[key]) == pytest.approx(value, rel=1e-12)
     poses = np.array([line.split() for line in rows[PoseFormat.TUM].splitlines() if line[0] != "#"], float)
     assert poses.shape == (len(expected.stamps_ns), 8)
-    np.testing.assert_allclose(poses[:, 1:4], expected.T_base_tool[:, :3, 3], atol=1e-8)
+    np.testing.assert_allclose(poses[:, 1:4], expected.poses[:, :3, 3], atol=1e-8)
     rotations = [rotation_from_quaternion_xyzw(pose) for pose in poses[:, 4:]]
-    np.testing.assert_allclose(rotations, expected.T_base_tool[:, :3, :3], atol=1e-7)
+    np.testing.assert_allclose(rotations, expected.poses[:, :3, :3], atol=1e-7)
     assert capsys.readouterr().out == ""
 
 

@@ -60,10 +60,19 @@ def test_each_arm_has_its_own_joints_and_frames_and_the_scenes_images(
 
 
 def test_joints_of_one_arm_stand_in_for_no_others(tmp_path: Path, two_arms: Profile) -> None:
-    """The only joint states are the second arm's: the first one has none."""
-    first, second = find_arms(source(tmp_path, ("/PSM2/measured_js", JOINTS)), two_arms, {})
+    """The only joint states are the second arm's: the first one, whose topics the profile names, is not in the log."""
+    (only,) = find_arms(source(tmp_path, ("/PSM2/measured_js", JOINTS)), two_arms, {})
+    assert only.name == "PSM2"
+    assert only.choice.find(Role.JOINTS) == "/PSM2/measured_js"
+
+
+def test_an_arm_whose_topics_have_no_names_stays(tmp_path: Path, two_arms: Profile) -> None:
+    """Where the profile names no joints nor pose of the first one, nothing says that it is not there."""
+    nameless = two_arms.topics.model_copy(update={"joints": None, "pose": None})
+    profile = two_arms.model_copy(update={"topics": nameless})
+    first, second = find_arms(source(tmp_path, ("/PSM2/measured_js", JOINTS)), profile, {})
     assert first.choice.find(Role.JOINTS) is None
-    assert second.choice.find(Role.JOINTS) == "/PSM2/measured_js"
+    assert second.name == "PSM2"
 
 
 def test_an_arm_without_a_pose_topic_takes_none_of_the_others(tmp_path: Path, two_arms: Profile) -> None:

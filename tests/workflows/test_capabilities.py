@@ -12,8 +12,17 @@ from svmdist.profile import Profile, load_profile
 from svmdist.profile_instruments import ArmFrames, ArmTopics, OtherInstrument
 from svmdist.recording.health import Health
 from svmdist.recording.inspect import RecordingSummary, TopicSummary
+from svmdist.recording.reader import open_recording
 from svmdist.recording.topics import Role
-from svmdist.workflows.capabilities import Capability, capabilities, instruments_in, method_capabilities
+from svmdist.workflows.capabilities import (
+    Capability,
+    TagCheck,
+    capabilities,
+    instruments_in,
+    look_for_tag,
+    method_capabilities,
+)
+from tests.conftest import REPOSITORY
 
 PROFILE = load_profile()
 assert PROFILE.robot is not None
@@ -145,3 +154,49 @@ def test_an_instrument_is_known_by_its_topics(two_arms: Profile) -> None:
     both = replace(FULL, topics=(*FULL.topics, topic("/PSM9/measured_js")))
     assert instruments_in(both, two_arms) == (PROFILE.instrument_name, "PSM9")
     assert instruments_in(both, PROFILE) == (PROFILE.instrument_name,)
+
+
+def test_estimate_names_the_methods_that_run() -> None:
+    """Where the default method lacks a calibration, the others that run are named; where none runs, it is said."""
+    uncalibrated = PROFILE.model_copy(update={"calibration": None})
+    (found,) = [one for one in capabilities(FULL, uncalibrated) if one.name == "estimate"]
+    assert found.served
+    assert found.note.startswith(
+        "with --method fiducial or shaft or stereo or kinematic or fused; the default method"
+    )
+    bare = uncalibrated.model_copy(update={"robot": None, "tissue": None, "fiducial": None})
+    assert "a method that log and profile serve" in lacking(capabilities(FULL, bare))["estimate"][0]
+
+
+def test_a_tag_that_no_image_shows_is_told() -> None:
+    """`fiducial` needs the tag in an image; where no image was looked at, nothing is said."""
+    unseen, seen, unknown = (TagCheck("36h11 0", *counts) for counts in ((8, 0), (8, 1), (0, 0)))
+    assert "none of 8 images" in lacking(method_capabilities(FULL, PROFILE, unseen))["fiducial"][0]
+    assert lacking(method_capabilities(FULL, PROFILE, seen)) == {}
+    assert lacking(method_capabilities(FULL, PROFILE, unknown)) == {}
+
+
+@pytest.mark.parametrize(("log", "found"), [("3d/contact.mcap", True), ("sweep.mcap", False)])
+def test_tags_are_looked_for_in_images(log: str, found: bool) -> None:
+    """A log with a tag and one without."""
+    check = look_for_tag(open_recording(REPOSITORY / "recordings" / log, PROFILE), PROFILE)
+    assert check is not None
+    assert check.image_count >= 8
+    assert (check.found_count > 0) == found
+
+
+def test_a_log_of_another_arm_is_that_arms() -> None:
+    """A profile of three arms serves a log of the second one: neither joints nor frames of the first are asked for."""
+    dvrk = load_profile("dvrk-psm")
+    assert dvrk.instrument_names == ("PSM1", "PSM2", "PSM3")
+    names = tuple(joint.name for joint in dvrk.robot.joints)
+    log = replace(
+        FULL,
+        topics=(topic("/PSM2/measured_js"), topic("/image")),
+        roles={**FULL.roles, "joints": "/PSM2/measured_js"},
+        frames=("ECM", "PSM2_base", "tissue"),
+        joint_names={"/PSM2/measured_js": names},
+    )
+    assert instruments_in(log, dvrk) == ("PSM2",)
+    assert "fk" not in lacking(capabilities(log, dvrk))
+    assert lacking(method_capabilities(log, dvrk))["kinematic"] == ("[tissue] in profile dvrk-psm",)

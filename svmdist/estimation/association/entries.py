@@ -112,7 +112,7 @@ class EntryTracker:
         total: float = self._settings.unnamed_cost * unnamed
         for place, at in enumerate(hypothesis):
             total += self._settings.unseen_cost if at is None else float(cost[place, at])
-        return total
+        return float(total)
 
     def _doubt(
         self,

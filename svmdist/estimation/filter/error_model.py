@@ -13,6 +13,7 @@ from svmdist.estimation.filter.moving_joints import MovingJoints
 from svmdist.kinematics.dh import DHChain
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
+from svmdist.profile_hand_eye import HandEyeError
 from svmdist.transforms import Array, skew
 
 
@@ -87,18 +88,27 @@ class ErrorModel:
         """Covariance of the error state that the profile states, shape (n, n).
 
         A wrong transform may turn about either of its ends, the base or the camera: the shift at the anchor
-        has the variance of the worse one, and no correlation with the turn, which would choose between them.
+        has the variance of the worse one, and no correlation with the turn, which would choose between them. A
+        transform by hand-eye has a covariance of its own.
         """
-        turn_var = self._error.camera_base_std_rad**2
-        arm = skew(self.anchor_m(robot) - robot.base_in_camera[:3, 3])
         P = np.zeros((self.size, self.size))
-        P[:3, :3] = self._error.camera_base_std_m**2 * np.eye(3) + turn_var * arm @ arm.T
-        P[3:6, 3:6] = turn_var * np.eye(3)
+        P[:6, :6] = self._transform_covariance(robot)
         at = self.columns
         P[at.offsets, at.offsets] = np.diag(self._joint_std**2)
         P[at.time_offset, at.time_offset] = self._error.time_offset_std_s**2
         P[at.lengths, at.lengths] = self._error.length_std_m**2 * np.eye(at.length_count)
         return P + self.play_covariance
+
+    def _transform_covariance(self, robot: RobotState) -> Array:
+        """Covariance of shift and turn at the anchor, shape (6, 6), by a wrong camera-to-base transform."""
+        if isinstance(self._error, HandEyeError):
+            return self._error.hand_eye.covariance_at(self.anchor_m(robot))
+        turn_var = self._error.camera_base_std_rad**2
+        arm = skew(self.anchor_m(robot) - robot.base_in_camera[:3, 3])
+        P = np.zeros((6, 6))
+        P[:3, :3] = self._error.camera_base_std_m**2 * np.eye(3) + turn_var * arm @ arm.T
+        P[3:, 3:] = turn_var * np.eye(3)
+        return P
 
     def joints(self, nominal: NominalFrames, correction: Correction) -> Array:
         """Reported joints with the correction, shape (n_joints,)."""

@@ -20,7 +20,9 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 
 from svmdist.camera import Camera
+from svmdist.profile import Limits
 from svmdist.recording.messages.ground_truth_distance_pb2 import GroundTruthDistance
+from svmdist.recording.messages.images import still_format, still_size
 from svmdist.samples import (
     CameraSample,
     DistanceSample,
@@ -97,6 +99,14 @@ def encode(sample: Sample, jpeg_quality: int | None = None) -> bytes:
     Images become PNG, which loses nothing, or JPEG of a quality from 1 to 100 with colour at full resolution.
     """
     return _encode(sample, iter(_quaternions(_transforms_of(sample))), jpeg_quality)
+
+
+def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> EncodedSample:
+    """Wrap a PNG or JPEG as it is, without decoding it; ImageError for any other format, or where its header is bad."""
+    still_size(data, limits)
+    message = CompressedImage(frame_id=frame_id, data=data, format=still_format(data) or "")
+    _stamp(message, stamp_ns)
+    return EncodedSample(stamp_ns, ImageSample, message.SerializeToString(deterministic=True))
 
 
 def encode_all(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from typing import Literal
 
 # OpenCV reads this once, when it is imported; the header check below holds in any case.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
@@ -37,28 +38,17 @@ def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
     16-bit images, which would lose half of their bits.
     """
     data = bytes(data)
-    if len(data) > limits.image_bytes:
-        raise ImageError(f"{len(data)} bytes, the limit is {limits.image_bytes}")
+    width_px, height_px = still_size(data, limits)
     if data.startswith(PNG_MAGIC):
-        return _decode_png(data, limits)
-    if data.startswith(JPEG_MAGIC):
-        return _decode_jpeg(data, limits)
-    raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
+        return _decode_by_opencv(data, (width_px, height_px))
+    return _decode_jpeg(data, width_px, height_px)
 
 
-def _decode_png(data: bytes, limits: Limits) -> Image:
-    size_px = _check_png(data)
-    check_dimensions(*size_px, limits)
-    return _decode_by_opencv(data, size_px)
-
-
-def _decode_jpeg(data: bytes, limits: Limits) -> Image:
+def _decode_jpeg(data: bytes, width_px: int, height_px: int) -> Image:
     """Decode a JPEG strictly: OpenCV's decoder hides its warnings, and fills what is damaged with grey.
 
     The pixels are those of OpenCV to the last bit, for both are libjpeg-turbo.
     """
-    width_px, height_px = _check_jpeg(data)
-    check_dimensions(width_px, height_px, limits)
     try:
         _, _, colours, _ = simplejpeg.decode_jpeg_header(data)
         if colours in {"CMYK", "YCCK"}:
@@ -80,6 +70,26 @@ def _decode_by_opencv(data: bytes, size_px: tuple[int, int]) -> Image:
     if image is None or image.shape != (*size_px[::-1], 3):
         raise ImageError("its data do not decode")
     return np.asarray(image, np.uint8)
+
+
+def still_format(data: bytes) -> Literal["png", "jpeg"] | None:
+    """What Foxglove calls the format of a PNG or JPEG, by its first bytes; None for any other."""
+    return "png" if data.startswith(PNG_MAGIC) else "jpeg" if data.startswith(JPEG_MAGIC) else None
+
+
+def still_size(data: bytes, limits: Limits) -> tuple[int, int]:
+    """Width and height of a PNG or JPEG in px, by its header; ImageError as from `decode_still`."""
+    if len(data) > limits.image_bytes:
+        raise ImageError(f"{len(data)} bytes, the limit is {limits.image_bytes}")
+    match still_format(data):
+        case "png":
+            width_px, height_px = _check_png(data)
+        case "jpeg":
+            width_px, height_px = _check_jpeg(data)
+        case None:
+            raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
+    check_dimensions(width_px, height_px, limits)
+    return width_px, height_px
 
 
 def check_dimensions(width_px: int, height_px: int, limits: Limits) -> None:

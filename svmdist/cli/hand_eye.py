@@ -1,0 +1,153 @@
+"""`svmdist hand-eye`: fit where the robot's base stands for the camera."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from svmdist.cli.console import report_health, require_output, say, write_lines
+from svmdist.cli.options import (
+    InstrumentOption,
+    JobsOption,
+    LagOption,
+    ProfileOption,
+    TableFormat,
+    TableFormatOption,
+    TopicOption,
+    instruments_of,
+    parse_lag,
+    topics_of,
+)
+from svmdist.errors import RecordingError, UsageError
+
+if TYPE_CHECKING:
+    from svmdist.profile import Profile
+
+
+class SeeingMethod(StrEnum):
+    """`--method` of hand-eye: what sees the tool in the images alone."""
+
+    FIDUCIAL = "fiducial"
+    STEREO = "stereo"
+    SHAFT = "shaft"
+
+
+class Against(StrEnum):
+    """`--against`: what the robot reports."""
+
+    KINEMATICS = "kinematics"
+    POSE = "pose"
+
+
+def hand_eye_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to fit on.", show_default=False)],
+    method: Annotated[
+        SeeingMethod | None,
+        typer.Option(
+            "--method",
+            help="What sees the tool: fiducial, stereo or shaft. Default: the first of these that sees it.",
+            show_default=False,
+        ),
+    ] = None,
+    against: Annotated[
+        Against | None,
+        typer.Option(
+            "--against",
+            help="What the robot reports: kinematics of its joints, or the poses of measured_cp. Default: the joints"
+            " where log and profile have them.",
+            show_default=False,
+        ),
+    ] = None,
+    profile: ProfileOption = "psm13",
+    topic: TopicOption = None,
+    instrument: InstrumentOption = None,
+    lag: LagOption = None,
+    form: TableFormatOption = TableFormat.TABLE,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE.toml",
+            help='Store the transforms in this file; a profile names it: hand_eye = "FILE.toml".',
+            show_default=False,
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
+    jobs: JobsOption = None,
+) -> None:
+    """Fit where robots' bases stand for the camera.
+
+    The tool as the images show it is compared with the joints or poses that the robot reports. The result has a
+    covariance, and is used by every command whose profile names the file, or by --hand-eye.
+    """
+    import json
+
+    from svmdist.cli.lag import told_lag
+    from svmdist.profile import load_profile
+    from svmdist.profile_hand_eye import save_hand_eye
+    from svmdist.recording.reader import open_recording
+    from svmdist.report.hand_eye import HAND_EYE_KEYS, hand_eye_file, hand_eye_lines, hand_eye_row
+    from svmdist.report.table import csv_lines
+    from svmdist.results import Failure
+    from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
+    from svmdist.workflows.setup import prepare
+
+    require_output(output, [file])
+    if output is not None and output.exists() and not force:
+        raise UsageError(f"{output}: exists already; give another name, or --force to replace it")
+    given = parse_lag(lag)
+    topics = topics_of(topic)
+    methods = [method.value] if method else _served(file, load_profile(profile), topics)
+    failures: list[str] = []
+    for chosen in methods:
+        setup = prepare(profile, chosen)
+        recording = open_recording(file, setup.profile, topics=topics)
+        wanted = instruments_of(instrument, setup.profile) or recording.instruments
+        seen = told_lag(recording, setup, given, wanted, jobs)
+        found = {
+            name: hand_eye(seen, setup, name, None if against is None else against.value, jobs)
+            for name in wanted
+        }
+        failures += [
+            f"{chosen}, {name}: {one.reason}" for name, one in found.items() if isinstance(one, Failure)
+        ]
+        results = [one for one in found.values() if isinstance(one, HandEyeResult)]
+        if results:
+            break
+    else:
+        raise RecordingError(f"{file}: no transform can be told: {'; '.join(failures)}")
+    match form:
+        case TableFormat.TABLE:
+            write_lines((line for result in results for line in hand_eye_lines(result)), None)
+        case TableFormat.CSV:
+            write_lines(csv_lines(HAND_EYE_KEYS, map(hand_eye_row, results)), None)
+        case TableFormat.JSON:
+            rows = [hand_eye_row(result) for result in results]
+            write_lines([json.dumps(rows, indent=1, ensure_ascii=False) + "\n"], None)
+    for failure in failures:
+        say(f"svmdist: note: {failure}")
+    if output is not None:
+        save_hand_eye(output, hand_eye_file(results, recording))
+        say(
+            f'svmdist: {output}: {len(results)} transforms; in a profile beside it: hand_eye = "{output.name}"'
+        )
+    raise typer.Exit(report_health([recording]))
+
+
+def _served(file: Path, profile: Profile, topics: dict[str, str]) -> list[str]:
+    """The methods that log and profile serve, the surest first; RecordingError where there is none."""
+    from svmdist.recording.inspect import inspect_recording
+    from svmdist.workflows.capabilities import method_capabilities
+    from svmdist.workflows.hand_eye import SEEING_METHODS
+
+    summary = inspect_recording(file, profile, topics=topics)
+    found = {one.name: one for one in method_capabilities(summary, profile)}
+    served = [name for name in SEEING_METHODS if found[name].served]
+    if not served:
+        lacking = "; ".join(f"{name} lacks {', '.join(found[name].missing)}" for name in SEEING_METHODS)
+        raise RecordingError(f"{file}: no method can see the tool: {lacking}")
+    return served

@@ -1,0 +1,253 @@
+"""The camera-to-base transform from places of the tool in the camera's frame and in the base's.
+
+    a_i = R b_i + t + noise + H_i c
+
+a_i is what a method saw, with its covariance, b_i what the robot reports. c are errors that frames share: offsets of
+joints, lengths, a size, the focal length, the principal point. They are not estimated, for the transform is to be used
+with nominal kinematics, but the covariance includes what they do (consider parameters; Schmidt 1966). The shaft's
+direction is a second measurement where both sides know it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.results import Failure
+from svmdist.settings.hand_eye import HandEyeSettings
+from svmdist.transforms import Array, make_transform, rotation_of, skew
+
+MAX_STEPS = 50
+CLOUD_STD_M = 1e-3
+"""Places within this of a line or a point do not tell a rotation."""
+
+
+@dataclass(frozen=True)
+class ToolPlaces:
+    """The tool at n instants, in time order: what was seen, and what the robot reports.
+
+    At `stamps_ns` (n,), `seen_m` (n, 3) in the camera's frame has covariances (n, 3, 3); `nominal_m` (n, 3) in the
+    base's frame has `nominal_covariance` (n, 3, 3), of what differs from frame to frame. `axes` and `nominal_axes`,
+    (n, 3), are the shaft's directions with `axis_std_rad` (n,), NaN where one is not known. `robot_shared` and
+    `camera_shared` (n, 6, m) are what errors that all frames share, of standard deviation 1 each, do to place and
+    direction: those of the robot in the base's frame, those of the camera in its own.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    seen_m: Array
+    covariance: Array
+    nominal_m: Array
+    nominal_covariance: Array
+    axes: Array
+    axis_std_rad: Array
+    nominal_axes: Array
+    robot_shared: Array
+    camera_shared: Array
+
+    def __len__(self) -> int:
+        return len(self.seen_m)
+
+
+@dataclass(frozen=True)
+class HandEyeFit:
+    """`T_camera_base`, covariance of (δt, δφ), (6, 6), which frames agree, (n,), and the residuals of all, (n,) in m.
+
+    `ratio` is the mean squared residual over what is expected: above 1 the covariance has been enlarged by it.
+    """
+
+    T_camera_base: Array
+    covariance: Array
+    agrees: NDArray[np.bool_]
+    residuals_m: Array
+    ratio: float
+
+
+def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | Failure:
+    """Fit the transform robustly; a Failure says why it cannot be told."""
+    count = len(places)
+    if count < settings.min_count:
+        return Failure(f"the tool was seen and known in {count} frames; {settings.min_count} are needed")
+    spread_m = np.linalg.svd(places.nominal_m - places.nominal_m.mean(0), compute_uv=False) / np.sqrt(count)
+    if spread_m[0] < CLOUD_STD_M:
+        return Failure(f"the tool moved by {spread_m[0] * 1e3:.1f} mm only: move it through the view")
+    T = _start(places, settings)
+    if T is None:
+        return Failure("the tool moved along a line only: move it in all directions")
+    agrees = _agrees(places, T, settings)
+    for _ in range(10):
+        T = _refined(places, T, agrees, settings)
+        now = _agrees(places, T, settings)
+        if (now == agrees).all():
+            break
+        agrees = now
+    number = int(agrees.sum())
+    if number < settings.min_count or number < settings.min_fraction * count:
+        return Failure(
+            f"{number} of {count} places of the tool agree with the robot's motion: is it the same instrument, at the"
+            " same time (--lag)?"
+        )
+    covariance, ratio = _covariance(places, T, agrees, settings)
+    turn_std_rad = float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
+    if not turn_std_rad <= settings.max_turn_std_rad:
+        return Failure(
+            f"the rotation is uncertain by {np.degrees(turn_std_rad):.0f}°: move the tool further, in all directions"
+        )
+    residuals_m = np.linalg.norm(_residuals(places, T), axis=1)
+    return HandEyeFit(T, covariance, agrees, residuals_m, ratio)
+
+
+def rigid_fit(seen_m: Array, nominal_m: Array, weights: Array | None = None) -> Array:
+    """The transform T with seen = T nominal in least squares, of points (n, 3) each (Kabsch 1976)."""
+    w = np.ones(len(seen_m)) if weights is None else weights
+    w = w / w.sum()
+    a0, b0 = w @ seen_m, w @ nominal_m
+    u, _, vt = np.linalg.svd(((seen_m - a0) * w[:, None]).T @ (nominal_m - b0))
+    R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return make_transform(R, a0 - R @ b0)
+
+
+def _start(places: ToolPlaces, settings: HandEyeSettings) -> Array | None:
+    """The best of transforms by three frames each (RANSAC): the one with the least truncated residuals."""
+    rng = np.random.default_rng(0)
+    best, least = None, np.inf
+    for _ in range(settings.trials):
+        three = rng.choice(len(places), 3, replace=False)
+        corner = places.nominal_m[three]
+        area_m2 = np.linalg.norm(np.cross(corner[1] - corner[0], corner[2] - corner[0]))
+        if area_m2 < CLOUD_STD_M**2:
+            continue
+        T = rigid_fit(places.seen_m[three], corner)
+        cost = float(np.minimum(_normalised(places, T, settings), settings.gate).sum())
+        if cost < least:
+            best, least = T, cost
+    return best
+
+
+def _residuals(places: ToolPlaces, T: Array) -> Array:
+    return np.asarray(places.seen_m - (places.nominal_m @ T[:3, :3].T + T[:3, 3]))
+
+
+def _place_covariance(places: ToolPlaces, T: Array, settings: HandEyeSettings) -> Array:
+    """Of each residual: what was seen, and what of the robot differs from frame to frame, (n, 3, 3)."""
+    R = T[:3, :3]
+    floor = settings.position_floor_m**2 * np.eye(3)
+    return np.asarray(places.covariance + R @ places.nominal_covariance @ R.T + floor)
+
+
+def _shared_covariance(places: ToolPlaces, T: Array) -> Array:
+    """Of each place by what all frames share, (n, 3, 3)."""
+    G = _shared(places, T)[:, :3]
+    return np.asarray(G @ G.swapaxes(1, 2))
+
+
+def _shared(places: ToolPlaces, T: Array) -> Array:
+    """What shared errors do to place and direction in the camera's frame, (n, 6, m)."""
+    turned = np.concatenate([T[:3, :3] @ places.robot_shared[:, k : k + 3] for k in (0, 3)], axis=1)
+    return np.concatenate([turned, places.camera_shared], axis=2)
+
+
+def _normalised(places: ToolPlaces, T: Array, settings: HandEyeSettings) -> Array:
+    """Squared residuals of places over their covariance, shared errors included, (n,)."""
+    S = _place_covariance(places, T, settings) + _shared_covariance(places, T)
+    r = _residuals(places, T)
+    return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(S, r[..., None])[..., 0]))
+
+
+def _agrees(places: ToolPlaces, T: Array, settings: HandEyeSettings) -> NDArray[np.bool_]:
+    return np.asarray(_normalised(places, T, settings) <= settings.gate)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Whitened residuals (k,), derivatives (k, 6) and shared errors (k, m) of all measurements of agreeing frames."""
+
+    residual: Array
+    J: Array
+    H: Array
+
+
+def _rows(
+    places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], settings: HandEyeSettings, *, robust: bool = True
+) -> _Rows:
+    """Places, three rows a frame, then directions, two rows a frame."""
+    R = T[:3, :3]
+    r = _residuals(places, T)[agrees]
+    S = _place_covariance(places, T, settings)[agrees]
+    shared = _shared(places, T)[agrees]
+    whiten = np.linalg.inv(np.linalg.cholesky(S))
+    J = np.concatenate(
+        [np.broadcast_to(np.eye(3), (len(r), 3, 3)), -skew((places.nominal_m[agrees]) @ R.T)], axis=2
+    )
+    blocks = [(whiten @ r[..., None], whiten @ J, whiten @ shared[:, :3])]
+    known = np.isfinite(places.axis_std_rad[agrees])
+    if known.any():
+        predicted = places.nominal_axes[agrees][known] @ R.T
+        across = _across(predicted, places.seen_m[agrees][known])
+        floors = [settings.axis_floor_rad, settings.axis_tilt_floor_rad]
+        std = np.hypot(places.axis_std_rad[agrees][known][:, None], floors)[..., None]
+        seen = places.axes[agrees][known]
+        e = across @ (seen - predicted)[..., None]
+        Ja = np.concatenate([np.zeros((len(e), 2, 3)), -across @ skew(predicted)], axis=2)
+        blocks.append((e / std, Ja / std, across @ shared[known][:, 3:] / std))
+    parts = []
+    for residual, derivative, common in blocks:
+        weight = np.ones((len(residual), 1, 1))
+        if robust:
+            length = np.linalg.norm(residual, axis=1, keepdims=True)
+            weight = np.sqrt(np.minimum(1.0, settings.huber / np.maximum(length, 1e-12)))
+        parts.append(
+            (
+                (weight * residual).ravel(),
+                (weight * derivative).reshape(-1, 6),
+                (weight * common).reshape(residual.size, shared.shape[2]),
+            )
+        )
+    return _Rows(*(np.concatenate([part[k] for part in parts]) for k in range(3)))
+
+
+def _refined(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], settings: HandEyeSettings) -> Array:
+    """Gauss–Newton with Huber's weights, over the agreeing frames."""
+    if agrees.sum() < 3:
+        return T
+    for _ in range(MAX_STEPS):
+        rows = _rows(places, T, agrees, settings)
+        # Scaled, for metres and radians differ; least norm where a direction is not told.
+        step = np.linalg.lstsq(rows.J, rows.residual, rcond=1e-9)[0]
+        T = make_transform(rotation_of(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
+        if np.abs(step).max() < 1e-10:
+            break
+    return T
+
+
+def _covariance(
+    places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], settings: HandEyeSettings
+) -> tuple[Array, float]:
+    """Covariance of (δt, δφ), and the mean squared residual over what is expected of it.
+
+    Noise counts as much more as residuals are larger than expected (Birge 1932), and as neighbours repeat each other,
+    by what the residuals show or the settings say: errors of detections and play of joints last for some frames, where
+    the covariances of single frames hide them. What is shared is added whole.
+    """
+    rows = _rows(places, T, agrees, settings)
+    information = rows.J.T @ rows.J
+    gain = np.linalg.pinv(information, hermitian=True)
+    plain = _rows(places, T, agrees, settings, robust=False)
+    ratio = float(plain.residual @ plain.residual) / max(1, len(plain.residual) - 6)
+    number = int(agrees.sum())
+    series = plain.residual[: 3 * number].reshape(number, 3)
+    power = float((series**2).sum())
+    repeated = float((series[1:] * series[:-1]).sum()) / power if power > 0 else 0.0
+    step_s = float(np.median(np.diff(places.stamps_ns[agrees]))) / 1e9
+    repeated = min(max(repeated, float(np.exp(-step_s / settings.correlation_time_s))), 0.95)
+    noise = max(1.0, ratio) * (1.0 + repeated) / (1.0 - repeated)
+    shift = gain @ rows.J.T @ rows.H
+    return noise * gain + shift @ shift.T, ratio
+
+
+def _across(axes: Array, seen_m: Array) -> Array:
+    """Two unit vectors across each axis, as rows, (n, 2, 3) of (n, 3): across the line of sight, and towards it."""
+    aside = np.cross(axes, seen_m)
+    aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
+    return np.stack([aside, np.cross(axes, aside)], 1)

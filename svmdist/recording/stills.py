@@ -1,0 +1,57 @@
+"""Image files for a recording: PNG and JPEG as they are, other formats decoded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from svmdist.errors import SourceError
+from svmdist.profile import Limits
+from svmdist.recording.messages.encoding import EncodedSample, encode_still
+from svmdist.recording.messages.images import ImageError, decode_still, still_format, still_size
+from svmdist.samples import Image
+
+__all__ = ["EncodedSample", "decode_file", "encode_still", "read_file", "size_of"]
+
+size_of = still_size
+
+
+def read_file(path: Path, limits: Limits) -> bytes | Image:
+    """The bytes of a PNG or JPEG, or the pixels of another format; SourceError in one line where it is no image."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(limits.image_bytes + 1)
+    except OSError as problem:
+        raise SourceError(f"{path}: cannot read: {problem.strerror or problem}") from None
+    if len(data) > limits.image_bytes:
+        raise SourceError(f"{path}: an image of more than {limits.image_bytes} bytes")
+    return data if still_format(data) else _decode_other(data, path, limits)
+
+
+def decode_file(data: bytes, name: str, limits: Limits) -> Image:
+    """The pixels of a PNG or JPEG, BGR; SourceError names the file where it cannot be decoded."""
+    try:
+        return decode_still(data, limits)
+    except ImageError as problem:
+        raise SourceError(f"{name}: {problem}") from None
+
+
+def _decode_other(data: bytes, path: Path, limits: Limits) -> Image:
+    """BMP, TIFF, WebP or PNM by OpenCV, which refuses images of too many pixels."""
+    import cv2
+    import numpy as np
+
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as problem:
+        raise SourceError(f"{path}: {' '.join(str(problem).split())}") from None
+    if image is None:
+        raise SourceError(f"{path}: no image that can be decoded ({data[:8].hex(' ') or 'an empty file'})")
+    if image.dtype != np.uint8:
+        raise SourceError(f"{path}: an image of {8 * image.dtype.itemsize} bits; 8 are expected")
+    if image.shape[0] * image.shape[1] > limits.image_pixels:
+        raise SourceError(
+            f"{path}: {image.shape[1]}x{image.shape[0]} px, the limit is {limits.image_pixels} px"
+        )
+    if image.ndim == 2:
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+    return np.asarray(image[..., :3], np.uint8)

@@ -1,0 +1,155 @@
+"""The camera-to-base transform from places of the tool: exact without noise, robust, and as certain as it says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye, rigid_fit
+from svmdist.results import Failure
+from svmdist.settings.hand_eye import HandEyeSettings
+from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, transform_points
+
+SETTINGS = HandEyeSettings()
+T_CAMERA_BASE = make_transform(rotation_of([2.8, 0.3, -0.5]), [0.05, -0.1, 0.2])
+STEP_NS = 10**9
+"""A second between frames, more than errors last."""
+
+
+def _places(rng: np.random.Generator, count: int = 60, noise_m: float = 0.0, shared: int = 0) -> ToolPlaces:
+    """Places all over a view, seen with noise that is larger along the line of sight, and errors that all share."""
+    seen_m = rng.uniform([-0.03, -0.02, 0.08], [0.03, 0.02, 0.13], (count, 3))
+    R = T_CAMERA_BASE[:3, :3]
+    nominal_m = (seen_m - T_CAMERA_BASE[:3, 3]) @ R
+    axis = rng.normal([0.2, 0.3, 1.0], 0.1, (count, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    camera_shared = np.zeros((count, 6, shared))
+    drawn = rng.normal(size=shared)
+    for k in range(shared):
+        camera_shared[:, :3, k] = 0.02 * seen_m if k == 0 else 0.01 * np.roll(seen_m, k, 1)
+    std = noise_m * np.array([1.0, 1.0, 3.0])
+    stated = np.maximum(std, 1e-9)
+    noisy_m = seen_m + rng.normal(size=(count, 3)) * std + camera_shared[:, :3] @ drawn
+    return ToolPlaces(
+        np.arange(count) * STEP_NS,
+        noisy_m,
+        np.repeat(np.diag(stated**2)[None], count, 0),
+        nominal_m,
+        np.zeros((count, 3, 3)),
+        axis,
+        np.full(count, np.nan),
+        axis @ R,
+        np.zeros((count, 6, 0)),
+        camera_shared,
+    )
+
+
+def _fitted(places: ToolPlaces, settings: HandEyeSettings = SETTINGS) -> HandEyeFit:
+    fit = fit_hand_eye(places, settings)
+    assert isinstance(fit, HandEyeFit), fit
+    return fit
+
+
+def _error(fit: HandEyeFit) -> Array:
+    T = fit.T_camera_base
+    turn = rotation_vector(T_CAMERA_BASE[:3, :3] @ T[:3, :3].T)
+    return np.concatenate([T_CAMERA_BASE[:3, 3] - T[:3, 3], turn])
+
+
+def test_exact_without_noise() -> None:
+    """What agrees exactly gives the transform to 1e-9."""
+    fit = _fitted(_places(np.random.default_rng(1)))
+    np.testing.assert_allclose(fit.T_camera_base, T_CAMERA_BASE, atol=1e-9)
+    assert fit.agrees.all()
+
+
+def test_rigid_fit_never_mirrors() -> None:
+    """Points on a plane give a rotation, not a reflection."""
+    points = np.random.default_rng(2).normal(size=(20, 3)) * [1.0, 1.0, 0.0]
+    T = rigid_fit(transform_points(T_CAMERA_BASE, points), points)
+    np.testing.assert_allclose(T, T_CAMERA_BASE, atol=1e-12)
+
+
+def test_outliers_are_left_out() -> None:
+    """A third of the places are somewhere else: they are told, and the transform stays."""
+    rng = np.random.default_rng(3)
+    places = _places(rng, 90, 3e-4)
+    wild = np.arange(90) % 3 == 0
+    seen_m = places.seen_m.copy()
+    seen_m[wild] += rng.normal(size=(30, 3)) * 0.02 + 0.01
+    fit = _fitted(replace(places, seen_m=seen_m))
+    assert not fit.agrees[wild].any()
+    assert fit.agrees[~wild].mean() > 0.95
+    assert (
+        np.linalg.norm(transform_points(fit.T_camera_base, places.nominal_m) - places.seen_m, axis=1).max()
+        < 5e-3
+    )
+
+
+@pytest.mark.parametrize("shared", [0, 2])
+def test_errors_are_within_the_stated_ellipsoid(shared: int) -> None:
+    """Over 100 draws, noise and errors that all frames share leave 90 % or more in the 95 % ellipsoid."""
+    rng = np.random.default_rng(4)
+    settings = HandEyeSettings(position_floor_m=1e-9, trials=20)
+    distances = []
+    for _ in range(100):
+        fit = _fitted(_places(rng, 40, 5e-4, shared), settings)
+        error = _error(fit)
+        distances.append(error @ np.linalg.solve(fit.covariance, error))
+    inside = np.mean(np.array(distances) < 12.6)  # chi square of 6 degrees of freedom, 95 %
+    assert inside >= 0.9
+    # Shared errors dwarf the noise; without them the ellipsoid is no wider than it must be.
+    assert shared > 0 or 3.0 < np.mean(distances) < 8.0
+
+
+def test_directions_help_a_small_motion() -> None:
+    """Where the tool moves by a few mm, the shaft's direction makes the rotation surer."""
+    rng = np.random.default_rng(5)
+    places = _places(rng, 40, 3e-4)
+    middle = places.seen_m.mean(0)
+    small = middle + 0.15 * (places.seen_m - middle)
+    nominal = (small - T_CAMERA_BASE[:3, 3]) @ T_CAMERA_BASE[:3, :3]
+    noise = places.seen_m - transform_points(T_CAMERA_BASE, places.nominal_m)
+    places = replace(places, seen_m=small + noise, nominal_m=nominal)
+    loose = HandEyeSettings(max_turn_std_rad=3.0, axis_tilt_floor_rad=0.02)
+    without = _fitted(places, loose)
+    with_axes = _fitted(replace(places, axis_std_rad=np.full(40, 0.02)), loose)
+    worst = [np.linalg.eigvalsh(fit.covariance[3:, 3:])[-1] for fit in (without, with_axes)]
+    assert worst[1] < 0.5 * worst[0]
+    assert np.linalg.norm(_error(with_axes)[3:]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"),
+    [
+        ([0.0, 0.0, 0.0], "the tool moved by 0.0 mm only"),
+        ([1.0, 0.0, 0.0], "along a line only"),
+        ([1.0, 0.02, 0.0], "the rotation is uncertain by"),
+    ],
+)
+def test_too_little_motion_is_refused(scale: list[float], said: str) -> None:
+    """A still tool, a line, and nearly a line tell no rotation, and it is said."""
+    places = _places(np.random.default_rng(6), 40, 3e-4)
+    noise = places.seen_m - transform_points(T_CAMERA_BASE, places.nominal_m)
+    nominal = places.nominal_m[0] + (places.nominal_m - places.nominal_m[0]) * scale
+    seen = transform_points(T_CAMERA_BASE, nominal) + noise
+    fit = fit_hand_eye(replace(places, seen_m=seen, nominal_m=nominal), SETTINGS)
+    assert isinstance(fit, Failure)
+    assert said in fit.reason
+
+
+def test_unrelated_places_are_refused() -> None:
+    """A tool that moves otherwise than the robot gives no transform."""
+    places = _places(np.random.default_rng(7), 60, 3e-4)
+    fit = fit_hand_eye(replace(places, nominal_m=places.nominal_m[::-1].copy()), SETTINGS)
+    assert isinstance(fit, Failure)
+    assert "agree with the robot's motion" in fit.reason
+
+
+def test_too_few_frames() -> None:
+    """Seven frames are told to be too few."""
+    fit = fit_hand_eye(_places(np.random.default_rng(8), 7), SETTINGS)
+    assert isinstance(fit, Failure)
+    assert "7 frames; 8 are needed" in fit.reason

@@ -1,0 +1,133 @@
+"""Tables of times, poses and joints in the forms that other programs write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.errors import SourceError
+from svmdist.importing.stamps import parse_stamp_ns, stamps_at_rate, stamps_from_names
+from svmdist.importing.tables import ImageTimes, read_joints, read_poses, read_times
+from svmdist.transforms import make_transform, rotation_of
+
+T = make_transform(rotation_of([0.3, -0.2, 0.5]), [0.01, -0.02, 0.15])
+IMAGES = ImageTimes(["1_L.jpg", "2_L.jpg"], [10**9, 2 * 10**9])
+
+
+def _quaternion() -> np.ndarray:
+    from svmdist.transforms import quaternion_xyzw_from_rotation
+
+    return quaternion_xyzw_from_rotation(T[:3, :3])
+
+
+def _pose_files() -> dict[str, str]:
+    x, y, z = T[:3, 3]
+    qx, qy, qz, qw = _quaternion()
+    flat = " ".join(f"{value:.17g}" for value in T[:3].ravel())
+    return {
+        "fk": f"stamp_ns,x_m,y_m,z_m,qx,qy,qz,qw\n1000000000,{x},{y},{z},{qx},{qy},{qz},{qw}\n",
+        "tum": f"# timestamp x y z qx qy qz qw\n1.0 {x} {y} {z} {qx} {qy} {qz} {qw}\n",
+        "tum, bare": f"1.0 {x} {y} {z} {qx} {qy} {qz} {qw}\n",
+        "kitti, timed": f"1.0 {flat}\n",
+        "matrix": f"{flat}\n{flat}\n",
+        "euroc": "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n"
+        f"1000000000,{x},{y},{z},{qw},{qx},{qy},{qz}\n",
+        "millimetres by image": "image;x_mm;y_mm;z_mm;qx;qy;qz;qw\n"
+        f"1;{x * 1e3};{y * 1e3};{z * 1e3};{qx};{qy};{qz};{qw}\n",
+        "file names": f"qw,qx,qy,qz,z,y,x,file\n{qw},{qx},{qy},{qz},{z},{y},{x},left/1_L.jpg\n",
+    }
+
+
+@pytest.mark.parametrize("form", _pose_files())
+def test_poses(tmp_path: Path, form: str) -> None:
+    """Every form gives the same pose at the same time."""
+    path = tmp_path / "poses.csv"
+    path.write_text(_pose_files()[form])
+    poses = read_poses(path, IMAGES, 1.0)
+    assert poses.stamps_ns[0] == 10**9
+    np.testing.assert_allclose(poses.T[0], T, atol=1e-12)
+
+
+def test_joints(tmp_path: Path) -> None:
+    """Names, units behind them, and names from elsewhere."""
+    path = tmp_path / "joints.csv"
+    path.write_text("stamp,yaw_deg,insertion_mm,roll\n0.5,90,100,0.25\n0.75,45,110,0.5\n")
+    joints = read_joints(path, IMAGES)
+    assert joints.names == ("yaw", "insertion", "roll")
+    assert joints.stamps_ns == [500_000_000, 750_000_000]
+    np.testing.assert_allclose(joints.positions, [[np.pi / 2, 0.1, 0.25], [np.pi / 4, 0.11, 0.5]])
+    path.write_text("0.1 0.2\n0.3 0.4\n")
+    joints = read_joints(path, IMAGES, ["yaw", "pitch"])
+    assert joints.stamps_ns == IMAGES.stamps_ns
+    np.testing.assert_allclose(joints.positions, [[0.1, 0.2], [0.3, 0.4]])
+
+
+def test_times(tmp_path: Path) -> None:
+    """Times by row, by name in any order, and with names of columns."""
+    path = tmp_path / "times.csv"
+    for text in (
+        "1.5\n2.5\n",
+        "2_L.jpg,2.5\n1_L.jpg,1.5\n",
+        "image,timestamp_ms\n1,1500\n2,2500\n",
+        "stamp_ns\n1500000000\n2500000000\n",
+    ):
+        path.write_text(text)
+        assert read_times(path, IMAGES.names) == [1_500_000_000, 2_500_000_000], text
+
+
+def test_stamps() -> None:
+    """Units by size or by name, to the last nanosecond; names of files; a rate."""
+    assert parse_stamp_ns("1479250744123456789") == 1479250744123456789
+    assert parse_stamp_ns("1479250744.123456789") == 1479250744123456789
+    assert parse_stamp_ns("1479250744123") == 1479250744123 * 10**6
+    assert parse_stamp_ns("20", "ms") == 20_000_000
+    assert stamps_from_names(["left_1479250744.25.png", "1479250744_500000.jpg"]) is None
+    assert stamps_from_names(["left_1479250744.250.png"]) == [1479250744250000000]
+    assert stamps_from_names(["1479250744123456789.png"]) == [1479250744123456789]
+    assert stamps_from_names(["frame0001.png"]) is None
+    assert stamps_at_rate(3, 25.0, 5) == [5, 40_000_005, 80_000_005]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "an empty table"),
+        ("x,y,z\n", "without rows"),
+        ("1,2,3,4,5,6,7\n1,2,3\n", "line 2: expected 7 cells, found 3"),
+        ("stamp,x,y,z\n1,2,3,4\n", "no column qx"),
+        ("stamp,x,y,z,qx,qy,qz,qw\n1,0,0,0,0,0,0,2\n", "line 2: its quaternion has length 2"),
+        ("stamp,x,y,z,qx,qy,qz,qw\n2,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,1\n", "line 3: its time"),
+        ("stamp,x,y,z,qx,qy,qz,qw\n1,a,0,0,0,0,0,1\n", "line 2: expected a number, found 'a'"),
+        ("stamp,x,y,z,qx,qy,qz,qw\n1,nan,0,0,0,0,0,1\n", "line 2: expected a number, found 'nan'"),
+        ("stamp,x,y,z,qx,qy,qz,qw\n-1,0,0,0,0,0,0,1\n", "must not be negative"),
+        ("image,x,y,z,qx,qy,qz,qw\n9,0,0,0,0,0,0,1\n", "there is no image '9'"),
+        ("x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "1 rows for 2 images"),
+        ("1,2,3\n1,2,3\n", "expected 7 numbers of a pose"),
+        (" ".join(["1"] * 12) + "\n" + " ".join(["1"] * 12) + "\n", "no rotation"),
+    ],
+)
+def test_wrong_poses(tmp_path: Path, text: str, said: str) -> None:
+    """Each wrong table is one line with the file and, where it has one, the line."""
+    path = tmp_path / "wrong.csv"
+    path.write_text(text)
+    with pytest.raises(SourceError, match=r"wrong\.csv") as caught:
+        read_poses(path, IMAGES, 1.0)
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "said"),
+    [
+        ("1,2\n3,4\n", None, "give --joint-names"),
+        ("1,2,3\n3,4,5\n", ["yaw"], "columns of numbers for 1 joint names"),
+        ("stamp,yaw,yaw\n1,2,3\n", None, "the same joint"),
+    ],
+)
+def test_wrong_joints(tmp_path: Path, text: str, names: list[str] | None, said: str) -> None:
+    """Columns that do not tell their joints are refused."""
+    path = tmp_path / "wrong.csv"
+    path.write_text(text)
+    with pytest.raises(SourceError, match=said):
+        read_joints(path, IMAGES, names)

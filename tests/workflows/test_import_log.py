@@ -1,0 +1,217 @@
+"""Import: what is in the files is in the log, byte by byte where that is possible."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from svmdist.camera import stereo_transform
+from svmdist.errors import SourceError, UsageError
+from svmdist.importing.cameras import CalibrationOptions
+from svmdist.profile import load_profile
+from svmdist.recording.messages.foxglove import parse_protobuf
+from svmdist.recording.reader import Recording, open_recording
+from svmdist.samples import Image, ImageSample, Observation
+from svmdist.workflows.import_log import ImportOptions, import_log
+from svmdist.workflows.import_views import ViewOptions
+
+CAMERA = (60.0, 61.0, 31.0, 23.0)
+PAIR = CalibrationOptions(intrinsics=(CAMERA, None), baseline_m=0.005)
+ONE = CalibrationOptions(intrinsics=(CAMERA, None))
+
+
+def _picture(seed: int, width: int = 64) -> Image:
+    return np.random.default_rng(seed).integers(0, 256, (48, width, 3), np.uint8)
+
+
+def _open(path: Path) -> Recording:
+    return open_recording(path, load_profile())
+
+
+def _images(recording: Recording) -> list[ImageSample]:
+    found = list(recording.images())
+    assert all(isinstance(image, ImageSample) for image in found)
+    return [image for image in found if isinstance(image, ImageSample)]
+
+
+def _messages(path: Path, topic: str) -> list[bytes]:
+    return [parse_protobuf(raw).data for raw in _open(path).raw_messages() if raw.topic == topic]
+
+
+def test_two_views_pass_through(tmp_path: Path) -> None:
+    """Files of both views are in the log as they are, paired by number, with stamps and a baseline."""
+    for number in (1, 2, 10):
+        cv2.imwrite(str(tmp_path / f"{number}_L.jpg"), _picture(number))
+        cv2.imwrite(str(tmp_path / f"{number}_R.png"), _picture(100 + number))
+    views = ViewOptions(tmp_path, pattern="*_L.jpg", right_pattern="*_R.png", rate_hz=4.0, start_ns=10**9)
+    result = import_log(ImportOptions(views, PAIR), tmp_path / "out.mcap")
+    assert result.counts["/ECM/left/image"] == result.counts["/ECM/right/image"] == 3
+    assert result.has_baseline is True
+    for side, suffix in (("left", "_L.jpg"), ("right", "_R.png")):
+        expected = [(tmp_path / f"{number}{suffix}").read_bytes() for number in (1, 2, 10)]
+        assert _messages(result.path, f"/ECM/{side}/image") == expected
+    recording = _open(result.path)
+    observations = [one for one in recording.observations() if isinstance(one, Observation)]
+    assert [one.stamp_ns for one in observations] == [10**9, 10**9 + 250_000_000, 10**9 + 500_000_000]
+    assert all(one.right is not None for one in observations)
+    assert recording.right_camera is not None
+    T_left_right = stereo_transform(recording.camera, recording.right_camera)
+    assert T_left_right is not None
+    assert T_left_right[0, 3] == pytest.approx(0.005, abs=1e-12)
+    assert recording.health.is_clean
+
+
+def test_side_by_side(tmp_path: Path) -> None:
+    """Each half is a view, without loss."""
+    both = [_picture(number, 128) for number in range(2)]
+    for number, image in enumerate(both):
+        cv2.imwrite(str(tmp_path / f"img{number}.png"), image)
+    views = ViewOptions(tmp_path, side_by_side=True, rate_hz=1.0)
+    result = import_log(ImportOptions(views, ONE), tmp_path / "out.mcap")
+    assert result.has_baseline is False
+    recording = _open(result.path)
+    for left, image in zip(_images(recording), both, strict=True):
+        np.testing.assert_array_equal(left.image_bgr, image[:, :64])
+    rights = [
+        cv2.imdecode(np.frombuffer(data, np.uint8), 1) for data in _messages(result.path, "/ECM/right/image")
+    ]
+    for right, image in zip(rights, both, strict=True):
+        np.testing.assert_array_equal(right, image[:, 64:])
+
+
+def test_other_formats_are_decoded(tmp_path: Path) -> None:
+    """BMP, TIFF and grey images become PNG with the same pixels."""
+    cv2.imwrite(str(tmp_path / "a1.bmp"), _picture(1))
+    cv2.imwrite(str(tmp_path / "a2.tiff"), _picture(2))
+    cv2.imwrite(str(tmp_path / "a3.pgm"), _picture(3)[..., 0])
+    result = import_log(ImportOptions(ViewOptions(tmp_path, rate_hz=1.0), ONE), tmp_path / "out.mcap")
+    images = _images(_open(result.path))
+    np.testing.assert_array_equal(images[0].image_bgr, _picture(1))
+    np.testing.assert_array_equal(images[1].image_bgr, _picture(2))
+    np.testing.assert_array_equal(images[2].image_bgr[..., 1], _picture(3)[..., 0])
+
+
+def test_stamps_of_names_poses_and_joints(tmp_path: Path) -> None:
+    """Stamps come from names; tables of poses and joints meet the images, each instrument under its name."""
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"{1_700_000_000 + number}.500000000.png"), _picture(number))
+    (tmp_path / "poses.csv").write_text(
+        "x,y,z,qx,qy,qz,qw\n" + "".join(f"0.0{n},0,0.1,0,0,0,1\n" for n in range(3))
+    )
+    (tmp_path / "joints.csv").write_text("".join(f"0.{n} 0.2\n" for n in range(3)))
+    options = ImportOptions(
+        ViewOptions(tmp_path),
+        ONE,
+        poses={"PSM2": tmp_path / "poses.csv"},
+        joints={"PSM1": tmp_path / "joints.csv"},
+        joint_names=("yaw", "pitch"),
+    )
+    recording = _open(import_log(options, tmp_path / "out.mcap").path)
+    stamps = [(1_700_000_000 + number) * 10**9 + 500_000_000 for number in range(3)]
+    observations = [one for one in recording.observations() if isinstance(one, Observation)]
+    assert [one.stamp_ns for one in observations] == stamps
+    assert [one.joints.positions.tolist() for one in observations if one.joints] == [
+        [0.0, 0.2],
+        [0.1, 0.2],
+        [0.2, 0.2],
+    ]
+    poses = recording.for_instrument("PSM2").pose_track()
+    assert poses.frame_id == "PSM2_base"
+    assert poses.stamps_ns.tolist() == stamps
+    np.testing.assert_allclose(poses.T_frame_pose[:, 0, 3], [0.0, 0.01, 0.02])
+
+
+def test_own_stamps_of_both_views(tmp_path: Path) -> None:
+    """Where the names of both views tell times, each image keeps its own."""
+    for side, offset in (("left", 0), ("right", 200_000)):
+        (tmp_path / side).mkdir()
+        for number in range(2):
+            stamp = 1_700_000_000_000_000_000 + number * 40_000_000 + offset
+            cv2.imwrite(str(tmp_path / side / f"{stamp}.png"), _picture(number))
+    views = ViewOptions(tmp_path / "left", tmp_path / "right")
+    recording = _open(import_log(ImportOptions(views, PAIR), tmp_path / "out.mcap").path)
+    stamps = {
+        topic: [raw.log_time_ns for raw in recording.raw_messages() if raw.topic == topic]
+        for topic in ("/ECM/left/image", "/ECM/right/image")
+    }
+    assert stamps["/ECM/right/image"] == [stamp + 200_000 for stamp in stamps["/ECM/left/image"]]
+
+
+def test_video(tmp_path: Path) -> None:
+    """A video's images and times are in the log; lossless video without a bit of difference."""
+    av = pytest.importorskip("av")
+    images = [_picture(number) for number in range(5)]
+    path = tmp_path / "endoscope.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "bgr0"
+        for image in images:
+            container.mux(
+                stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24").reformat(format="bgr0"))
+            )
+        container.mux(stream.encode())
+    views = ViewOptions(path, start_ns=7 * 10**9, every=2)
+    result = import_log(ImportOptions(views, ONE), tmp_path / "out.mcap")
+    found = _images(_open(result.path))
+    assert [image.stamp_ns for image in found] == [7 * 10**9, 7_080_000_000, 7_160_000_000]
+    for image, place in zip(found, (0, 2, 4), strict=True):
+        np.testing.assert_array_equal(image.image_bgr, images[place])
+
+
+def _fails(options: ImportOptions, output: Path, kind: type[Exception]) -> str:
+    with pytest.raises(kind) as caught:
+        import_log(options, output)
+    assert "\n" not in str(caught.value)
+    assert not output.exists()
+    assert not output.with_name(output.name + ".part").exists()
+    return str(caught.value)
+
+
+def test_wrong_files(tmp_path: Path) -> None:
+    """What does not fit is one line that names it, and leaves no log behind."""
+    output = tmp_path / "out.mcap"
+    folder = tmp_path / "images"
+    folder.mkdir()
+    views = ViewOptions(folder, rate_hz=1.0)
+    assert "no images" in _fails(ImportOptions(views, ONE), output, SourceError)
+    cv2.imwrite(str(folder / "1_L.png"), _picture(1))
+    cv2.imwrite(str(folder / "2_L.png"), _picture(2))
+    assert "tells no time" in _fails(ImportOptions(ViewOptions(folder), ONE), output, UsageError)
+    assert "a camera needs a calibration" in _fails(
+        ImportOptions(views, CalibrationOptions()), output, UsageError
+    )
+    cv2.imwrite(str(folder / "1_R.png"), _picture(1))
+    pair = ViewOptions(folder, pattern="*_L.png", right_pattern="*_R.png", rate_hz=1.0)
+    assert "2_L.png: there is no right image" in _fails(ImportOptions(pair, PAIR), output, SourceError)
+    cv2.imwrite(str(folder / "2_R.png"), _picture(1, 60))
+    assert "60x48 px; 1_R.png has 64x48 px" in _fails(ImportOptions(pair, PAIR), output, SourceError)
+    (folder / "2_R.png").write_bytes((folder / "2_L.png").read_bytes()[:-30])
+    assert "2_R.png: a PNG that ends early" in _fails(ImportOptions(pair, PAIR), output, SourceError)
+    (folder / "2_R.png").write_bytes(b"no image")
+    assert "no image that can be decoded" in _fails(ImportOptions(pair, PAIR), output, SourceError)
+    cv2.imwrite(str(folder / "2_R.png"), _picture(1).astype(np.uint16))
+    assert "16 bits" in _fails(ImportOptions(pair, PAIR), output, SourceError)
+    same = ViewOptions(folder, right_pattern="*_L.png", rate_hz=1.0)
+    assert "the same images" in _fails(ImportOptions(same, PAIR), output, UsageError)
+    odd = ViewOptions(tmp_path / "odd", side_by_side=True, rate_hz=1.0)
+    assert "no such folder" in _fails(ImportOptions(odd, ONE), output, SourceError)
+    (tmp_path / "odd").mkdir()
+    cv2.imwrite(str(tmp_path / "odd" / "1.png"), _picture(1, 65))
+    assert "65 px wide" in _fails(ImportOptions(odd, ONE), output, SourceError)
+    (tmp_path / "no.mp4").write_bytes(b"text" * 100)
+    assert "no.mp4" in _fails(ImportOptions(ViewOptions(tmp_path / "no.mp4"), ONE), output, SourceError)
+
+
+def test_an_existing_log_stays(tmp_path: Path) -> None:
+    """A log is replaced only where that is asked for; a failing import leaves it as it was."""
+    cv2.imwrite(str(tmp_path / "1.png"), _picture(1))
+    output = tmp_path / "out.mcap"
+    output.write_bytes(b"precious")
+    options = ImportOptions(ViewOptions(tmp_path, rate_hz=1.0), ONE)
+    with pytest.raises(UsageError, match="exists already"):
+        import_log(options, output)
+    assert output.read_bytes() == b"precious"
+    assert import_log(options, output, force=True).counts["/ECM/left/image"] == 1

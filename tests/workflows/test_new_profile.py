@@ -1,0 +1,179 @@
+"""A first profile: it loads, finds what the log shows, and `estimate` runs with it."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from svmdist.camera import Camera
+from svmdist.errors import RecordingError
+from svmdist.profile import Profile, load_profile
+from svmdist.recording.inspect import inspect_recording
+from svmdist.recording.writer import RecordingWriter
+from svmdist.report.profile_text import profile_lines
+from svmdist.samples import CameraSample, ImageSample, PoseSample
+from svmdist.vision.distinct_colour import find_distinct_colour
+from svmdist.vision.stereo_plane import fit_plane
+from svmdist.workflows.log_roles import find_roles
+from svmdist.workflows.new_profile import draft_profile, shipped_robot
+from tests.conftest import REPOSITORY
+from tests.synthetic import write_log
+
+CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
+
+
+def _profile(path: Path, **topics: str) -> Profile:
+    text = "\n".join(profile_lines(draft_profile(path, "mine", topics)))
+    return Profile.model_validate(tomllib.loads(text))
+
+
+def test_of_a_simulated_log(tmp_path: Path) -> None:
+    """Topics, frames, the chain, the marker's colour and the plane of a log with everything."""
+    profile = _profile(REPOSITORY / "recordings" / "3d" / "contact.mcap")
+    shipped = load_profile("psm13")
+    for role in ("image", "camera_info", "right_image", "right_camera_info", "joints", "pose", "tf"):
+        assert getattr(profile.topics, role) == getattr(shipped.topics, role), role
+    assert (profile.frames.camera, profile.frames.base, profile.frames.tool) == ("camera", "base", "tool")
+    assert profile.robot == shipped_robot("psm13")
+    assert profile.tissue is not None
+    assert shipped.tissue is not None
+    # An organ of 8 mm stands on the simulator's floor, which is what most of the image shows.
+    assert abs(profile.tissue.plane_distance_m - shipped.tissue.plane_distance_m) < 8e-3
+    assert np.degrees(np.arccos(-profile.tissue.plane_normal[2])) < 5.0
+    assert profile.instrument is not None
+    assert profile.instrument.shaft_radius_m == 0.004
+
+
+def test_of_two_instruments() -> None:
+    """Each arm with topics of its own is an instrument."""
+    profile = _profile(REPOSITORY / "recordings" / "3d" / "duo.mcap")
+    assert profile.instrument_names == ("PSM1", "PSM2")
+    assert profile.other_instruments[0].frames.base == "PSM2_base"
+    assert profile.other_instruments[0].topics.joints == "/PSM2/measured_js"
+
+
+def test_names_of_a_log_cannot_break_the_file(tmp_path: Path) -> None:
+    """Quotes, line ends and controls in topics stay inside their strings."""
+    topic = '/evil"\n[limits]\x7f/image'
+    with RecordingWriter(tmp_path / "evil.mcap", {}) as writer:
+        writer.write(topic, ImageSample(1, "camera", np.full((480, 640, 3), 90, np.uint8)))
+        writer.write("/info", CameraSample(1, CAMERA))
+        writer.write("/PSM3/measured_cp", PoseSample(1, 'base"\n', np.eye(4)))
+    profile = _profile(tmp_path / "evil.mcap")
+    assert profile.topics.image == topic
+    assert profile.frames.base == 'base"\n'
+    assert profile.instrument_name == "PSM3"
+
+
+def test_choices_are_the_users(tmp_path: Path) -> None:
+    """Several cameras are listed; a log without images or calibration says what is missing."""
+    path = write_log(tmp_path / "a.mcap", frame_count=2)
+    with RecordingWriter(tmp_path / "two.mcap", {}) as writer:
+        for topic in ("/room", "/scope"):
+            writer.write(f"{topic}/image", ImageSample(1, "camera", np.zeros((48, 64, 3), np.uint8)))
+            writer.write(f"{topic}/camera_info", CameraSample(1, CAMERA))
+    with pytest.raises(RecordingError, match="--topic image=TOPIC: /room/image, /scope/image"):
+        draft_profile(tmp_path / "two.mcap", "mine", {})
+    chosen = find_roles(inspect_recording(tmp_path / "two.mcap", load_profile()), {"image": "/scope/image"})
+    assert chosen.topics["camera_info"] == "/scope/camera_info"
+    assert chosen.other_images == ("/room/image",)
+    with RecordingWriter(tmp_path / "bare.mcap", {}) as writer:
+        writer.write("/scope/image", ImageSample(1, "camera", np.zeros((48, 64, 3), np.uint8)))
+    with pytest.raises(RecordingError, match="no topic with camera calibrations"):
+        draft_profile(tmp_path / "bare.mcap", "mine", {})
+    assert draft_profile(path, "mine", {}).topics["image"] == "/ECM/left/image"
+
+
+def _textured(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
+    noise = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), 1.5)
+    return np.clip(128 + 500 * noise, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("row_offset_px", [0, 1])
+def test_plane_of_a_pair(row_offset_px: int) -> None:
+    """A drawn plane is found within 1° and 1 % of its distance, also where rows are off by a pixel."""
+    K, baseline_m = CAMERA.K, 0.005
+    normal = np.array([0.15, -0.35, -0.92])
+    normal /= np.linalg.norm(normal)
+    distance_m = 0.1
+    texture = _textured(np.random.default_rng(1), (480, 900))
+    v, u = np.mgrid[:480, :640].astype(np.float64)
+    rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], -1)
+    disparity_px = K[0, 0] * baseline_m * -(rays @ normal) / distance_m
+    left = cv2.remap(texture, (u + 100).astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
+    # The right image at x shows what the left one has at x + d(x): d is linear, solved for along each row.
+    slope = disparity_px[0, 1] - disparity_px[0, 0]
+    u_left = (u + disparity_px - slope * u) / (1.0 - slope)
+    right = cv2.remap(texture, (u_left + 100).astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
+    right = np.roll(right, -row_offset_px, 0)
+    pair = [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in (left, right)]
+    plane = fit_plane(pair[0], pair[1], K, baseline_m)
+    assert plane is not None
+    assert np.degrees(np.arccos(np.clip(plane.normal @ normal, -1, 1))) < 1.0
+    assert plane.distance_m == pytest.approx(distance_m, rel=0.01)
+    assert plane.row_offset_px == row_offset_px
+
+
+def test_no_plane_without_texture() -> None:
+    """Blank images and unrelated ones give no plane."""
+    blank = np.full((480, 640, 3), 128, np.uint8)
+    assert fit_plane(blank, blank, CAMERA.K, 0.005) is None
+    rng = np.random.default_rng(2)
+    unrelated = [cv2.cvtColor(_textured(rng, (480, 640)), cv2.COLOR_GRAY2BGR) for _ in range(2)]
+    assert fit_plane(unrelated[0], unrelated[1], CAMERA.K, 0.005) is None
+
+
+def _scene(places: list[tuple[int, int]], bgr: tuple[int, int, int]) -> np.ndarray:
+    noise = np.random.default_rng(places[0][0]).normal(0.0, 12.0, (240, 320, 3))
+    image = np.clip(np.array([95.0, 95.0, 190.0]) + noise, 0, 255).astype(np.uint8)
+    for place in places:
+        cv2.circle(image, place, 7, bgr, -1)
+    return image
+
+
+def test_distinct_colours() -> None:
+    """A mark that moves and whose hue is its own is found; one that stands still or is of the tissue's hue is not."""
+    moving = [_scene([(60 + 15 * n, 100)], (200, 180, 20)) for n in range(6)]
+    found = find_distinct_colour(moving)
+    assert found is not None
+    hue = int(cv2.cvtColor(np.uint8([[(200, 180, 20)]]), cv2.COLOR_BGR2HSV)[0, 0, 0])  # type: ignore[arg-type]
+    assert found.hue[0] <= hue <= found.hue[1]
+    assert find_distinct_colour([_scene([(60, 100)], (200, 180, 20))] * 6) is None
+    assert find_distinct_colour([_scene([(60 + 15 * n, 100)], (20, 20, 200)) for n in range(6)]) is None
+    two = [_scene([(60 + 15 * n, 100), (250 - 12 * n, 160)], (200, 180, 20)) for n in range(6)]
+    assert find_distinct_colour(two, 1) is None
+    assert find_distinct_colour(two, 2) is not None
+
+
+def test_a_rounded_normal_is_normalised() -> None:
+    """A normal of length 0.9998 is one that was rounded; one of length 0.9 is a mistake."""
+    data = tomllib.loads((REPOSITORY / "svmdist" / "profiles" / "psm13.toml").read_text("utf-8"))
+    data["tissue"]["plane_normal"] = [0.139, -0.397, -0.907]
+    tissue = Profile.model_validate(data).tissue
+    assert tissue is not None
+    assert np.linalg.norm(tissue.plane_normal) == pytest.approx(1.0, abs=1e-15)
+    data["tissue"]["plane_normal"] = [0.0, 0.0, -0.9]
+    with pytest.raises(ValueError, match=r"must have length 1, found 0\.9"):
+        Profile.model_validate(data)
+
+
+def test_instruments_by_the_side_they_come_in_from(tmp_path: Path) -> None:
+    """Where nothing but images tells of two instruments, they are named by their sides; estimate accepts it."""
+    with RecordingWriter(tmp_path / "two.mcap", {}) as writer:
+        for number in range(6):
+            stamp_ns = number * 10**9
+            image = np.full((480, 640, 3), (90, 100, 190), np.uint8)
+            image = np.clip(image + np.random.default_rng(number).normal(0, 6, image.shape), 0, 255).astype(
+                np.uint8
+            )
+            for start, end in (((0, 120), (240, 240 + 4 * number)), ((639, 90), (400, 250 - 4 * number))):
+                cv2.line(image, start, end, (70, 68, 65), 60)
+            writer.write("/scope/image", ImageSample(stamp_ns, "camera", image))
+            writer.write("/scope/camera_info", CameraSample(stamp_ns, CAMERA))
+    profile = _profile(tmp_path / "two.mcap")
+    assert profile.instrument_names == ("PSM1", "PSM2")
+    assert (profile.entry, profile.other_instruments[0].entry) == ("right", "left")

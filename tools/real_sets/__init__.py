@@ -1,0 +1,1 @@
+"""Public sets of real images: how each becomes a log, and what its estimates are held against."""
