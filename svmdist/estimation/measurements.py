@@ -28,8 +28,9 @@ from svmdist.vision.regions import Region
 
 def measurements(frame: Frame, robot: RobotState, predicted: ToolPose) -> list[LinkMeasurement]:
     """All measurements of the tool in a frame; `predicted` is where the filter expects it."""
+    is_told_by_shape = frame.left.masks.seen is not None
     return [
-        *_distal_marker(frame, predicted),
+        *(_wrist(frame, predicted) if is_told_by_shape else _distal_marker(frame, predicted)),
         *_size(frame, predicted),
         *_tag(frame, robot, predicted),
         *_contours(frame),
@@ -104,6 +105,51 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
         delay_std_s=delay_std_s,
         lasting_std_px=radius_px * stereo.lasting_disparity,
         p_link_m=place_m,
+    )
+
+
+def _wrist(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
+    """The tool's origin by the outline of its wrist, where no marker has a colour; and its disparity.
+
+    Half of the variance lasts: how jaws and clevis divide an outline changes as they turn, and no faster.
+    """
+    wrist, right, other = frame.tool.shaft.wrist, frame.right, frame.tool.right_shaft
+    geometry, settings = frame.scene.observation.right, frame.arm.profile.settings
+    camera = frame.left.camera
+    depth_m = float(predicted.position_m[2])
+    if wrist is None or depth_m <= 0.0:
+        return
+    lasts_s = settings.filter.point_correlation_time_s
+    lasting_m = np.sqrt(0.5) * wrist.std_px * depth_m / float(camera.K[0, 0])
+    yield PointsMeasurement(
+        "wrist",
+        None,
+        camera,
+        np.zeros((1, 3)),
+        wrist.pixel[None],
+        0.5 * wrist.std_px**2 * np.eye(2),
+        lasting_m,
+        bias_name="wrist",
+        correlation_time_s=lasts_s,
+        deviations=frame.arm.deviations,
+    )
+    if right is None or other is None or other.wrist is None or geometry is None:
+        return
+    if abs(other.wrist.pixel[1] - wrist.pixel[1]) > settings.stereo.row_tolerance_px + wrist.std_px:
+        return
+    variance_px2 = wrist.std_px**2 + other.wrist.std_px**2
+    yield DisparityMeasurement(
+        "disparity",
+        None,
+        camera,
+        right.camera,
+        inverse(geometry.T_left_right),
+        float(wrist.pixel[0] - other.wrist.pixel[0]),
+        np.array([[0.5 * variance_px2]]),
+        bias_name="wrist",
+        correlation_time_s=lasts_s,
+        deviations=frame.arm.deviations,
+        lasting_std_px=float(np.sqrt(0.5 * variance_px2)),
     )
 
 

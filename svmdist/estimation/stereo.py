@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.estimation.arm import Arm
-from svmdist.estimation.detection.shaft import NO_SHAFT
+from svmdist.estimation.detection.distal_marker import DistalMarker
+from svmdist.estimation.detection.shaft import NO_SHAFT, ShaftDetection, wrist_marker
 from svmdist.estimation.detection.stereo_match import StereoMatch, match_distal_marker
 from svmdist.estimation.detection.stereo_surface import StereoSurface
 from svmdist.estimation.distances import measured
@@ -135,7 +136,7 @@ class StereoEstimator:
             return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, pose.reason)
         if isinstance(pose, ToolPose) and not pose.position_std_m <= stereo.max_depth_std_m:
             said = f"the position is uncertain by {pose.position_std_m * 1e3:.1f} mm"
-            return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, said)
+            return Rejection(frame.stamp_ns, Status.UNCERTAIN, said)
         return pose
 
     def _fitted(self, frame: Frame, pair: RectifiedPair, match: StereoMatch | Failure) -> ToolPose | Failure:
@@ -155,8 +156,8 @@ class StereoEstimator:
             place_m = settings.stereo.other_part_place * instrument.knuckle_radius_m
             model = replace(model, marker_std_m=float(np.hypot(model.marker_std_m, place_m)))
         seen = TwoViews(
-            Landmarks(frame.tool.shaft, frame.tool.distal_marker),
-            Landmarks(frame.tool.right_shaft or NO_SHAFT, frame.tool.right_distal_marker),
+            _landmarks(frame.tool.shaft, frame.tool.distal_marker),
+            _landmarks(frame.tool.right_shaft or NO_SHAFT, frame.tool.right_distal_marker),
             None if isinstance(match, Failure) else match,
             frame.left.camera,
             right_view.camera,
@@ -191,3 +192,8 @@ class StereoEstimator:
         match = with_calibration(match, right, pair, frame.arm.deviations)
         nominal = nominal_tool(self._chain, self._profile.kinematic_error, robot)
         return nominal_orientation_pose(match, pair, nominal)
+
+
+def _landmarks(shaft: ShaftDetection, marker: DistalMarker | None) -> Landmarks:
+    """What one view shows; the outline of the wrist tells the tool's origin where no marker has a colour."""
+    return Landmarks(shaft, marker or wrist_marker(shaft))
