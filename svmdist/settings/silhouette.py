@@ -34,7 +34,9 @@ class SilhouetteSettings(MethodSettings):
     min_contrast_levels: float = Field(default=12.0, gt=0.0, lt=255.0)
     """The least step of colour at a point of an edge, levels of 255: compression leaves less."""
     min_found: float = Field(default=0.7, gt=0.0, le=1.0)
-    """Of the profiles across an edge, how many must show it: those of a line through texture do here and there."""
+    """Of the profiles across an edge that show one, how many must show it on the line: of texture most do beside it."""
+    min_seen: float = Field(default=0.3, gt=0.0, le=1.0)
+    """Of all profiles across an edge, how many must show it: a dark shaft before dark tissue has none for a while."""
     min_support: float = Field(default=0.4, gt=0.0, lt=1.0)
     """Response below which there is no edge of an instrument: one goes on for as long as it has more on average."""
     straight_px: float = Field(default=0.6, gt=0.0)

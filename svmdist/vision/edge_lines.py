@@ -30,6 +30,8 @@ MIN_POINTS = 8
 START_PART = 0.8
 """Of an edge that was found roughly, what is surely shaft: the rest may be wrist already."""
 END_STEPS = 3
+UNSEEN_SHARE = 0.15
+"""Against a line by a profile that shows no edge, where one beside the line counts `end_share`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +129,10 @@ def edge_line(
             return None
     before = at <= line.end_at
     used = np.isfinite(off_px) & before
-    # A line through texture has its points here and there.
-    if np.count_nonzero(used) < max(MIN_POINTS, settings.min_found * np.count_nonzero(before)):
+    on_line = used & (np.abs(np.where(used, off_px, np.inf) - line.at(at)) < straight_px)
+    # A line through texture has its points here and there: most of what is seen beside it is not on it.
+    count, least = np.count_nonzero(on_line), settings.min_seen * np.count_nonzero(before)
+    if count < max(MIN_POINTS, least, settings.min_found * np.count_nonzero(used)):
         return None
     ends_at = np.array([0.0, line.end_at])
     first, last = segment.points(ends_at, line.at(ends_at))
@@ -192,8 +196,9 @@ def _ending_line(
         line = _robust_line(at[part], off_px[part])
         residual = np.where(found, np.abs(off_px - line[0] - line[1] * at), np.inf)
         on_line = residual < straight_px
-        # The sum is largest where the part with more points on the line than off it ends.
-        total = np.cumsum(np.where(on_line, 1.0 - end_share, -end_share))
+        # The sum is largest where the part with more points on the line than off it ends. Where nothing is seen, as
+        # of a dark shaft before dark tissue, little is said.
+        total = np.cumsum(np.where(on_line, 1.0 - end_share, np.where(found, -end_share, -UNSEEN_SHARE)))
         best = int(np.argmax(total))
         if not total[best] > 0.0:
             return None
