@@ -30,6 +30,7 @@ from svmdist.profile_robot import (
 from svmdist.profile_segmentation import (
     AnySegmentation,
     AreaGate,
+    AutoSegmentation,
     ClassRegion,
     ColourRegion,
     HsvSegmentation,
@@ -44,6 +45,7 @@ __all__ = [
     "AreaGate",
     "ArmFrames",
     "ArmTopics",
+    "AutoSegmentation",
     "CameraError",
     "ClassRegion",
     "ColourRegion",

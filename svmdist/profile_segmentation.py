@@ -1,4 +1,4 @@
-"""The part of a profile about segmentation: which pixels are tissue, instrument and shaft, by colour or by network."""
+"""The part of a profile about segmentation: which pixels are tissue, instrument and shaft."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ class ClassRegion(AreaGate):
     class_ids: tuple[Annotated[int, Field(ge=0)], ...] = Field(min_length=1)
 
 
-METHODS = ("hsv", "onnx")
+METHODS = ("hsv", "onnx", "auto")
 
 
 def _known(method: Any) -> Any:
     if method not in METHODS:
-        raise ValueError("expected 'hsv' or 'onnx'")
+        raise ValueError("expected 'hsv', 'onnx' or 'auto'")
     return method
 
 
@@ -109,16 +109,30 @@ class OnnxSegmentation(StrictModel):
         return {name: region for name, region in named.items() if region is not None}
 
 
-Segmentation = HsvSegmentation | OnnxSegmentation
+class AutoSegmentation(StrictModel):
+    """Tissue and instruments told apart without a colour from the user: by straight edges, and what they enclose.
+
+    Its tables are area gates only, and may all be left out. `[settings.auto]` holds what it assumes.
+    """
+
+    method: Annotated[Literal["auto"], BeforeValidator(_known)]
+    tissue: AreaGate = AreaGate(min_area_px=2000, occlusion="outline")
+    instrument: AreaGate = AreaGate(min_area_px=50)
+    shaft: AreaGate | None = AreaGate(min_area_px=200)
+
+
+Segmentation = HsvSegmentation | OnnxSegmentation | AutoSegmentation
 
 
 def _method_of(value: Any) -> str:
     """The union's tag of a table or of a model; what is neither is told by the colours' model."""
     method = value.get("method") if isinstance(value, dict) else getattr(value, "method", None)
-    return "onnx" if method == "onnx" else "hsv"
+    return method if method in METHODS else "hsv"
 
 
 AnySegmentation = Annotated[
-    Annotated[HsvSegmentation, Tag("hsv")] | Annotated[OnnxSegmentation, Tag("onnx")],
+    Annotated[HsvSegmentation, Tag("hsv")]
+    | Annotated[OnnxSegmentation, Tag("onnx")]
+    | Annotated[AutoSegmentation, Tag("auto")],
     Discriminator(_method_of),
 ]

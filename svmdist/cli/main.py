@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from svmdist.cli import blur_bench, calibrate, compare, estimate, fk, info, record, validate
+from svmdist.cli import blur_bench, calibrate, compare, estimate, fk, info, record, show, validate
 from svmdist.cli.console import ExitCode, say
 from svmdist.errors import SvmdistError, UsageError, did_you_mean
 
@@ -87,6 +87,7 @@ def main(version: VersionOption = False) -> None:
 
 
 app.command("info")(info.info_command)
+app.command("show")(show.show_command)
 app.command("record")(record.record_command)
 app.command("calibrate")(calibrate.calibrate_command)
 app.command("estimate")(estimate.estimate_command)

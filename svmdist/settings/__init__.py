@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from svmdist.settings.association import AssociationSettings
+from svmdist.settings.auto import AutoSettings
 from svmdist.settings.distal_marker import DistalMarkerSettings
 from svmdist.settings.exposure import ExposureSettings
 from svmdist.settings.filter import FilterSettings
@@ -22,6 +23,7 @@ class Settings(StrictModel):
 
     interlace: InterlaceSettings = InterlaceSettings()
     exposure: ExposureSettings = ExposureSettings()
+    auto: AutoSettings = AutoSettings()
     outline: OutlineSettings = OutlineSettings()
     marker: MarkerSettings = MarkerSettings()
     shaft: ShaftSettings = ShaftSettings()

@@ -28,6 +28,7 @@ from svmdist.recording.reader import Recording
 from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Observation, Rejection
 from svmdist.vision.undistortion import seen_through
+from svmdist.workflows.adapting import adapted_segmenters
 from svmdist.workflows.ahead import in_order, keep_freed_memory, one_opencv_thread, usable_cores
 from svmdist.workflows.conditions import CLEAN, ReplayCondition
 from svmdist.workflows.setup import Setup
@@ -159,6 +160,7 @@ class _Replay:
         self._associations = [self._association() for _ in conditions]
         self._lanes = [[MultiInstrumentEstimator(setup, arms) for setup in setups] for _ in conditions]
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
+        self._segmenters = adapted_segmenters(self._setup.segmenter, recording, self._conditions)
 
     def _association(self) -> Association | None:
         """What tells the instruments apart; None where there is one."""
@@ -192,7 +194,7 @@ class _Replay:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
         ledger = CostLedger() if self._clock is None else CostLedger(self._clock)
         seen = self._conditions[at].apply(found[0], number)
-        scene = Scene(seen, self._setup.profile, self._setup.segmenter, ledger)
+        scene = Scene(seen, self._setup.profile, self._segmenters[at], ledger)
         prefetch(scene, self._needs.scene)
         lanes = self._lanes[at]
         if self._associations[at] is not None:

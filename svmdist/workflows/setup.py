@@ -38,7 +38,7 @@ class Setup:
     @cached_property
     def segmenter(self) -> Segmenter:
         """What tells tissue and instrument apart; raises ProfileError where its network cannot be used."""
-        return make_segmenter(self.profile.segmentation)
+        return make_segmenter(self.profile.segmentation, self.profile.settings.auto)
 
     def require_camera(self, recording: Recording) -> None:
         """Raise CalibrationError for a recording of another camera than the calibration's."""

@@ -38,6 +38,10 @@ class HsvMasks:
         """None: what is as black as the border of the view is dark enough for the shaft."""
         return None
 
+    @property
+    def seen(self) -> None:
+        """None: colours tell no instruments apart."""
+
 
 class HsvSegmenter:
     """`method = "hsv"`: a box of colours for each part."""

@@ -55,6 +55,10 @@ class ClassMasks:
         """Pixels as black as the border around an endoscope's view, which no class represents."""
         return np.asarray(cv2.inRange(self._image_bgr, np.full(3, 0), np.full(3, BLACK_LEVEL)), np.uint8)
 
+    @property
+    def seen(self) -> None:
+        """None: classes tell no instruments apart."""
+
     def _of(self, region: ClassRegion) -> Image:
         return np.where(np.isin(self._labels, region.class_ids), 255, 0).astype(np.uint8)
 

@@ -8,10 +8,15 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from svmdist.profile import HsvSegmentation, Segmentation
+from svmdist.profile import AutoSegmentation, HsvSegmentation, Segmentation
 from svmdist.samples import Image
+from svmdist.settings.auto import AutoSettings
+from svmdist.vision.instruments.seen import SeenInstrument
+from svmdist.vision.segmentation.auto import AutoSegmenter
 from svmdist.vision.segmentation.colour import HsvSegmenter
 from svmdist.vision.segmentation.network import OnnxSegmenter
+
+DEFAULT_AUTO = AutoSettings()
 
 
 class Masks(Protocol):
@@ -33,6 +38,10 @@ class Masks(Protocol):
     def black(self) -> Image | None:
         """What may be border around the endoscope's view; None where the shaft's mask holds it already."""
 
+    @property
+    def seen(self) -> tuple[SeenInstrument, ...] | None:
+        """Whole instruments with their geometry, the surest first; None by a method that tells no instruments apart."""
+
 
 class Segmenter(Protocol):
     """What every method of segmentation is: one image to its masks, at the image's own resolution."""
@@ -45,8 +54,10 @@ class Segmenter(Protocol):
         """The masks of an image, shape (h, w, 3) in BGR as recorded; `hsv` is it as HSV, for one that uses colours."""
 
 
-def make_segmenter(rules: Segmentation) -> Segmenter:
+def make_segmenter(rules: Segmentation, auto: AutoSettings = DEFAULT_AUTO) -> Segmenter:
     """Make the segmenter that a profile asks for; raises ProfileError where its network cannot be used."""
+    if isinstance(rules, AutoSegmentation):
+        return AutoSegmenter(auto)
     return HsvSegmenter(rules) if isinstance(rules, HsvSegmentation) else OnnxSegmenter(rules)
 
 
@@ -73,6 +84,12 @@ class InstrumentMasks:
         return None if self._masks.shaft is None else _without(self._masks.shaft, self._others)
 
     @cached_property
+    def seen(self) -> tuple[SeenInstrument, ...] | None:
+        """Those of which most is its own."""
+        seen = self._masks.seen
+        return None if seen is None else tuple(one for one in seen if _is_own(one.mask, self._others))
+
+    @cached_property
     def black(self) -> Image | None:
         """What may be border, the other shafts among it: they cut the view no less than its own."""
         shaft, black = self._masks.shaft, self._masks.black
@@ -81,3 +98,7 @@ class InstrumentMasks:
 
 def _without(mask: Image, others: Image) -> Image:
     return np.asarray(cv2.bitwise_and(mask, cv2.bitwise_not(others)), np.uint8)
+
+
+def _is_own(mask: Image, others: Image) -> bool:
+    return 2 * cv2.countNonZero(cv2.bitwise_and(mask, others)) < cv2.countNonZero(mask)

@@ -1,0 +1,210 @@
+"""Bars: two straight lines side by side on an outline, as a cylinder has them, and the strip between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.samples import Image
+from svmdist.settings.auto import AutoSettings
+from svmdist.transforms import Array
+from svmdist.vision.instruments.working import SQUARE_5, WorkingImage
+
+CHORDS_PX = (10, 20, 40, 70)
+"""Lengths of outline whose chords are tried as lines: sides of small and of large instruments."""
+CHORD_STARTS = 60
+"""Places of an outline at which chords begin."""
+MOST_LINES = 14
+"""Different lines of one outline that are paired."""
+SAMPLES = 24
+"""Places along a side at which colours are compared."""
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A strip between two straight sides of an outline.
+
+    `sides`, shape (2, 2, 2), holds both sides' ends as (x, y), in the same direction along the axis. `support` (2,)
+    counts the outline's points on each, of `outline_px` away from the picture's border.
+    """
+
+    sides: Array
+    support: tuple[float, float]
+    outline_px: int
+
+    @property
+    def middles(self) -> Array:
+        """The middle between both sides at either end, shape (2, 2)."""
+        return np.asarray(self.sides.mean(axis=0))
+
+    @property
+    def axis(self) -> Array:
+        """Unit vector along it, shape (2,)."""
+        along = self.middles[1] - self.middles[0]
+        return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
+
+    @property
+    def width_px(self) -> float:
+        """Mean distance of both sides."""
+        normal = np.array([-self.axis[1], self.axis[0]])
+        return abs(float((self.sides[0].mean(axis=0) - self.sides[1].mean(axis=0)) @ normal))
+
+    @property
+    def length_px(self) -> float:
+        """Length of the shorter side."""
+        return float(np.linalg.norm(self.sides[:, 1] - self.sides[:, 0], axis=1).min())
+
+    @property
+    def corners(self) -> NDArray[np.int32]:
+        """Its corners in order around it, shape (4, 2)."""
+        first, second = self.sides
+        return np.rint([first[0], first[1], second[1], second[0]]).astype(np.int32)
+
+    def turned(self) -> Bar:
+        """The same with its ends exchanged."""
+        return Bar(np.ascontiguousarray(self.sides[:, ::-1]), self.support, self.outline_px)
+
+    def filled(self, shape: tuple[int, int]) -> Image:
+        """Mask of the strip, shape (h, w)."""
+        mask = np.zeros(shape, np.uint8)
+        cv2.fillConvexPoly(mask, self.corners, 255)
+        return mask
+
+    def inward(self, side: int) -> Array:
+        """Unit normal of a side towards the other one, shape (2,)."""
+        start, end = self.sides[side]
+        along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
+        normal = np.array([-along[1], along[0]])
+        towards = float(normal @ (self.sides[1 - side].mean(axis=0) - start))
+        return normal if towards >= 0.0 else -normal
+
+    def places(self, side: int, inside_px: float) -> Array:
+        """Points beside a side, `inside_px` towards the other one, shape (n, 2)."""
+        start, end = self.sides[side]
+        share = np.linspace(0.06, 0.94, SAMPLES)[:, None]
+        return np.asarray(start + share * (end - start) + inside_px * self.inward(side))
+
+
+def bars_in(
+    mask: Image, image: WorkingImage, most_area: float, most_bars: int
+) -> Iterator[tuple[Bar, Image]]:
+    """Bars on the outlines of a mask's parts that reach the picture's border, each with its part, shape (h, w)."""
+    settings = image.settings
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    for label in range(1, count):
+        x, y, width, height, size = (int(value) for value in stats[label])
+        if not settings.least_area * image.area_px <= size <= most_area * image.area_px:
+            continue
+        box = np.s_[y : y + height, x : x + width]
+        own = labels[box] == label
+        if np.count_nonzero(own & (image.rim[box] > 0)) < 4:
+            continue
+        contours, _ = cv2.findContours(
+            own.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(x, y)
+        )
+        contour = max(contours, key=len).reshape(-1, 2)
+        free = image.inner[contour[:, 1], contour[:, 0]]
+        part = None
+        for _ in range(most_bars):
+            bar = best_bar(contour, free, mask.shape[1], settings)
+            if bar is None:
+                break
+            if part is None:
+                part = np.zeros_like(mask)
+                part[box] = 255 * own
+            yield bar, part
+            used = cv2.dilate(bar.filled((mask.shape[0], mask.shape[1])), SQUARE_5)
+            free = free & (used[contour[:, 1], contour[:, 0]] == 0)
+
+
+def best_bar(
+    contour: NDArray[np.int32], free: NDArray[np.bool_], width_px: int, settings: AutoSettings
+) -> Bar | None:
+    """The pair of opposite lines with the most points of a closed contour, shape (n, 2), on the lesser of both.
+
+    `free`, shape (n,), says which points are away from the picture's border.
+    """
+    points = contour.astype(np.float64)
+    if len(points) < 24 or np.count_nonzero(free) < 16:
+        return None
+    tangents = np.roll(points, -3, axis=0) - np.roll(points, 3, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True) + 1e-9
+    points_free, tangents_free = points[free], tangents[free]
+    starts, along = _chords(points, free)
+    if len(starts) < 2:
+        return None
+    normals = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    off = points_free @ normals.T - (starts * normals).sum(axis=1)
+    near = (np.abs(off) < settings.line_within_px) & (tangents_free @ along.T > 0.85)
+    support = near.sum(axis=0)
+    lines: list[int] = []
+    for line in np.argsort(-support, kind="stable"):
+        if support[line] < settings.least_side_px or len(lines) >= MOST_LINES:
+            break
+        if not any(
+            along[line] @ along[other] > 0.97
+            and abs((starts[line] - starts[other]) @ normals[other]) < 2.0 * settings.line_within_px
+            for other in lines
+        ):
+            lines.append(int(line))
+    best: tuple[float, int, int, Array] | None = None
+    for place, first in enumerate(lines):
+        for second in lines[place + 1 :]:
+            score = float(support[second]) + 1e-3 * float(support[first])
+            if best is not None and score <= best[0]:
+                continue
+            if along[first] @ along[second] > -settings.most_taper_cos:
+                continue
+            axis = along[first] - along[second]
+            axis = axis / np.linalg.norm(axis)
+            on_first, on_second = points_free[near[:, first]], points_free[near[:, second]]
+            if _are_beside(on_first, on_second, axis, width_px, settings):
+                best = score, first, second, axis
+    if best is None:
+        return None
+    _, first, second, axis = best
+    sides = np.stack([_line_of(points_free[near[:, line]], axis) for line in (first, second)])
+    return Bar(sides, (float(support[first]), float(support[second])), len(points_free))
+
+
+def _chords(points: Array, free: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Starts and unit directions, shape (m, 2) each, of chords along which the contour is straight."""
+    count = len(points)
+    begin = np.arange(0, count, max(1, count // CHORD_STARTS))
+    starts, along = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    for length in CHORDS_PX:
+        if length > count // 2:
+            break
+        end = (begin + length) % count
+        chord = points[end] - points[begin]
+        long = np.linalg.norm(chord, axis=1)
+        good = (
+            (long > 0.78 * length) & free[begin] & free[end]
+        )  # 8-connected steps along a line are 0.71 to 1 long
+        starts.append(points[begin][good])
+        along.append(chord[good] / long[good, None])
+    return np.vstack(starts), np.vstack(along)
+
+
+def _are_beside(first: Array, second: Array, axis: Array, width_px: int, settings: AutoSettings) -> bool:
+    """Whether points of two lines, shape (n, 2) each, lie side by side, as far apart as an instrument is wide."""
+    a, b = first @ axis, second @ axis
+    common = min(a.max(), b.max()) - max(a.min(), b.min())
+    if common < 0.35 * max(np.ptp(a), np.ptp(b)):
+        return False
+    normal = np.array([-axis[1], axis[0]])
+    apart = abs(float((second @ normal).mean() - (first @ normal).mean())) / width_px
+    return settings.least_width_fraction < apart < settings.most_width_fraction
+
+
+def _line_of(points: Array, axis: Array) -> Array:
+    """Both ends, shape (2, 2), of the line through points, shape (n, 2), in the direction of an axis."""
+    middle = points.mean(axis=0)
+    _, _, directions = np.linalg.svd(points - middle, full_matrices=False)
+    along = directions[0] * np.sign(directions[0] @ axis)
+    at = (points - middle) @ along
+    return np.stack([middle + at.min() * along, middle + at.max() * along])

@@ -1,0 +1,147 @@
+"""One instrument as the image shows it: its mask, the strip of its shaft, and its distal part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.samples import Image
+from svmdist.transforms import Array
+from svmdist.vision.instruments.find import Found
+from svmdist.vision.instruments.working import WorkingImage
+
+OFF_SIDE = 0.1
+"""How far, over the shaft's width, an outline may be off the sides of a cylinder, beside a pixel and a half."""
+LONGEST_GAP = 0.5
+"""Of an outline off its sides, over the width: glare and blood at an edge are shorter, wrists are longer."""
+
+
+@dataclass(frozen=True)
+class SeenInstrument:
+    """An instrument that comes in from the picture's border, in pixels of the image it was found in.
+
+    `mask` (h, w) is all of it; `shaft` (h, w) its part between two straight sides, `distal` (h, w) wrist and jaws.
+    `sides`, shape (2, 2, 2), holds the ends of both sides as (x, y), at the border first. `end_px` (2,) is the middle
+    of the shaft's end, where the outline stops being that of a cylinder, and `tip_px` (2,) what of the instrument is
+    farthest along the axis from there. `evidence`, from 0 to 1, says how sure it is that this is an instrument.
+    """
+
+    mask: Image
+    shaft: Image
+    distal: Image
+    sides: Array
+    end_px: Array
+    tip_px: Array
+    evidence: float
+
+    @property
+    def entry_px(self) -> Array:
+        """The middle between both sides at the border, shape (2,)."""
+        return np.asarray(self.sides[:, 0].mean(axis=0))
+
+    @property
+    def axis(self) -> Array:
+        """Unit vector from the border inwards, shape (2,)."""
+        along = self.end_px - self.entry_px
+        return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
+
+    @property
+    def width_px(self) -> float:
+        """Distance of both sides at the shaft's end."""
+        return float(np.linalg.norm(self.sides[0, 1] - self.sides[1, 1]))
+
+
+def seen_instrument(found: Found, image: WorkingImage, size: tuple[int, int]) -> SeenInstrument:
+    """An instrument of a working image in the pixels of the image of `size` = (h, w) that it was made of."""
+    sides, end_px, tip_px = outline_geometry(found.mask, found.bar.sides)
+    mask = _enlarged(found.mask, size)
+    sides, end_px, tip_px = (_in_full(points, image.scale) for points in (sides, end_px, tip_px))
+    axis = end_px - sides[:, 0].mean(axis=0)
+    axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
+    x, y = np.arange(size[1], dtype=np.float32)[None, :], np.arange(size[0], dtype=np.float32)[:, None]
+    before = (x - np.float32(end_px[0])) * np.float32(axis[0]) + (y - np.float32(end_px[1])) * np.float32(
+        axis[1]
+    ) < 0
+    shaft = np.where(before, mask, 0).astype(np.uint8)
+    return SeenInstrument(
+        mask, shaft, np.asarray(cv2.subtract(mask, shaft), np.uint8), sides, end_px, tip_px, found.evidence
+    )
+
+
+def outline_geometry(mask: NDArray[np.bool_], sides: Array) -> tuple[Array, Array, Array]:
+    """Both sides from where they begin to where the outline leaves them, shape (2, 2, 2), the end and the tip, (2,).
+
+    `mask`, shape (h, w), is the instrument; `sides`, shape (2, 2, 2), are lines along its shaft, border first. The
+    outline is that of a cylinder for as long as the mask's edges stay on both lines.
+    """
+    start = sides[:, 0].mean(axis=0)
+    axis = sides[:, 1].mean(axis=0) - start
+    axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
+    normal = np.array([-axis[1], axis[0]])
+    y, x = np.nonzero(mask)
+    points = np.stack([x, y], axis=1) - start
+    along, across = points @ axis, points @ normal
+    tip = start + float(along.max(initial=0.0)) * axis
+    if len(along):
+        far = along > along.max() - 2.0
+        tip = start + axis * along.max() + normal * float(np.median(across[far]))
+    first, last = int(np.floor(along.min(initial=0.0))), int(np.ceil(along.max(initial=0.0)))
+    steps = np.arange(first, last + 1)
+    low, high = np.full(len(steps), np.nan), np.full(len(steps), np.nan)
+    order = np.argsort(along, kind="stable")
+    edges = np.searchsorted(along[order], np.append(steps, last + 1) - 0.5)
+    for at in range(len(steps)):
+        inside = across[order[edges[at] : edges[at + 1]]]
+        if len(inside):
+            low[at], high[at] = inside.min() - 0.5, inside.max() + 0.5
+    lines = np.stack([_offsets(side, start, axis, normal, steps) for side in sides])
+    lower, upper = np.minimum(lines[0], lines[1]), np.maximum(lines[0], lines[1])
+    width = np.maximum(upper - lower, 1.0)
+    within = OFF_SIDE * width + 1.5
+    is_cylinder = (np.abs(low - lower) < within) & (np.abs(high - upper) < within)
+    end = _last_of_run(steps, is_cylinder, LONGEST_GAP * float(np.median(width)))
+    cut = [_at(side, start, axis, end) for side in sides]
+    return (
+        np.stack([np.stack([side[0], inner]) for side, inner in zip(sides, cut, strict=True)]),
+        np.mean(cut, axis=0),
+        tip,
+    )
+
+
+def _offsets(side: Array, start: Array, axis: Array, normal: Array, steps: NDArray[np.int_]) -> Array:
+    """How far a line is to the side of the axis at each step along it."""
+    along = side[1] - side[0]
+    slope = float(along @ normal) / max(abs(float(along @ axis)), 1e-9)
+    return np.asarray(float((side[0] - start) @ normal) + slope * (steps - float((side[0] - start) @ axis)))
+
+
+def _at(side: Array, start: Array, axis: Array, end: float) -> Array:
+    """The point of a line, shape (2,), that is `end` along the axis."""
+    along = side[1] - side[0]
+    return np.asarray(
+        side[0] + along * ((end - float((side[0] - start) @ axis)) / max(float(along @ axis), 1e-9))
+    )
+
+
+def _last_of_run(steps: NDArray[np.int_], good: NDArray[np.bool_], longest_gap: float) -> float:
+    """The last good step before a gap that is longer than allowed; the gaps before the first good one do not count."""
+    places = steps[good]
+    if not len(places):
+        return float(steps[-1]) if len(steps) else 0.0
+    gaps = np.flatnonzero(np.diff(places) > longest_gap)
+    # A gap near the border is where the outline joins what else is dark there.
+    gaps = gaps[places[gaps] > 0]
+    return float(places[gaps[0]] if len(gaps) else places[-1])
+
+
+def _enlarged(mask: NDArray[np.bool_], size: tuple[int, int]) -> Image:
+    large = cv2.resize(np.asarray(mask, np.uint8) * 255, (size[1], size[0]), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.threshold(large, 127, 255, cv2.THRESH_BINARY)[1], np.uint8)
+
+
+def _in_full(points: Array, scale: float) -> Array:
+    """Pixels of the working image as those of the one it was made of: the middle of a pixel is a whole number."""
+    return np.asarray((points + 0.5) / scale - 0.5)
