@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -128,3 +129,18 @@ class FrameDrawing:
     labels: tuple[Label, ...] = ()
     lines: tuple[StatusLine, ...] = ()
     scene: SceneDrawing = SceneDrawing()
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateValues:
+    """What was measured of one instrument in one image, as a recording holds it.
+
+    `numbers` has the fields of `svmdist.DistanceEstimate` by name, in SI, None for what does not exist.
+    """
+
+    instrument: str
+    method: str
+    status: str
+    detail: str
+    numbers: Mapping[str, float | None]
+    alarm: bool | None = None

@@ -22,11 +22,11 @@ from svmdist.cli.options import (
     OptionalFiles,
     OutputOption,
     ProfileOption,
-    TableFormat,
     TableFormatOption,
     TopicOption,
     topics_of,
 )
+from svmdist.cli.outputs import summary_format
 from svmdist.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def blur_bench_command(
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
-    form: TableFormatOption = TableFormat.TABLE,
+    form: TableFormatOption = None,
     output: OutputOption = None,
     jobs: JobsOption = None,
 ) -> None:
@@ -94,7 +94,7 @@ def blur_bench_command(
         if grid
         else _table_one(recordings, setup, kernels_px, jobs)
     )
-    write_summary(summary, form, output)
+    write_summary(summary, summary_format(form, output), output)
     raise typer.Exit(report_health(recordings))
 
 

@@ -16,12 +16,12 @@ from svmdist.cli.options import (
     OptionalFiles,
     OutputOption,
     ProfileOption,
-    TableFormat,
     TableFormatOption,
     TopicOption,
     parse_lag,
     topics_of,
 )
+from svmdist.cli.outputs import summary_format
 from svmdist.cli.perturbations import parse_perturb_groups
 from svmdist.cli.progress import progress_bar
 
@@ -60,7 +60,7 @@ def compare_command(
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
     lag: LagOption = None,
-    form: TableFormatOption = TableFormat.TABLE,
+    form: TableFormatOption = None,
     output: OutputOption = None,
     jobs: JobsOption = None,
 ) -> None:
@@ -100,5 +100,9 @@ def compare_command(
     with progress_bar("comparing", "measurements") as advance:
         scores = compare(recordings, setups, conditions, jobs=jobs, on_progress=advance)
     rows = [compare_row(score) for score in scores]
-    write_summary(Summary(compare_tables(scores), compare_keys(), rows, [FIGURE_NOTE]), form, output)
+    write_summary(
+        Summary(compare_tables(scores), compare_keys(), rows, [FIGURE_NOTE]),
+        summary_format(form, output),
+        output,
+    )
     raise typer.Exit(report_health(recordings))

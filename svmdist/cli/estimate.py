@@ -11,6 +11,7 @@ import typer
 
 from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
 from svmdist.cli.console import report_health, require_output, say, terminal_width, write_lines
+from svmdist.cli.drawn import DrawnJob, Tally, write_drawn
 from svmdist.cli.options import (
     CalibrationOption,
     EquationsChoice,
@@ -30,6 +31,8 @@ from svmdist.cli.options import (
     parse_lag,
     topics_of,
 )
+from svmdist.cli.outputs import FileFormat, ForceOption, row_format
+from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
@@ -37,9 +40,6 @@ if TYPE_CHECKING:
     from svmdist.report.table import Row
     from svmdist.workflows.lag import Lag
     from svmdist.workflows.setup import Setup
-
-Tally = Counter[tuple[str, str]]
-"""How many frames ended with a status and a detail."""
 
 
 def estimate_command(
@@ -49,24 +49,30 @@ def estimate_command(
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
-    form: RowFormatOption = RowFormat.TABLE,
+    form: RowFormatOption = None,
     output: OutputOption = None,
     alarm_below: AlarmBelowOption = None,
     alarm_confidence: AlarmConfidenceOption = None,
     instrument: InstrumentOption = None,
     lag: LagOption = None,
     jobs: JobsOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Estimate the distance in every frame.
 
-    There is one row per frame, and per instrument where the log has several that the profile names.
+    There is one row per frame, and per instrument where the log has several that the profile names. To a file that
+    ends in .mcap goes a copy of the recording with what was found and measured drawn on its images, for Foxglove,
+    Lichtblick and Rerun.
     """
     from svmdist.estimation.methods import PLANAR_METHODS
     from svmdist.recording.reader import open_recording
     from svmdist.workflows.scoring.alarms import require_clearance
     from svmdist.workflows.setup import prepare
 
+    chosen = row_format(form, output)
     require_output(output, files)
+    if output is not None and chosen is FileFormat.MCAP and len(files) > 1:
+        raise UsageError(f"{output}: one recording goes into a file of its kind, and {len(files)} are given")
     given = parse_lag(lag)
     rules = alarm_rules(alarm_below, alarm_confidence, method.value)
     setup = prepare(profile, method.value, equations.value, calibration)
@@ -76,9 +82,14 @@ def estimate_command(
     wanted = instruments_of(instrument, setup.profile)
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
     tally: Tally = Counter()
-    rows = _started(_rows(recordings, setup, wanted, tally, rules, given, jobs))
-    planar = setup.method in PLANAR_METHODS
-    write_lines(_lines(form, rows, rules is not None, several, terminal_width(output), planar), output)
+    if isinstance(chosen, FileFormat):
+        assert output is not None  # its ending is what chose the format
+        job = DrawnJob(recordings[0], setup, rules, wanted, given, jobs)
+        write_drawn(job, output, chosen, tally, force=force)
+    else:
+        rows = _started(_rows(recordings, setup, wanted, tally, rules, given, jobs))
+        planar = setup.method in PLANAR_METHODS
+        write_lines(_lines(chosen, rows, rules is not None, several, terminal_width(output), planar), output)
     _summarise(tally)
     raise typer.Exit(report_health(recordings))
 

@@ -16,13 +16,14 @@ from svmdist.cli.options import (
     TopicOption,
     topics_of,
 )
+from svmdist.cli.outputs import summary_format
 
 
 def info_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to inspect.", show_default=False)],
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
-    form: TableFormatOption = TableFormat.TABLE,
+    form: TableFormatOption = None,
     output: OutputOption = None,
 ) -> None:
     """Show topics, rates, cameras, frames and health.
@@ -39,7 +40,7 @@ def info_command(
     require_output(output, [file])
     loaded = load_profile(profile)
     summary = inspect_recording(file, loaded, topics=topics_of(topic))
-    match form:
+    match summary_format(form, output):
         case TableFormat.TABLE:
             write_lines(info_lines(summary, loaded, terminal_width(output)), output)
         case TableFormat.CSV:

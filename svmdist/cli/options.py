@@ -118,13 +118,21 @@ CalibrationOption = Annotated[
         show_default=False,
     ),
 ]
+
+
+def _stdout_for_dash(output: Path | None) -> Path | None:
+    """`-o -` is stdout."""
+    return None if output == Path("-") else output
+
+
 OutputOption = Annotated[
     Path | None,
     typer.Option(
         "--output",
         "-o",
         metavar="FILE",
-        help="Write the data to this file instead of stdout.",
+        help="Write the data to this file instead of stdout, in the format of its ending; - is stdout.",
+        callback=_stdout_for_dash,
         show_default=False,
     ),
 ]
@@ -151,8 +159,13 @@ LagOption = Annotated[
     ),
 ]
 MAX_LAG_S = 3600.0
-TableFormatOption = Annotated[TableFormat, typer.Option("--format", "-f", help="Format of the data.")]
-RowFormatOption = Annotated[RowFormat, typer.Option("--format", "-f", help="Format of the data.")]
+FORMAT_HELP = "Format of the data. Default: by the ending of the output file, else table."
+TableFormatOption = Annotated[
+    TableFormat | None, typer.Option("--format", "-f", help=FORMAT_HELP, show_default=False)
+]
+RowFormatOption = Annotated[
+    RowFormat | None, typer.Option("--format", "-f", help=FORMAT_HELP, show_default=False)
+]
 
 
 def topics_of(options: list[str] | None) -> dict[str, str]:

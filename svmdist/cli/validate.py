@@ -37,6 +37,7 @@ from svmdist.cli.options import (
     parse_lag,
     topics_of,
 )
+from svmdist.cli.outputs import summary_format
 
 if TYPE_CHECKING:
     from svmdist.workflows.validate import Validation
@@ -112,7 +113,7 @@ def validate_command(
     equations: EquationsOption = EquationsChoice.CORRECTED,
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
-    form: TableFormatOption = TableFormat.TABLE,
+    form: TableFormatOption = None,
     output: OutputOption = None,
     topic: TopicOption = None,
     truth: TruthOption = None,
@@ -163,7 +164,7 @@ def validate_command(
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in paths]
     wanted = instruments_of(instrument, setup.profile)
     result = validate(recordings, setup, rules, parse_lag(lag), alarms, wanted, jobs)
-    _write(result, form, output)
+    _write(result, summary_format(form, output), output)
     if save_plot:
         from svmdist.report.plot import save_plot as draw_to
 

@@ -159,6 +159,11 @@ class Recording:
         raise RecordingError(f"{self.path.name}: no topic of an instrument {sanitize(name)}: {known}")
 
     @property
+    def limits(self) -> Limits:
+        """What a message may take at most."""
+        return self._limits
+
+    @property
     def path(self) -> Path:
         """The file or folder."""
         return self._source.path
@@ -185,6 +190,11 @@ class Recording:
     def topic_of(self, role: Role | str) -> str | None:
         """Name the topic that plays a role; None where the log has none."""
         return self._choice.find(Role(role))
+
+    def image_count(self) -> int | None:
+        """How many images the file says that it has; None where it does not say."""
+        topic = self._choice.find(Role.IMAGE)
+        return next((info.message_count for info in self.topics() if info.topic == topic), None)
 
     @cached_property
     def camera(self) -> Camera:
