@@ -36,7 +36,7 @@ COLOURS: dict[Part, Rgb] = {
     Part.MARKER: (240, 228, 66),
     Part.MATCH: (160, 160, 160),
     Part.INLIER: (240, 228, 66),
-    Part.SHAFT: (0, 114, 178),
+    Part.SHAFT: (213, 94, 0),
     Part.TAG: (204, 121, 167),
     Part.DISTANCE: (255, 255, 255),
     Part.BETWEEN: (230, 159, 0),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 
 SUBPIXEL_BITS = 4
+Box = tuple[int, int, int, int]
 LIMIT_PX = 20_000.0
 """OpenCV's drawing wraps around far outside of the image."""
 
@@ -30,9 +31,12 @@ def draw_on(
     for shape in drawing.shapes:
         if parts is None or shape.part in parts:
             _draw(pixels, shape, unit_px)
+    written: list[Box] = []
     for label in drawing.labels:
         if parts is None or label.part in parts:
-            _write(pixels, printable(label.text), label.place_px, COLOURS[label.part])
+            written.append(
+                _write(pixels, printable(label.text), label.place_px, COLOURS[label.part], written)
+            )
     if lines:
         for row, line in enumerate(drawing.lines):
             colour = ALARM_COLOUR if line.alarm or not line.measured else (255, 255, 255)
@@ -76,21 +80,31 @@ def _letters(pixels: Image) -> tuple[float, int]:
     return scale, max(1, round(1.6 * scale))
 
 
-def _write(pixels: Image, text: str, place_px: Array, colour: Rgb) -> None:
-    """Write beside a place, shape (2,), and inside of the image, on dark ground."""
+def _write(pixels: Image, text: str, place_px: Array, colour: Rgb, written: Sequence[Box]) -> Box:
+    """Write beside a place, shape (2,), and inside of the image, on dark ground, below what stands there already.
+
+    Gives the box (left, top, right, bottom) that is covered.
+    """
     scale, thickness = _letters(pixels)
     (width, height), below = cv2.getTextSize(text, FONT, scale, thickness)
     place = np.clip(np.nan_to_num(place_px), -LIMIT_PX, LIMIT_PX)
     x = int(np.clip(place[0] + 6, 2, max(2, pixels.shape[1] - width - 4)))
     y = int(np.clip(place[1] - 6, height + 4, max(height + 4, pixels.shape[0] - below - 3)))
+    for left, top, right, bottom in sorted(written, key=lambda box: box[1]):
+        if x - 2 < right and left < x + width + 2 and y - height - 3 < bottom and top < y + below:
+            y = bottom + height + 4
     cv2.rectangle(pixels, (x - 2, y - height - 3), (x + width + 2, y + below), DARK, cv2.FILLED)
     cv2.putText(pixels, text, (x, y), FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
+    return x - 2, y - height - 3, x + width + 2, y + below
 
 
 def _write_row(pixels: Image, text: str, row: int, colour: Rgb) -> None:
     """Write a line at the top left, as much of it as the image is wide."""
     scale, thickness = _letters(pixels)
-    (width, height), below = cv2.getTextSize(text, FONT, scale, thickness)
+    (width, _), _ = cv2.getTextSize(text, FONT, scale, thickness)
+    (_, height), below = cv2.getTextSize(
+        "Mg", FONT, scale, thickness
+    )  # rows are alike, whatever their letters
     room = pixels.shape[1] - 8
     if width > room:
         text = text[: max(1, len(text) * room // width - 3)] + "..."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -49,8 +49,13 @@ def drawn_frames(
     rules: AlarmRules | None = None,
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
+    numbers: Collection[int] | None = None,
 ) -> Iterator[DrawnFrame]:
-    """Replay a recording and draw every image; with `rules`, alarms are watched."""
+    """Replay a recording and draw every image, or those of some numbers; with `rules`, alarms are watched.
+
+    What comes after the last of these numbers is not looked at.
+    """
+    last = max(numbers, default=-1) if numbers is not None else None
     watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
     for number, (replayed,) in enumerate(replay(recording, [setup], wanted=wanted, jobs=jobs)):
         alarms = {
@@ -58,7 +63,10 @@ def drawn_frames(
             for result in replayed.results
             if result.instrument in watches
         }
-        yield DrawnFrame(number, replayed, alarms, frame_drawing(replayed, setup, alarms))
+        if numbers is None or number in numbers:
+            yield DrawnFrame(number, replayed, alarms, frame_drawing(replayed, setup, alarms))
+        if last is not None and number >= last:
+            return
 
 
 def distance_topic(instrument: str) -> str:

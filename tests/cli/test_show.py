@@ -1,0 +1,70 @@
+"""`svmdist show`: the chosen images, each phase of the method as a panel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from svmdist.drawing import COLOURS, Part
+from svmdist.recording.reader import open_recording
+from svmdist.report.frame_picture import bgr
+from svmdist.report.phases import METHOD_PHASES, phases_picture
+from svmdist.workflows.annotate import drawn_frames
+from svmdist.workflows.setup import prepare
+from tests.cli.conftest import Cli
+
+
+def has_colour(picture: np.ndarray, part: Part) -> int:
+    return int((picture == np.array(bgr(COLOURS[part]))).all(2).sum())
+
+
+def test_the_phases_of_overlay_are_five_panels_of_the_images_size(
+    golden: Path, cli: Cli, tmp_path: Path
+) -> None:
+    log = golden / "sweep.mcap"
+    outcome = cli("show", log, "--frame", 3, "-o", tmp_path)
+    assert outcome.code == 0
+    assert outcome.out == f"{tmp_path / 'sweep-00003.png'}\n"
+    picture = cv2.imread(str(tmp_path / "sweep-00003.png"))
+    assert picture is not None
+    assert picture.shape[1] == 3 * 644
+    assert 2 * 480 < picture.shape[0] < 2 * 480 + 200
+    left, middle, right = (picture[:600, x : x + 640] for x in (0, 644, 1288))
+    assert has_colour(middle, Part.TISSUE) > 500  # its contour
+    assert has_colour(left, Part.TISSUE) == 0  # the segmentation is a tint
+    white = (right == 255).all(2).sum()
+    assert white > 1000  # the marker's rim
+    matches = picture[620:, :640]
+    assert has_colour(matches, Part.INLIER) > 1000
+
+
+def test_every_method_has_panels_for_what_it_found(golden: Path) -> None:
+    for method, part in (("fiducial", Part.TAG), ("shaft", Part.SHAFT), ("fused", Part.MARKER)):
+        setup = prepare(method=method)
+        recording = open_recording(golden / "3d" / "duo.mcap", setup.profile)
+        (frame,) = drawn_frames(recording, setup, numbers=[0], jobs=1)
+        assert has_colour(phases_picture(frame, method, "duo"), part) > 50
+    assert set(METHOD_PHASES) == {"overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"}
+
+
+def test_at_takes_the_nearest_image_and_worst_the_worst(golden: Path, cli: Cli, tmp_path: Path) -> None:
+    log = golden / "sweep.mcap"
+    assert cli("show", log, "--at", 0.52, "-o", tmp_path).out.endswith("sweep-00005.png\n")
+    worst = cli("show", log, "--worst", 2, "-o", tmp_path)
+    assert worst.code == 0
+    assert len(worst.out.splitlines()) == 2
+    told = [line for line in worst.err.splitlines() if "planar error" in line]
+    assert len(told) == 2
+
+
+def test_choices_that_exclude_each_other_are_refused(golden: Path, cli: Cli) -> None:
+    log = golden / "sweep.mcap"
+    both = cli("show", log, "--frame", 1, "--worst", 2)
+    assert (both.code, both.err.count("\n")) == (2, 1)
+    assert "give one of them" in both.err
+    assert cli("show", log, "--masks", "--worst", 2).code == 2
+    far = cli("show", log, "--frame", 1000)
+    assert far.code == 2
+    assert "0 to 79" in far.err
