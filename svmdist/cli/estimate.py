@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -24,6 +24,7 @@ from svmdist.cli.options import (
     MethodOption,
     OutputOption,
     ProfileOption,
+    ReportOption,
     RowFormat,
     RowFormatOption,
     TopicOption,
@@ -31,15 +32,17 @@ from svmdist.cli.options import (
     parse_lag,
     topics_of,
 )
-from svmdist.cli.outputs import FileFormat, ForceOption, row_format
+from svmdist.cli.outputs import FileFormat, ForceOption, command_line, require_report, row_format
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
     from svmdist.recording.reader import Recording
     from svmdist.report.table import Row
+    from svmdist.results import FrameResult
     from svmdist.workflows.lag import Lag
     from svmdist.workflows.setup import Setup
+    from svmdist.workflows.validate import Measured
 
 
 def estimate_command(
@@ -57,6 +60,7 @@ def estimate_command(
     lag: LagOption = None,
     jobs: JobsOption = None,
     force: ForceOption = False,
+    report: ReportOption = None,
 ) -> None:
     """Estimate the distance in every frame.
 
@@ -70,8 +74,17 @@ def estimate_command(
     from svmdist.workflows.setup import prepare
 
     chosen = row_format(form, output)
-    require_output(output, files)
-    if output is not None and chosen is FileFormat.MCAP and len(files) > 1:
+    for target in (output, report):
+        require_output(target, files)
+    if chosen is FileFormat.HTML:
+        if report is not None:
+            raise UsageError(f"--report {report} and -o {output}: both are the report; leave out one of them")
+        report, output, chosen = output, None, RowFormat.TABLE
+        rows_wanted = False
+    else:
+        rows_wanted = True
+    require_report(report)
+    if output is not None and isinstance(chosen, FileFormat) and len(files) > 1:
         raise UsageError(f"{output}: one recording goes into a file of its kind, and {len(files)} are given")
     given = parse_lag(lag)
     rules = alarm_rules(alarm_below, alarm_confidence, method.value)
@@ -82,15 +95,27 @@ def estimate_command(
     wanted = instruments_of(instrument, setup.profile)
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
     tally: Tally = Counter()
+    measured: list[Measured] = []
     if isinstance(chosen, FileFormat):
         assert output is not None  # its ending is what chose the format
         job = DrawnJob(recordings[0], setup, rules, wanted, given, jobs)
         write_drawn(job, output, chosen, tally, force=force)
     else:
-        rows = _started(_rows(recordings, setup, wanted, tally, rules, given, jobs))
+        rows = _started(
+            _rows(recordings, setup, wanted, tally, rules, given, jobs, measured if report else None)
+        )
         planar = setup.method in PLANAR_METHODS
-        write_lines(_lines(chosen, rows, rules is not None, several, terminal_width(output), planar), output)
+        if rows_wanted:
+            width = terminal_width(output)
+            write_lines(_lines(chosen, rows, rules is not None, several, width, planar), output)
+        else:
+            deque(rows, maxlen=0)
     _summarise(tally)
+    if report:
+        from svmdist.report.html.build import estimate_report
+        from svmdist.report.html.page import write_report
+
+        write_report(estimate_report(measured, setup, command_line(), rules, jobs), report)
     raise typer.Exit(report_health(recordings))
 
 
@@ -102,23 +127,32 @@ def _rows(
     rules: AlarmRules | None,
     lag: Lag | None,
     jobs: int | None,
+    measured: list[Measured] | None = None,
 ) -> Iterator[Row]:
     from svmdist.cli.lag import told_lag
     from svmdist.estimation.alarms import AlarmWatch
+    from svmdist.estimation.lag import LagEstimate
     from svmdist.report.estimates import estimate_row
     from svmdist.workflows.estimate import estimate
+    from svmdist.workflows.validate import Measured
 
     for recording in recordings:
         for warning in setup.degeneracies(recording.camera):
             say(f"svmdist: warning: {warning}")
         seen = told_lag(recording, setup, lag, wanted, jobs)
         start_ns: int | None = None
+        kept: list[FrameResult] = []
         watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
         for row in estimate(seen, setup, wanted, jobs):
             start_ns = row.stamp_ns if start_ns is None else start_ns
             tally[str(row.status), row.detail] += 1
+            if measured is not None:
+                kept.append(row)
             alarm = watches[row.instrument].watch(row) if watches else None
             yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns, alarm)
+        if measured is not None:
+            found = LagEstimate(seen.lag.lag_s, seen.lag.std_s, 1.0) if seen.lag else None
+            measured.append(Measured(recording, seen, tuple(kept), found))
 
 
 def _started(rows: Iterator[Row]) -> Iterator[Row]:

@@ -158,6 +158,15 @@ LagOption = Annotated[
         show_default=False,
     ),
 ]
+ReportOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--report",
+        metavar="FILE.html",
+        help="Write a report with interactive plots and the worst frames to this file; it needs no network.",
+        show_default=False,
+    ),
+]
 MAX_LAG_S = 3600.0
 FORMAT_HELP = "Format of the data. Default: by the ending of the output file, else table."
 TableFormatOption = Annotated[

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -48,3 +50,19 @@ def summary_format(given: TableFormat | None, output: Path | None) -> TableForma
     """The format of a summary: the given one, else that of the file's ending, else a table."""
     ending = "" if output is None else output.suffix.lower()
     return SUMMARY_ENDINGS.get(ending, TableFormat.TABLE) if given is None else given
+
+
+def require_report(report: Path | None) -> None:
+    """Check a report's name and what it needs before the work; raises UsageError or OutputError."""
+    if report is None:
+        return
+    if report.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--report {report}: a report is a page: give it the ending .html")
+    from svmdist.report.html.page import require_plotly
+
+    require_plotly()
+
+
+def command_line() -> str:
+    """The command as it was typed, for a report's provenance."""
+    return shlex.join(["svmdist", *sys.argv[1:]])

@@ -30,6 +30,7 @@ from svmdist.cli.options import (
     OptionalFiles,
     OutputOption,
     ProfileOption,
+    ReportOption,
     TableFormat,
     TableFormatOption,
     TopicOption,
@@ -37,10 +38,10 @@ from svmdist.cli.options import (
     parse_lag,
     topics_of,
 )
-from svmdist.cli.outputs import summary_format
+from svmdist.cli.outputs import command_line, require_report, summary_format
 
 if TYPE_CHECKING:
-    from svmdist.workflows.validate import Validation
+    from svmdist.workflows.validate import Measured, Validation
 
 PlotOption = Annotated[
     Path | None,
@@ -127,6 +128,7 @@ def validate_command(
     alarm_confidence: AlarmConfidenceOption = None,
     instrument: InstrumentOption = None,
     jobs: JobsOption = None,
+    report: ReportOption = None,
 ) -> None:
     """Score estimates against the truth.
 
@@ -147,8 +149,9 @@ def validate_command(
     from svmdist.workflows.setup import prepare
     from svmdist.workflows.validate import validate
 
-    for target in (output, save_plot, write_baseline):
+    for target in (output, save_plot, write_baseline, report):
         require_output(target, files or ())
+    require_report(report)
     if save_plot:
         from svmdist.report.plot import plot_format
 
@@ -163,12 +166,19 @@ def validate_command(
     rules = truth_rules(tuple(truth_tf or ()), setup.profile, references, round(max_gap * 1e9))
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in paths]
     wanted = instruments_of(instrument, setup.profile)
-    result = validate(recordings, setup, rules, parse_lag(lag), alarms, wanted, jobs)
+    measured: list[Measured] = []
+    on_measured = measured.append if report else None
+    result = validate(recordings, setup, rules, parse_lag(lag), alarms, wanted, jobs, on_measured)
     _write(result, summary_format(form, output), output)
     if save_plot:
         from svmdist.report.plot import save_plot as draw_to
 
         draw_to(result, save_plot)
+    if report:
+        from svmdist.report.html.build import validation_report
+        from svmdist.report.html.page import write_report
+
+        write_report(validation_report(result, measured, setup, rules, command_line(), jobs), report)
     code = report_health(recordings)
     if write_baseline:
         save_baseline(make_baseline(result), write_baseline)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import KinematicsError, RecordingError
+from svmdist.estimation.lag import LagEstimate
 from svmdist.metrics import deviations_at
 from svmdist.recording.reader import Recording
 from svmdist.results import FrameResult
@@ -16,6 +17,7 @@ from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array
 from svmdist.workflows.drawing.distances import LEVEL
 from svmdist.workflows.scoring.distances import CLEARANCE, PLANAR, SPATIAL, Distance
+from svmdist.workflows.scoring.score import truth_lag_ns
 from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth
 from svmdist.workflows.setup import Setup
 
@@ -120,11 +122,12 @@ def make_series(
     setup: Setup,
     rules: TruthRules | None = None,
     reference: Reference | None = None,
+    lag: LagEstimate | None = None,
 ) -> list[Series]:
     """A series for each instrument of the rows of one recording, in which every image has a row per instrument.
 
     The distance is the clearance where there is any, else the spatial, else the planar one. The truth is by
-    `reference`; None takes the simulator's truth where the log has it.
+    `reference`; None takes the simulator's truth where the log has it. `lag` is taken off the stamps of images before.
     """
     names = list(dict.fromkeys(row.instrument for row in rows))
     return [
@@ -135,6 +138,7 @@ def make_series(
             name,
             rules,
             reference,
+            lag,
         )
         for name in names
     ]
@@ -147,9 +151,11 @@ def _series(
     name: str,
     rules: TruthRules | None,
     reference: Reference | None,
+    lag: LagEstimate | None,
 ) -> Series:
     stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
-    truth, known = _truth(recording, setup, stamps_ns, rules, reference)
+    late_ns = truth_lag_ns(recording, setup, reference or Reference.GROUND_TRUTH, lag)
+    truth, known = _truth(recording, setup, stamps_ns - late_ns, rules, reference)
     distance = _told(rows, truth)
     read = np.array([distance.read(row) if row.measured else (np.nan, np.nan) for row in rows]).reshape(-1, 2)
     truth_m = np.full(len(rows), np.nan)
