@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -243,12 +242,12 @@ def test_ten_thousand_frames_are_less_than_ten_megabytes_and_open_in_three_secon
     path = tmp_path / "report.html"
     write_report(make_report(make_series(10_000)), path)
     assert path.stat().st_size < 10e6
-    took_s = []
-    for _ in range(3):  # the best of three: other work on the machine is not the page's
-        begin_s = time.perf_counter()
-        shown, problems = opened(browser, path)
-        took_s.append(time.perf_counter() - begin_s)
-    assert min(took_s) < 3.0
+    shown, problems = opened(browser, path)
+    measuring = shown.context.new_cdp_session(shown)
+    measuring.send("Performance.enable")
+    values = {one["name"]: one["value"] for one in measuring.send("Performance.getMetrics")["metrics"]}
+    # The page's own processor time: a clock on the wall would measure what else the machine does.
+    assert 0.0 < values["ProcessTime"] < 3.0
     shown.evaluate("svmdistReport.drawAll()")
     assert shown.locator(".plot .main-svg").count() >= 8
     assert problems == []
