@@ -1,4 +1,4 @@
-"""`svmdist estimate -o out.mcap`: recordings with what was found and measured drawn on their images."""
+"""`svmdist estimate -o out.mcap` and `out.mp4`: what was found and measured, drawn on the images of a log."""
 
 from __future__ import annotations
 
@@ -38,7 +38,11 @@ class DrawnJob:
 def write_drawn(job: DrawnJob, output: Path, form: FileFormat, tally: Tally, *, force: bool) -> None:
     """Measure a recording and write it with its drawings, in the format of the file's ending."""
     from svmdist.cli.lag import told_lag
+    from svmdist.report.video import require_av, write_video
     from svmdist.workflows.annotate import drawn_frames, write_annotated
+
+    if form is FileFormat.MP4:
+        require_av()  # before the work rather than after it
 
     for warning in job.setup.degeneracies(job.recording.camera):
         say(f"svmdist: warning: {warning}")
@@ -56,3 +60,8 @@ def write_drawn(job: DrawnJob, output: Path, form: FileFormat, tally: Tally, *, 
         match form:
             case FileFormat.MCAP:
                 write_annotated(seen, told(), job.setup, output, force=force)
+            case FileFormat.MP4:
+                camera = seen.logged_camera
+                write_video(told(), output, (camera.width_px, camera.height_px))
+            case FileFormat.HTML:
+                raise AssertionError("a report is written from rows")

@@ -66,7 +66,7 @@ def estimate_command(
 
     There is one row per frame, and per instrument where the log has several that the profile names. To a file that
     ends in .mcap goes a copy of the recording with what was found and measured drawn on its images, for Foxglove,
-    Lichtblick and Rerun.
+    Lichtblick and Rerun; to one in .mp4, a video of the same; to one in .html, a report.
     """
     from svmdist.estimation.methods import PLANAR_METHODS
     from svmdist.recording.reader import open_recording
