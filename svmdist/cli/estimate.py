@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
-from svmdist.cli.console import report_health, require_output, say, terminal_width, write_lines
+from svmdist.cli.console import report_health, say, terminal_width, write_lines
 from svmdist.cli.drawn import DrawnJob, Tally, write_drawn
+from svmdist.cli.estimate_targets import EstimateTargets
 from svmdist.cli.options import (
     CalibrationOption,
     EquationsChoice,
@@ -23,6 +24,7 @@ from svmdist.cli.options import (
     Method,
     MethodOption,
     OutputOption,
+    PlotOption,
     ProfileOption,
     ReportOption,
     RowFormat,
@@ -32,8 +34,7 @@ from svmdist.cli.options import (
     parse_lag,
     topics_of,
 )
-from svmdist.cli.outputs import FileFormat, ForceOption, command_line, require_report, row_format
-from svmdist.errors import UsageError
+from svmdist.cli.outputs import ForceOption
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
@@ -61,6 +62,7 @@ def estimate_command(
     jobs: JobsOption = None,
     force: ForceOption = False,
     report: ReportOption = None,
+    save_plot: PlotOption = None,
 ) -> None:
     """Estimate the distance in every frame.
 
@@ -73,19 +75,8 @@ def estimate_command(
     from svmdist.workflows.scoring.alarms import require_clearance
     from svmdist.workflows.setup import prepare
 
-    chosen = row_format(form, output)
-    for target in (output, report):
-        require_output(target, files)
-    if chosen is FileFormat.HTML:
-        if report is not None:
-            raise UsageError(f"--report {report} and -o {output}: both are the report; leave out one of them")
-        report, output, chosen = output, None, RowFormat.TABLE
-        rows_wanted = False
-    else:
-        rows_wanted = True
-    require_report(report)
-    if output is not None and isinstance(chosen, FileFormat) and len(files) > 1:
-        raise UsageError(f"{output}: one recording goes into a file of its kind, and {len(files)} are given")
+    targets = EstimateTargets.of(form, output, report, save_plot)
+    targets.check(files)
     given = parse_lag(lag)
     rules = alarm_rules(alarm_below, alarm_confidence, method.value)
     setup = prepare(profile, method.value, equations.value, calibration)
@@ -96,26 +87,21 @@ def estimate_command(
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
     tally: Tally = Counter()
     measured: list[Measured] = []
-    if isinstance(chosen, FileFormat):
-        assert output is not None  # its ending is what chose the format
+    if targets.drawn is not None:
         job = DrawnJob(recordings[0], setup, rules, wanted, given, jobs)
-        write_drawn(job, output, chosen, tally, force=force)
+        write_drawn(job, *targets.drawn, tally, force=force)
     else:
-        rows = _started(
-            _rows(recordings, setup, wanted, tally, rules, given, jobs, measured if report else None)
-        )
+        kept = measured if targets.needs_rows_kept else None
+        rows = _started(_rows(recordings, setup, wanted, tally, rules, given, jobs, kept))
         planar = setup.method in PLANAR_METHODS
-        if rows_wanted:
-            width = terminal_width(output)
-            write_lines(_lines(chosen, rows, rules is not None, several, width, planar), output)
-        else:
+        if targets.form is None:
             deque(rows, maxlen=0)
+        else:
+            width = terminal_width(targets.output)
+            lines = _lines(targets.form, rows, rules is not None, several, width, planar)
+            write_lines(lines, targets.output)
     _summarise(tally)
-    if report:
-        from svmdist.report.html.build import estimate_report
-        from svmdist.report.html.page import write_report
-
-        write_report(estimate_report(measured, setup, command_line(), rules, jobs), report)
+    targets.write_pictures(measured, setup, rules, jobs)
     raise typer.Exit(report_health(recordings))
 
 

@@ -158,6 +158,15 @@ LagOption = Annotated[
         show_default=False,
     ),
 ]
+PlotOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--save-plot",
+        metavar="FIG",
+        help="Plot to this file (png, svg, pdf).",
+        show_default=False,
+    ),
+]
 ReportOption = Annotated[
     Path | None,
     typer.Option(

@@ -29,6 +29,7 @@ from svmdist.cli.options import (
     MethodOption,
     OptionalFiles,
     OutputOption,
+    PlotOption,
     ProfileOption,
     ReportOption,
     TableFormat,
@@ -39,16 +40,30 @@ from svmdist.cli.options import (
     topics_of,
 )
 from svmdist.cli.outputs import command_line, require_report, summary_format
+from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
+    from svmdist.workflows.scoring.truth import TruthRules
+    from svmdist.workflows.setup import Setup
     from svmdist.workflows.validate import Measured, Validation
 
-PlotOption = Annotated[
-    Path | None,
+
+class PlotKind(StrEnum):
+    """`--plot`."""
+
+    FIG6 = "fig6"
+    TIME = "time"
+    RESIDUALS = "residuals"
+    BLAND_ALTMAN = "bland-altman"
+    CALIBRATION = "calibration"
+
+
+PlotKindOption = Annotated[
+    PlotKind | None,
     typer.Option(
-        "--save-plot",
-        metavar="FIG",
-        help="Plot truth, estimate and error to this file (png, svg, pdf).",
+        "--plot",
+        help="What --save-plot draws: fig6, truth, estimate and error over time as in the paper's figure; time;"
+        " residuals over time and distance; bland-altman; calibration of the interval. Default: fig6.",
         show_default=False,
     ),
 ]
@@ -129,6 +144,7 @@ def validate_command(
     instrument: InstrumentOption = None,
     jobs: JobsOption = None,
     report: ReportOption = None,
+    plot: PlotKindOption = None,
 ) -> None:
     """Score estimates against the truth.
 
@@ -152,6 +168,8 @@ def validate_command(
     for target in (output, save_plot, write_baseline, report):
         require_output(target, files or ())
     require_report(report)
+    if plot is not None and save_plot is None:
+        raise UsageError(f"--plot {plot}: says what --save-plot FILE draws, which is not given")
     if save_plot:
         from svmdist.report.plot import plot_format
 
@@ -167,13 +185,11 @@ def validate_command(
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in paths]
     wanted = instruments_of(instrument, setup.profile)
     measured: list[Measured] = []
-    on_measured = measured.append if report else None
+    on_measured = measured.append if report or plot not in (None, PlotKind.FIG6) else None
     result = validate(recordings, setup, rules, parse_lag(lag), alarms, wanted, jobs, on_measured)
     _write(result, summary_format(form, output), output)
     if save_plot:
-        from svmdist.report.plot import save_plot as draw_to
-
-        draw_to(result, save_plot)
+        _save_plot(result, measured, setup, rules, plot or PlotKind.FIG6, save_plot)
     if report:
         from svmdist.report.html.build import validation_report
         from svmdist.report.html.page import write_report
@@ -191,6 +207,27 @@ def validate_command(
         else:
             say(f"svmdist: no figure is worse than in {baseline}")
     raise typer.Exit(code)
+
+
+def _save_plot(
+    result: Validation, measured: list[Measured], setup: Setup, rules: TruthRules, kind: PlotKind, path: Path
+) -> None:
+    if kind is PlotKind.FIG6:
+        from svmdist.report.plot import save_plot
+
+        save_plot(result, path)
+        return
+    from svmdist.report.series_plot import SeriesPlot, save_series_plot
+    from svmdist.workflows.series import make_series
+
+    reference = result.primary.reference if result.primary else result.scores[0].reference
+    series = [
+        made
+        for one in measured
+        for made in make_series(one.rows, one.recording, setup, rules, reference, one.lag)
+    ]
+    below_m = result.alarm_rules.below_m if result.alarm_rules else None
+    save_series_plot(series, SeriesPlot(kind.value), path, below_m)
 
 
 def _write(result: Validation, form: TableFormat, output: Path | None) -> None:

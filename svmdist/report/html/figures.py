@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from svmdist.metrics import interval_coverage
+from svmdist.report.series_values import LEVELS, distance_name, pooled, rejected_spans
 from svmdist.transforms import Array
 from svmdist.workflows.series import Series
 
@@ -17,8 +18,6 @@ BLUE, VERMILION, GREEN, ORANGE, SKY, PINK = "#3a86c8", "#d55e00", "#009e73", "#e
 BAND, REJECTED = "rgba(86,180,233,0.30)", "rgba(213,94,0,0.18)"
 MAX_MARKERS = 2000
 """More points than these are drawn as a line, or thinned out evenly where they are no line."""
-LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
-MAX_GAP_IN_STEPS = 3.0
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,7 @@ def consistency_over_time(series: Series, name: str) -> HtmlFigure:
 
 def error_over_distance(series: Sequence[Series], name: str) -> HtmlFigure:
     """Errors over the true distance."""
-    truth_mm, error_mm, _ = _pooled(series)
+    truth_mm, error_mm, _ = pooled(series)
     data = [_dots(truth_mm, error_mm, "true %{x:.2f} mm<br>error %{y:+.2f} mm<extra></extra>")]
     text = _thinned(len(truth_mm), _trend(truth_mm, error_mm))
     return HtmlFigure(name, "error over distance", text, data, _plain("true distance [mm]", "error [mm]"))
@@ -149,7 +148,7 @@ def error_over_image(series: Sequence[Series], name: str) -> HtmlFigure:
 
 def bland_altman(series: Sequence[Series], name: str) -> HtmlFigure:
     """Difference over mean of estimate and truth, with bias and limits of agreement (Bland & Altman 1986)."""
-    truth_mm, error_mm, _ = _pooled(series)
+    truth_mm, error_mm, _ = pooled(series)
     mean_mm = truth_mm + 0.5 * error_mm
     bias, deviation = float(error_mm.mean()), float(error_mm.std(ddof=1)) if len(error_mm) > 1 else 0.0
     low, high = bias - 1.96 * deviation, bias + 1.96 * deviation
@@ -166,7 +165,7 @@ def bland_altman(series: Sequence[Series], name: str) -> HtmlFigure:
 
 def error_distribution(series: Sequence[Series], name: str) -> HtmlFigure:
     """A histogram of the errors."""
-    _, error_mm, _ = _pooled(series)
+    _, error_mm, _ = pooled(series)
     counts, edges = np.histogram(error_mm, bins=min(60, max(10, int(np.sqrt(len(error_mm))))))
     data = [
         {
@@ -188,7 +187,7 @@ def error_distribution(series: Sequence[Series], name: str) -> HtmlFigure:
 
 def interval_calibration(series: Sequence[Series], name: str) -> HtmlFigure:
     """Share of truths inside intervals of several levels; on the diagonal, intervals are honest."""
-    truth_mm, error_mm, std_mm = _pooled(series)
+    truth_mm, error_mm, std_mm = pooled(series)
     stated = np.isfinite(std_mm)
     estimate_mm = (truth_mm + error_mm)[stated]
     held = [
@@ -211,36 +210,6 @@ def interval_calibration(series: Sequence[Series], name: str) -> HtmlFigure:
     )
     layout = _plain("stated level [%]", "truths inside [%]")
     return HtmlFigure(name, "calibration of the interval", text, data, layout)
-
-
-def distance_name(series: Series) -> str:
-    """The series' distance in words."""
-    return series.distance if series.distance == "clearance" else f"{series.distance} distance"
-
-
-def rejected_spans(series: Series) -> list[tuple[float, float]]:
-    """Beginning and end in s of each run of frames without the distance, half a frame wider on both sides."""
-    if len(series) == 0:
-        return []
-    lost = ~series.measured
-    step_s = float(np.median(np.diff(series.seconds))) if len(series) > 1 else 0.1
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
-    return [
-        (
-            round(float(series.seconds[begin]) - 0.5 * step_s, 3),
-            round(float(series.seconds[end - 1]) + 0.5 * step_s, 3),
-        )
-        for begin, end in zip(edges[::2], edges[1::2], strict=True)
-    ]
-
-
-def _pooled(series: Sequence[Series]) -> tuple[Array, Array, Array]:
-    """Truth, error and deviation in mm of all frames that have an error."""
-    truth_m, error_m, std_m = (
-        np.concatenate([getattr(one, key) for one in series]) for key in ("truth_m", "error_m", "std_m")
-    )
-    kept = np.isfinite(error_m)
-    return truth_m[kept] * 1e3, error_m[kept] * 1e3, std_m[kept] * 1e3
 
 
 def _chosen(count: int) -> Array:
