@@ -22,7 +22,7 @@ from svmdist.cli.options import (
     OptionalFiles,
     OutputOption,
     ProfileOption,
-    TableFormatOption,
+    SummaryFormatOption,
     TopicOption,
     topics_of,
 )
@@ -61,7 +61,7 @@ def blur_bench_command(
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
-    form: TableFormatOption = None,
+    form: SummaryFormatOption = None,
     output: OutputOption = None,
     jobs: JobsOption = None,
 ) -> None:

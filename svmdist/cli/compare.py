@@ -16,7 +16,7 @@ from svmdist.cli.options import (
     OptionalFiles,
     OutputOption,
     ProfileOption,
-    TableFormatOption,
+    SummaryFormatOption,
     TopicOption,
     parse_lag,
     topics_of,
@@ -60,7 +60,7 @@ def compare_command(
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
     lag: LagOption = None,
-    form: TableFormatOption = None,
+    form: SummaryFormatOption = None,
     output: OutputOption = None,
     jobs: JobsOption = None,
 ) -> None:

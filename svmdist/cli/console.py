@@ -11,7 +11,7 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Protocol
 
-from svmdist.cli.options import TableFormat
+from svmdist.cli.options import SummaryFormat
 from svmdist.errors import OutputError, UsageError
 from svmdist.output_file import write_atomically
 
@@ -84,19 +84,30 @@ class Summary:
     notes: Sequence[str] = ()
 
 
-def write_summary(summary: Summary, form: TableFormat, output: Path | None) -> None:
-    """Write tables, CSV, or a JSON array of objects."""
+def write_summary(summary: Summary, form: SummaryFormat, output: Path | None) -> None:
+    """Write tables, in markup too, CSV, or a JSON array of objects."""
     import json
 
     from svmdist.report.table import csv_lines
 
     match form:
-        case TableFormat.TABLE:
+        case SummaryFormat.TABLE:
             write_tables(summary.tables, summary.notes, output)
-        case TableFormat.CSV:
+        case SummaryFormat.CSV:
             write_lines(csv_lines(summary.keys, summary.rows), output)
-        case TableFormat.JSON:
+        case SummaryFormat.JSON:
             write_lines([json.dumps(list(summary.rows), indent=1, ensure_ascii=False) + "\n"], output)
+        case SummaryFormat.LATEX | SummaryFormat.MARKDOWN:
+            write_marked_up(form, summary.tables, summary.notes, output)
+
+
+def write_marked_up(
+    form: SummaryFormat, tables: Sequence[Table], notes: Sequence[str], output: Path | None
+) -> None:
+    """Write tables as LaTeX or Markdown."""
+    from svmdist.report.markup import latex, markdown
+
+    write_lines((latex if form is SummaryFormat.LATEX else markdown)(tables, notes), output)
 
 
 def terminal_width(output: Path | None) -> int | None:

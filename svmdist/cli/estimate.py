@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
-from svmdist.cli.console import report_health, say, terminal_width, write_lines
+from svmdist.cli.console import ExitCode, report_health, say, terminal_width, write_lines
 from svmdist.cli.drawn import DrawnJob, Tally, write_drawn
 from svmdist.cli.estimate_targets import EstimateTargets
 from svmdist.cli.options import (
@@ -35,6 +35,7 @@ from svmdist.cli.options import (
     topics_of,
 )
 from svmdist.cli.outputs import ForceOption
+from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
@@ -85,6 +86,13 @@ def estimate_command(
     recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in files]
     wanted = instruments_of(instrument, setup.profile)
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
+    if targets.form is RowFormat.TUM:
+        if setup.method in PLANAR_METHODS:
+            raise UsageError(
+                f"--format tum writes the tool's pose, and {method} knows none: choose a method in 3D"
+            )
+        if several:
+            raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
     tally: Tally = Counter()
     measured: list[Measured] = []
     if targets.drawn is not None:
@@ -102,7 +110,10 @@ def estimate_command(
             write_lines(lines, targets.output)
     _summarise(tally)
     targets.write_pictures(measured, setup, rules, jobs)
-    raise typer.Exit(report_health(recordings))
+    code = report_health(recordings)
+    if tally and not any(status == "ok" for status, _ in tally):
+        code = ExitCode.UNUSABLE  # nothing was measured: the summary above says why
+    raise typer.Exit(code)
 
 
 def _rows(
@@ -161,6 +172,7 @@ def _lines(
         ESTIMATE_KEYS,
         INSTRUMENT_COLUMNS,
         columns_within,
+        tool_pose_lines,
     )
     from svmdist.report.table import csv_lines, json_array_lines, json_lines, text_lines
 
@@ -175,6 +187,8 @@ def _lines(
             return json_array_lines(ESTIMATE_KEYS, rows)
         case RowFormat.JSONL:
             return json_lines(ESTIMATE_KEYS, rows)
+        case RowFormat.TUM:
+            return tool_pose_lines(rows)
 
 
 def _summarise(tally: Tally) -> None:

@@ -16,7 +16,7 @@ from svmdist.cli.options import (
     TopicOption,
     topics_of,
 )
-from svmdist.cli.outputs import summary_format
+from svmdist.cli.outputs import table_format
 
 
 def info_command(
@@ -40,7 +40,7 @@ def info_command(
     require_output(output, [file])
     loaded = load_profile(profile)
     summary = inspect_recording(file, loaded, topics=topics_of(topic))
-    match summary_format(form, output):
+    match table_format(form, output):
         case TableFormat.TABLE:
             write_lines(info_lines(summary, loaded, terminal_width(output)), output)
         case TableFormat.CSV:

@@ -49,6 +49,16 @@ class TableFormat(StrEnum):
     JSON = "json"
 
 
+class SummaryFormat(StrEnum):
+    """`--format` of summaries of figures, which papers and pages want too."""
+
+    TABLE = "table"
+    CSV = "csv"
+    JSON = "json"
+    LATEX = "latex"
+    MARKDOWN = "markdown"
+
+
 class RowFormat(StrEnum):
     """`--format` of row streams."""
 
@@ -56,6 +66,7 @@ class RowFormat(StrEnum):
     CSV = "csv"
     JSON = "json"
     JSONL = "jsonl"
+    TUM = "tum"
 
 
 Files = Annotated[
@@ -180,6 +191,9 @@ MAX_LAG_S = 3600.0
 FORMAT_HELP = "Format of the data. Default: by the ending of the output file, else table."
 TableFormatOption = Annotated[
     TableFormat | None, typer.Option("--format", "-f", help=FORMAT_HELP, show_default=False)
+]
+SummaryFormatOption = Annotated[
+    SummaryFormat | None, typer.Option("--format", "-f", help=FORMAT_HELP, show_default=False)
 ]
 RowFormatOption = Annotated[
     RowFormat | None, typer.Option("--format", "-f", help=FORMAT_HELP, show_default=False)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from svmdist.cli.options import RowFormat, TableFormat
+from svmdist.cli.options import RowFormat, SummaryFormat, TableFormat
 from svmdist.errors import UsageError
 
 
@@ -23,7 +23,13 @@ class FileFormat(StrEnum):
 
 
 ROW_ENDINGS = {f".{form}": form for form in RowFormat if form is not RowFormat.TABLE}
-SUMMARY_ENDINGS = {f".{form}": form for form in TableFormat if form is not TableFormat.TABLE}
+SUMMARY_ENDINGS = {
+    ".csv": SummaryFormat.CSV,
+    ".json": SummaryFormat.JSON,
+    ".tex": SummaryFormat.LATEX,
+    ".md": SummaryFormat.MARKDOWN,
+}
+TABLE_ENDINGS = {f".{form}": form for form in TableFormat if form is not TableFormat.TABLE}
 FILE_ENDINGS = {f".{form}": form for form in FileFormat}
 
 ForceOption = Annotated[
@@ -46,10 +52,16 @@ def row_format(given: RowFormat | None, output: Path | None) -> RowFormat | File
     return ROW_ENDINGS.get(ending, RowFormat.TABLE) if given is None else given
 
 
-def summary_format(given: TableFormat | None, output: Path | None) -> TableFormat:
+def summary_format(given: SummaryFormat | None, output: Path | None) -> SummaryFormat:
     """The format of a summary: the given one, else that of the file's ending, else a table."""
     ending = "" if output is None else output.suffix.lower()
-    return SUMMARY_ENDINGS.get(ending, TableFormat.TABLE) if given is None else given
+    return SUMMARY_ENDINGS.get(ending, SummaryFormat.TABLE) if given is None else given
+
+
+def table_format(given: TableFormat | None, output: Path | None) -> TableFormat:
+    """The same of what has no markup."""
+    ending = "" if output is None else output.suffix.lower()
+    return TABLE_ENDINGS.get(ending, TableFormat.TABLE) if given is None else given
 
 
 def require_report(report: Path | None) -> None:

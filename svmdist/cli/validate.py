@@ -16,6 +16,7 @@ from svmdist.cli.console import (
     require_output,
     say,
     write_lines,
+    write_marked_up,
     write_tables,
 )
 from svmdist.cli.options import (
@@ -32,8 +33,8 @@ from svmdist.cli.options import (
     PlotOption,
     ProfileOption,
     ReportOption,
-    TableFormat,
-    TableFormatOption,
+    SummaryFormat,
+    SummaryFormatOption,
     TopicOption,
     instruments_of,
     parse_lag,
@@ -129,7 +130,7 @@ def validate_command(
     equations: EquationsOption = EquationsChoice.CORRECTED,
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
-    form: TableFormatOption = None,
+    form: SummaryFormatOption = None,
     output: OutputOption = None,
     topic: TopicOption = None,
     truth: TruthOption = None,
@@ -230,7 +231,7 @@ def _save_plot(
     save_series_plot(series, SeriesPlot(kind.value), path, below_m)
 
 
-def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
+def _write(result: Validation, form: SummaryFormat, output: Path | None) -> None:
     import json
 
     from svmdist.report.table import csv_lines
@@ -240,13 +241,15 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
     for note in result.notes:
         say(f"svmdist: note: {note}")
     match form:
-        case TableFormat.TABLE:
+        case SummaryFormat.TABLE:
             tables = validation_tables(result)
             write_tables(tables, remarks(result), output)
-        case TableFormat.CSV:
+        case SummaryFormat.LATEX | SummaryFormat.MARKDOWN:
+            write_marked_up(form, validation_tables(result), remarks(result), output)
+        case SummaryFormat.CSV:
             scores = (*result.scores, *result.overall)
             write_lines(csv_lines(score_keys(), (score_row(score) for score in scores)), output)
-        case TableFormat.JSON:
+        case SummaryFormat.JSON:
             write_lines(
                 [json.dumps(validation_document(result), indent=1, ensure_ascii=False) + "\n"], output
             )
