@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
-from svmdist.cli.console import ExitCode, report_health, say, terminal_width, write_lines
+from svmdist.cli.console import ExitCode, say, terminal_width, write_lines
 from svmdist.cli.drawn import DrawnJob, Tally, write_drawn
 from svmdist.cli.estimate_targets import EstimateTargets
 from svmdist.cli.options import (
@@ -35,6 +35,7 @@ from svmdist.cli.options import (
     topics_of,
 )
 from svmdist.cli.outputs import ForceOption
+from svmdist.cli.recordings import EndOption, EveryOption, Opened, StartOption, open_recordings, window_of
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
@@ -64,6 +65,9 @@ def estimate_command(
     force: ForceOption = False,
     report: ReportOption = None,
     save_plot: PlotOption = None,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    every: EveryOption = 1,
 ) -> None:
     """Estimate the distance in every frame.
 
@@ -72,7 +76,6 @@ def estimate_command(
     Lichtblick and Rerun; to one in .mp4, a video of the same; to one in .html, a report.
     """
     from svmdist.estimation.methods import PLANAR_METHODS
-    from svmdist.recording.reader import open_recording
     from svmdist.workflows.scoring.alarms import require_clearance
     from svmdist.workflows.setup import prepare
 
@@ -83,7 +86,8 @@ def estimate_command(
     setup = prepare(profile, method.value, equations.value, calibration)
     if rules:
         require_clearance(setup.method, setup.profile)
-    recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in files]
+    opened = open_recordings(files, setup.profile, topics_of(topic), window_of(start, end, every))
+    recordings = opened.recordings
     wanted = instruments_of(instrument, setup.profile)
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
     if targets.form is RowFormat.TUM:
@@ -100,7 +104,7 @@ def estimate_command(
         write_drawn(job, *targets.drawn, tally, force=force)
     else:
         kept = measured if targets.needs_rows_kept else None
-        rows = _started(_rows(recordings, setup, wanted, tally, rules, given, jobs, kept))
+        rows = _started(_rows(opened, setup, wanted, tally, rules, given, jobs, kept))
         planar = setup.method in PLANAR_METHODS
         if targets.form is None:
             deque(rows, maxlen=0)
@@ -110,14 +114,14 @@ def estimate_command(
             write_lines(lines, targets.output)
     _summarise(tally)
     targets.write_pictures(measured, setup, rules, jobs)
-    code = report_health(recordings)
+    code = opened.health_code()
     if tally and not any(status == "ok" for status, _ in tally):
         code = ExitCode.UNUSABLE  # nothing was measured: the summary above says why
     raise typer.Exit(code)
 
 
 def _rows(
-    recordings: list[Recording],
+    opened: Opened,
     setup: Setup,
     wanted: tuple[str, ...] | None,
     tally: Tally,
@@ -126,6 +130,26 @@ def _rows(
     jobs: int | None,
     measured: list[Measured] | None = None,
 ) -> Iterator[Row]:
+    """The rows of all recordings; one of several that cannot be measured is told, and left out."""
+    from svmdist.errors import RecordingError
+
+    for recording in opened.recordings:
+        try:
+            yield from _rows_of(recording, setup, wanted, tally, rules, lag, jobs, measured)
+        except RecordingError as problem:
+            opened.fail(problem)
+
+
+def _rows_of(
+    recording: Recording,
+    setup: Setup,
+    wanted: tuple[str, ...] | None,
+    tally: Tally,
+    rules: AlarmRules | None,
+    lag: Lag | None,
+    jobs: int | None,
+    measured: list[Measured] | None,
+) -> Iterator[Row]:
     from svmdist.cli.lag import told_lag
     from svmdist.estimation.alarms import AlarmWatch
     from svmdist.estimation.lag import LagEstimate
@@ -133,23 +157,22 @@ def _rows(
     from svmdist.workflows.estimate import estimate
     from svmdist.workflows.validate import Measured
 
-    for recording in recordings:
-        for warning in setup.degeneracies(recording.camera):
-            say(f"svmdist: warning: {warning}")
-        seen = told_lag(recording, setup, lag, wanted, jobs)
-        start_ns: int | None = None
-        kept: list[FrameResult] = []
-        watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
-        for row in estimate(seen, setup, wanted, jobs):
-            start_ns = row.stamp_ns if start_ns is None else start_ns
-            tally[str(row.status), row.detail] += 1
-            if measured is not None:
-                kept.append(row)
-            alarm = watches[row.instrument].watch(row) if watches else None
-            yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns, alarm)
+    for warning in setup.degeneracies(recording.camera):
+        say(f"svmdist: warning: {warning}")
+    seen = told_lag(recording, setup, lag, wanted, jobs)
+    start_ns: int | None = None
+    kept: list[FrameResult] = []
+    watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
+    for row in estimate(seen, setup, wanted, jobs):
+        start_ns = row.stamp_ns if start_ns is None else start_ns
+        tally[str(row.status), row.detail] += 1
         if measured is not None:
-            found = LagEstimate(seen.lag.lag_s, seen.lag.std_s, 1.0) if seen.lag else None
-            measured.append(Measured(recording, seen, tuple(kept), found))
+            kept.append(row)
+        alarm = watches[row.instrument].watch(row) if watches else None
+        yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns, alarm)
+    if measured is not None:
+        found = LagEstimate(seen.lag.lag_s, seen.lag.std_s, 1.0) if seen.lag else None
+        measured.append(Measured(recording, seen, tuple(kept), found))
 
 
 def _started(rows: Iterator[Row]) -> Iterator[Row]:

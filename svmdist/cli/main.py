@@ -58,7 +58,6 @@ app = typer.Typer(
     cls=Commands,
     help="Estimate the distance between surgical instruments and tissue from recorded logs, and score the estimates.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -77,7 +76,9 @@ def _print_version(asked: bool) -> None:
 
 VersionOption = Annotated[
     bool,
-    typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version),
+    typer.Option(
+        "--version", "-V", help="Print the version and exit.", is_eager=True, callback=_print_version
+    ),
 ]
 
 

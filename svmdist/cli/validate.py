@@ -12,7 +12,6 @@ from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_ru
 from svmdist.cli.console import (
     ExitCode,
     files_or_golden,
-    report_health,
     require_output,
     say,
     write_lines,
@@ -41,6 +40,7 @@ from svmdist.cli.options import (
     topics_of,
 )
 from svmdist.cli.outputs import command_line, require_report, summary_format
+from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
@@ -146,6 +146,9 @@ def validate_command(
     jobs: JobsOption = None,
     report: ReportOption = None,
     plot: PlotKindOption = None,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    every: EveryOption = 1,
 ) -> None:
     """Score estimates against the truth.
 
@@ -154,7 +157,6 @@ def validate_command(
     the true clearance: recall, precision, share of the safe frames that are alarmed, false alarms per minute and
     lead time.
     """
-    from svmdist.recording.reader import open_recording
     from svmdist.workflows.baseline import (
         find_regressions,
         load_baseline,
@@ -183,11 +185,21 @@ def validate_command(
     setup = prepare(profile, method.value, equations.value, calibration)
     references = tuple(Reference(choice.value) for choice in dict.fromkeys(truth)) if truth else None
     rules = truth_rules(tuple(truth_tf or ()), setup.profile, references, round(max_gap * 1e9))
-    recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in paths]
+    opened = open_recordings(paths, setup.profile, topics_of(topic), window_of(start, end, every))
     wanted = instruments_of(instrument, setup.profile)
     measured: list[Measured] = []
     on_measured = measured.append if report or plot not in (None, PlotKind.FIG6) else None
-    result = validate(recordings, setup, rules, parse_lag(lag), alarms, wanted, jobs, on_measured)
+    result = validate(
+        opened.recordings,
+        setup,
+        rules,
+        parse_lag(lag),
+        alarms,
+        wanted,
+        jobs,
+        on_measured,
+        opened.fail if opened.count > 1 else None,
+    )
     _write(result, summary_format(form, output), output)
     if save_plot:
         _save_plot(result, measured, setup, rules, plot or PlotKind.FIG6, save_plot)
@@ -196,7 +208,7 @@ def validate_command(
         from svmdist.report.html.page import write_report
 
         write_report(validation_report(result, measured, setup, rules, command_line(), jobs), report)
-    code = report_health(recordings)
+    code = opened.health_code()
     if write_baseline:
         save_baseline(make_baseline(result), write_baseline)
     if stored:

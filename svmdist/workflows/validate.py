@@ -64,6 +64,7 @@ def validate(
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
     on_measured: Callable[[Measured], None] | None = None,
+    on_unusable: Callable[[RecordingError], None] | None = None,
 ) -> Validation:
     """Score a setup on recordings against each reference that they have, and its alarms where asked for.
 
@@ -72,7 +73,8 @@ def validate(
     `wanted` names the instruments to score. Recordings that the calibration was fitted on are scored and marked, and
     the overall score leaves them out. Raises RecordingError where a recording has no reference at all, or no true
     clearance to score alarms against. Raises UsageError where alarms are asked for and the method estimates no
-    clearance, or the references are without ground truth. `on_measured` is given the rows of each recording.
+    clearance, or the references are without ground truth. `on_measured` is given the rows of each recording. With
+    `on_unusable`, a recording that cannot be scored is told to it, and the others are scored all the same.
     """
     rules = rules or TruthRules()
     if alarms is not None:
@@ -85,7 +87,14 @@ def validate(
     scores: list[Score] = []
     notes: list[str] = []
     for recording in recordings:
-        scores += _score_recording(recording, setup, rules, lag, alarms, notes, wanted, jobs, on_measured)
+        try:
+            scores += _score_recording(recording, setup, rules, lag, alarms, notes, wanted, jobs, on_measured)
+        except RecordingError as problem:
+            if on_unusable is None:
+                raise
+            on_unusable(problem)
+    if not scores:
+        raise RecordingError("no recording could be scored")
     overall = []
     for of in product(setup.profile.instrument_names, rules.wanted):
         counted = [
