@@ -34,8 +34,29 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
-def say(message: str) -> None:
-    """Print one line for a person to stderr, without markup or control characters."""
+class Verbosity(IntEnum):
+    """How much goes to stderr: errors only, what a person wants to know, or what was chosen and took time as well."""
+
+    QUIET = 0
+    NORMAL = 1
+    VERBOSE = 2
+
+
+class _Voice:
+    """The verbosity of the command that runs."""
+
+    verbosity = Verbosity.NORMAL
+
+
+def set_verbosity(verbosity: Verbosity) -> None:
+    """Choose how much `say` prints from now on."""
+    _Voice.verbosity = verbosity
+
+
+def say(message: str, at: Verbosity = Verbosity.NORMAL) -> None:
+    """Print one line for a person to stderr, without markup or control characters, if so much is wanted."""
+    if _Voice.verbosity < at:
+        return
     from svmdist.report.text import printable
 
     print(printable(message), file=sys.stderr)
@@ -126,6 +147,8 @@ def require_output(output: Path | None, inputs: Iterable[Path] = ()) -> None:
     if not output.parent.is_dir():
         raise OutputError(f"{output}: cannot write: there is no folder {output.parent}")
     target = output if output.exists() else output.parent
+    if output.is_file() and output.stat().st_size > 0:
+        say(f"svmdist: replaces {output}", Verbosity.VERBOSE)
     if not os.access(target, os.W_OK):
         raise OutputError(f"{output}: cannot write: permission denied")
 
@@ -159,5 +182,5 @@ def report_health(recordings: Iterable[HasHealth]) -> ExitCode:
         if not recording.health.is_clean:
             code = ExitCode.LOSS
             for line in recording.health.describe():
-                say(f"svmdist: loss: {recording.path}: {line}")
+                say(f"svmdist: loss: {recording.path}: {line}", Verbosity.QUIET)
     return code

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from svmdist.cli.console import ExitCode, report_health, say
+from svmdist.cli.console import ExitCode, Verbosity, report_health, say
 from svmdist.errors import RecordingError, SvmdistError, UsageError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Opened:
         if self.count == 1:
             raise problem
         self.failures += 1
-        say(f"svmdist: left out: {problem}")
+        say(f"svmdist: left out: {problem}", Verbosity.QUIET)
         if self.failures == self.count:
             raise RecordingError("no recording could be used")
 
@@ -76,6 +76,7 @@ def open_recordings(
     """
     from svmdist.recording.reader import open_recording
     from svmdist.recording.reading import Reading, unique_names
+    from svmdist.recording.topics import Role
 
     files = [file for path in paths for file in logs_in(path)]
     opened = Opened(count=len(files))
@@ -85,7 +86,10 @@ def open_recordings(
         except RecordingError as problem:
             opened.fail(problem)
         else:
-            opened.recordings.append(recording.read_as(Reading(name, window)))
+            recording = recording.read_as(Reading(name, window))
+            opened.recordings.append(recording)
+            found = [f"{role} {topic}" for role in Role if (topic := recording.topic_of(role))]
+            say(f"svmdist: {name}: {path}: {', '.join(found)}", Verbosity.VERBOSE)
     return opened
 
 
