@@ -12,7 +12,14 @@ from pathlib import Path
 from pydantic import Field, model_validator
 
 from svmdist.errors import ProfileError, UsageError, did_you_mean
-from svmdist.profile_instruments import ARM_TOPICS, ArmFrames, ArmTopics, OtherInstrument, Placement
+from svmdist.profile_instruments import (
+    ARM_TOPICS,
+    ArmFrames,
+    ArmTopics,
+    EntrySide,
+    OtherInstrument,
+    Placement,
+)
 from svmdist.profile_log import Frames, Limits, Topics
 from svmdist.profile_robot import (
     CameraError,
@@ -50,6 +57,7 @@ __all__ = [
     "ClassRegion",
     "ColourRegion",
     "Dome",
+    "EntrySide",
     "Features",
     "Fiducial",
     "Frames",
@@ -131,6 +139,8 @@ class Profile(StrictModel):
     """What detectors and estimators may assume; the defaults serve most logs."""
     instrument_name: str = Field(default="PSM1", min_length=1)
     """What the instrument is called that everything above is about."""
+    entry: EntrySide | None = None
+    """The side of the picture that it comes in from, where no joints tell instruments apart."""
     other_instruments: tuple[OtherInstrument, ...] = ()
 
     @property
@@ -150,11 +160,13 @@ class Profile(StrictModel):
             raise UsageError(
                 f"profile {self.name} has no instrument {name}: {did_you_mean(name, self.instrument_names)}"
             )
-        topics = {role: getattr(other.topics, role) for role in ARM_TOPICS}
+        topics = {role: other.logged_topics.get(role) for role in ARM_TOPICS}
+        frames = other.frames or ArmFrames(base=f"{name}_base", tool=name)
         update: dict[str, object] = {
             "topics": self.topics.model_copy(update=topics),
-            "frames": self.frames.model_copy(update={"base": other.frames.base, "tool": other.frames.tool}),
+            "frames": self.frames.model_copy(update={"base": frames.base, "tool": frames.tool}),
             "instrument_name": name,
+            "entry": other.entry,
             "other_instruments": (),
         }
         if self.fiducial is not None:
@@ -183,6 +195,12 @@ class Profile(StrictModel):
                 require_tag(view.fiducial.family, view.fiducial.id)
         if not self.other_instruments:
             return self
+        untold = [other.name for other in self.other_instruments if other.topics is None]
+        if untold and not isinstance(self.segmentation, AutoSegmentation):
+            raise ValueError(
+                f"other_instruments: {untold[0]} has no topics, and only [segmentation] method = 'auto' tells such"
+                " instruments apart"
+            )
         for what, values in told.items():
             doubles = sorted({value for value in values if value is not None and values.count(value) > 1})
             if doubles:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Set
+from typing import Literal
 
 from pydantic import Field, model_validator
 
 from svmdist.profile_robot import Instrument, Robot
 from svmdist.toml_model import Angle, StrictModel
 
+EntrySide = Literal["left", "right", "above", "below"]
+"""The side of the picture that an instrument comes in from."""
 ARM_TOPICS = ("joints", "pose", "ground_truth_distance")
 """The topics that every instrument has of its own; the others are the whole scene's."""
 
@@ -52,13 +55,33 @@ class Placement(StrictModel):
 
 
 class OtherInstrument(StrictModel):
-    """An instrument beside the profile's own; what is left out is as for that one."""
+    """An instrument beside the profile's own; what is left out is as for that one.
+
+    Without topics nothing but images tells of it: every log has it, and it is told by its side of the picture.
+    """
 
     name: str = Field(min_length=1)
-    topics: ArmTopics
-    frames: ArmFrames
+    topics: ArmTopics | None = None
+    frames: ArmFrames | None = None
+    entry: EntrySide | None = None
+    """The side that it comes in from, where no joints tell it from the others."""
     fiducial_id: int | None = Field(default=None, ge=0)
     """The number of the tag that this instrument carries where the profile's own does."""
     robot: Robot | None = None
     instrument: Instrument | None = None
     simulation: Placement | None = None
+
+    @model_validator(mode="after")
+    def _frames_of_what_moves(self) -> OtherInstrument:
+        if self.topics is not None and self.frames is None:
+            raise ValueError("an instrument with topics has frames: give frames.base and frames.tool")
+        return self
+
+    @property
+    def logged_topics(self) -> dict[str, str]:
+        """Its topics that have a name, by role; none of an instrument that only images tell of."""
+        return {} if self.topics is None else self.topics.named
+
+    def is_in(self, topics: Set[str]) -> bool:
+        """Whether a log with these topics has the instrument."""
+        return self.topics is None or self.topics.are_in(topics)

@@ -135,6 +135,8 @@ class FrameResult:
     instrument: str = ""
     consistency: float | None = None
     """Innovations squared over what is expected of them, where a method watches them: 1 is as expected."""
+    doubt: str = ""
+    """Why it is not sure which instrument this is; empty where it is. The row's detail says so too."""
 
     @property
     def measured(self) -> bool:
@@ -144,6 +146,10 @@ class FrameResult:
     def rejected(self, status: Status, detail: str = "") -> FrameResult:
         """The same without a distance, for a reason."""
         return replace(self, status=status, detail=detail)
+
+    def doubted(self, doubt: str) -> FrameResult:
+        """The same of an instrument that may be another one: its detail says so."""
+        return replace(self, doubt=doubt, detail=f"{self.detail}; {doubt}" if self.detail else doubt)
 
     def untrusted(self, detail: str) -> FrameResult:
         """The same with what contradicts itself: no distance, and no tool that could be taken for one."""

@@ -41,9 +41,20 @@ EXACT_PROFILE = PROFILE.model_copy(
             shaft_radius_std_fraction=0.0,
             knuckle_radius_std_fraction=0.0,
             knuckle_position_std_m=0.0,
+            body_std_m=0.0,
         ),
         "fiducial": _with(PROFILE.fiducial, size_std_fraction=0.0, position_std_m=0.0, rotation_std_rad=0.0),
-        "tissue": _with(PROFILE.tissue, plane_distance_std_m=0.0, plane_tilt_std_rad=0.0, motion_std_m=0.0),
+        "tissue": _with(
+            PROFILE.tissue,
+            plane_distance_std_m=0.0,
+            plane_tilt_std_rad=0.0,
+            motion_std_m=0.0,
+            dome=_with(
+                PROFILE.tissue.dome if PROFILE.tissue is not None else None,
+                gauge_exponent_std=0.0,
+                height_exponent_std=0.0,
+            ),
+        ),
     }
 )
 """A profile that takes every constant to be exact: what is left is what measurements err by."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from svmdist.workflows.baseline import load_baseline
 from svmdist.workflows.replay import MultiInstrumentEstimator
 from svmdist.workflows.setup import Setup, prepare
 from tests.measuring import flat
+from tests.shipped import EXACT_PROFILE
 
 STRIDE = 8
 """Every eighth frame is measured, at 1.25 Hz: enough for a target; the baseline has all of them."""
@@ -84,6 +86,20 @@ def test_fused_settles_with_two_instruments(golden: Path) -> None:
         assert np.dot(
             np.array(first.instrument_clearance_direction), np.array(second.instrument_clearance_direction)
         ) == pytest.approx(-1.0)
+
+
+def test_a_world_that_is_known_exactly_is_measured_to_a_tenth_of_a_millimetre(golden: Path) -> None:
+    """With a profile that states no deviation of constants, which is true of this log: 0.1 mm from 2 s on."""
+    setup = replace(prepare(method="fused"), profile=EXACT_PROFILE)
+    recording = open_recording(golden / "3d" / "contact.mcap", setup.profile)
+    rows = list(rows_of(recording, setup))
+    assert all(row.measured for row in rows)
+    late = [row for row in rows if row.stamp_ns >= rows[0].stamp_ns + round(SETTLED_S * 1e9)]
+    spatial_error_m, _, _ = errors_m(recording, late)
+    std_m = np.array([row.spatial_std_m for row in late], np.float64)
+    assert rmse(spatial_error_m) <= 1e-4
+    assert np.median(std_m) <= 2e-4
+    assert np.mean(np.abs(spatial_error_m) <= 1.96 * std_m) >= 0.9
 
 
 def test_the_baseline_meets_the_targets(golden: Path) -> None:

@@ -49,6 +49,9 @@ class AlarmWatch:
     def watch(self, row: FrameResult) -> AlarmState:
         """Judge one row."""
         clearance = row.distances.clearance
+        if row.doubt:
+            self._recent.clear()  # what comes closer may be another instrument
+            return AlarmState()
         if not row.measured or clearance is None:
             return AlarmState()
         probability = probability_below(self._rules.below_m, clearance.value_m, clearance.std_m or 0.0)

@@ -59,6 +59,8 @@ class Frame:
     joints: JointSample | None
     robot: RobotState | Failure
     tool: ToolDetections
+    doubt: str = ""
+    """Why it is not sure which instrument this is; empty where it is."""
 
     @property
     def stamp_ns(self) -> int:
@@ -79,17 +81,25 @@ def frames_of(
     observations: Iterable[Observation],
     robots: Iterable[RobotState | Failure],
     others: Iterable[OtherMasks],
+    doubts: Iterable[str] | None = None,
 ) -> list[Frame]:
-    """A frame for each instrument, of what it reported and of the pixels that belong to others."""
+    """A frame for each instrument, of what it reported and of the pixels that belong to others.
+
+    `doubts` say for each why it may be another one.
+    """
     seen = scene.observation
     frames = []
-    for arm, observation, robot, (in_left, in_right) in zip(arms, observations, robots, others, strict=True):
+    arms = list(arms)
+    doubts = [""] * len(arms) if doubts is None else doubts
+    for arm, observation, robot, (in_left, in_right), doubt in zip(
+        arms, observations, robots, others, doubts, strict=True
+    ):
         left = View(seen.camera, scene.left, in_left)
         right = None
         if scene.right is not None and seen.right is not None:
             right = View(seen.right.camera, scene.right, in_right)
         tool = ToolDetections(arm, scene, left, right, robot)
-        frames.append(Frame(scene, arm, left, right, observation.joints, robot, tool))
+        frames.append(Frame(scene, arm, left, right, observation.joints, robot, tool, doubt))
     return frames
 
 
@@ -119,3 +129,10 @@ def prefetch(source: object, names: Sequence[str]) -> None:
     """Compute detections of a scene, or of a frame's tool, before they are asked for."""
     for name in names:
         getattr(source, name)
+
+
+def prefetch_masks(scene: Scene) -> None:
+    """Find whole instruments in a scene's images before they are told apart, where segmentation does so."""
+    for context in (scene.left, scene.right):
+        if context is not None:
+            _ = context.masks.seen

@@ -68,7 +68,8 @@ class FusedEstimator:
             )
         placed, coupling = self._followed.placed(tissue, frame, self._filter)
         found = measured(result, frame, tool, placed, coupling)
-        return found.untrusted(consistency.doubt) if found.measured and consistency.doubt else found
+        doubt = consistency.doubt if found.measured else ""
+        return found.untrusted(doubt) if doubt else found
 
 
 def _detail(gating: Sequence[GatingResult], height: GatingResult | None) -> str:

@@ -27,11 +27,11 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
     """
     infos = source.topics()
     there = {info.topic for info in infos} - {overrides[role] for role in ARM_TOPICS if role in overrides}
-    others = [other for other in profile.other_instruments if other.topics.are_in(there)]
+    others = [other for other in profile.other_instruments if other.is_in(there)]
     first = profile.topics
     of_first = {overrides.get(role) or getattr(first, role) for role in ARM_TOPICS} - {None}
     claims = {profile.instrument_name: of_first} | {
-        other.name: set(other.topics.named.values()) for other in others
+        other.name: set(other.logged_topics.values()) for other in others
     }
     arms = []
     for name in claims:

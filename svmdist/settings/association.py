@@ -60,3 +60,18 @@ class AssociationSettings(MethodSettings):
     """The other instruments' masks are dilated by a square of this side, since borders differ between detectors."""
     fragment_reach: float = Field(default=2.5, gt=0.0)
     """Coloured fragments within so many radii of an instrument's region belong to it: what hides it cuts them off."""
+
+    side_std: float = Field(default=0.25, gt=0.0)
+    """How far from the middle of its side an instrument comes in that was not seen before, over the image's size."""
+    entry_std: float = Field(default=0.04, gt=0.0)
+    """How far from where it was it comes in at the next moment: the outline is found a little longer or wider."""
+    entry_speed: float = Field(default=0.05, gt=0.0)
+    """How that grows, per s: a trocar holds the instrument, and the camera moves slowly."""
+    end_std: float = Field(default=0.06, gt=0.0)
+    """The same for the shaft's end."""
+    end_speed: float = Field(default=0.3, gt=0.0)
+    """The same for the shaft's end, per s, as instruments move."""
+    unseen_cost: float = Field(default=6.0, ge=0.0)
+    """-log of the chance that an instrument is not seen although it is there, or is not there."""
+    unnamed_cost: float = Field(default=6.0, ge=0.0)
+    """-log of the chance that what is seen as an instrument is none of those in the profile."""

@@ -40,6 +40,8 @@ class AutoSettings(MethodSettings):
     """Points of an outline that must lie on a line for it to be a side."""
     most_taper_cos: float = Field(default=0.92, gt=0.0, le=1.0)
     """Cosine of the largest angle between both sides, 23°: a cylinder seen along its axis has none to measure."""
+    usual_taper_rad: float = Field(default=0.2, gt=0.0)
+    """Standard deviation of that angle: of lines that fit as well, a shaft's run more alike than those of jaws."""
     least_width_fraction: float = Field(default=0.02, gt=0.0, lt=1.0)
     """An instrument's least width, over the working image's: less is a thread or a vessel."""
     most_width_fraction: float = Field(default=0.4, gt=0.0, le=1.0)
@@ -56,18 +58,30 @@ class AutoSettings(MethodSettings):
     """The same of brightness, which shading changes more."""
     least_step_fraction: float = Field(default=0.6, gt=0.0, le=1.0)
     """Part of each side along which there is a step; shadows have none of that height."""
+    least_ratio_step: float = Field(default=1.0, gt=0.0)
+    """The same step in how likely colours are an instrument's, as the logarithm of a ratio, once they are known."""
     least_cooler: float = Field(default=0.05, ge=0.0)
     """How much less red an instrument is than what is on either side of it, as a logarithm."""
     least_darker: float = Field(default=0.25, ge=0.0)
     """How much darker, where it is not less red: dark steel on grey paper."""
     most_warmer: float = Field(default=0.08, ge=0.0)
-    """How much redder it may then be."""
-    least_evidence: float = Field(default=0.1, gt=0.0, lt=1.0)
+    """How much redder it may then be, where it has a colour."""
+    grey_chroma: float = Field(default=0.15, ge=0.0)
+    """What has less chroma, as a logarithm, has no colour: paper in bluish light makes grey steel look redder."""
+    most_yellower: float = Field(default=0.15, ge=0.0)
+    """How much more yellow than either side it may be: fat is less red than muscle, and no instrument."""
+    yellow_from: float = Field(default=0.3)
+    """log(G/B) from which on something is yellow at all: beside purple tissue steel is more yellow, and has none."""
+    least_evidence: float = Field(default=0.2, gt=0.0, lt=1.0)
     """Evidence, from 0 to 1, of two straight edges: what has less is tissue."""
-    sure_evidence: float = Field(default=0.3, gt=0.0, lt=1.0)
+    teaching_evidence: float = Field(default=0.44, gt=0.0, lt=1.0)
+    """Evidence that the surest bar of an image must have for anything to be learnt from it."""
+    sure_evidence: float = Field(default=0.4, gt=0.0, lt=1.0)
     """Evidence from which on a bar's colours are learnt."""
     most_instruments: int = Field(default=5, ge=1, le=16)
     """Instruments of one image."""
+    beside_widths: float = Field(default=0.5, ge=0.0)
+    """How far, over its width, an instrument goes beyond its bar's sides where its colours leave no doubt."""
     distal_widths: float = Field(default=4.5, gt=0.0)
     """How far wrist and jaws reach beyond the end of the shaft, over its width there."""
     distal_half_widths: float = Field(default=1.3, gt=0.0)

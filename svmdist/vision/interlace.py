@@ -52,9 +52,8 @@ def first_field(bgr: Image, settings: InterlaceSettings = DEFAULT) -> Image:
     above = bgr[0:-2:2]
     below = bgr[2::2]
     odd = mended[1:-1:2]
-    rows = min(len(above), len(below), len(odd))
-    between = cv2.addWeighted(above[:rows], 0.5, below[:rows], 0.5, 0.0)
-    np.copyto(odd[:rows], between, where=places[1:-1:2][:rows, :, None] > 0)
+    between = cv2.addWeighted(above, 0.5, below, 0.5, 0.0)
+    np.copyto(odd, between, where=places[1:-1:2, :, None] > 0)
     return mended
 
 

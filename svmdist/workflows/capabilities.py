@@ -73,7 +73,7 @@ def instruments_in(summary: RecordingSummary, profile: Profile) -> tuple[str, ..
     topics = {topic.topic for topic in summary.topics}
     return (
         profile.instrument_name,
-        *(other.name for other in profile.other_instruments if other.topics.are_in(topics)),
+        *(other.name for other in profile.other_instruments if other.is_in(topics)),
     )
 
 

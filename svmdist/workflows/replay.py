@@ -20,8 +20,9 @@ import numpy as np
 from svmdist.estimation.arm import Arm
 from svmdist.estimation.detection.lazy import Clock, CostLedger
 from svmdist.estimation.detection.scene import Scene
-from svmdist.estimation.frame import Frame, Needs, frames_of, prefetch
+from svmdist.estimation.frame import Frame, Needs, frames_of, prefetch, prefetch_masks
 from svmdist.estimation.methods import Estimator
+from svmdist.profile import AutoSegmentation
 from svmdist.recording.encoded import Decoded, EncodedObservation
 from svmdist.recording.encoded import Needs as ReadNeeds
 from svmdist.recording.reader import Recording
@@ -96,7 +97,8 @@ class MultiInstrumentEstimator:
         for estimator, arm, frame in zip(self._estimators, self._arms, frames, strict=True):
             with frame.scene.ledger.method(seconds.append):
                 result = estimator.estimate(frame)
-            results.append(replace(_through_lens(result, frame), instrument=arm.profile.instrument_name))
+            named = replace(_through_lens(result, frame), instrument=arm.profile.instrument_name)
+            results.append(named.doubted(frame.doubt) if frame.doubt else named)
         if len(results) > 1:
             from svmdist.estimation.between_instruments import with_clearance_between
 
@@ -165,8 +167,9 @@ class _Replay:
         self._segmenters = adapted_segmenters(self._setup.segmenter, recording, self._conditions)
 
     def _association(self) -> Association | None:
-        """What tells the instruments apart; None where there is one."""
-        if len(self._arms) == 1:
+        """What tells the instruments apart; None where there is one, and images show no others as such."""
+        is_alone = len(self._arms) == 1 and not isinstance(self._setup.profile.segmentation, AutoSegmentation)
+        if is_alone:
             return None
         from svmdist.estimation.association.associate import Association
 
@@ -200,6 +203,7 @@ class _Replay:
         prefetch(scene, self._needs.scene)
         lanes = self._lanes[at]
         if self._associations[at] is not None:
+            prefetch_masks(scene)
             return _Ahead(scene, None, (None,) * len(lanes))
         robots = [arm.state_at(seen) for arm, seen in zip(self._arms, found, strict=True)]
         frames = frames_of(scene, self._arms, found, robots, [(None, None)])

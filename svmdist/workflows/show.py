@@ -9,6 +9,7 @@ from svmdist.errors import UsageError
 from svmdist.estimation.arm import Arm
 from svmdist.estimation.detection.scene import Scene
 from svmdist.estimation.frame import Frame, frames_of
+from svmdist.profile import AutoSegmentation
 from svmdist.recording.reader import Recording
 from svmdist.recording.topics import Role
 from svmdist.samples import Rejection
@@ -46,7 +47,7 @@ def shown_frames(
     (segmenter,) = adapted_segmenters(setup.segmenter, recording, [CLEAN])
     arms = [Arm(setup.profile.for_instrument(name)) for name in recording.instruments]
     association = None
-    if len(arms) > 1:
+    if len(arms) > 1 or isinstance(setup.profile.segmentation, AutoSegmentation):
         from svmdist.estimation.association.associate import Association
 
         association = Association(arms)

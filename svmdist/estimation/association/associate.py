@@ -12,6 +12,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation.arm import Arm
+from svmdist.estimation.association.entries import EntryTracker
 from svmdist.estimation.association.nominal import NominalInstrument, nominal_instrument
 from svmdist.estimation.association.regions import ColouredRegions, DarkPixels, ShaftAxis
 from svmdist.estimation.association.tracker import Identity, RegionTracker
@@ -32,22 +33,57 @@ class Association:
         self._gate = arms[0].profile.segmentation.instrument
         self._settings = arms[0].profile.settings.association
         self._trackers: dict[str, RegionTracker] = {}
+        self._entries: dict[str, EntryTracker] = {}
 
     def frames(self, scene: Scene, observations: Sequence[Observation]) -> list[Frame]:
         """The frame of each instrument, with the others' pixels marked; `observations` are one per instrument."""
         robots = [arm.state_at(seen) for arm, seen in zip(self._arms, observations, strict=True)]
+        nominal = [nominal_instrument(arm, robot) for arm, robot in zip(self._arms, robots, strict=True)]
+        if scene.left.masks.seen is not None and not any(nominal):
+            return self._by_entries(scene, observations, robots)
         others: Sequence[OtherMasks] = [(None, None)]
         if len(self._arms) > 1:
-            others = self._others(scene, robots)
+            others = self._others(scene, nominal)
         return frames_of(scene, self._arms, observations, robots, others)
+
+    def _by_entries(
+        self, scene: Scene, observations: Sequence[Observation], robots: Sequence[RobotState | Failure]
+    ) -> list[Frame]:
+        """Where no robot tells where its instrument is: by the sides they come in from."""
+        left, doubts = self._named("left", scene.observation.stamp_ns, scene.left)
+        right: list[Image | None] = [None] * len(self._arms)
+        if scene.right is not None:
+            right, right_doubts = self._named("right", scene.observation.stamp_ns, scene.right)
+            doubts = [doubt or other for doubt, other in zip(doubts, right_doubts, strict=True)]
+        others = list(zip(left, right, strict=True))
+        return frames_of(scene, self._arms, observations, robots, others, doubts)
+
+    def _named(self, name: str, stamp_ns: int, context: FrameContext) -> tuple[list[Image | None], list[str]]:
+        """For each instrument the mask, shape (h, w), of the others seen, and why its name is in doubt."""
+        seen = context.masks.seen or ()
+        if name not in self._entries:
+            profiles = [arm.profile for arm in self._arms]
+            names, sides = [one.instrument_name for one in profiles], [one.entry for one in profiles]
+            self._entries[name] = EntryTracker(names, sides, context.shape, self._settings)
+        masks: list[Image | None] = []
+        doubts = []
+        for named in self._entries[name].update(stamp_ns, seen):
+            rest = [one.mask for at, one in enumerate(seen) if at != named.seen]
+            others = np.zeros(context.shape, np.uint8)
+            for mask in rest:
+                others |= mask
+            if named.seen is not None:
+                others &= ~seen[named.seen].mask
+            masks.append(others if rest else None)
+            doubts.append(named.doubt)
+        return masks, doubts
 
     def identities(self, camera: str = "left") -> tuple[Identity, ...]:
         """Which region was which instrument's in the latest image of a camera, `left` or `right`."""
         return self._trackers[camera].identities
 
-    def _others(self, scene: Scene, robots: Sequence[RobotState | Failure]) -> list[OtherMasks]:
+    def _others(self, scene: Scene, nominal: Sequence[NominalInstrument | None]) -> list[OtherMasks]:
         seen = scene.observation
-        nominal = [nominal_instrument(arm, robot) for arm, robot in zip(self._arms, robots, strict=True)]
         left = self._other_masks("left", seen.stamp_ns, scene.left, seen.camera, nominal)
         if seen.right is None or scene.right is None:
             return [(mask, None) for mask in left]

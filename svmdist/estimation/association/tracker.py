@@ -152,7 +152,7 @@ class RegionTracker:
         self, expected: Sequence[Gaussian | None], blobs: Sequence[Blob], cost: Array
     ) -> list[int | None]:
         """The likeliest assignment of all, less what is not sure enough."""
-        hypotheses = [(self._total(h, cost), h) for h in _assignments(*cost.shape)]
+        hypotheses = [(self._total(h, cost), h) for h in assignments(*cost.shape)]
         best_cost, best = min(hypotheses, key=lambda item: item[0])
         found = list(best)
         for i, a in enumerate(best):
@@ -203,7 +203,7 @@ def _centroid_std_px(blob: Blob, settings: AssociationSettings) -> float:
     return max(settings.min_std_px, settings.spread_fraction * blob.radius_px)
 
 
-def _assignments(track_count: int, blob_count: int) -> Iterator[tuple[int | None, ...]]:
+def assignments(track_count: int, blob_count: int) -> Iterator[tuple[int | None, ...]]:
     """Every way to give each track one region or none, no region twice."""
     choices: list[int | None] = [None, *range(blob_count)]
     for hypothesis in product(choices, repeat=track_count):

@@ -48,6 +48,7 @@ class Consistency:
         self._tool_sources: set[str] = set()
         self._is_refused: dict[str, bool] = {}
         self._frame_count = self._refused_frames = 0
+        self._scene_refused_frames, self._scene_agreed = 0, False
         self._furthest, self._furthest_name = 0.0, ""
         self._late_s = self._late_deviations = 0.0
 
@@ -59,11 +60,14 @@ class Consistency:
             self._frames.popleft()
         if results:
             self._frames.append((stamp_ns, tuple(results)))
+            is_refused = not any(result.is_accepted for result in results)
             if of_tool:
                 self._frame_count += 1
                 self._tool_sources.update(source_of(result) for result in results)
-                is_refused = not any(result.is_accepted for result in results)
                 self._refused_frames = self._refused_frames + 1 if is_refused else 0
+            else:
+                self._scene_refused_frames = self._scene_refused_frames + 1 if is_refused else 0
+                self._scene_agreed |= not is_refused
             for result in results:
                 self._is_refused[result.name] = not result.is_accepted
         self._tallies = _tallies(result for _, members in self._frames for result in members)
@@ -90,6 +94,7 @@ class Consistency:
         self._tallies = {}
         self._is_refused.clear()
         self._frame_count = self._refused_frames = 0
+        self._scene_refused_frames, self._scene_agreed = 0, False
         self._furthest, self._furthest_name = 0.0, ""
         self._late_s = self._late_deviations = 0.0
 
@@ -132,23 +137,7 @@ class Consistency:
     @property
     def contradiction(self) -> str:
         """Why no distance can be trusted, for a person; empty where one can."""
-        settings = self._settings
-        off = self._off_what_is_stated()
-        if off:
-            return off
-        if self._refused_frames >= settings.max_refused_frames:
-            return f"all that was measured in {self._refused_frames} frames contradicts the prediction: {self._worst()}"
-        if sum(tally.degrees for tally in self._tallies.values()) < settings.consistency_min_degrees:
-            return ""
-        share, most = self.refused_share, settings.max_refused_share
-        if self._frame_count <= max(settings.window_solves) and share <= most:
-            # A young filter has no past that outweighs what it refuses: it may have begun with other joints.
-            share, most = self.young_refused_share, settings.max_young_refused_share
-        if share > most:
-            return f"{share:.0%} of what was measured contradicts the prediction: {self._worst()}"
-        if (self.ratio or 0.0) > settings.max_consistency:
-            return f"innovations are {self.ratio:.1f} times what is expected of them"
-        return ""
+        return self._off_what_is_stated() or self._all_refused() or self._disagreement()
 
     @property
     def doubt(self) -> str:
@@ -168,6 +157,31 @@ class Consistency:
                 f"joints seem {self._late_s:+.2f} s late, {self._late_deviations:.0f} stated deviations: is there a lag"
                 " of the images to be given?"
             )
+        return ""
+
+    def _all_refused(self) -> str:
+        """What was refused whole, frame after frame: all of the tool, or the tissue."""
+        most = self._settings.max_refused_frames
+        if self._refused_frames >= most:
+            return f"all that was measured in {self._refused_frames} frames contradicts the prediction: {self._worst()}"
+        # What never agreed has nothing that speaks for it: one frame is enough.
+        if self._scene_refused_frames >= (most if self._scene_agreed else 1):
+            return f"the tissue contradicts its plane in {self._scene_refused_frames} frames: {self._worst()}"
+        return ""
+
+    def _disagreement(self) -> str:
+        """What disagrees with predictions over the window: too much refused, or accepted by far too little."""
+        settings = self._settings
+        if sum(tally.degrees for tally in self._tallies.values()) < settings.consistency_min_degrees:
+            return ""
+        share, most = self.refused_share, settings.max_refused_share
+        if self._frame_count <= max(settings.window_solves) and share <= most:
+            # A young filter has no past that outweighs what it refuses: it may have begun with other joints.
+            share, most = self.young_refused_share, settings.max_young_refused_share
+        if share > most:
+            return f"{share:.0%} of what was measured contradicts the prediction: {self._worst()}"
+        if (self.ratio or 0.0) > settings.max_consistency:
+            return f"innovations are {self.ratio:.1f} times what is expected of them"
         return ""
 
     def _worst(self) -> str:

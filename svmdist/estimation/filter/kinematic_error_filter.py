@@ -7,9 +7,9 @@ kind of measurement has a Gauss–Markov bias in the state (Gelb 1974, "Applied 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from svmdist.estimation.filter.consistency import Consistency
 from svmdist.estimation.filter.constants import SharedBias
 from svmdist.estimation.filter.correction import Correction
 from svmdist.estimation.filter.error_model import ErrorModel
+from svmdist.estimation.filter.iterated_update import most_probable
 from svmdist.estimation.filter.linearisation import Linearised, block_diagonal
 from svmdist.estimation.filter.measurement import LinkMeasurement
 from svmdist.estimation.filter.state import ErrorState
@@ -31,23 +32,6 @@ from svmdist.settings.filter import FilterSettings
 from svmdist.transforms import Array
 
 DEFAULT = FilterSettings()
-SETTLED, NEARLY_SETTLED = 1e-3, 0.1
-"""Of its standard deviation: an element of the state that moves by less has come to rest, or will with a next step."""
-
-
-@dataclass(frozen=True, slots=True)
-class _MostProbable:
-    """The most probable change x of the state, with derivatives, noise and gain there, and its squared deviation.
-
-    `nis` is xᵀ P⁻¹ x + rᵀ R⁻¹ r at its minimum: what prior and measurements have to give way, together.
-    """
-
-    x: Array
-    H: Array
-    R: Array
-    K: Array
-    nis: float
-    is_settled: bool
 
 
 class KinematicErrorFilter:
@@ -94,7 +78,7 @@ class KinematicErrorFilter:
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
         """Take up what the image shows, all at once; tells what passed the gate.
 
-        An iterated update: Gauss–Newton on the prior and all accepted residuals (Bell and Cathey 1993).
+        An iterated update of the prior by all accepted residuals (`iterated_update`).
         """
         parts = self._state.linearise(measurements)
         self._state.augment_state(parts)
@@ -129,9 +113,7 @@ class KinematicErrorFilter:
         state, size = self._state, len(part.residual)
         part = replace(part, H=np.zeros((size, self._model.size)))
         state.augment_state([part])
-        H = state.full_jacobian([part])
-        S = H @ state.P @ H.T + part.noise
-        innovation = part.residual - H[:, self._model.size :] @ state.bias_mean
+        innovation, S, H = state.innovation(part)
         nis = float(innovation @ np.linalg.solve(S, innovation))
         result = GatingResult(name, nis, size, nis <= chi_square_bound(size, self._settings.gate_z), name)
         if result.is_accepted:
@@ -198,12 +180,11 @@ class KinematicErrorFilter:
         """
         size, nis = len(part.residual), np.inf
         if part.is_finite:
-            H = self._state.full_jacobian([part])
-            innovation = part.residual - H[:, self._model.size :] @ self._state.bias_mean
-            nis = float(innovation @ np.linalg.solve(H @ self._state.P @ H.T + part.noise, innovation))
+            innovation, S, _ = self._state.innovation(part)
+            nis = float(innovation @ np.linalg.solve(S, innovation))
         bound = chi_square_bound(size, self._settings.gate_z)
         if nis > bound:
-            found = self._most_probable([measurement], [part])
+            found = most_probable(self._state, [measurement], [part], self._settings)
             nis = nis if found is None else min(nis, found.nis)
         return GatingResult(measurement.name, nis, size, nis <= bound, measurement.source)
 
@@ -212,79 +193,13 @@ class KinematicErrorFilter:
 
         False where there is none: the iteration does not come to rest, or the measurements contradict each other.
         """
-        found = self._most_probable(measurements, parts)
+        found = most_probable(self._state, measurements, parts, self._settings)
         bound = chi_square_bound(sum(len(part.residual) for part in parts), self._settings.gate_z)
         if found is None or not found.is_settled or found.nis > bound:
             return False
         self._state.retract(found.x)
         self._state.update_covariance(found.K, found.H, found.R)
         return True
-
-    def _most_probable(
-        self, measurements: Sequence[LinkMeasurement], parts: Sequence[Linearised]
-    ) -> _MostProbable | None:
-        """The state that measurements make the most probable; None where no start leads to one that shows them all.
-
-        `parts` are the measurements about the present state.
-        """
-        size = sum(len(part.residual) for part in parts)
-        bound = chi_square_bound(size, self._settings.gate_z)
-        best = self._descend(measurements, np.zeros(len(self._state.P)), parts)
-        if best is not None and best.nis <= bound:
-            return best
-        for start in self._other_depths():
-            found = self._descend(measurements, start)
-            if found is not None and (best is None or found.nis < best.nis):
-                best = found
-            if best is not None and best.nis <= bound:
-                break
-        return best
-
-    def _other_depths(self) -> Iterator[Array]:
-        """While depth is as good as unknown, the most probable states at other depths.
-
-        Of robots that err by centimetres some report their tool behind the camera, where nothing can be seen.
-        """
-        tool = self._state.link(None)
-        along = self._state.P[:, : self._model.size] @ tool.derivative[2]
-        variance_m2 = float(tool.derivative[2] @ along[: self._model.size])
-        if variance_m2 > self._settings.depth_unknown_std_m**2:
-            for depth_m in self._settings.depth_candidates_m:
-                yield along * (depth_m - tool.T_camera_link[2, 3]) / variance_m2
-
-    def _descend(
-        self, measurements: Sequence[LinkMeasurement], x: Array, parts: Sequence[Linearised] | None = None
-    ) -> _MostProbable | None:
-        """x ← K (r + H x) until x rests; None where a measurement's link leaves the view.
-
-        In this form neither P nor the information has to be inverted: P is nearly singular where a joint's error is
-        as good as known. `parts` are the measurements about the state after x, where they are known.
-        """
-        P, size = self._state.P, self._model.size
-        R = block_diagonal([measurement.covariance for measurement in measurements])
-        deviations = np.sqrt(np.diag(P) + 1e-18)
-        there, moved = self._state, np.inf
-        for _ in range(self._settings.max_iterations):
-            if parts is None:
-                there = self._state.retracted(x)
-                parts = there.linearise(measurements)
-            if not all(part.is_finite for part in parts):
-                return None
-            H = self._state.full_jacobian(parts)
-            residual = np.concatenate([part.residual for part in parts]) - H[:, size:] @ there.bias_mean
-            innovation = residual + H @ x
-            # Solved with a unit-free H P: the units of the state differ by orders of magnitude.
-            HP = H @ P
-            solved = np.linalg.solve(HP @ H.T + R, np.column_stack([HP, innovation]))
-            K = np.asarray(solved[:, :-1].T, np.float64)
-            step = K @ innovation - x
-            longer = float(np.max(np.abs(step) / deviations))
-            if longer > moved:  # it swings: half of the way
-                step, longer = 0.5 * step, 0.5 * longer
-            x, parts, moved = x + step, None, longer
-            if moved < SETTLED:
-                break
-        return _MostProbable(x, H, R, K, float(innovation @ solved[:, -1]), moved < NEARLY_SETTLED)
 
     def _keep_in_window(self, measurements: Sequence[LinkMeasurement]) -> None:
         """While the filter is young, keep what it was given, and solve for all of it anew at growing intervals.

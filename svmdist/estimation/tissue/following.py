@@ -25,18 +25,19 @@ class FollowedTissue:
         self._deviations = arm.deviations
         self._tracker = TissueTracker(arm.profile.settings.tissue)
         self._height: TissueHeight | None = None
+        self._known: TissuePose | None = None
 
     def see(self, frame: Frame) -> TissuePose | None:
         """The tissue on the profile's plane after this frame, which may hide it."""
         tissue = frame.scene.tissue
-        known = self._tracker.add(None if tissue is None else tissue.pose)
+        known = self._known = self._tracker.add(None if tissue is None else tissue.pose)
         if known is not None:
             self._height = TissueHeight.of(self._tissue, known.position_m)
         return known
 
     def measure_height(self, frame: Frame, kalman: KinematicErrorFilter) -> GatingResult | None:
         """Tell the filter how high stereo shows the tissue; None where it does not show it."""
-        known, right, height = self._tracker.now(), frame.scene.observation.right, self._height
+        known, right, height = self._known, frame.scene.observation.right, self._height
         surface = None if known is None or known.dome is None or right is None else frame.scene.stereo_surface
         if known is None or known.dome is None or surface is None or right is None or height is None:
             return None
@@ -68,9 +69,8 @@ class FollowedTissue:
         height_m = height.in_m(kalman.constant("tissue plane"), kalman.constant("tissue motion"))
         offset_m = self._plane.offset_m + height_m
         placed = known.scaled(offset_m / self._plane.offset_m)
-        biases = by_constants(
-            placed.position_m, offset_m, self._plane.normal, height, frame.left.camera, self._deviations
-        )
+        plane = replace(self._plane, offset_m=offset_m)
+        biases = by_constants(placed.position_m, plane, height, frame.left.camera, self._deviations)
         covariance, coupling = kalman.coupled(biases)
         return replace(placed, covariance=placed.own_covariance + covariance), coupling
 

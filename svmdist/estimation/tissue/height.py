@@ -15,6 +15,8 @@ from svmdist.estimation.detection.stereo_surface import StereoSurface
 from svmdist.estimation.filter.constants import Deviations, SharedBias
 from svmdist.estimation.filter.linearisation import Linearised
 from svmdist.estimation.tissue.dome import DomeModel
+from svmdist.estimation.tissue.pose import ray_on_plane_biases
+from svmdist.geometry.surfaces import Plane
 from svmdist.profile import Tissue
 from svmdist.robust import median
 from svmdist.samples import RightView
@@ -106,28 +108,10 @@ def measured_height(
 
 
 def by_constants(
-    position_m: Array,
-    offset_m: float,
-    normal: Array,
-    height: TissueHeight,
-    camera: Camera,
-    deviations: Deviations,
+    position_m: Array, plane: Plane, height: TissueHeight, camera: Camera, deviations: Deviations
 ) -> tuple[SharedBias, ...]:
-    """What height, focal length and principal point do to the place where the outline's ray meets the plane, (3, k).
-
-    X = offset r / (n · r) for the ray r: a longer focal length brings it towards the optical axis.
-    """
-    ray = position_m / position_m[2]
-    slope = float(normal @ ray)
-
-    def moved(by_ray: Array) -> Array:
-        return offset_m * (by_ray / slope - np.outer(ray, normal @ by_ray) / slope**2)
-
-    flat = ray * np.array([1.0, 1.0, 0.0])
-    focal = -deviations.camera.focal_std_fraction * moved(flat[:, None])
-    centre = -deviations.camera.centre_std_px * moved(np.eye(3)[:, :2] / np.diag(camera.K)[:2])
+    """What height, focal length and principal point do to the place where the outline's ray meets the plane, (3, k)."""
     return (
-        *height.biases(position_m / offset_m),
-        SharedBias("focal length", focal),
-        SharedBias("principal point", centre),
+        *height.biases(position_m / plane.offset_m),
+        *ray_on_plane_biases(position_m, plane, camera, deviations.camera),
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
+from svmdist.estimation.filter.constants import EXACT, SharedBias
 from svmdist.estimation.tissue.dome import DomeModel
 from svmdist.geometry.mesh_files import read_closed_mesh
 from svmdist.geometry.rays import meet_plane, pixel_rays
@@ -20,9 +21,6 @@ from svmdist.profile import CameraError, Profile, Tissue
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.completion import CompletedOutline
 
-EXACT_CAMERA = CameraError(
-    focal_std_fraction=0.0, centre_std_px=0.0, baseline_std_fraction=0.0, right_rotation_std_rad=0.0
-)
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ACROSS = 0.99
 """Cosine between normal and axis from which on the axis has no direction on the plane."""
@@ -84,7 +82,7 @@ def require_tissue(profile: Profile) -> Tissue:
 
 
 def tissue_pose(
-    outline: CompletedOutline, camera: Camera, tissue: Tissue, error: CameraError = EXACT_CAMERA
+    outline: CompletedOutline, camera: Camera, tissue: Tissue, error: CameraError = EXACT.camera
 ) -> TissuePose | None:
     """Place tissue and surface by an outline; None where its centroid's ray does not meet the plane.
 
@@ -143,12 +141,23 @@ def _dome(
 
 def _of_camera(position_m: Array, camera: Camera, plane: Plane, error: CameraError) -> Array:
     """What focal length and principal point do to where the outline's ray meets the plane, as a covariance (3, 3)."""
+    J = np.concatenate([bias.jacobian for bias in ray_on_plane_biases(position_m, plane, camera, error)], -1)
+    return np.asarray(J @ J.T)
+
+
+def ray_on_plane_biases(
+    position_m: Array, plane: Plane, camera: Camera, error: CameraError
+) -> tuple[SharedBias, SharedBias]:
+    """What focal length and principal point do to where a ray meets a plane, at `position_m`: Jacobians (3, k).
+
+    X = offset r / (n · r) for the ray r: a longer focal length brings it towards the optical axis.
+    """
     ray = position_m / position_m[2]
     slope = float(plane.normal @ ray)
     by_ray = plane.offset_m * (np.eye(3) / slope - np.outer(ray, plane.normal) / slope**2)
-    focal = error.focal_std_fraction * by_ray @ (ray * np.array([1.0, 1.0, 0.0]))
-    centre = error.centre_std_px * by_ray[:, :2] / np.diag(camera.K)[:2]
-    return np.asarray(np.outer(focal, focal) + centre @ centre.T)
+    focal = -error.focal_std_fraction * by_ray @ (ray * np.array([1.0, 1.0, 0.0]))
+    centre = -error.centre_std_px * by_ray[:, :2] / np.diag(camera.K)[:2]
+    return SharedBias("focal length", focal[:, None]), SharedBias("principal point", centre)
 
 
 def _position_covariance(

@@ -145,19 +145,19 @@ def best_bar(
     for line in np.argsort(-support, kind="stable"):
         if support[line] < settings.least_side_px or len(lines) >= MOST_LINES:
             break
-        if not any(
-            along[line] @ along[other] > 0.97
-            and abs((starts[line] - starts[other]) @ normals[other]) < 2.0 * settings.line_within_px
-            for other in lines
-        ):
+        apart = np.abs(((starts[line] - starts[lines]) * normals[lines]).sum(axis=1))
+        alike = along[lines] @ along[line] > 0.97
+        if not (alike & (apart < 2.0 * settings.line_within_px)).any():
             lines.append(int(line))
     best: tuple[float, int, int, Array] | None = None
     for place, first in enumerate(lines):
         for second in lines[place + 1 :]:
-            score = float(support[second]) + 1e-3 * float(support[first])
-            if best is not None and score <= best[0]:
+            cosine = -float(along[first] @ along[second])
+            if cosine < settings.most_taper_cos:
                 continue
-            if along[first] @ along[second] > -settings.most_taper_cos:
+            taper = float(np.arccos(min(cosine, 1.0))) / settings.usual_taper_rad
+            score = (float(support[second]) + 1e-3 * float(support[first])) * float(np.exp(-0.5 * taper**2))
+            if best is not None and score <= best[0]:
                 continue
             axis = along[first] - along[second]
             axis = axis / np.linalg.norm(axis)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.instruments.bars import Bar
-from svmdist.vision.instruments.working import WorkingImage
+from svmdist.vision.instruments.working import Floats, WorkingImage
 
 Value = TypeVar("Value", bound=np.uint8 | np.float32)
 
@@ -24,8 +24,10 @@ class JudgedBar:
     evidence: float
 
 
-def judged(bar: Bar, part: Image, image: WorkingImage) -> JudgedBar | None:
+def judged(bar: Bar, part: Image, image: WorkingImage, ratio: Floats | None = None) -> JudgedBar | None:
     """Judge a bar on the outline of a part, shape (h, w); None where it is no instrument's.
+
+    `ratio`, shape (h, w), is how much each pixel's colour speaks for an instrument, where that is known.
 
     An instrument is straight over most of its length and comes in through the border. Across both of its sides colour
     or brightness changes at once, where a shadow's fade; and it is less red than what is on either side, or darker
@@ -37,19 +39,27 @@ def judged(bar: Bar, part: Image, image: WorkingImage) -> JudgedBar | None:
     inwards = _from_border(bar, part, image)
     if inwards is None:
         return None
-    first, second = _steps(inwards, 0, image), _steps(inwards, 1, image)
+    first, second = _steps(inwards, 0, image, ratio), _steps(inwards, 1, image, ratio)
     if first is None or second is None:
         return None
     fraction = min(first.fraction, second.fraction)
     cooler, darker = min(first.cooler, second.cooler), min(first.darker, second.darker)
     is_cooler = cooler > settings.least_cooler
-    is_darker = darker > settings.least_darker and cooler > -settings.most_warmer
-    if fraction < settings.least_step_fraction or not (is_cooler or is_darker):
+    is_grey = max(first.chroma, second.chroma) < settings.grey_chroma
+    is_darker = darker > settings.least_darker and (cooler > -settings.most_warmer or is_grey)
+    is_yellow = max(first.yellow, second.yellow) > settings.yellow_from
+    if is_yellow and max(first.yellower, second.yellower) > settings.most_yellower:
         return None
-    straight = min(1.0, 2.0 * min(inwards.support) / max(inwards.outline_px, 1))
+    is_known = min(first.likelier, second.likelier) > settings.least_ratio_step
+    if fraction < settings.least_step_fraction or not (is_cooler or is_darker or is_known):
+        return None
+    lengths = np.linalg.norm(inwards.sides[:, 1] - inwards.sides[:, 0], axis=1)
+    straight = min(1.0, float((np.array(inwards.support) / np.maximum(lengths, 1.0)).min()))
+    straight *= min(1.0, inwards.length_px / (1.2 * inwards.width_px))
     long = min(1.0, inwards.length_px / (0.25 * settings.working_px)) ** 0.5
-    mean_cooler = 0.5 * (first.cooler + second.cooler)
-    distinct = min(1.0, 0.4 + 2.0 * min(mean_cooler, 0.3) + 0.4 * max(darker, 0.0))
+    mean_cooler = max(0.5 * (first.cooler + second.cooler), -settings.most_warmer)
+    likelier = max(min(first.likelier, second.likelier), 0.0)
+    distinct = min(1.0, 0.4 + 2.0 * min(mean_cooler, 0.3) + 0.4 * max(darker, 0.0) + 0.1 * likelier)
     return JudgedBar(inwards, float(fraction * straight * long * max(distinct, 0.0)))
 
 
@@ -79,25 +89,49 @@ def _way_out(start: Array, along: Array, part: Image, image: WorkingImage, longe
 
 @dataclass(frozen=True)
 class _Steps:
-    """Along one side: the part of it with a step, and how much less red and how much darker the inside is."""
+    """Along one side: the part of it with a step, and what the inside is.
+
+    How much less red and how much darker than the outside, how coloured, how much likelier an instrument's, and how
+    much more yellow; and how yellow it is itself.
+    """
 
     fraction: float
     cooler: float
     darker: float
+    chroma: float
+    likelier: float
+    yellower: float
+    yellow: float
 
 
-def _steps(bar: Bar, side: int, image: WorkingImage) -> _Steps | None:
+def _steps(bar: Bar, side: int, image: WorkingImage, ratio: Floats | None) -> _Steps | None:
     settings = image.settings
     inside = np.rint(bar.places(side, settings.reach_px)).astype(int)
     outside = np.rint(bar.places(side, -settings.reach_px)).astype(int)
     seen = (_values(image.core, inside) > 0) & (_values(image.core, outside) > 0)
     if np.count_nonzero(seen) < 6:
         return None
-    step = _values(image.colours, outside[seen]) - _values(image.colours, inside[seen])
+    own = _values(image.colours, inside[seen])
+    step = _values(image.colours, outside[seen]) - own
     scaled = step / np.array([settings.colour_step, settings.colour_step, settings.brightness_step])
-    fraction = float(np.mean(np.linalg.norm(scaled, axis=1) > 1.0))
+    steps = np.linalg.norm(scaled, axis=1) > 1.0
+    likelier = 0.0
+    if ratio is not None:
+        rise = _values(ratio, inside[seen]) - _values(ratio, outside[seen])
+        steps |= rise > settings.least_ratio_step
+        likelier = float(np.median(rise))
+    fraction = float(np.mean(steps))
     cooler = float(np.median(step[:, 0] + 0.5 * step[:, 1]))
-    return _Steps(fraction, cooler, float(np.median(step[:, 2])))
+    chroma = float(np.median(np.hypot(own[:, 0], own[:, 1])))
+    return _Steps(
+        fraction,
+        cooler,
+        float(np.median(step[:, 2])),
+        chroma,
+        likelier,
+        yellower=-float(np.median(step[:, 1])),
+        yellow=float(np.median(own[:, 1])),
+    )
 
 
 def _values(field: NDArray[Value], places: NDArray[np.int_]) -> NDArray[Value]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 from svmdist.samples import Image
 from svmdist.vision.instruments.appearance import Appearance, Example, learnt_from
 from svmdist.vision.instruments.bars import Bar, bars_in
+from svmdist.vision.instruments.belonging import belonging, with_missed_parts
 from svmdist.vision.instruments.evidence import JudgedBar, judged
-from svmdist.vision.instruments.working import SQUARE_3, SQUARE_5, WorkingImage
+from svmdist.vision.instruments.sharpen import sharpened
+from svmdist.vision.instruments.working import SQUARE_3, SQUARE_5, Floats, WorkingImage
 from svmdist.vision.instruments.zones import Zones
 
 PERCENTILES = (4, 8, 13, 19, 26, 34)
 """Of each channel in the picture: thresholds under which instruments are sought. They cover 3 to 40 % of a picture."""
+RATIO_LEVELS = (0.0, 1.0, 2.0)
+"""Of the log ratio: at higher ones a shaft parts from a shadow beside it, at lower ones all of it is there."""
 ROUND_7 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
 SQUARE_9 = np.ones((9, 9), np.uint8)
 
@@ -74,13 +78,16 @@ def find_instruments(
 ) -> list[Found]:
     """The instruments of an image, the surest first. `sought` are bars that are known without their colours."""
     ratio = appearance.of(image)
-    likely = np.asarray(255 * ((ratio > 0.0) & (image.core > 0)), np.uint8)
-    likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
-    likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_CLOSE, ROUND_7), np.uint8) & image.core
     settings = image.settings
-    bars = _judged_bars(likely, image, 3)
+    likely = _above(ratio, 0.0, image)
+    bars = [
+        one
+        for level in RATIO_LEVELS
+        for one in _judged_bars(_above(ratio, level, image) if level else likely, image, 3, ratio)
+    ]
     bars += [one for one in sought if one.evidence > settings.sure_evidence]
     bars.sort(key=lambda one: -one.evidence)
+    bars = [JudgedBar(sharpened(one.bar, image), one.evidence) for one in bars]
     taken = np.zeros(image.core.shape, bool)
     found: list[Found] = []
     for one in bars:
@@ -90,16 +97,31 @@ def find_instruments(
             continue
         if np.count_nonzero(zones.middle & (likely > 0)) < 0.6 * size:
             continue
-        taken |= zones.middle
-        found.append(Found(one.bar, _belonging(zones, likely, image), one.evidence))
+        mask = belonging(zones, likely, ratio, image)
+        if np.count_nonzero(mask & ~taken) < settings.least_area * image.area_px:
+            continue
+        taken |= mask
+        found.append(Found(one.bar, mask, one.evidence))
         if len(found) >= settings.most_instruments:
             break
-    return found
+    masks = with_missed_parts([one.mask for one in found], ratio, image)
+    return [replace(one, mask=mask) for one, mask in zip(found, masks, strict=True)]
 
 
-def _judged_bars(mask: Image, image: WorkingImage, most_bars: int) -> list[JudgedBar]:
+def _above(ratio: Floats, level: float, image: WorkingImage) -> Image:
+    """What speaks for an instrument by more than a level, without specks and gaps, shape (h, w)."""
+    mask = np.asarray(255 * ((ratio > level) & (image.core > 0)), np.uint8)
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+    return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, ROUND_7), np.uint8) & image.core
+
+
+def _judged_bars(
+    mask: Image, image: WorkingImage, most_bars: int, ratio: Floats | None = None
+) -> list[JudgedBar]:
     settings = image.settings
-    every = (judged(bar, part, image) for bar, part in bars_in(mask, image, settings.most_area, most_bars))
+    every = (
+        judged(bar, part, image, ratio) for bar, part in bars_in(mask, image, settings.most_area, most_bars)
+    )
     return [one for one in every if one is not None and one.evidence > settings.least_evidence]
 
 
@@ -117,10 +139,10 @@ def _apart(sought: list[JudgedBar], image: WorkingImage) -> list[JudgedBar]:
 
 def _of_bars(image: WorkingImage, sought: Sequence[JudgedBar]) -> Example | None:
     """What the sure bars of an image teach; what is near to any bar may be either, and teaches nothing."""
-    if not sought:
+    if not sought or sought[0].evidence < image.settings.teaching_evidence:
         return None
     shape = image.core.shape[0], image.core.shape[1]
-    least = min(0.5 * sought[0].evidence, image.settings.sure_evidence)
+    least = min(0.6 * sought[0].evidence, image.settings.sure_evidence)
     inside, near = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
     for one in sought:
         strip = one.bar.filled(shape)
@@ -131,31 +153,3 @@ def _of_bars(image: WorkingImage, sought: Sequence[JudgedBar]) -> Example | None
             reach = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
         near |= np.asarray(cv2.dilate(strip, reach), np.uint8)
     return Example(image, inside, np.asarray(cv2.subtract(image.core, near), np.uint8))
-
-
-def _belonging(zones: Zones, likely: Image, image: WorkingImage) -> NDArray[np.bool_]:
-    """What of the likely pixels belongs to the instrument of these zones: what hangs together with its bar."""
-    mine = ((zones.strip | zones.distal) & (likely > 0)) | zones.middle
-    _, labels = cv2.connectedComponents(mine.astype(np.uint8))
-    names = np.unique(labels[zones.middle])
-    mask = np.isin(labels, names[names > 0]) & (image.core > 0)
-    return _without_holes(mask, 0.003 * image.area_px)
-
-
-def _without_holes(mask: NDArray[np.bool_], most_px: float) -> NDArray[np.bool_]:
-    """The mask with its small holes filled: glare and blood; through a large one tissue is seen."""
-    solid = mask.astype(np.uint8)
-    contours, _ = cv2.findContours(solid, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    whole = np.zeros_like(solid)
-    cv2.drawContours(whole, contours, -1, 1, cv2.FILLED)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(cv2.subtract(whole, solid))
-    small = [label for label in range(1, count) if stats[label, cv2.CC_STAT_AREA] < most_px]
-    return np.asarray(mask | np.isin(labels, small))
-
-
-def union(found: Sequence[Found], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """The pixels of all instruments, shape (h, w)."""
-    mask = np.zeros(shape, bool)
-    for one in found:
-        mask |= one.mask
-    return mask

@@ -90,13 +90,10 @@ def outline_geometry(mask: NDArray[np.bool_], sides: Array) -> tuple[Array, Arra
         tip = start + axis * along.max() + normal * float(np.median(across[far]))
     first, last = int(np.floor(along.min(initial=0.0))), int(np.ceil(along.max(initial=0.0)))
     steps = np.arange(first, last + 1)
-    low, high = np.full(len(steps), np.nan), np.full(len(steps), np.nan)
-    order = np.argsort(along, kind="stable")
-    edges = np.searchsorted(along[order], np.append(steps, last + 1) - 0.5)
-    for at in range(len(steps)):
-        inside = across[order[edges[at] : edges[at + 1]]]
-        if len(inside):
-            low[at], high[at] = inside.min() - 0.5, inside.max() + 0.5
+    low, high = np.full(len(steps), np.inf), np.full(len(steps), -np.inf)
+    at = np.clip(np.rint(along).astype(int) - first, 0, len(steps) - 1)
+    np.minimum.at(low, at, across - 0.5)
+    np.maximum.at(high, at, across + 0.5)
     lines = np.stack([_offsets(side, start, axis, normal, steps) for side in sides])
     lower, upper = np.minimum(lines[0], lines[1]), np.maximum(lines[0], lines[1])
     width = np.maximum(upper - lower, 1.0)

@@ -16,12 +16,15 @@ class Zones:
     """Where the parts of an instrument with a bar may be, masks of shape (h, w).
 
     `strip` goes from the border to the bar's inner end, `middle` is the bar itself without its sides, `distal` is what
-    wrist and jaws can reach.
+    wrist and jaws can reach, `narrow` where they are when they are straight and closed. `beside` is the strip with what
+    a shaft wider than its bar takes up.
     """
 
     strip: NDArray[np.bool_]
     middle: NDArray[np.bool_]
     distal: NDArray[np.bool_]
+    narrow: NDArray[np.bool_]
+    beside: NDArray[np.bool_]
 
     @classmethod
     def of(cls, bar: Bar, image: WorkingImage) -> Zones:
@@ -44,4 +47,7 @@ class Zones:
         middle = before & (depth > 0.5) & (along > -length)
         beyond = (along >= -0.3 * end_width) & (along < settings.distal_widths * end_width)
         reach = settings.distal_half_widths * end_width + 0.1 * np.maximum(along, 0.0)
-        return cls(strip, middle, beyond & (across < reach))
+        distal = beyond & (across < reach)
+        narrow = distal & (across < 0.6 * end_width) & (along < 0.6 * settings.distal_widths * end_width)
+        beside = before & (depth > -settings.beside_widths * bar.width_px)
+        return cls(strip, middle, distal, narrow, beside)

@@ -145,3 +145,18 @@ def test_two_sources_that_are_refused_contradict_a_young_filter() -> None:
         refused = [GatingResult(name, 90.0, 2, False, name) for name in ("shaft", "distal marker")]
         watch.add(frame * STEP_NS, [*refused, GatingResult("tag", 5.0, 6, True, "tag")])
     assert "shaft, distal marker" in watch.contradiction
+
+
+def test_tissue_that_never_agreed_with_its_plane_is_a_contradiction() -> None:
+    """At once where nothing speaks for the plane; after it agreed, only several refusals in a row."""
+    refused, agreed = judged(90.0, False, "tissue height", 1), judged(0.5, True, "tissue height", 1)
+    never, after = Consistency(SETTINGS), Consistency(SETTINGS)
+    never.add(0, [judged(1.0)] * 4)
+    never.add(0, [refused], of_tool=False)
+    assert "tissue height" in never.contradiction
+    after.add(0, [agreed], of_tool=False)
+    for frame in range(1, SETTINGS.max_refused_frames + 1):
+        assert not after.contradiction
+        after.add(frame * STEP_NS, [judged(1.0)] * 4)
+        after.add(frame * STEP_NS, [refused], of_tool=False)
+    assert "tissue contradicts its plane" in after.contradiction

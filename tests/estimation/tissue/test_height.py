@@ -124,7 +124,7 @@ def test_a_longer_baseline_and_focal_length_lift_alike() -> None:
 
 def test_where_the_outlines_ray_meets_the_plane_follows_height_and_camera() -> None:
     """Against central differences of the meeting point, to 1 %."""
-    biases = by_constants(ORIGIN_M, OFFSET_M, NORMAL, HEIGHT, CAMERA, DEVIATIONS)
+    biases = by_constants(ORIGIN_M, Plane(NORMAL, OFFSET_M), HEIGHT, CAMERA, DEVIATIONS)
     by_name = {bias.name: bias.jacobian for bias in biases}
 
     def met(offset_m: float = OFFSET_M, K: Array = CAMERA.K) -> Array:

@@ -1,0 +1,55 @@
+"""What a segmenter learns from: images all over a log, the same for every number of workers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.profile import AutoSegmentation, load_profile
+from svmdist.recording.reader import open_recording
+from svmdist.vision.segmentation.auto import AutoSegmenter
+from svmdist.workflows.adapting import adapted_segmenters, spread_observations
+from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.setup import prepare
+from svmdist.workflows.show import spread
+from tests.synthetic import write_log
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A synthetic log of 23 frames."""
+    return write_log(tmp_path_factory.mktemp("adapting") / "a.mcap", frame_count=23)
+
+
+def test_images_are_spread_over_the_log(log: Path) -> None:
+    """Evenly from the first, at least as many as wanted and at most twice as many."""
+    recording = open_recording(log, load_profile())
+    for count in (1, 3, 8, 40):
+        numbers = [number for number, _ in spread_observations(recording, count)]
+        assert numbers[0] == 0
+        assert len(set(np.diff(numbers))) <= 1
+        assert min(count, 23) <= len(numbers) <= 2 * count
+
+
+def test_each_condition_has_its_own(log: Path) -> None:
+    """Colours are learnt under the condition they are used in; methods that do not learn are shared."""
+    profile = load_profile().model_copy(update={"segmentation": AutoSegmentation(method="auto")})
+    recording = open_recording(log, profile)
+    conditions = [CLEAN, Condition("low_light", 3)]
+    adapted = adapted_segmenters(AutoSegmenter(), recording, conditions)
+    assert len(adapted) == 2
+    assert adapted[0] is not adapted[1]
+    colours = prepare().segmenter
+    assert adapted_segmenters(colours, recording, conditions) == [colours, colours]
+
+
+@pytest.mark.parametrize(("count", "wanted"), [(1, 6), (6, 6), (7, 6), (100, 6), (5, 1)])
+def test_pictures_are_spread_evenly(count: int, wanted: int) -> None:
+    """The first and the last are among them where more than one is wanted."""
+    numbers = list(spread(count, wanted))
+    assert numbers == sorted(set(numbers))
+    assert numbers[0] == 0
+    assert len(numbers) == min(count, wanted)
+    assert wanted == 1 or numbers[-1] == count - 1
