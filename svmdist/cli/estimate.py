@@ -115,7 +115,7 @@ def estimate_command(
     _summarise(tally)
     targets.write_pictures(measured, setup, rules, jobs)
     code = opened.health_code()
-    if tally and not any(status == "ok" for status, _ in tally):
+    if code is ExitCode.CLEAN and tally and not any(status == "ok" for status, _ in tally):
         code = ExitCode.UNUSABLE  # nothing was measured: the summary above says why
     raise typer.Exit(code)
 
