@@ -35,6 +35,7 @@ from svmdist.cli.options import (
     topics_of,
 )
 from svmdist.cli.outputs import ForceOption
+from svmdist.cli.progress import tracked
 from svmdist.cli.recordings import EndOption, EveryOption, Opened, StartOption, open_recordings, window_of
 from svmdist.errors import UsageError
 
@@ -105,6 +106,11 @@ def estimate_command(
     else:
         kept = measured if targets.needs_rows_kept else None
         rows = _started(_rows(opened, setup, wanted, tally, rules, given, jobs, kept))
+        if targets.form is None or terminal_width(targets.output) is None:
+            # Rows on a terminal show by themselves how far the command is.
+            counts = [one.image_count() for one in recordings]
+            total = None if None in counts else sum(count or 0 for count in counts)
+            rows = tracked(rows, "measuring", "rows", total if not several else None)
         planar = setup.method in PLANAR_METHODS
         if targets.form is None:
             deque(rows, maxlen=0)

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 from svmdist.cli.console import error_console, say
 
+Item = TypeVar("Item")
 LINE_EVERY_S = 10.0
 """Where stderr is no terminal, a log of a job wants to know that it goes on, and not much more."""
+
+
+def stderr_is_terminal() -> bool:
+    """Whether a person watches."""
+    return sys.stderr.isatty()
 
 
 @contextmanager
@@ -18,12 +26,12 @@ def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], 
 
     A total of None is not known.
     """
+    if not stderr_is_terminal():  # which also spares loading the layout
+        yield _lines(title, unit)
+        return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = error_console()
-    if not console.is_terminal:
-        yield _lines(title, unit)
-        return
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -44,6 +52,14 @@ def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], 
     finally:
         # An interrupt while the bar is being set up would leave the terminal without a cursor.
         console.show_cursor(True)
+
+
+def tracked(items: Iterable[Item], title: str, unit: str, total: int | None) -> Iterator[Item]:
+    """The items as they come, with progress told."""
+    with progress_bar(title, unit) as advance:
+        for count, item in enumerate(items, 1):
+            yield item
+            advance(count, total)
 
 
 def _lines(
