@@ -1,6 +1,40 @@
 """svmdist: the distance between a surgical instrument and tissue, estimated from recorded logs.
 
-The functions to call are in `svmdist.workflows`; a recording is opened by
-`svmdist.recording.reader.open_recording`, and `svmdist.workflows.setup.prepare` makes what a measurement
-needs. The command line is `svmdist.cli`.
+    import svmdist
+
+    recording = svmdist.open_recording("recordings/sweep.mcap")
+    estimates = svmdist.estimate(recording, method="overlay")
+    table = estimates.to_dataframe()
+
+The functions here are those of `svmdist.api`, imported when first asked for. What they are made of is in
+`svmdist.workflows`; the command line is `svmdist.cli`.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from svmdist.api import Estimates, Profile, compare, estimate, open_recording, validate
+
+    __version__: str
+
+__all__ = ["Estimates", "Profile", "__version__", "compare", "estimate", "open_recording", "validate"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the interface when it is used: the command line starts without it."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("svmdist")
+    if name in __all__:
+        from svmdist import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module 'svmdist' has no attribute {name!r}; it has {', '.join(__all__)}")
+
+
+def __dir__() -> list[str]:
+    """The names of the interface."""
+    return sorted({*globals(), *__all__})

@@ -82,12 +82,14 @@ class ToolEstimate:
 class Distance:
     """A distance in m, with its standard deviation where the method states one.
 
-    `direction`, a unit vector of the camera frame, points along the shortest separation, away from the instrument.
+    `direction`, a unit vector of the camera frame, points along the shortest separation, away from the instrument, and
+    `start_m` is the point of the instrument where the separation begins, in m in the camera frame.
     """
 
     value_m: float
     std_m: float | None = None
     direction: Vector | None = None
+    start_m: Vector | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from svmdist.cli.console import Summary, files_or_golden, report_health, require_output, write_summary
+from svmdist.cli.console import Summary, files_or_golden, require_output, write_summary
 from svmdist.cli.degradation_grid import (
     DegradationsOption,
     GridMethodOption,
@@ -22,11 +22,12 @@ from svmdist.cli.options import (
     OptionalFiles,
     OutputOption,
     ProfileOption,
-    TableFormat,
-    TableFormatOption,
+    SummaryFormatOption,
     TopicOption,
     topics_of,
 )
+from svmdist.cli.outputs import summary_format
+from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
 from svmdist.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -61,16 +62,18 @@ def blur_bench_command(
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
-    form: TableFormatOption = TableFormat.TABLE,
+    form: SummaryFormatOption = None,
     output: OutputOption = None,
     jobs: JobsOption = None,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    every: EveryOption = 1,
 ) -> None:
     """Measure features and error under blur.
 
     This reproduces Table I of the paper. With --grid it gives the error and coverage of one method under every
     degradation and severity. Without FILE, every log in recordings/ is measured.
     """
-    from svmdist.recording.reader import open_recording
     from svmdist.workflows.setup import prepare
 
     require_output(output, files or ())
@@ -86,16 +89,16 @@ def blur_bench_command(
             _refuse(f"{option} is for --grid: Table I is always measured with the paper's method", value)
         kernels_px = _kernels(kernel or [])
     setup = prepare(profile, (method or Method.OVERLAY).value, "corrected", calibration)
-    recordings = [
-        open_recording(path, setup.profile, topics=topics_of(topic)) for path in files_or_golden(files)
-    ]
+    window = window_of(start, end, every)
+    opened = open_recordings(files_or_golden(files), setup.profile, topics_of(topic), window)
+    recordings = opened.recordings
     summary = (
         grid_summary(recordings, setup, conditions, jobs)
         if grid
         else _table_one(recordings, setup, kernels_px, jobs)
     )
-    write_summary(summary, form, output)
-    raise typer.Exit(report_health(recordings))
+    write_summary(summary, summary_format(form, output), output)
+    raise typer.Exit(opened.health_code())
 
 
 def _refuse(message: str, value: object) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from svmdist.cli.console import Summary, files_or_golden, report_health, require_output, write_summary
+from svmdist.cli.console import Summary, files_or_golden, require_output, write_summary
 from svmdist.cli.degradations import parse_degradations
 from svmdist.cli.options import (
     CalibrationOption,
@@ -17,14 +17,15 @@ from svmdist.cli.options import (
     OptionalFiles,
     OutputOption,
     ProfileOption,
-    TableFormat,
-    TableFormatOption,
+    SummaryFormatOption,
     TopicOption,
     parse_lag,
     topics_of,
 )
+from svmdist.cli.outputs import summary_format
 from svmdist.cli.perturbations import parse_perturb_groups
 from svmdist.cli.progress import progress_bar
+from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
 
 
 def compare_command(
@@ -62,9 +63,12 @@ def compare_command(
     hand_eye: HandEyeOption = None,
     topic: TopicOption = None,
     lag: LagOption = None,
-    form: TableFormatOption = TableFormat.TABLE,
+    form: SummaryFormatOption = None,
     output: OutputOption = None,
     jobs: JobsOption = None,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    every: EveryOption = 1,
 ) -> None:
     """Measure with all methods side by side.
 
@@ -72,7 +76,6 @@ def compare_command(
     and over all frames. Without FILE, every log in recordings/ is measured.
     """
     from svmdist.cli.lag import told_lag
-    from svmdist.recording.reader import open_recording
     from svmdist.report.comparison import compare_keys, compare_row, compare_tables
     from svmdist.report.figures import FIGURE_NOTE
     from svmdist.vision.degradations import require_degradation
@@ -95,12 +98,15 @@ def compare_command(
         prepare(profile, chosen.value, "corrected", calibration if chosen in planar else None, hand_eye)
         for chosen in methods
     ]
-    recordings = [
-        open_recording(path, setups[0].profile, topics=topics_of(topic)) for path in files_or_golden(files)
-    ]
-    recordings = [told_lag(recording, setups[0], given, None, jobs) for recording in recordings]
+    window = window_of(start, end, every)
+    opened = open_recordings(files_or_golden(files), setups[0].profile, topics_of(topic), window)
+    recordings = [told_lag(recording, setups[0], given, None, jobs) for recording in opened.recordings]
     with progress_bar("comparing", "measurements") as advance:
         scores = compare(recordings, setups, conditions, jobs=jobs, on_progress=advance)
     rows = [compare_row(score) for score in scores]
-    write_summary(Summary(compare_tables(scores), compare_keys(), rows, [FIGURE_NOTE]), form, output)
-    raise typer.Exit(report_health(recordings))
+    write_summary(
+        Summary(compare_tables(scores), compare_keys(), rows, [FIGURE_NOTE]),
+        summary_format(form, output),
+        output,
+    )
+    raise typer.Exit(opened.health_code())

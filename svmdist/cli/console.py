@@ -14,7 +14,7 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Protocol, TextIO
 
-from svmdist.cli.options import TableFormat
+from svmdist.cli.options import SummaryFormat
 from svmdist.errors import OutputError, UsageError
 from svmdist.input_file import why
 from svmdist.output_file import FALLBACK, write_atomically
@@ -38,8 +38,29 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
-def say(message: str) -> None:
-    """Print one line for a person to stderr, without markup or control characters."""
+class Verbosity(IntEnum):
+    """How much goes to stderr: errors only, what a person wants to know, or what was chosen and took time as well."""
+
+    QUIET = 0
+    NORMAL = 1
+    VERBOSE = 2
+
+
+class _Voice:
+    """The verbosity of the command that runs."""
+
+    verbosity = Verbosity.NORMAL
+
+
+def set_verbosity(verbosity: Verbosity) -> None:
+    """Choose how much `say` prints from now on."""
+    _Voice.verbosity = verbosity
+
+
+def say(message: str, at: Verbosity = Verbosity.NORMAL) -> None:
+    """Print one line for a person to stderr, without markup or control characters, if so much is wanted."""
+    if _Voice.verbosity < at:
+        return
     from svmdist.report.text import printable
 
     with suppress(OSError):  # where stderr is full, there is nobody left to tell
@@ -135,17 +156,28 @@ class Summary:
     notes: Sequence[str] = ()
 
 
-def write_summary(summary: Summary, form: TableFormat, output: Path | None) -> None:
-    """Write tables, CSV, or a JSON array of objects."""
+def write_summary(summary: Summary, form: SummaryFormat, output: Path | None) -> None:
+    """Write tables, in markup too, CSV, or a JSON array of objects."""
     from svmdist.report.table import csv_lines, json_text
 
     match form:
-        case TableFormat.TABLE:
+        case SummaryFormat.TABLE:
             write_tables(summary.tables, summary.notes, output)
-        case TableFormat.CSV:
+        case SummaryFormat.CSV:
             write_lines(csv_lines(summary.keys, summary.rows), output)
-        case TableFormat.JSON:
+        case SummaryFormat.JSON:
             write_lines([json_text(list(summary.rows), indent=1) + "\n"], output, is_json=True)
+        case SummaryFormat.LATEX | SummaryFormat.MARKDOWN:
+            write_marked_up(form, summary.tables, summary.notes, output)
+
+
+def write_marked_up(
+    form: SummaryFormat, tables: Sequence[Table], notes: Sequence[str], output: Path | None
+) -> None:
+    """Write tables as LaTeX or Markdown."""
+    from svmdist.report.markup import latex, markdown
+
+    write_lines((latex if form is SummaryFormat.LATEX else markdown)(tables, notes), output)
 
 
 def terminal_width(output: Path | None) -> int | None:
@@ -174,6 +206,8 @@ def require_output(output: Path | None, inputs: Iterable[Path] = ()) -> None:
     if not output.parent.is_dir():
         raise OutputError(f"{output}: cannot write: there is no folder {output.parent}")
     target = output if is_there else output.parent
+    if output.is_file() and output.stat().st_size > 0:
+        say(f"svmdist: replaces {output}", Verbosity.VERBOSE)
     if not os.access(target, os.W_OK):
         raise OutputError(f"{output}: cannot write: permission denied")
 
@@ -207,5 +241,5 @@ def report_health(recordings: Iterable[HasHealth]) -> ExitCode:
         if not recording.health.is_clean:
             code = ExitCode.LOSS
             for line in recording.health.describe():
-                say(f"svmdist: loss: {recording.path}: {line}")
+                say(f"svmdist: loss: {recording.path}: {line}", Verbosity.QUIET)
     return code

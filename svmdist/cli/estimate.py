@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
-from svmdist.cli.console import report_health, require_output, say, terminal_width, write_lines
+from svmdist.cli.console import ExitCode, say, terminal_width, write_lines
+from svmdist.cli.drawn import DrawnJob, Tally, write_drawn
+from svmdist.cli.estimate_targets import EstimateTargets
 from svmdist.cli.options import (
     CalibrationOption,
     EquationsChoice,
@@ -23,7 +25,9 @@ from svmdist.cli.options import (
     Method,
     MethodOption,
     OutputOption,
+    PlotOption,
     ProfileOption,
+    ReportOption,
     RowFormat,
     RowFormatOption,
     TopicOption,
@@ -31,16 +35,19 @@ from svmdist.cli.options import (
     parse_lag,
     topics_of,
 )
+from svmdist.cli.outputs import ForceOption
+from svmdist.cli.progress import tracked
+from svmdist.cli.recordings import EndOption, EveryOption, Opened, StartOption, open_recordings, window_of
+from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
     from svmdist.recording.reader import Recording
     from svmdist.report.table import Row
+    from svmdist.results import FrameResult
     from svmdist.workflows.lag import Lag
     from svmdist.workflows.setup import Setup
-
-Tally = Counter[tuple[str, str]]
-"""How many frames ended with a status and a detail."""
+    from svmdist.workflows.validate import Measured
 
 
 def estimate_command(
@@ -51,66 +58,130 @@ def estimate_command(
     profile: ProfileOption = "psm13",
     hand_eye: HandEyeOption = None,
     topic: TopicOption = None,
-    form: RowFormatOption = RowFormat.TABLE,
+    form: RowFormatOption = None,
     output: OutputOption = None,
     alarm_below: AlarmBelowOption = None,
     alarm_confidence: AlarmConfidenceOption = None,
     instrument: InstrumentOption = None,
     lag: LagOption = None,
     jobs: JobsOption = None,
+    force: ForceOption = False,
+    report: ReportOption = None,
+    save_plot: PlotOption = None,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    every: EveryOption = 1,
 ) -> None:
     """Estimate the distance in every frame.
 
-    There is one row per frame, and per instrument where the log has several that the profile names.
+    There is one row per frame, and per instrument where the log has several that the profile names. To a file that
+    ends in .mcap goes a copy of the recording with what was found and measured drawn on its images, for Foxglove,
+    Lichtblick and Rerun; to one in .mp4, a video of the same; to one in .html, a report.
     """
     from svmdist.estimation.methods import PLANAR_METHODS
-    from svmdist.recording.reader import open_recording
     from svmdist.workflows.scoring.alarms import require_clearance
     from svmdist.workflows.setup import prepare
 
-    require_output(output, files)
+    targets = EstimateTargets.of(form, output, report, save_plot)
+    targets.check(files)
     given = parse_lag(lag)
     rules = alarm_rules(alarm_below, alarm_confidence, method.value)
     setup = prepare(profile, method.value, equations.value, calibration, hand_eye)
     if rules:
         require_clearance(setup.method, setup.profile)
-    recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in files]
+    opened = open_recordings(files, setup.profile, topics_of(topic), window_of(start, end, every))
+    recordings = opened.recordings
     wanted = instruments_of(instrument, setup.profile)
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
+    if targets.form is RowFormat.TUM:
+        if setup.method in PLANAR_METHODS:
+            raise UsageError(
+                f"--format tum writes the tool's pose, and {method} knows none: choose a method in 3D"
+            )
+        if several:
+            raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
     tally: Tally = Counter()
-    rows = _started(_rows(recordings, setup, wanted, tally, rules, given, jobs))
-    planar = setup.method in PLANAR_METHODS
-    lines = _lines(form, rows, rules is not None, several, terminal_width(output), planar)
-    write_lines(lines, output, is_json=form in {RowFormat.JSON, RowFormat.JSONL})
+    measured: list[Measured] = []
+    if targets.drawn is not None:
+        job = DrawnJob(recordings[0], setup, rules, wanted, given, jobs)
+        write_drawn(job, *targets.drawn, tally, force=force)
+    else:
+        kept = measured if targets.needs_rows_kept else None
+        rows = _started(_rows(opened, setup, wanted, tally, rules, given, jobs, kept))
+        if targets.form is None or terminal_width(targets.output) is None:
+            # Rows on a terminal show by themselves how far the command is.
+            counts = [one.image_count() for one in recordings]
+            total = None if None in counts else sum(count or 0 for count in counts)
+            rows = tracked(rows, "measuring", "rows", total if not several else None)
+        planar = setup.method in PLANAR_METHODS
+        if targets.form is None:
+            deque(rows, maxlen=0)
+        else:
+            width = terminal_width(targets.output)
+            lines = _lines(targets.form, rows, rules is not None, several, width, planar)
+            is_json = targets.form in {RowFormat.JSON, RowFormat.JSONL}
+            write_lines(lines, targets.output, is_json=is_json)
     _summarise(tally)
-    raise typer.Exit(report_health(recordings))
+    targets.write_pictures(measured, setup, rules, jobs)
+    code = opened.health_code()
+    if code is ExitCode.CLEAN and tally and not any(status == "ok" for status, _ in tally):
+        code = ExitCode.UNUSABLE  # nothing was measured: the summary above says why
+    raise typer.Exit(code)
 
 
 def _rows(
-    recordings: list[Recording],
+    opened: Opened,
     setup: Setup,
     wanted: tuple[str, ...] | None,
     tally: Tally,
     rules: AlarmRules | None,
     lag: Lag | None,
     jobs: int | None,
+    measured: list[Measured] | None = None,
+) -> Iterator[Row]:
+    """The rows of all recordings; one of several that cannot be measured is told, and left out."""
+    from svmdist.errors import RecordingError
+
+    for recording in opened.recordings:
+        try:
+            yield from _rows_of(recording, setup, wanted, tally, rules, lag, jobs, measured)
+        except RecordingError as problem:
+            opened.fail(problem)
+
+
+def _rows_of(
+    recording: Recording,
+    setup: Setup,
+    wanted: tuple[str, ...] | None,
+    tally: Tally,
+    rules: AlarmRules | None,
+    lag: Lag | None,
+    jobs: int | None,
+    measured: list[Measured] | None,
 ) -> Iterator[Row]:
     from svmdist.cli.lag import told_lag
     from svmdist.estimation.alarms import AlarmWatch
+    from svmdist.estimation.lag import LagEstimate
     from svmdist.report.estimates import estimate_row
     from svmdist.workflows.estimate import estimate
+    from svmdist.workflows.validate import Measured
 
-    for recording in recordings:
-        for warning in setup.degeneracies(recording.camera):
-            say(f"svmdist: warning: {warning}")
-        seen = told_lag(recording, setup, lag, wanted, jobs)
-        start_ns: int | None = None
-        watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
-        for row in estimate(seen, setup, wanted, jobs):
-            start_ns = row.stamp_ns if start_ns is None else start_ns
-            tally[str(row.status), row.detail] += 1
-            alarm = watches[row.instrument].watch(row) if watches else None
-            yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns, alarm)
+    for warning in setup.degeneracies(recording.camera):
+        say(f"svmdist: warning: {warning}")
+    seen = told_lag(recording, setup, lag, wanted, jobs)
+    start_ns: int | None = None
+    kept: list[FrameResult] = []
+    watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
+    for row in estimate(seen, setup, wanted, jobs):
+        start_ns = row.stamp_ns if start_ns is None else start_ns
+        tally[str(row.status), row.detail] += 1
+        if measured is not None:
+            kept.append(row)
+        alarm = watches[row.instrument].watch(row) if watches else None
+        yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns, alarm)
+    if measured is not None:
+        found = LagEstimate(seen.lag.lag_s, seen.lag.std_s, 1.0) if seen.lag else None
+        measured.append(Measured(recording, seen, tuple(kept), found))
 
 
 def _started(rows: Iterator[Row]) -> Iterator[Row]:
@@ -133,6 +204,7 @@ def _lines(
         ESTIMATE_KEYS,
         INSTRUMENT_COLUMNS,
         columns_within,
+        tool_pose_lines,
     )
     from svmdist.report.table import csv_lines, json_array_lines, json_lines, text_lines
 
@@ -147,6 +219,8 @@ def _lines(
             return json_array_lines(ESTIMATE_KEYS, rows)
         case RowFormat.JSONL:
             return json_lines(ESTIMATE_KEYS, rows)
+        case RowFormat.TUM:
+            return tool_pose_lines(rows)
 
 
 def _summarise(tally: Tally) -> None:

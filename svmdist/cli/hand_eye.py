@@ -65,7 +65,7 @@ def hand_eye_command(
     topic: TopicOption = None,
     instrument: InstrumentOption = None,
     lag: LagOption = None,
-    form: TableFormatOption = TableFormat.TABLE,
+    form: TableFormatOption = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -120,7 +120,7 @@ def hand_eye_command(
             break
     else:
         raise RecordingError(f"{file}: no transform can be told: {'; '.join(failures)}")
-    match form:
+    match form or TableFormat.TABLE:
         case TableFormat.TABLE:
             write_lines((line for result in results for line in hand_eye_lines(result)), None)
         case TableFormat.CSV:

@@ -17,6 +17,7 @@ from svmdist.cli.options import (
     TopicOption,
     topics_of,
 )
+from svmdist.cli.outputs import table_format
 from svmdist.errors import RecordingError
 
 
@@ -25,7 +26,7 @@ def info_command(
     profile: ProfileOption = "psm13",
     hand_eye: HandEyeOption = None,
     topic: TopicOption = None,
-    form: TableFormatOption = TableFormat.TABLE,
+    form: TableFormatOption = None,
     output: OutputOption = None,
 ) -> None:
     """Show topics, rates, cameras, frames and health.
@@ -42,13 +43,14 @@ def info_command(
     require_output(output, [file])
     loaded = load_profile(profile, hand_eye)
     summary = inspect_recording(file, loaded, topics=topics_of(topic))
+    chosen = table_format(form, output)
     tags = None
-    if form is not TableFormat.CSV and {"image", "camera_info"} <= set(summary.roles):
+    if chosen is not TableFormat.CSV and {"image", "camera_info"} <= set(summary.roles):
         try:
             tags = look_for_tag(open_recording(file, loaded, topics=topics_of(topic)), loaded)
         except RecordingError:  # a calibration that is not usable: the summary tells of it
             tags = None
-    match form:
+    match chosen:
         case TableFormat.TABLE:
             write_lines(info_lines(summary, loaded, terminal_width(output), tags), output)
         case TableFormat.CSV:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from svmdist.cli import (
     blur_bench,
@@ -25,9 +26,32 @@ from svmdist.cli import (
     show,
     validate,
 )
-from svmdist.cli.console import ExitCode, abandon, adapt_streams, say, with_notes
+from svmdist.cli.console import ExitCode, Verbosity, abandon, adapt_streams, say, set_verbosity, with_notes
 from svmdist.cli.resources import what_lacks
 from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
+
+QUIET, VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")
+
+
+class Command(TyperCommand):
+    """A subcommand, which takes -q and -v as `svmdist` itself does: who types them looks for them in neither place."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments, and how much is to be printed."""
+        own = args.index("--") if "--" in args else len(args)
+        for names, verbosity in ((VERBOSE, Verbosity.VERBOSE), (QUIET, Verbosity.QUIET)):
+            if set(names) & set(args[:own]):
+                set_verbosity(verbosity)
+        kept = [argument for argument in args[:own] if argument not in (*QUIET, *VERBOSE)]
+        return super().parse_args(ctx, [*kept, *args[own:]])
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command and tell how long it took."""
+        begin_s = time.perf_counter()
+        try:
+            return super().invoke(ctx)
+        finally:
+            say(f"svmdist: {self.name} took {time.perf_counter() - begin_s:.1f} s", Verbosity.VERBOSE)
 
 
 class Commands(TyperGroup):
@@ -73,7 +97,6 @@ app = typer.Typer(
     cls=Commands,
     help="Estimate the distance between surgical instruments and tissue from recorded logs, and score the estimates.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -92,44 +115,59 @@ def _print_version(asked: bool) -> None:
 
 VersionOption = Annotated[
     bool,
-    typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version),
+    typer.Option(
+        "--version", "-V", help="Print the version and exit.", is_eager=True, callback=_print_version
+    ),
+]
+
+
+QuietOption = Annotated[bool, typer.Option(*QUIET, help="Print errors only beside the data.")]
+VerboseOption = Annotated[
+    bool, typer.Option(*VERBOSE, help="Also print which topics are read, and the time taken.")
 ]
 
 
 @app.callback()
-def main(version: VersionOption = False) -> None:
+def main(
+    version: VersionOption = False,  # noqa: ARG001  (its callback has printed it)
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+) -> None:
     """Hold the options of `svmdist` itself; everything else is a subcommand's."""
+    if quiet or verbose:
+        set_verbosity(Verbosity.QUIET if quiet else Verbosity.VERBOSE)
 
 
-app.command("import")(importing.import_command)
+app.command("import", cls=Command)(importing.import_command)
 app.add_typer(profile.profile_app, name="profile")
-app.command("info")(info.info_command)
-app.command("show")(show.show_command)
-app.command("record")(record.record_command)
-app.command("calibrate")(calibrate.calibrate_command)
-app.command("estimate")(estimate.estimate_command)
-app.command("validate")(validate.validate_command)
-app.command("compare")(compare.compare_command)
-app.command("blur-bench")(blur_bench.blur_bench_command)
-app.command("fk")(fk.fk_command)
-app.command("hand-eye")(hand_eye.hand_eye_command)
+app.command("info", cls=Command)(info.info_command)
+app.command("show", cls=Command)(show.show_command)
+app.command("record", cls=Command)(record.record_command)
+app.command("calibrate", cls=Command)(calibrate.calibrate_command)
+app.command("estimate", cls=Command)(estimate.estimate_command)
+app.command("validate", cls=Command)(validate.validate_command)
+app.command("compare", cls=Command)(compare.compare_command)
+app.command("blur-bench", cls=Command)(blur_bench.blur_bench_command)
+app.command("fk", cls=Command)(fk.fk_command)
+app.command("hand-eye", cls=Command)(hand_eye.hand_eye_command)
 
 
 def run() -> None:
     """Run the command line and exit with its code."""
     adapt_streams()
+    set_verbosity(Verbosity.NORMAL)
     try:
         app()
     except UsageError as problem:
-        say(f"svmdist: {problem}")
+        say(f"svmdist: {problem}", Verbosity.QUIET)
         sys.exit(ExitCode.USAGE)
     except SvmdistError as problem:
-        say(with_notes(f"svmdist: {problem}", problem))
+        say(with_notes(f"svmdist: {problem}", problem), Verbosity.QUIET)
         sys.exit(ExitCode.UNUSABLE)
     except Exception as problem:
         lack = what_lacks(problem)
         if lack is None:
             raise  # a fault of svmdist's own: its traceback is what helps to find it
-        say(with_notes(f"svmdist: {lack}", problem))
+        say(with_notes(f"svmdist: {lack}", problem), Verbosity.QUIET)
         abandon(sys.stdout)
         sys.exit(ExitCode.UNUSABLE)

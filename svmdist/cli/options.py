@@ -49,6 +49,16 @@ class TableFormat(StrEnum):
     JSON = "json"
 
 
+class SummaryFormat(StrEnum):
+    """`--format` of summaries of figures, which papers and pages want too."""
+
+    TABLE = "table"
+    CSV = "csv"
+    JSON = "json"
+    LATEX = "latex"
+    MARKDOWN = "markdown"
+
+
 class RowFormat(StrEnum):
     """`--format` of row streams."""
 
@@ -56,6 +66,7 @@ class RowFormat(StrEnum):
     CSV = "csv"
     JSON = "json"
     JSONL = "jsonl"
+    TUM = "tum"
 
 
 Files = Annotated[
@@ -127,13 +138,21 @@ CalibrationOption = Annotated[
         show_default=False,
     ),
 ]
+
+
+def _stdout_for_dash(output: Path | None) -> Path | None:
+    """`-o -` is stdout."""
+    return None if output == Path("-") else output
+
+
 OutputOption = Annotated[
     Path | None,
     typer.Option(
         "--output",
         "-o",
         metavar="FILE",
-        help="Write the data to this file instead of stdout.",
+        help="Write the data to this file instead of stdout, in the format of its ending; - is stdout.",
+        callback=_stdout_for_dash,
         show_default=False,
     ),
 ]
@@ -159,9 +178,35 @@ LagOption = Annotated[
         show_default=False,
     ),
 ]
+PlotOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--save-plot",
+        metavar="FIG",
+        help="Plot to this file (png, svg, pdf).",
+        show_default=False,
+    ),
+]
+ReportOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--report",
+        metavar="FILE.html",
+        help="Write a report with interactive plots and the worst frames to this file; it needs no network.",
+        show_default=False,
+    ),
+]
 MAX_LAG_S = 3600.0
-TableFormatOption = Annotated[TableFormat, typer.Option("--format", "-f", help="Format of the data.")]
-RowFormatOption = Annotated[RowFormat, typer.Option("--format", "-f", help="Format of the data.")]
+FORMAT_HELP = "Format of the data. Default: by the ending of the output file, else table."
+TableFormatOption = Annotated[
+    TableFormat | None, typer.Option("--format", "-f", help=FORMAT_HELP, show_default=False)
+]
+SummaryFormatOption = Annotated[
+    SummaryFormat | None, typer.Option("--format", "-f", help=FORMAT_HELP, show_default=False)
+]
+RowFormatOption = Annotated[
+    RowFormat | None, typer.Option("--format", "-f", help=FORMAT_HELP, show_default=False)
+]
 
 
 def topics_of(options: list[str] | None) -> dict[str, str]:

@@ -1,11 +1,23 @@
-"""A progress bar on a terminal's stderr; nothing in a pipe."""
+"""Progress of what takes time: a bar on a terminal's stderr, and a line every ten seconds where that is none."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
-from svmdist.cli.console import error_console
+from svmdist.cli.console import error_console, say
+
+Item = TypeVar("Item")
+LINE_EVERY_S = 10.0
+"""Where stderr is no terminal, a log of a job wants to know that it goes on, and not much more."""
+
+
+def stderr_is_terminal() -> bool:
+    """Whether a person watches."""
+    return sys.stderr.isatty()
 
 
 @contextmanager
@@ -14,6 +26,9 @@ def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], 
 
     A total of None is not known.
     """
+    if not stderr_is_terminal():  # which also spares loading the layout
+        yield _lines(title, unit)
+        return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = error_console()
@@ -25,7 +40,7 @@ def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], 
         TimeRemainingColumn(),
     )
     try:
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        with Progress(*columns, console=console, transient=True) as progress:
             task = progress.add_task(title, total=None, rate="")
 
             def advance(done: int, total: int | None) -> None:
@@ -36,5 +51,31 @@ def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], 
             yield advance
     finally:
         # An interrupt while the bar is being set up would leave the terminal without a cursor.
-        if console.is_terminal:
-            console.show_cursor(True)
+        console.show_cursor(True)
+
+
+def tracked(items: Iterable[Item], title: str, unit: str, total: int | None) -> Iterator[Item]:
+    """The items as they come, with progress told."""
+    with progress_bar(title, unit) as advance:
+        for count, item in enumerate(items, 1):
+            yield item
+            advance(count, total)
+
+
+def _lines(
+    title: str, unit: str, clock: Callable[[], float] = time.monotonic
+) -> Callable[[int, int | None], None]:
+    """A function that is told (done, total), and says so in a line every ten seconds."""
+    start_s = clock()
+    next_s = start_s + LINE_EVERY_S
+
+    def advance(done: int, total: int | None) -> None:
+        nonlocal next_s
+        now_s = clock()
+        if now_s < next_s:
+            return
+        next_s = now_s + LINE_EVERY_S
+        of = "" if total is None else f" of {total}"
+        say(f"svmdist: {title}: {done}{of} {unit}, {done / (now_s - start_s):.1f} {unit}/s")
+
+    return advance

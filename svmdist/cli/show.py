@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from svmdist.cli.console import report_health, say, write_lines
-from svmdist.cli.options import ProfileOption, TopicOption, topics_of
+from svmdist.cli.options import (
+    CalibrationOption,
+    JobsOption,
+    Method,
+    MethodOption,
+    ProfileOption,
+    TopicOption,
+    topics_of,
+)
+from svmdist.cli.progress import progress_bar
 from svmdist.errors import OutputError, UsageError
+
+if TYPE_CHECKING:
+    from svmdist.recording.reader import Recording
+    from svmdist.samples import Image
+    from svmdist.workflows.setup import Setup
 
 DEFAULT_COUNT = 6
 """Pictures where none is asked for: enough to see a log from its beginning to its end."""
+Picture = tuple[int, "Image"]
 
 
 def show_command(
@@ -37,6 +53,18 @@ def show_command(
             show_default=False,
         ),
     ] = None,
+    worst: Annotated[
+        int | None,
+        typer.Option(
+            "--worst",
+            metavar="N",
+            min=1,
+            help="The N worst frames: by error where the log has ground truth, else by the interval's width.",
+            show_default=False,
+        ),
+    ] = None,
+    method: MethodOption = Method.OVERLAY,
+    calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
     output: Annotated[
@@ -49,23 +77,32 @@ def show_command(
             show_default=".",
         ),
     ] = Path("."),
+    jobs: JobsOption = None,
 ) -> None:
     """Show images of a recording with what was found in them, as PNG files.
 
-    Without --frame or --at, six images from the first to the last are drawn. The names of the files are printed.
+    Each phase of the method is a panel: segmentation, contours, marker, matches and outline of overlay; edges, tip,
+    tag and surface of fused. With --masks, only what was segmented is drawn. Without --frame, --at or --worst, six
+    images from the first to the last are drawn. The names of the files are printed.
     """
-    panels = [name for name, wanted in (("masks", masks),) if wanted]
-    if not panels:
-        raise UsageError("nothing to show: give --masks")
-    if frame is not None and at is not None:
-        raise UsageError("--frame and --at both choose an image: give one of them")
+    if sum(choice is not None for choice in (frame, at, worst)) > 1:
+        raise UsageError("--frame, --at and --worst choose images: give one of them")
+    if masks and worst is not None:
+        raise UsageError(
+            "--worst needs what a method measured, and --masks shows what was segmented before it"
+        )
     from svmdist.profile import load_profile
     from svmdist.recording.reader import open_recording
-    from svmdist.report.pictures import picture_of, write_picture
-    from svmdist.workflows.setup import Setup
-    from svmdist.workflows.show import image_stamps_ns, shown_frames, spread
+    from svmdist.report.pictures import write_picture
+    from svmdist.workflows.setup import Setup, prepare
+    from svmdist.workflows.show import image_stamps_ns, spread
 
-    loaded = load_profile(profile)
+    setup = (
+        Setup(load_profile(profile), "shaft", "corrected", None)
+        if masks
+        else prepare(profile, method.value, "corrected", calibration)
+    )
+    loaded = setup.profile
     recording = open_recording(file, loaded, topics=topics_of(topic))
     stamps_ns = image_stamps_ns(recording)
     if frame is not None:
@@ -76,19 +113,54 @@ def show_command(
         numbers = {frame}
     elif at is not None:
         numbers = {min(range(len(stamps_ns)), key=lambda n: abs((stamps_ns[n] - stamps_ns[0]) * 1e-9 - at))}
+    elif worst is not None:
+        numbers = _worst(recording, setup, worst, len(stamps_ns), jobs)
     else:
         numbers = set(spread(len(stamps_ns), DEFAULT_COUNT))
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
         raise OutputError(f"{output}: cannot make the folder: {problem.strerror or problem}") from None
-    setup = Setup(loaded, "shaft", "corrected", None)
     drawn = 0
-    for shown in shown_frames(recording, setup, lambda number, _: number in numbers, max(numbers)):
-        path = output / f"{recording.name}-{shown.number:05d}.png"
-        write_picture(path, picture_of(shown, panels, recording.name))
+    pictures = _masks(recording, setup, numbers) if masks else _phases(recording, setup, numbers, jobs)
+    for number, picture in pictures:
+        path = output / f"{recording.name}-{number:05d}.png"
+        write_picture(path, picture)
         write_lines([f"{path}\n"], None)
         drawn += 1
     if drawn < len(numbers):
         say(f"svmdist: {len(numbers) - drawn} of {len(numbers)} images cannot be read, and are not drawn")
     raise typer.Exit(report_health([recording]))
+
+
+def _masks(recording: Recording, setup: Setup, numbers: set[int]) -> Iterator[Picture]:
+    from svmdist.report.pictures import picture_of
+    from svmdist.workflows.show import shown_frames
+
+    for shown in shown_frames(recording, setup, lambda number, _: number in numbers, max(numbers)):
+        yield shown.number, picture_of(shown, ["masks"], recording.name)
+
+
+def _phases(recording: Recording, setup: Setup, numbers: set[int], jobs: int | None) -> Iterator[Picture]:
+    from svmdist.report.phases import phases_picture
+    from svmdist.workflows.annotate import drawn_frames
+
+    for shown in drawn_frames(recording, setup, jobs=jobs, numbers=numbers):
+        title = f"{recording.name}  frame {shown.number}  method {setup.method}"
+        yield shown.number, phases_picture(shown, setup.method, title)
+
+
+def _worst(recording: Recording, setup: Setup, count: int, total: int, jobs: int | None) -> set[int]:
+    """The numbers of the worst frames of any instrument; says of each how bad it is."""
+    from svmdist.workflows.estimate import estimate
+    from svmdist.workflows.series import make_series, worst_frames
+
+    rows = []
+    with progress_bar(f"measuring {recording.name}", "rows") as advance:
+        for row in estimate(recording, setup, jobs=jobs):
+            rows.append(row)
+            advance(len(rows), total * len(recording.instruments))
+    worst = worst_frames(make_series(rows, recording, setup), count)
+    for one in worst:
+        say(f"svmdist: {one.in_words}")
+    return {one.number for one in worst}

@@ -12,10 +12,10 @@ from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_ru
 from svmdist.cli.console import (
     ExitCode,
     files_or_golden,
-    report_health,
     require_output,
     say,
     write_lines,
+    write_marked_up,
     write_tables,
 )
 from svmdist.cli.options import (
@@ -30,24 +30,42 @@ from svmdist.cli.options import (
     MethodOption,
     OptionalFiles,
     OutputOption,
+    PlotOption,
     ProfileOption,
-    TableFormat,
-    TableFormatOption,
+    ReportOption,
+    SummaryFormat,
+    SummaryFormatOption,
     TopicOption,
     instruments_of,
     parse_lag,
     topics_of,
 )
+from svmdist.cli.outputs import command_line, require_report, summary_format
+from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
+from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
-    from svmdist.workflows.validate import Validation
+    from svmdist.workflows.scoring.truth import TruthRules
+    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.validate import Measured, Validation
 
-PlotOption = Annotated[
-    Path | None,
+
+class PlotKind(StrEnum):
+    """`--plot`."""
+
+    FIG6 = "fig6"
+    TIME = "time"
+    RESIDUALS = "residuals"
+    BLAND_ALTMAN = "bland-altman"
+    CALIBRATION = "calibration"
+
+
+PlotKindOption = Annotated[
+    PlotKind | None,
     typer.Option(
-        "--save-plot",
-        metavar="FIG",
-        help="Plot truth, estimate and error to this file (png, svg, pdf).",
+        "--plot",
+        help="What --save-plot draws: fig6, truth, estimate and error over time as in the paper's figure; time;"
+        " residuals over time and distance; bland-altman; calibration of the interval. Default: fig6.",
         show_default=False,
     ),
 ]
@@ -114,7 +132,7 @@ def validate_command(
     calibration: CalibrationOption = None,
     profile: ProfileOption = "psm13",
     hand_eye: HandEyeOption = None,
-    form: TableFormatOption = TableFormat.TABLE,
+    form: SummaryFormatOption = None,
     output: OutputOption = None,
     topic: TopicOption = None,
     truth: TruthOption = None,
@@ -128,6 +146,11 @@ def validate_command(
     alarm_confidence: AlarmConfidenceOption = None,
     instrument: InstrumentOption = None,
     jobs: JobsOption = None,
+    report: ReportOption = None,
+    plot: PlotKindOption = None,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    every: EveryOption = 1,
 ) -> None:
     """Score estimates against the truth.
 
@@ -136,7 +159,6 @@ def validate_command(
     the true clearance: recall, precision, share of the safe frames that are alarmed, false alarms per minute and
     lead time.
     """
-    from svmdist.recording.reader import open_recording
     from svmdist.workflows.baseline import (
         find_regressions,
         load_baseline,
@@ -148,8 +170,11 @@ def validate_command(
     from svmdist.workflows.setup import prepare
     from svmdist.workflows.validate import validate
 
-    for target in (output, save_plot, write_baseline):
+    for target in (output, save_plot, write_baseline, report):
         require_output(target, files or ())
+    require_report(report)
+    if plot is not None and save_plot is None:
+        raise UsageError(f"--plot {plot}: says what --save-plot FILE draws, which is not given")
     if save_plot:
         from svmdist.report.plot import plot_format
 
@@ -162,15 +187,30 @@ def validate_command(
     setup = prepare(profile, method.value, equations.value, calibration, hand_eye)
     references = tuple(Reference(choice.value) for choice in dict.fromkeys(truth)) if truth else None
     rules = truth_rules(tuple(truth_tf or ()), setup.profile, references, round(max_gap * 1e9))
-    recordings = [open_recording(path, setup.profile, topics=topics_of(topic)) for path in paths]
+    opened = open_recordings(paths, setup.profile, topics_of(topic), window_of(start, end, every))
     wanted = instruments_of(instrument, setup.profile)
-    result = validate(recordings, setup, rules, parse_lag(lag), alarms, wanted, jobs)
-    _write(result, form, output)
+    measured: list[Measured] = []
+    on_measured = measured.append if report or plot not in (None, PlotKind.FIG6) else None
+    result = validate(
+        opened.recordings,
+        setup,
+        rules,
+        parse_lag(lag),
+        alarms,
+        wanted,
+        jobs,
+        on_measured,
+        opened.fail if opened.count > 1 else None,
+    )
+    _write(result, summary_format(form, output), output)
     if save_plot:
-        from svmdist.report.plot import save_plot as draw_to
+        _save_plot(result, measured, setup, rules, plot or PlotKind.FIG6, save_plot)
+    if report:
+        from svmdist.report.html.build import validation_report
+        from svmdist.report.html.page import write_report
 
-        draw_to(result, save_plot)
-    code = report_health(recordings)
+        write_report(validation_report(result, measured, setup, rules, command_line(), jobs), report)
+    code = opened.health_code()
     if write_baseline:
         save_baseline(make_baseline(result), write_baseline)
     if stored:
@@ -184,7 +224,28 @@ def validate_command(
     raise typer.Exit(code)
 
 
-def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
+def _save_plot(
+    result: Validation, measured: list[Measured], setup: Setup, rules: TruthRules, kind: PlotKind, path: Path
+) -> None:
+    if kind is PlotKind.FIG6:
+        from svmdist.report.plot import save_plot
+
+        save_plot(result, path)
+        return
+    from svmdist.report.series_plot import SeriesPlot, save_series_plot
+    from svmdist.workflows.series import make_series
+
+    reference = result.primary.reference if result.primary else result.scores[0].reference
+    series = [
+        made
+        for one in measured
+        for made in make_series(one.rows, one.recording, setup, rules, reference, one.lag)
+    ]
+    below_m = result.alarm_rules.below_m if result.alarm_rules else None
+    save_series_plot(series, SeriesPlot(kind.value), path, below_m)
+
+
+def _write(result: Validation, form: SummaryFormat, output: Path | None) -> None:
     from svmdist.report.table import csv_lines, json_text
     from svmdist.report.validation import score_keys, score_row, validation_document
     from svmdist.report.validation_tables import remarks, validation_tables
@@ -192,11 +253,13 @@ def _write(result: Validation, form: TableFormat, output: Path | None) -> None:
     for note in result.notes:
         say(f"svmdist: note: {note}")
     match form:
-        case TableFormat.TABLE:
+        case SummaryFormat.TABLE:
             tables = validation_tables(result)
             write_tables(tables, remarks(result), output)
-        case TableFormat.CSV:
+        case SummaryFormat.LATEX | SummaryFormat.MARKDOWN:
+            write_marked_up(form, validation_tables(result), remarks(result), output)
+        case SummaryFormat.CSV:
             scores = (*result.scores, *result.overall)
             write_lines(csv_lines(score_keys(), (score_row(score) for score in scores)), output)
-        case TableFormat.JSON:
+        case SummaryFormat.JSON:
             write_lines([json_text(validation_document(result), indent=1) + "\n"], output, is_json=True)

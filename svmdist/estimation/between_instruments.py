@@ -30,8 +30,9 @@ def with_clearance_between(
                 continue
             gap = capsule_separation(first[0], second[0])
             std_m = float(np.hypot(between_std_m(gap, first[1], second[1]), np.hypot(first[2], second[2])))
-            for at, direction in ((i, gap.direction), (j, -gap.direction)):
-                distance = Distance(gap.distance_m, std_m, as_vector(direction))
+            ends = ((i, gap.direction, gap.on_instrument_m), (j, -gap.direction, gap.on_tissue_m))
+            for at, direction, start_m in ends:
+                distance = Distance(gap.distance_m, std_m, as_vector(direction), as_vector(start_m))
                 nearest[at] = min(nearest.get(at, distance), distance, key=lambda found: found.value_m)
     for at, distance in nearest.items():
         distances = replace(results[at].distances, to_instrument=distance)

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from svmdist.estimation.arm import Arm
 from svmdist.estimation.detection.scene import Scene
 from svmdist.estimation.detection.tool import ToolDetections
@@ -102,9 +104,25 @@ def frames_of(
 
 
 def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
-    """The frame of the only instrument of an observation."""
+    """The frame of the only instrument of an observation; raises ValueError for what is no image of its camera."""
+    _require_image(observation)
     scene = Scene(observation, arm.profile, segmenter)
     return frames_of(scene, [arm], [observation], [arm.state_at(observation)], [(None, None)])[0]
+
+
+def _require_image(observation: Observation) -> None:
+    """Check an image that a caller made; those of logs are checked when they are decoded."""
+    image, camera = observation.image_bgr, observation.camera
+    expected = f"expected a BGR image of uint8, shape ({camera.height_px}, {camera.width_px}, 3)"
+    if not isinstance(image, np.ndarray):
+        raise ValueError(f"{expected}; found {type(image).__name__}")
+    if image.dtype != np.uint8:
+        span = (
+            f", from {image.min():g} to {image.max():g}" if image.size and image.dtype.kind in "fiu" else ""
+        )
+        raise ValueError(f"{expected}; found {image.dtype}{span}: levels are from 0 to 255")
+    if image.shape != (camera.height_px, camera.width_px, 3):
+        raise ValueError(f"{expected} as its camera has it; found {image.shape}")
 
 
 def prefetch(source: object, names: Sequence[str]) -> None:

@@ -87,6 +87,7 @@ class EncodedObservation:
             detail = (
                 f"{width_px}x{height_px} px; the camera has {self.camera.width_px}x{self.camera.height_px}"
             )
+            losses.append(Loss(LossKind.IMAGE, detail, self.matched.logged.offset, self.topic))
             rejection = Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, detail)
             return Decoded(rejection, tuple(losses), self.place)
         view = self._right_view(losses)

@@ -25,6 +25,7 @@ from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.names import sanitize, sanitize_list
 from svmdist.recording.observing import Observer
 from svmdist.recording.opening import open_source
+from svmdist.recording.reading import Reading
 from svmdist.recording.sources import RawMessage, Source, TopicInfo
 from svmdist.recording.topics import Role
 from svmdist.recording.transform_tree import TransformTree
@@ -40,6 +41,8 @@ from svmdist.samples import (
 )
 from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack, sort_stamps
 from svmdist.transforms import inverse
+
+AS_IT_IS = Reading()
 
 
 def open_recording(
@@ -63,9 +66,9 @@ def open_recording(
 
 
 def _reopen(
-    path: Path, profile: Profile, limits: Limits, topics: dict[str, str], lag: KnownLag | None
+    path: Path, profile: Profile, limits: Limits, topics: dict[str, str], lag: KnownLag | None, how: Reading
 ) -> Recording:
-    recording = open_recording(path, profile, limits=limits, topics=topics)
+    recording = open_recording(path, profile, limits=limits, topics=topics).read_as(how)
     return recording if lag is None else recording.with_lag(lag, profile)
 
 
@@ -96,7 +99,9 @@ class Recording:
         limits: Limits,
         world: ReplayedWorld | None = None,
         lag: KnownLag | None = None,
+        how: Reading = AS_IT_IS,
     ) -> None:
+        self._how = how
         self._source = source
         self._arms = tuple(arms)
         self._limits = limits
@@ -113,7 +118,7 @@ class Recording:
         """Another process opens the same file anew."""
         if self.origin is None:
             raise TypeError("only a recording as it was opened can be sent to another process")
-        return _reopen, (*self.origin, self.lag)
+        return _reopen, (*self.origin, self.lag, self._how)
 
     @property
     def instruments(self) -> tuple[str, ...]:
@@ -122,7 +127,7 @@ class Recording:
 
     def for_instrument(self, name: str) -> Recording:
         """The same log as one of its instruments sees it; RecordingError lists those that there are."""
-        return Recording(self._source, [self._arm(name)], self._limits, self._world, self.lag)
+        return Recording(self._source, [self._arm(name)], self._limits, self._world, self.lag, self._how)
 
     def perturbed(self, perturbations: Perturbations, profile: Profile) -> Recording:
         """The same log as it would be in a perturbed world: joints, their stamps, and what it says of its cameras.
@@ -132,7 +137,7 @@ class Recording:
         """
         seed = self.metadata.get("seed", "")
         world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0, self._lag_ns)
-        return Recording(self._source, self._arms, self._limits, world, self.lag)
+        return Recording(self._source, self._arms, self._limits, world, self.lag, self._how)
 
     def with_lag(self, lag: KnownLag, profile: Profile) -> Recording:
         """The same log with its clocks put right: joints, poses and transforms get the stamps that its images have.
@@ -141,7 +146,13 @@ class Recording:
         """
         before = self._world or ReplayedWorld(UNPERTURBED, profile)
         world = replace(before, lag_ns=lag.lag_ns)
-        recording = Recording(self._source, self._arms, self._limits, world, lag)
+        recording = Recording(self._source, self._arms, self._limits, world, lag, self._how)
+        recording.origin = self.origin
+        return recording
+
+    def read_as(self, how: Reading) -> Recording:
+        """The same log under another name, or some of its images; whatever else it has is read whole."""
+        recording = Recording(self._source, self._arms, self._limits, self._world, self.lag, how)
         recording.origin = self.origin
         return recording
 
@@ -167,14 +178,19 @@ class Recording:
         raise RecordingError(f"{self.path.name}: no topic of an instrument {sanitize(name)}: {known}")
 
     @property
+    def limits(self) -> Limits:
+        """What a message may take at most."""
+        return self._limits
+
+    @property
     def path(self) -> Path:
         """The file or folder."""
         return self._source.path
 
     @property
     def name(self) -> str:
-        """The file's name without its suffix."""
-        return self._source.path.stem
+        """The file's name without its suffix, or the one that it goes by."""
+        return self._how.name or self._source.path.stem
 
     @property
     def health(self) -> Health:
@@ -193,6 +209,13 @@ class Recording:
     def topic_of(self, role: Role | str) -> str | None:
         """Name the topic that plays a role; None where the log has none."""
         return self._choice.find(Role(role))
+
+    def image_count(self) -> int | None:
+        """How many images the file says that it has; None where it does not say, or where some are left out."""
+        if self._how.window is not None:
+            return None
+        topic = self._choice.find(Role.IMAGE)
+        return next((info.message_count for info in self.topics() if info.topic == topic), None)
 
     @cached_property
     def camera(self) -> Camera:
@@ -255,9 +278,10 @@ class Recording:
         for they refer to each other.
         """
         arms = [self._arm(name) for name in names]
-        return self._observer.observations(
+        images = self._observer.observations(
             self._choice.require(Role.IMAGE), self.camera, lambda: self.right_camera, arms, needs
         )
+        return images if self._how.window is None else self._how.window.of(images)
 
     def record_losses(self, decoded: Decoded) -> tuple[Observation, ...] | Rejection:
         """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from svmdist.estimation.alarms import AlarmState
 from svmdist.report.table import Cell, Column, Row, number, text_width
 from svmdist.results import FrameResult, as_vector
 from svmdist.samples import Vector
+from svmdist.transforms import quaternion_xyzw_from_rotation
 
 ESTIMATE_KEYS = (
     "recording",
@@ -54,6 +55,8 @@ ESTIMATE_KEYS = (
     "consistency",
 )
 """The contract: columns may be added at the end, none is renamed or removed."""
+
+QUATERNION_KEYS = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
 
 ALARM_COLUMNS = (
     Column("alarm", "alarm", number(0)),
@@ -126,6 +129,7 @@ def estimate_row(
     alarm = alarm or AlarmState()
     return {
         **_fields(estimate),
+        **_quaternion(estimate),
         "recording": recording,
         "method": method,
         "equations": equations,
@@ -134,6 +138,25 @@ def estimate_row(
         "closing_speed_m_s": alarm.closing_speed_m_s,
         "time_to_contact_s": alarm.time_to_contact_s,
     }
+
+
+def tool_pose_lines(rows: Iterable[Row]) -> Iterator[str]:
+    """The tool's poses in the camera frame as TUM trajectories have them, for evo: a line per measured frame."""
+    yield "# timestamp tx ty tz qx qy qz qw\n"
+    keys = ("tool_x_m", "tool_y_m", "tool_z_m", *QUATERNION_KEYS)
+    for row in rows:
+        numbers = [row.get(key) for key in keys]
+        if all(isinstance(number, float) for number in numbers):
+            seconds, nanoseconds = divmod(int(row["stamp_ns"] or 0), 1_000_000_000)
+            yield f"{seconds}.{nanoseconds:09d} " + " ".join(f"{number:.9f}" for number in numbers) + "\n"
+
+
+def _quaternion(result: FrameResult) -> dict[str, Cell]:
+    """The tool's orientation, for trajectories; no columns of the tables."""
+    if result.tool is None or not result.measured:
+        return {}
+    xyzw = quaternion_xyzw_from_rotation(result.tool.pose.T_camera_tool[:3, :3]).tolist()
+    return dict(zip(QUATERNION_KEYS, xyzw, strict=True))
 
 
 def _fields(result: FrameResult) -> dict[str, Cell]:

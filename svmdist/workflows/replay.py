@@ -27,7 +27,7 @@ from svmdist.recording.encoded import Decoded, EncodedObservation
 from svmdist.recording.encoded import Needs as ReadNeeds
 from svmdist.recording.reader import Recording
 from svmdist.results import FrameResult, as_pixel
-from svmdist.samples import Observation, Rejection
+from svmdist.samples import Image, Observation, Rejection
 from svmdist.vision.undistortion import seen_through
 from svmdist.workflows.adapting import adapted_segmenters
 from svmdist.workflows.ahead import in_order, keep_freed_memory, one_opencv_thread, usable_cores
@@ -43,12 +43,14 @@ if TYPE_CHECKING:  # a log of one instrument needs none
 class Replayed:
     """What one method gave for one image under one condition: a result and its cost for each wanted instrument.
 
-    `frames` are what it was given, empty for an image that could not be read.
+    `frames` are what it was given, empty for an image that could not be read. `image_bgr` is the image as it was
+    recorded, before its field was chosen and its lens was taken off; None for one that could not be read.
     """
 
     results: tuple[FrameResult, ...]
     seconds: tuple[float, ...]
     frames: tuple[Frame, ...] = ()
+    image_bgr: Image | None = None
 
 
 def replay(
@@ -229,4 +231,5 @@ class _Replay:
             assert every is not None  # one instrument, or an association
             chosen = [every[place] for place in self._places]
             for lane, known in zip(lanes, ahead.measured, strict=True):
-                yield lane.estimate(chosen) if known is None else known
+                replayed = lane.estimate(chosen) if known is None else known
+                yield replace(replayed, image_bgr=found[0].image_bgr)

@@ -20,6 +20,7 @@ from svmdist.perturbations.shape import stated_profile
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.reader import KnownLag, Recording
 from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
+from svmdist.workflows.own_method import OwnEstimator, OwnMethod, name_of
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,8 @@ class Setup:
     equations: Equations
     calibration: Calibration | None
     mapping: PlaneMapping | None = None
+    own: OwnMethod | None = None
+    """A user's own method, in place of one of svmdist's."""
 
     @cached_property
     def segmenter(self) -> Segmenter:
@@ -47,7 +50,7 @@ class Setup:
 
     def estimator_for(self, arm: Arm) -> Estimator:
         """Make the estimator of one instrument."""
-        return make_estimator(self.method, arm, self.mapping)
+        return OwnEstimator(self.own) if self.own else make_estimator(self.method, arm, self.mapping)
 
     def for_instrument(self, name: str) -> Setup:
         """The same for one of the profile's instruments."""
@@ -85,24 +88,27 @@ class Setup:
 
 
 def prepare(
-    profile: str | Path = DEFAULT_PROFILE,
-    method: str = "overlay",
+    profile: str | Path | Profile = DEFAULT_PROFILE,
+    method: str | OwnMethod = "overlay",
     equations: Equations = "corrected",
     calibration: Path | None = None,
     hand_eye: Path | None = None,
 ) -> Setup:
-    """Load what a measurement needs, by names and paths.
+    """Load what a measurement needs, by names and paths; a `Profile`, and an own method, are taken as they are.
 
     A planar method needs a calibration: the given one, else the one that ships beside the profile. A method
     that measures in 3D needs none, and knows no other equations. `hand_eye` is a file of camera-to-base transforms in
     place of the profile's. Raises ProfileError, CalibrationError or
     UsageError.
     """
+    if not isinstance(method, str):
+        loaded = profile if isinstance(profile, Profile) else load_profile(profile)
+        return Setup(loaded, name_of(method), equations, None, own=method)
     if method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
     if equations not in ("corrected", "printed"):
         raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
-    loaded = load_profile(profile, hand_eye)
+    loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
     setup = _resolve(profile, loaded, method, equations, calibration)
     # A network or a mesh that cannot be used is told before a recording is opened.
     _ = setup.segmenter
@@ -112,7 +118,11 @@ def prepare(
 
 
 def _resolve(
-    profile: str | Path, loaded: Profile, method: str, equations: Equations, calibration: Path | None
+    profile: str | Path | Profile,
+    loaded: Profile,
+    method: str,
+    equations: Equations,
+    calibration: Path | None,
 ) -> Setup:
     if method not in PLANAR_METHODS:
         if equations == "printed" or calibration is not None:
@@ -130,10 +140,12 @@ def _resolve(
     return Setup(loaded, method, equations, found, found.mapping)
 
 
-def _beside(profile: str | Path, loaded: Profile) -> Path:
+def _beside(profile: str | Path | Profile, loaded: Profile) -> Path:
     if loaded.calibration is None:
         raise CalibrationError(
             f"profile {loaded.name} ships no calibration: make one with `svmdist calibrate` and name it with"
             " --calibration"
         )
-    return profile_path(profile).parent / loaded.calibration
+    # A profile in hand names no folder: its calibration is a shipped one, or is given.
+    path = profile_path(loaded.name if isinstance(profile, Profile) else profile)
+    return path.parent / loaded.calibration

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -11,6 +11,7 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.recording.reader import Recording
+from svmdist.results import FrameResult
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.lag import Lag, recording_lag, with_lag
 from svmdist.workflows.scoring.alarms import require_clearance
@@ -44,6 +45,16 @@ class Validation:
         return next((by_reference[reference] for reference in Reference if reference in by_reference), None)
 
 
+@dataclass(frozen=True)
+class Measured:
+    """The rows of one recording, the recording as it is and as methods read it, and the lag that was taken off."""
+
+    recording: Recording
+    read: Recording
+    rows: tuple[FrameResult, ...]
+    lag: LagEstimate | None
+
+
 def validate(
     recordings: Sequence[Recording],
     setup: Setup,
@@ -52,6 +63,8 @@ def validate(
     alarms: AlarmRules | None = None,
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
+    on_measured: Callable[[Measured], None] | None = None,
+    on_unusable: Callable[[RecordingError], None] | None = None,
 ) -> Validation:
     """Score a setup on recordings against each reference that they have, and its alarms where asked for.
 
@@ -60,7 +73,8 @@ def validate(
     `wanted` names the instruments to score. Recordings that the calibration was fitted on are scored and marked, and
     the overall score leaves them out. Raises RecordingError where a recording has no reference at all, or no true
     clearance to score alarms against. Raises UsageError where alarms are asked for and the method estimates no
-    clearance, or the references are without ground truth.
+    clearance, or the references are without ground truth. `on_measured` is given the rows of each recording. With
+    `on_unusable`, a recording that cannot be scored is told to it, and the others are scored all the same.
     """
     rules = rules or TruthRules()
     if alarms is not None:
@@ -73,7 +87,14 @@ def validate(
     scores: list[Score] = []
     notes: list[str] = []
     for recording in recordings:
-        scores += _score_recording(recording, setup, rules, lag, alarms, notes, wanted, jobs)
+        try:
+            scores += _score_recording(recording, setup, rules, lag, alarms, notes, wanted, jobs, on_measured)
+        except RecordingError as problem:
+            if on_unusable is None:
+                raise
+            on_unusable(problem)
+    if not scores:
+        raise RecordingError("no recording could be scored")
     overall = []
     for of in product(setup.profile.instrument_names, rules.wanted):
         counted = [
@@ -93,6 +114,7 @@ def _score_recording(
     notes: list[str],
     wanted: Sequence[str] | None,
     jobs: int | None,
+    on_measured: Callable[[Measured], None] | None,
 ) -> list[Score]:
     """Score every wanted instrument. Scores are named after the recording, and after any instrument but the first."""
     notes += setup.degeneracies(recording.camera)
@@ -124,6 +146,8 @@ def _score_recording(
                 scores.append(replace(score, recording=label, instrument=name))
     if not scores or (alarms and scores[0].alarms is None):
         raise RecordingError("; ".join(missing))
+    if on_measured is not None:
+        on_measured(Measured(recording, read, tuple(every), scores[0].lag))
     notes += missing
     if setup.equations == "printed" and Reference.KINEMATICS in {score.reference for score in scores}:
         notes.append(KINEMATICS_PRINTED_NOTE)

@@ -89,7 +89,7 @@ def test_a_method_says_what_the_log_lacks(cli: Cli, tmp_path: Path, method: str,
 
     path = write_log(tmp_path / "still.mcap", frame_count=3, change=without_joints)
     outcome = cli("estimate", path, "--method", method, "-f", "csv")
-    assert outcome.code == 0
+    assert outcome.code == 1  # nothing was measured
     assert _one_line(outcome.err) == f"svmdist: 0 of 3 frames measured (0.0%); {said}"
     header, *rows = outcome.out.splitlines()
     assert header.endswith(",detail,tool_std_m,axis_std_rad,consistency")

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from svmdist.cli import progress
-from svmdist.cli.progress import progress_bar
+from svmdist.cli.progress import _lines, progress_bar, tracked
 
 SHOW_CURSOR = "\x1b[?25h"
 
@@ -16,6 +16,7 @@ SHOW_CURSOR = "\x1b[?25h"
 def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
     """A terminal in place of stderr."""
     text = io.StringIO()
+    monkeypatch.setattr(progress, "stderr_is_terminal", lambda: True)
     monkeypatch.setattr(
         progress, "error_console", lambda: Console(file=text, force_terminal=True, width=120, markup=False)
     )
@@ -51,3 +52,21 @@ def test_an_error_passes_and_the_cursor_is_shown_again(monkeypatch: pytest.Monke
     with pytest.raises(KeyboardInterrupt):
         fail()
     assert text.getvalue().endswith(SHOW_CURSOR)
+
+
+def test_a_pipe_gets_a_line_every_ten_seconds(capsys: pytest.CaptureFixture[str]) -> None:
+    """By a clock that jumps four seconds at each look."""
+    times = iter(range(0, 400, 4))
+    advance = _lines("measuring a", "frames", lambda: float(next(times)))
+    for done in range(1, 8):
+        advance(done, 20)
+    assert capsys.readouterr().err.splitlines() == [
+        "svmdist: measuring a: 3 of 20 frames, 0.2 frames/s",
+        "svmdist: measuring a: 6 of 20 frames, 0.2 frames/s",
+    ]
+
+
+def test_tracked_items_are_the_items(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = terminal(monkeypatch)
+    assert list(tracked("abc", "rows of a", "rows", 3)) == ["a", "b", "c"]
+    assert "3/3" in text.getvalue()

@@ -95,6 +95,7 @@ def test_every_frame_is_a_row_in_every_form(
         RowFormat.CSV: lambda text: len(list(csv.DictReader(text.splitlines()))),
         RowFormat.JSON: lambda text: len(json.loads(text)),
         RowFormat.JSONL: lambda text: len([json.loads(line) for line in text.splitlines()]),
+        RowFormat.TUM: lambda text: len([line for line in text.splitlines() if line[0] != "#"]),
     }
     for form, count in counted.items():
         output = tmp_path / f"a.{form}"

@@ -1,4 +1,4 @@
-"""`svmdist show`: pictures that are there, of the images that were asked for."""
+"""`svmdist show`: the chosen images, each phase of the method as a panel."""
 
 from __future__ import annotations
 
@@ -6,73 +6,65 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 
-from svmdist.cli.show import DEFAULT_COUNT
+from svmdist.drawing import COLOURS, Part
+from svmdist.recording.reader import open_recording
+from svmdist.report.frame_picture import bgr
+from svmdist.report.phases import METHOD_PHASES, phases_picture
+from svmdist.workflows.annotate import drawn_frames
+from svmdist.workflows.setup import prepare
 from tests.cli.conftest import Cli
-from tests.synthetic import write_log
 
 
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A synthetic log of nine frames."""
-    return write_log(tmp_path_factory.mktemp("showing") / "a.mcap", frame_count=9)
+def has_colour(picture: np.ndarray, part: Part) -> int:
+    return int((picture == np.array(bgr(COLOURS[part]))).all(2).sum())
 
 
-def test_one_image_by_number_or_time(cli: Cli, log: Path, tmp_path: Path) -> None:
-    """The file's name has the image's number; the picture holds the image and a caption."""
-    outcome = cli("show", log, "--masks", "--frame", "3", "-o", tmp_path / "new")
-    assert outcome.code == 0
-    path = tmp_path / "new" / "a-00003.png"
-    assert outcome.out.strip() == str(path)
-    picture = cv2.imread(str(path))
-    assert picture is not None
-    assert picture.shape[1] >= 900
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 10
-    again = cli("show", log, "--masks", "--at", "0", "-o", tmp_path / "new")
-    assert again.out.strip().endswith("a-00000.png")
-
-
-def test_images_from_the_first_to_the_last(cli: Cli, log: Path, tmp_path: Path) -> None:
-    """Six of nine, both ends among them."""
-    names = [Path(line).name for line in cli("show", log, "--masks", "-o", tmp_path).out.split()]
-    assert len(names) == DEFAULT_COUNT == 6
-    assert names[0] == "a-00000.png"
-    assert names[-1] == "a-00008.png"
-
-
-def test_with_segmentation_that_learns(cli: Cli, log: Path, tmp_path: Path) -> None:
-    """`auto` needs no colour in the profile."""
-    profile = tmp_path / "auto.toml"
-    profile.write_text(
-        'name = "auto"\n[topics]\nimage = "/ECM/left/image"\ncamera_info = "/ECM/left/camera_info"\n'
-        '[segmentation]\nmethod = "auto"\n'
-    )
-    assert cli("show", log, "--masks", "--frame", "0", "--profile", profile, "-o", tmp_path).code == 0
-    assert (tmp_path / "a-00000.png").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ((), "nothing to show: give --masks"),
-        (("--masks", "--frame", "9"), "has 9 images, 0 to 8"),
-        (("--masks", "--frame", "1", "--at", "2"), "give one of them"),
-    ],
-)
-def test_what_cannot_be_shown(
-    cli: Cli, log: Path, tmp_path: Path, arguments: tuple[str, ...], said: str
+def test_the_phases_of_overlay_are_five_panels_of_the_images_size(
+    golden: Path, cli: Cli, tmp_path: Path
 ) -> None:
-    """One line, exit code 2, no file."""
-    outcome = cli("show", log, *arguments, "-o", tmp_path)
-    assert outcome.code == 2
-    assert said in outcome.err
-    assert not list(tmp_path.glob("*.png"))
+    log = golden / "sweep.mcap"
+    outcome = cli("show", log, "--frame", 3, "-o", tmp_path)
+    assert outcome.code == 0
+    assert outcome.out == f"{tmp_path / 'sweep-00003.png'}\n"
+    picture = cv2.imread(str(tmp_path / "sweep-00003.png"))
+    assert picture is not None
+    assert picture.shape[1] == 3 * 644
+    assert 2 * 480 < picture.shape[0] < 2 * 480 + 200
+    left, middle, right = (picture[:600, x : x + 640] for x in (0, 644, 1288))
+    assert has_colour(middle, Part.TISSUE) > 500  # its contour
+    assert has_colour(left, Part.TISSUE) == 0  # the segmentation is a tint
+    white = (right == 255).all(2).sum()
+    assert white > 1000  # the marker's rim
+    matches = picture[620:, :640]
+    assert has_colour(matches, Part.INLIER) > 1000
 
 
-def test_a_folder_that_cannot_be_made(cli: Cli, log: Path, tmp_path: Path) -> None:
-    """Told before the work."""
-    (tmp_path / "file").write_text("x")
-    outcome = cli("show", log, "--masks", "-o", tmp_path / "file" / "in")
-    assert outcome.code == 1
-    assert "cannot make the folder" in outcome.err
+def test_every_method_has_panels_for_what_it_found(golden: Path) -> None:
+    for method, part in (("fiducial", Part.TAG), ("shaft", Part.SHAFT), ("fused", Part.MARKER)):
+        setup = prepare(method=method)
+        recording = open_recording(golden / "3d" / "duo.mcap", setup.profile)
+        (frame,) = drawn_frames(recording, setup, numbers=[0], jobs=1)
+        assert has_colour(phases_picture(frame, method, "duo"), part) > 50
+    assert set(METHOD_PHASES) == {"overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"}
+
+
+def test_at_takes_the_nearest_image_and_worst_the_worst(golden: Path, cli: Cli, tmp_path: Path) -> None:
+    log = golden / "sweep.mcap"
+    assert cli("show", log, "--at", 0.52, "-o", tmp_path).out.endswith("sweep-00005.png\n")
+    worst = cli("show", log, "--worst", 2, "-o", tmp_path)
+    assert worst.code == 0
+    assert len(worst.out.splitlines()) == 2
+    told = [line for line in worst.err.splitlines() if "planar error" in line]
+    assert len(told) == 2
+
+
+def test_choices_that_exclude_each_other_are_refused(golden: Path, cli: Cli) -> None:
+    log = golden / "sweep.mcap"
+    both = cli("show", log, "--frame", 1, "--worst", 2)
+    assert (both.code, both.err.count("\n")) == (2, 1)
+    assert "give one of them" in both.err
+    assert cli("show", log, "--masks", "--worst", 2).code == 2
+    far = cli("show", log, "--frame", 1000)
+    assert far.code == 2
+    assert "0 to 79" in far.err

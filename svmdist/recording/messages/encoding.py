@@ -44,7 +44,10 @@ JPEG_OPTIONS = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACT
 
 @dataclass(frozen=True, slots=True)
 class EncodedSample:
-    """A sample as its bytes: its stamp, the type of sample that it is, and its serialised message."""
+    """A sample as its bytes: its stamp, the type of sample that it is, and its serialised message.
+
+    For what is no sample, `sample_type` is the class of the protobuf message.
+    """
 
     stamp_ns: int
     sample_type: type
@@ -70,7 +73,13 @@ MESSAGE_CLASSES: dict[type, Any] = {
 
 
 def message_type(sample_type: type) -> MessageType:
-    """Look up the message type that a type of sample is written as; ValueError for any other object."""
+    """Look up the message type that a type of sample is written as; ValueError for any other object.
+
+    The class of a protobuf message is written as itself.
+    """
+    if issubclass(sample_type, Message):
+        message_class: Any = sample_type
+        return _describe(message_class)
     if sample_type not in MESSAGE_CLASSES:
         names = ", ".join(known.__name__ for known in MESSAGE_CLASSES)
         raise ValueError(f"cannot record a {sample_type.__name__}; the choices are {names}")

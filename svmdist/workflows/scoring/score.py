@@ -105,6 +105,15 @@ class Score:
         return coverage(self.frame_count - self.rejected_count, self.frame_count)
 
 
+def truth_lag_ns(recording: Recording, setup: Setup, reference: Reference, lag: LagEstimate | None) -> int:
+    """By how much the stamps of images are late of a reference's: by the lag, or not at all where it follows them."""
+    lag_ns = round(lag.lag_s * 1e9) if lag else 0
+    if lag and lag_ns and reference is Reference.GROUND_TRUTH:
+        corrected = recording.with_lag(KnownLag(lag.lag_s), setup.profile)
+        return 0 if truth_follows_images(corrected, setup.profile) else lag_ns
+    return lag_ns
+
+
 def score_rows(
     rows: Sequence[FrameResult],
     recording: Recording,
@@ -120,10 +129,7 @@ def score_rows(
         return distance_truth(recording, setup.profile, reference, at_ns, setup.equations, rules)
 
     readings = Readings(rows)
-    lag_ns = round(lag.lag_s * 1e9) if lag else 0
-    if lag and lag_ns and reference is Reference.GROUND_TRUTH:
-        corrected = recording.with_lag(KnownLag(lag.lag_s), setup.profile)
-        lag_ns = 0 if truth_follows_images(corrected, setup.profile) else lag_ns
+    lag_ns = truth_lag_ns(recording, setup, reference, lag)
     stamps_ns = readings.stamps_ns - lag_ns
     truth = truth_at(stamps_ns)
     planar, spatial, clearance = (readings.pairs(distance, truth, stamps_ns) for distance in DISTANCES)

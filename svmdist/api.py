@@ -1,0 +1,130 @@
+"""The Python interface: open a recording, estimate, validate and compare, with methods of svmdist's or one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from svmdist.errors import SvmdistError
+from svmdist.estimation.alarms import AlarmRules
+from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile
+from svmdist.recording.reader import Recording
+from svmdist.recording.reader import open_recording as _open
+from svmdist.report.estimates import ESTIMATE_KEYS, estimate_row
+from svmdist.report.table import Row
+from svmdist.results import FrameResult
+from svmdist.workflows.compare import MethodScore
+from svmdist.workflows.compare import compare as _compare
+from svmdist.workflows.estimate import estimate as _estimate
+from svmdist.workflows.lag import Lag, with_lag
+from svmdist.workflows.own_method import OwnMethod
+from svmdist.workflows.scoring.truth import TruthRules
+from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.validate import Validation
+from svmdist.workflows.validate import validate as _validate
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+__all__ = ["Estimates", "Profile", "compare", "estimate", "open_recording", "validate"]
+
+Method = str | OwnMethod
+"""The name of a method, or an object with `estimate(frame)`."""
+
+
+@dataclass(frozen=True)
+class Estimates(Sequence[FrameResult]):
+    """The results of one recording, a row for each image and instrument, in the order of the log."""
+
+    recording: Recording
+    setup: Setup
+    results: tuple[FrameResult, ...]
+
+    def __getitem__(self, index: Any) -> Any:
+        """One result, or some of them."""
+        return self.results[index]
+
+    def __len__(self) -> int:
+        """Count the rows."""
+        return len(self.results)
+
+    def rows(self) -> Iterator[Row]:
+        """The rows of `svmdist estimate -f csv`, in SI; None for what does not exist."""
+        start_ns = self.results[0].stamp_ns if self.results else 0
+        for result in self.results:
+            row = estimate_row(self.recording.name, result, self.setup.method, self.setup.equations, start_ns)
+            yield {key: row.get(key) for key in ESTIMATE_KEYS}
+
+    def to_dataframe(self) -> DataFrame:
+        """A pandas DataFrame with the columns of the CSV; raises SvmdistError where pandas is not installed."""
+        return _dataframe(list(self.rows()), ESTIMATE_KEYS)
+
+
+def open_recording(
+    path: Path | str, profile: str | Path | Profile = DEFAULT_PROFILE, *, topics: dict[str, str] | None = None
+) -> Recording:
+    """Open a log with a profile: a shipped one by its name, a file, or a `Profile`.
+
+    Raises ProfileError, or RecordingError for a file that is no recording.
+    """
+    loaded = profile if isinstance(profile, Profile) else load_profile(profile)
+    return _open(path, loaded, topics=topics)
+
+
+def estimate(
+    recording: Recording,
+    method: Method = "overlay",
+    *,
+    calibration: Path | None = None,
+    lag: Lag | None = None,
+    instruments: Sequence[str] | None = None,
+    jobs: int | None = None,
+) -> Estimates:
+    """Measure every image of a recording. `lag` in s, or `"auto"`, is taken off the images' stamps first."""
+    setup = _setup(recording, method, calibration)
+    read, _ = with_lag(recording, setup.profile, lag, instruments, jobs)
+    return Estimates(recording, setup, tuple(_estimate(read, setup, instruments, jobs)))
+
+
+def validate(
+    recordings: Recording | Sequence[Recording],
+    method: Method = "overlay",
+    *,
+    calibration: Path | None = None,
+    rules: TruthRules | None = None,
+    lag: Lag | None = None,
+    alarms: AlarmRules | None = None,
+    jobs: int | None = None,
+) -> Validation:
+    """Score a method on recordings of one profile against each reference that they have."""
+    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    setup = _setup(several[0], method, calibration)
+    return _validate(several, setup, rules, lag, alarms, jobs=jobs)
+
+
+def compare(
+    recordings: Recording | Sequence[Recording],
+    methods: Sequence[Method] = ("overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"),
+    *,
+    jobs: int | None = None,
+) -> list[MethodScore]:
+    """Measure recordings of one profile with all methods side by side."""
+    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    return _compare(several, [_setup(several[0], method) for method in methods], jobs=jobs)
+
+
+def _setup(recording: Recording, method: Method, calibration: Path | None = None) -> Setup:
+    if recording.origin is None:
+        raise SvmdistError("expected a recording of open_recording, found a view of one")
+    profile = recording.origin[1]
+    return prepare(profile, method, "corrected", calibration)
+
+
+def _dataframe(rows: Sequence[Row], keys: Sequence[str]) -> DataFrame:
+    try:
+        import pandas as pd
+    except ImportError:
+        raise SvmdistError("to_dataframe needs pandas, which is not installed: pip install pandas") from None
+    return pd.DataFrame.from_records([dict(row) for row in rows], columns=list(keys))

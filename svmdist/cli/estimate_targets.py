@@ -1,0 +1,82 @@
+"""Where `svmdist estimate` writes to: rows, a recording or a video with drawings, a report, a plot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from svmdist.cli.console import require_output
+from svmdist.cli.options import RowFormat
+from svmdist.cli.outputs import FileFormat, command_line, require_report, row_format
+from svmdist.errors import UsageError
+
+if TYPE_CHECKING:
+    from svmdist.estimation.alarms import AlarmRules
+    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.validate import Measured
+
+
+@dataclass(frozen=True)
+class EstimateTargets:
+    """What was asked for. `form` is that of the rows, None where none are written; `drawn` is a file with drawings."""
+
+    output: Path | None
+    form: RowFormat | None
+    drawn: tuple[Path, FileFormat] | None
+    report: Path | None
+    plot: Path | None
+
+    @staticmethod
+    def of(
+        form: RowFormat | None, output: Path | None, report: Path | None, plot: Path | None
+    ) -> EstimateTargets:
+        """Sort the options; raises UsageError where two of them contradict each other."""
+        chosen = row_format(form, output)
+        if isinstance(chosen, RowFormat) or output is None:
+            return EstimateTargets(output, RowFormat(chosen), None, report, plot)
+        if chosen is FileFormat.HTML:
+            if report is not None:
+                raise UsageError(
+                    f"--report {report} and -o {output}: both are the report; leave out one of them"
+                )
+            return EstimateTargets(None, None, None, output, plot)
+        if report or plot:
+            raise UsageError(f"--report and --save-plot go with rows: write {output} by itself")
+        return EstimateTargets(output, None, (output, chosen), None, None)
+
+    def check(self, files: Sequence[Path]) -> None:
+        """Fail before the work rather than after it; raises OutputError or UsageError."""
+        for target in (self.output, self.report, self.plot):
+            require_output(target, files)
+        require_report(self.report)
+        if self.plot:
+            from svmdist.report.plot import plot_format
+
+            plot_format(self.plot)
+        if self.drawn and len(files) > 1:
+            raise UsageError(f"{self.drawn[0]}: holds one recording, and {len(files)} are given")
+
+    @property
+    def needs_rows_kept(self) -> bool:
+        """Whether something is made of all rows together."""
+        return self.report is not None or self.plot is not None
+
+    def write_pictures(
+        self, measured: Sequence[Measured], setup: Setup, rules: AlarmRules | None, jobs: int | None
+    ) -> None:
+        """Write the plot and the report, where they are asked for."""
+        if self.plot:
+            from svmdist.report.series_plot import SeriesPlot, save_series_plot
+            from svmdist.workflows.series import make_series
+
+            series = [
+                made for one in measured for made in make_series(one.rows, one.recording, setup, lag=one.lag)
+            ]
+            save_series_plot(series, SeriesPlot.TIME, self.plot, rules.below_m if rules else None)
+        if self.report:
+            from svmdist.report.html.build import estimate_report
+            from svmdist.report.html.page import write_report
+
+            write_report(estimate_report(measured, setup, command_line(), rules, jobs), self.report)

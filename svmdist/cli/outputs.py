@@ -1,0 +1,80 @@
+"""What `-o` asks for: the format by the file's ending, and what happens to a file that exists."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from svmdist.cli.options import RowFormat, SummaryFormat, TableFormat
+from svmdist.errors import UsageError
+
+
+class FileFormat(StrEnum):
+    """What is written to a file only, by its ending."""
+
+    MCAP = "mcap"
+    MP4 = "mp4"
+    HTML = "html"
+
+
+ROW_ENDINGS = {f".{form}": form for form in RowFormat if form is not RowFormat.TABLE}
+SUMMARY_ENDINGS = {
+    ".csv": SummaryFormat.CSV,
+    ".json": SummaryFormat.JSON,
+    ".tex": SummaryFormat.LATEX,
+    ".md": SummaryFormat.MARKDOWN,
+}
+TABLE_ENDINGS = {f".{form}": form for form in TableFormat if form is not TableFormat.TABLE}
+FILE_ENDINGS = {f".{form}": form for form in FileFormat}
+
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Replace a recording that exists. Other files are replaced anyway.")
+]
+
+
+def row_format(given: RowFormat | None, output: Path | None) -> RowFormat | FileFormat:
+    """The format of rows: the given one, else that of the file's ending, else a table.
+
+    Raises UsageError for a given format that the ending contradicts, where the ending is no text.
+    """
+    ending = "" if output is None else output.suffix.lower()
+    if ending in FILE_ENDINGS:
+        if given is not None:
+            raise UsageError(
+                f"--format {given}: {output} is written as {FILE_ENDINGS[ending]}; leave out one of them"
+            )
+        return FILE_ENDINGS[ending]
+    return ROW_ENDINGS.get(ending, RowFormat.TABLE) if given is None else given
+
+
+def summary_format(given: SummaryFormat | None, output: Path | None) -> SummaryFormat:
+    """The format of a summary: the given one, else that of the file's ending, else a table."""
+    ending = "" if output is None else output.suffix.lower()
+    return SUMMARY_ENDINGS.get(ending, SummaryFormat.TABLE) if given is None else given
+
+
+def table_format(given: TableFormat | None, output: Path | None) -> TableFormat:
+    """The same of what has no markup."""
+    ending = "" if output is None else output.suffix.lower()
+    return TABLE_ENDINGS.get(ending, TableFormat.TABLE) if given is None else given
+
+
+def require_report(report: Path | None) -> None:
+    """Check a report's name and what it needs before the work; raises UsageError or OutputError."""
+    if report is None:
+        return
+    if report.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--report {report}: a report is a page: give it the ending .html")
+    from svmdist.report.html.page import require_plotly
+
+    require_plotly()
+
+
+def command_line() -> str:
+    """The command as it was typed, for a report's provenance."""
+    return shlex.join(["svmdist", *sys.argv[1:]])

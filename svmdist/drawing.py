@@ -1,0 +1,146 @@
+"""What is drawn of a frame, as data: shapes in the image and in space, for pictures, videos and recordings alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.transforms import Array
+
+Rgb = tuple[int, int, int]
+
+
+class Part(StrEnum):
+    """What a shape shows."""
+
+    TISSUE = "tissue"
+    INSTRUMENT = "instrument"
+    TIP = "tip"
+    MARKER = "marker"
+    MATCH = "match"
+    INLIER = "inlier"
+    SHAFT = "shaft"
+    TAG = "tag"
+    DISTANCE = "distance"
+    BETWEEN = "between"
+
+
+COLOURS: dict[Part, Rgb] = {
+    Part.TISSUE: (0, 158, 115),
+    Part.INSTRUMENT: (86, 180, 233),
+    Part.TIP: (204, 121, 167),
+    Part.MARKER: (240, 228, 66),
+    Part.MATCH: (160, 160, 160),
+    Part.INLIER: (240, 228, 66),
+    Part.SHAFT: (213, 94, 0),
+    Part.TAG: (204, 121, 167),
+    Part.DISTANCE: (255, 255, 255),
+    Part.BETWEEN: (230, 159, 0),
+}
+"""Colours that are told apart with any colour vision (Okabe & Ito 2008); what is measured is white."""
+ALARM_COLOUR: Rgb = (213, 94, 0)
+
+
+class Form(StrEnum):
+    """How the points of a shape are joined."""
+
+    POINTS = "points"
+    LINE = "line"
+    LOOP = "loop"
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Points of the recorded image, shape (n, 2) in px, joined by `form`; `instrument` is whose they are."""
+
+    part: Part
+    form: Form
+    points_px: Array
+    instrument: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A text beside a place of the recorded image, shape (2,) in px."""
+
+    part: Part
+    place_px: Array
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class StatusLine:
+    """One line about one instrument: what was measured, or why nothing was."""
+
+    text: str
+    measured: bool
+    alarm: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Capsules in the camera frame: `start_m` and `end_m`, shape (n, 3), `radius_m`, shape (n,)."""
+
+    name: str
+    start_m: Array
+    end_m: Array
+    radius_m: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """Triangles of a surface in the camera frame: `vertices_m`, shape (v, 3), and `faces`, shape (f, 3)."""
+
+    name: str
+    vertices_m: Array
+    faces: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A measured distance in the camera frame, between two points, shape (3,), with its text."""
+
+    name: str
+    part: Part
+    start_m: Array
+    end_m: Array
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class SceneDrawing:
+    """What of a frame stands in space, in the camera frame."""
+
+    bodies: tuple[Body, ...] = ()
+    surface: Surface | None = None
+    segments: tuple[Segment, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class FrameDrawing:
+    """All that is drawn of one image."""
+
+    stamp_ns: int
+    shapes: tuple[Shape, ...] = ()
+    labels: tuple[Label, ...] = ()
+    lines: tuple[StatusLine, ...] = ()
+    scene: SceneDrawing = SceneDrawing()
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateValues:
+    """What was measured of one instrument in one image, as a recording holds it.
+
+    `numbers` has the fields of `svmdist.DistanceEstimate` by name, in SI, None for what does not exist.
+    """
+
+    instrument: str
+    method: str
+    status: str
+    detail: str
+    numbers: Mapping[str, float | None]
+    alarm: bool | None = None

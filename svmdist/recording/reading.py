@@ -1,0 +1,78 @@
+"""How a recording is read: under which name, and which of its images."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+
+class HasStamp(Protocol):
+    """An image, in whatever form."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Its stamp."""
+
+
+Stamped = TypeVar("Stamped", bound=HasStamp)
+OUT_OF_ORDER_S = 1.0
+"""Images may stand so much out of order in a file: reading goes on this long after the end of a window."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Images from `start_s` to `end_s` after the first one, both included, and of these every `every`-th one."""
+
+    start_s: float = 0.0
+    end_s: float = math.inf
+    every: int = 1
+
+    def of(self, images: Iterable[Stamped]) -> Iterator[Stamped]:
+        """The images inside."""
+        first_ns: int | None = None
+        count = 0
+        for image in images:
+            first_ns = image.stamp_ns if first_ns is None else first_ns
+            # In whole nanoseconds: an image at exactly 0.1 s is inside of a window that begins at 0.1 s.
+            at_ns = image.stamp_ns - first_ns
+            if at_ns > (self.end_s + OUT_OF_ORDER_S) * 1e9:
+                return
+            if not round(self.start_s * 1e9) <= at_ns <= self.end_s * 1e9 + 0.5:
+                continue
+            if count % self.every == 0:
+                yield image
+            count += 1
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """The name that a recording goes by, None for its file's, and its window, None for all images."""
+
+    name: str | None = None
+    window: Window | None = None
+
+
+def unique_names(paths: Sequence[Path]) -> list[str]:
+    """A name for each recording: the file's without its ending, with as many folders before it as tell it from others.
+
+    >>> unique_names([Path("logs/a/contact.mcap"), Path("logs/b/contact.mcap"), Path("sweep.mcap")])
+    ['a/contact', 'b/contact', 'sweep']
+    """
+    parts = [(*Path(os.path.abspath(path)).parent.parts[1:], path.stem) for path in paths]
+    depths = [1] * len(parts)
+    while True:
+        names = ["/".join(part[-depth:]) for part, depth in zip(parts, depths, strict=True)]
+        clashing = [
+            at
+            for at, name in enumerate(names)
+            if depths[at] < len(parts[at])
+            and any(name == other and parts[at] != parts[index] for index, other in enumerate(names))
+        ]
+        if not clashing:
+            return names
+        for at in clashing:
+            depths[at] += 1

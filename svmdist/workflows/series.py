@@ -1,0 +1,206 @@
+"""Series: what a method gave over time for one instrument of one log, beside the truth where there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.errors import KinematicsError, RecordingError
+from svmdist.estimation.lag import LagEstimate
+from svmdist.metrics import deviations_at
+from svmdist.recording.reader import Recording
+from svmdist.results import FrameResult
+from svmdist.tracks import SampledDistances
+from svmdist.transforms import Array
+from svmdist.workflows.drawing.distances import LEVEL
+from svmdist.workflows.scoring.distances import CLEARANCE, PLANAR, SPATIAL, Distance
+from svmdist.workflows.scoring.score import truth_lag_ns
+from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth
+from svmdist.workflows.setup import Setup
+
+PREFERRED = (CLEARANCE, SPATIAL, PLANAR)
+"""The distance that says most stands first."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """One of the three distances over the frames of a log, shape (n,) each; NaN for what does not exist.
+
+    `number` counts the images of the log from 0, `seconds` from the first one. `tool_px`, shape (n, 2), is where the
+    tool was seen. `reference` says what the truth is, None where there is none.
+    """
+
+    recording: str
+    instrument: str
+    method: str
+    distance: str
+    number: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    seconds: Array
+    status: tuple[str, ...]
+    detail: tuple[str, ...]
+    estimate_m: Array
+    std_m: Array
+    truth_m: Array
+    tool_px: Array
+    consistency: Array
+    reference: Reference | None = None
+
+    def __len__(self) -> int:
+        """Count the frames."""
+        return len(self.number)
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Which frames have the distance."""
+        return np.isfinite(self.estimate_m)
+
+    @property
+    def error_m(self) -> Array:
+        """Estimate less truth; NaN without either."""
+        return np.asarray(self.estimate_m - self.truth_m)
+
+    @property
+    def half_m(self) -> Array:
+        """Half of the stated 95 % interval."""
+        return np.asarray(deviations_at(LEVEL) * self.std_m)
+
+    @property
+    def badness_m(self) -> Array:
+        """How bad each frame is: its error where there is truth, else the interval's width; -1 where it has neither."""
+        badness_m = np.abs(self.error_m)
+        if not np.isfinite(badness_m).any():
+            badness_m = self.half_m
+        return np.asarray(np.where(np.isfinite(badness_m), badness_m, -1.0))
+
+    def worst(self, count: int) -> list[int]:
+        """Indices of the worst frames, the worst first. Frames that were not measured come last."""
+        return [int(at) for at in np.argsort(-self.badness_m, kind="stable")[:count]]
+
+
+@dataclass(frozen=True, slots=True)
+class WorstFrame:
+    """One of the worst frames of a log: its image's number, whose it is, and how bad it is."""
+
+    number: int
+    series: Series
+    badness_m: float
+
+    @property
+    def in_words(self) -> str:
+        """What is bad about it, for a person."""
+        series, at = self.series, self.number
+        where = f"frame {at} at {series.seconds[at]:.2f} s, {series.instrument}"
+        if not series.measured[at]:
+            detail = f" ({series.detail[at]})" if series.detail[at] else ""
+            return f"{where}: not measured: {series.status[at]}{detail}"
+        if np.isfinite(series.error_m[at]):
+            half = f", interval ±{series.half_m[at] * 1e3:.2f} mm" if np.isfinite(series.half_m[at]) else ""
+            return f"{where}: {series.distance} error {series.error_m[at] * 1e3:+.2f} mm{half}"
+        if np.isfinite(series.half_m[at]):
+            return f"{where}: {series.distance} interval ±{series.half_m[at] * 1e3:.2f} mm"
+        return f"{where}: {series.distance} {series.estimate_m[at] * 1e3:.2f} mm"
+
+
+def worst_frames(series: Sequence[Series], count: int) -> list[WorstFrame]:
+    """The worst frames of several instruments, each image once, the worst first."""
+    found: dict[int, WorstFrame] = {}
+    for one in series:
+        badness_m = one.badness_m
+        for at in one.worst(count):
+            worse = WorstFrame(at, one, float(badness_m[at]))
+            found[at] = max(found.get(at, worse), worse, key=lambda frame: frame.badness_m)
+    return sorted(found.values(), key=lambda frame: -frame.badness_m)[:count]
+
+
+def make_series(
+    rows: Sequence[FrameResult],
+    recording: Recording,
+    setup: Setup,
+    rules: TruthRules | None = None,
+    reference: Reference | None = None,
+    lag: LagEstimate | None = None,
+) -> list[Series]:
+    """A series for each instrument of the rows of one recording, in which every image has a row per instrument.
+
+    The distance is the clearance where there is any, else the spatial, else the planar one. The truth is by
+    `reference`; None takes the simulator's truth where the log has it. `lag` is taken off the stamps of images before.
+    """
+    names = list(dict.fromkeys(row.instrument for row in rows))
+    return [
+        _series(
+            [row for row in rows if row.instrument == name],
+            recording.for_instrument(name),
+            setup.for_instrument(name),
+            name,
+            rules,
+            reference,
+            lag,
+        )
+        for name in names
+    ]
+
+
+def _series(
+    rows: Sequence[FrameResult],
+    recording: Recording,
+    setup: Setup,
+    name: str,
+    rules: TruthRules | None,
+    reference: Reference | None,
+    lag: LagEstimate | None,
+) -> Series:
+    stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
+    late_ns = truth_lag_ns(recording, setup, reference or Reference.GROUND_TRUTH, lag)
+    truth, known = _truth(recording, setup, stamps_ns - late_ns, rules, reference)
+    distance = _told(rows, truth)
+    read = np.array([distance.read(row) if row.measured else (np.nan, np.nan) for row in rows]).reshape(-1, 2)
+    truth_m = np.full(len(rows), np.nan)
+    if truth is not None:
+        truth_m = np.where(truth.valid, distance.truth_of(truth), np.nan)
+    return Series(
+        recording.name,
+        name,
+        setup.method,
+        distance.name,
+        np.arange(len(rows), dtype=np.int64),
+        stamps_ns,
+        (stamps_ns - (stamps_ns[0] if len(rows) else 0)) / 1e9,
+        tuple(str(row.status) for row in rows),
+        tuple(row.detail for row in rows),
+        read[:, 0],
+        read[:, 1],
+        truth_m,
+        np.array([row.image.tool_px or (np.nan, np.nan) for row in rows]).reshape(-1, 2),
+        np.array([np.nan if row.consistency is None else row.consistency for row in rows]),
+        known,
+    )
+
+
+def _truth(
+    recording: Recording,
+    setup: Setup,
+    stamps_ns: NDArray[np.int64],
+    rules: TruthRules | None,
+    reference: Reference | None,
+) -> tuple[SampledDistances | None, Reference | None]:
+    asked = reference or Reference.GROUND_TRUTH
+    try:
+        return distance_truth(recording, setup.profile, asked, stamps_ns, setup.equations, rules), asked
+    except (RecordingError, KinematicsError):
+        if reference is not None:
+            raise
+        return None, None
+
+
+def _told(rows: Sequence[FrameResult], truth: SampledDistances | None) -> Distance:
+    """The distance that says most of those that the rows have, and the truth, where there is one."""
+    for distance in PREFERRED:
+        if not any(row.measured and distance.of(row.distances) is not None for row in rows):
+            continue
+        if truth is None or np.isfinite(distance.truth_of(truth)[truth.valid]).any():
+            return distance
+    return PLANAR

@@ -1,0 +1,101 @@
+"""Which logs and images a command reads, and how much it says."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from pathlib import Path
+
+import pytest
+
+from svmdist.cli.options import RowFormat, SummaryFormat
+from svmdist.cli.outputs import row_format, summary_format
+from svmdist.cli.recordings import logs_in, window_of
+from svmdist.errors import UsageError
+from svmdist.recording.reading import Window, unique_names
+from tests.cli.conftest import Cli
+
+
+def rows_of(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(text.splitlines()))
+
+
+@pytest.fixture
+def folders(golden: Path, tmp_path: Path) -> Path:
+    """Two folders with a log called contact.mcap each, and a file in one that is no log."""
+    for folder, log in (("a", "sweep"), ("b", "contact")):
+        (tmp_path / folder).mkdir()
+        shutil.copy(golden / f"{log}.mcap", tmp_path / folder / "contact.mcap")
+    (tmp_path / "b" / "junk.mcap").write_text("junk")
+    return tmp_path
+
+
+def test_a_window_has_the_images_between_its_ends_and_every_nth(golden: Path, cli: Cli) -> None:
+    log = golden / "sweep.mcap"
+    every = rows_of(cli("estimate", log, "--method", "centroid", "-f", "csv").out)
+    some = cli(
+        "estimate", log, "--method", "centroid", "-f", "csv", "--start", 1, "--end", 2, "--every", 3
+    ).out
+    assert rows_of(some) == every[10:21:3]
+    assert cli("estimate", log, "--start", 2, "--end", 1).code == 2
+
+
+def test_window_options() -> None:
+    assert window_of(0.0, None, 1) is None
+    assert window_of(1.0, 2.0, 3) == Window(1.0, 2.0, 3)
+    with pytest.raises(UsageError, match="before"):
+        window_of(2.0, 1.0, 1)
+
+
+def test_logs_of_one_name_in_two_folders_are_two(folders: Path, cli: Cli) -> None:
+    outcome = cli("estimate", folders / "a", folders / "b", "--every", 40, "-f", "csv")
+    assert outcome.code == 3
+    assert [row["recording"] for row in rows_of(outcome.out)] == ["a/contact"] * 2 + ["b/contact"] * 2
+    assert "left out" in outcome.err
+    assert "junk.mcap" in outcome.err
+
+
+def test_validate_scores_what_it_can(folders: Path, cli: Cli) -> None:
+    outcome = cli("validate", folders / "b", folders / "a", "--every", 8, "-f", "csv", "--method", "centroid")
+    assert outcome.code == 3
+    named = {row["recording"] for row in rows_of(outcome.out)}
+    assert named == {"a/contact", "b/contact", "overall"}
+
+
+def test_one_log_that_cannot_be_read_is_an_error(folders: Path, cli: Cli) -> None:
+    outcome = cli("estimate", folders / "b" / "junk.mcap")
+    assert (outcome.code, outcome.err.count("\n")) == (1, 1)
+
+
+def test_names_take_as_many_folders_as_they_need() -> None:
+    assert unique_names([Path("/x/a/c.mcap"), Path("/y/a/c.mcap"), Path("/y/d.mcap")]) == [
+        "x/a/c",
+        "y/a/c",
+        "d",
+    ]
+    assert unique_names([Path("/x/c.mcap"), Path("/x/c.mcap")]) == ["c", "c"]
+
+
+def test_a_folder_without_logs_stands_for_itself(tmp_path: Path) -> None:
+    assert logs_in(tmp_path) == [tmp_path]
+    assert logs_in(tmp_path / "a.mcap") == [tmp_path / "a.mcap"]
+
+
+def test_quiet_says_errors_only_and_verbose_says_topics_and_time(golden: Path, cli: Cli) -> None:
+    log, few = golden / "sweep.mcap", ("--method", "centroid", "--every", 40, "-f", "csv")
+    quiet, plain, verbose = (cli("estimate", log, *few, *flag) for flag in (["-q"], [], ["-v"]))
+    assert quiet.out == plain.out == verbose.out
+    assert quiet.err == ""
+    assert plain.err == "svmdist: 2 of 2 frames measured (100.0%)\n"
+    assert "image /ECM/left/image" in verbose.err
+    assert " took " in verbose.err
+    assert cli("-q", "estimate", log, *few).err == ""
+    assert "no such file" in cli("estimate", "none.mcap", "-q").err
+    assert cli("-V").out == cli("--version").out
+
+
+def test_endings_and_formats() -> None:
+    assert row_format(None, Path("a.CSV")) is RowFormat.CSV
+    assert row_format(None, None) is RowFormat.TABLE
+    assert summary_format(None, Path("a.tex")) is SummaryFormat.LATEX
+    assert summary_format(SummaryFormat.JSON, Path("a.md")) is SummaryFormat.JSON

@@ -1,0 +1,129 @@
+"""The Python interface: what the documentation shows, and the columns of the command line."""
+
+from __future__ import annotations
+
+import csv
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import svmdist
+from svmdist.api import Estimates
+from svmdist.errors import SvmdistError
+from svmdist.estimation.arm import Arm
+from svmdist.estimation.frame import Frame, frame_of
+from svmdist.results import Distance, Distances, FrameResult
+from svmdist.samples import Observation, Status
+from svmdist.workflows.own_method import OwnEstimator, name_of
+from svmdist.workflows.setup import prepare
+from tests.cli.conftest import Cli, cli
+
+__all__ = ["cli"]
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/extend.md", "docs/architecture.md"])
+def test_examples_run_as_they_are_printed(page: str) -> None:
+    examples = re.findall(r"```python\n(.*?)```", (REPOSITORY / page).read_text("utf-8"), re.DOTALL)
+    assert examples
+    for example in examples:
+        done = subprocess.run(
+            [sys.executable, "-c", example],
+            cwd=REPOSITORY,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout
+
+
+def test_a_dataframe_has_the_columns_and_values_of_the_csv(golden: Path, cli: Cli) -> None:
+    pd = pytest.importorskip("pandas", reason="pandas has no wheel for this platform")
+    log = golden / "occlusion.mcap"
+    table = svmdist.estimate(svmdist.open_recording(log), "centroid").to_dataframe()
+    rows = list(csv.DictReader(cli("estimate", log, "--method", "centroid", "-f", "csv").out.splitlines()))
+    assert isinstance(table, pd.DataFrame)
+    assert list(table.columns) == list(rows[0])
+    assert list(table["status"]) == [row["status"] for row in rows]
+    expected = [float(row["distance_m"]) if row["distance_m"] else np.nan for row in rows]
+    np.testing.assert_array_equal(table["distance_m"].to_numpy(float), expected)
+
+
+def test_estimates_are_a_sequence_of_results(golden: Path) -> None:
+    recording = svmdist.open_recording(golden / "sweep.mcap", prepare().profile)
+    estimates = svmdist.estimate(recording, "centroid")
+    assert isinstance(estimates, Estimates)
+    assert len(estimates) == len(list(estimates)) == 80
+    assert estimates[0].measured
+    score = svmdist.validate(recording, "centroid").primary
+    assert score is not None
+    assert score.sample_count == 80
+
+
+class Constant:
+    """A method that measures the same distance always, and counts its frames."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        self.count += 1
+        return FrameResult(
+            frame.stamp_ns, Status.OK, distances=Distances(planar=Distance(0.001 * self.count))
+        )
+
+
+def test_an_own_method_is_measured_and_each_instrument_has_its_own(golden: Path) -> None:
+    recording = svmdist.open_recording(golden / "3d" / "duo.mcap")
+    results = svmdist.estimate(recording, Constant())
+    assert name_of(Constant()) == "Constant"
+    for name in ("PSM1", "PSM2"):
+        own = [result.distances.planar for result in results if result.instrument == name]
+        values = [distance.value_m for distance in own if distance is not None]
+        np.testing.assert_allclose(values, 0.001 * np.arange(1, 81))
+
+
+def test_what_is_no_result_is_told(golden: Path) -> None:
+    class Wrong:
+        def estimate(self, frame: Frame) -> float:
+            return 3.0
+
+    with pytest.raises(TypeError, match="expected a FrameResult, found float"):
+        OwnEstimator(Wrong()).estimate(None)  # type: ignore[arg-type]
+
+
+def test_importing_is_light_and_an_unknown_name_is_told() -> None:
+    code = "import svmdist, sys; sys.exit('cv2' in sys.modules or 'numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert re.fullmatch(r"\d+\.\d+\.\d+.*", svmdist.__version__)
+    with pytest.raises(AttributeError, match="it has"):
+        _ = svmdist.measure
+
+
+def test_a_view_of_a_recording_is_refused(golden: Path) -> None:
+    recording = svmdist.open_recording(golden / "sweep.mcap")
+    with pytest.raises(SvmdistError, match="open_recording"):
+        svmdist.estimate(recording.for_instrument("PSM1"))
+
+
+def test_an_image_of_the_wrong_kind_is_told(golden: Path) -> None:
+    setup = prepare(method="centroid")
+    recording = svmdist.open_recording(golden / "sweep.mcap")
+    seen = next(recording.observations())
+    assert isinstance(seen, Observation)
+    arm = Arm(setup.profile)
+    for image, said in (
+        (seen.image_bgr / 255.0, "found float64, from 0 to 1"),
+        (seen.image_bgr[::2], "found (240, 640, 3)"),
+        (seen.image_bgr[..., 0], "found (480, 640)"),
+        ([[1, 2]], "found list"),
+    ):
+        with pytest.raises(ValueError, match=re.escape(said).replace("from\\ 0\\ to\\ 1", "from .* to .*")):
+            frame_of(replace(seen, image_bgr=image), arm, setup.segmenter)

@@ -1,0 +1,208 @@
+"""An annotated recording holds what was copied, what was measured, and opens in viewers."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections import Counter, defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+
+from svmdist.recording.copying import TRUE_SUFFIX
+from svmdist.recording.messages.distance_estimate_pb2 import DistanceEstimate
+from svmdist.recording.reader import Recording, open_recording
+from svmdist.results import FrameResult
+from svmdist.workflows.annotate import DrawnFrame, drawn_frames, write_annotated
+from svmdist.workflows.estimate import estimate
+from svmdist.workflows.setup import Setup, prepare
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DUO = REPOSITORY / "recordings" / "3d" / "duo.mcap"
+ANNOTATION_TOPICS = {
+    "/ECM/left/image/annotations",
+    "/svmdist/PSM1/distance",
+    "/svmdist/PSM2/distance",
+    "/svmdist/tf",
+    "/svmdist/scene",
+    "/svmdist/log",
+}
+
+
+@pytest.fixture(scope="module")
+def annotated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, list[DrawnFrame], Setup]:
+    """The golden log of two instruments with its annotations, and what they were made of."""
+    setup = prepare(method="fused")
+    path = tmp_path_factory.mktemp("annotated") / "duo.mcap"
+    frames: list[DrawnFrame] = []
+
+    def kept() -> Any:
+        for frame in drawn_frames(recording, setup):
+            frames.append(frame)
+            yield frame
+
+    recording = open_recording(DUO, setup.profile)
+    assert write_annotated(recording, kept(), setup, path) == len(frames) == 80
+    return open_recording(path, setup.profile), frames, setup
+
+
+def messages_of(recording: Recording, topic: str, kind: Any) -> list[Any]:
+    return [kind.FromString(bytes(raw.data)) for raw in recording.raw_messages() if raw.topic == topic]
+
+
+def stamp_ns(message: Any) -> int:
+    return int(message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos)
+
+
+def test_every_message_of_the_log_is_copied_and_the_images_bit_for_bit(
+    annotated: tuple[Recording, list[DrawnFrame], Setup],
+) -> None:
+    copy, _, setup = annotated
+    original = open_recording(DUO, setup.profile)
+    counts = Counter(raw.topic for raw in copy.raw_messages())
+    assert set(counts) - {raw.topic for raw in original.raw_messages()} == ANNOTATION_TOPICS
+    before, after = defaultdict(list), defaultdict(list)
+    for log, messages in ((original, before), (copy, after)):
+        for raw in log.raw_messages():
+            messages[raw.topic].append(bytes(raw.data))
+    for topic, messages in before.items():
+        assert len(after[topic]) == len(messages), topic
+        if topic != "/ground_truth/tf":
+            assert after[topic] == messages, topic
+
+
+def test_no_frame_of_the_copy_has_two_parents(annotated: tuple[Recording, list[DrawnFrame], Setup]) -> None:
+    parents = defaultdict(set)
+    for topic in ("/tf", "/ground_truth/tf", "/svmdist/tf"):
+        for message in messages_of(annotated[0], topic, FrameTransforms):
+            for transform in message.transforms:
+                parents[transform.child_frame_id].add(transform.parent_frame_id)
+    assert {child for child, found in parents.items() if len(found) > 1} == set()
+    assert {"tool", f"tool{TRUE_SUFFIX}", "PSM1_tool_estimate", "PSM2_tool_estimate"} <= set(parents)
+
+
+def test_the_numbers_are_those_of_estimate(annotated: tuple[Recording, list[DrawnFrame], Setup]) -> None:
+    copy, _, setup = annotated
+    rows = list(estimate(open_recording(DUO, setup.profile), setup))
+    for name in ("PSM1", "PSM2"):
+        own: list[FrameResult] = [row for row in rows if row.instrument == name]
+        messages = messages_of(copy, f"/svmdist/{name}/distance", DistanceEstimate)
+        assert [stamp_ns(message) for message in messages] == [row.stamp_ns for row in own]
+        for message, row in zip(messages, own, strict=True):
+            assert (message.status, message.method, message.instrument) == (str(row.status), "fused", name)
+            clearance = row.distances.clearance
+            assert clearance is not None
+            assert clearance.std_m is not None
+            assert (message.clearance_m, message.clearance_std_m) == (clearance.value_m, clearance.std_m)
+            half_m = 1.959964 * clearance.std_m
+            assert message.clearance_high_m - message.clearance_low_m == pytest.approx(2 * half_m, rel=1e-6)
+            assert not message.HasField("alarm")  # none was asked for
+
+
+def test_annotations_transforms_and_scene_say_the_same_as_the_results(
+    annotated: tuple[Recording, list[DrawnFrame], Setup],
+) -> None:
+    copy, frames, _ = annotated
+    camera = copy.camera
+    drawings = messages_of(copy, "/ECM/left/image/annotations", ImageAnnotations)
+    transforms = messages_of(copy, "/svmdist/tf", FrameTransforms)
+    scenes = messages_of(copy, "/svmdist/scene", SceneUpdate)
+    for frame, drawing, poses, scene in zip(frames, drawings, transforms, scenes, strict=True):
+        texts = " ".join(text.text for text in drawing.texts)
+        entities = {entity.id: entity for entity in scene.entities}
+        for result, pose in zip(frame.replayed.results, poses.transforms, strict=True):
+            clearance, tool = result.distances.clearance, result.tool
+            assert clearance is not None
+            assert tool is not None
+            assert f"{result.instrument} fused: clearance {clearance.value_m * 1e3:.2f} mm" in texts
+            assert pose.child_frame_id == f"{result.instrument}_tool_estimate"
+            place = np.array([pose.translation.x, pose.translation.y, pose.translation.z])
+            np.testing.assert_allclose(place, tool.pose.position_m)
+            start, end = entities[f"{result.instrument} distance"].lines[0].points
+            length_m = np.linalg.norm([end.x - start.x, end.y - start.y, end.z - start.z])
+            assert length_m == pytest.approx(abs(clearance.value_m), abs=1e-9)
+            assert len(entities[f"{result.instrument} instrument"].cylinders) > 5
+        assert stamp_ns(drawing) == frame.drawing.stamp_ns
+        places = [(point.x, point.y) for shape in drawing.points for point in shape.points]
+        inside = [-50 < x < camera.width_px + 50 and -50 < y < camera.height_px + 50 for x, y in places]
+        assert np.mean(inside) > 0.9
+
+
+def test_the_log_says_why_a_frame_was_not_measured(tmp_path: Path) -> None:
+    """The golden log in which the tissue or the instrument is hidden for a while."""
+    setup = prepare()
+    recording = open_recording(REPOSITORY / "recordings" / "occlusion.mcap", setup.profile)
+    frames = list(drawn_frames(recording, setup))
+    write_annotated(recording, iter(frames), setup, tmp_path / "out.mcap")
+    lines = messages_of(open_recording(tmp_path / "out.mcap", setup.profile), "/svmdist/log", Log)
+    assert lines[0].level == Log.INFO
+    assert "method overlay" in lines[0].message
+    rejected = [result for frame in frames for result in frame.replayed.results if not result.measured]
+    assert rejected
+    assert [(stamp_ns(line), line.level) for line in lines[1:]] == [
+        (result.stamp_ns, Log.WARNING) for result in rejected
+    ]
+    for line, result in zip(lines[1:], rejected, strict=True):
+        assert str(result.status) in line.message
+
+
+def test_the_layout_names_topics_that_are_written(
+    annotated: tuple[Recording, list[DrawnFrame], Setup],
+) -> None:
+    layout = json.loads((REPOSITORY / "docs" / "foxglove-layout.json").read_text())
+    topics = {info.topic for info in annotated[0].topics()}
+    named = set(re.findall(r'"(/[\w/]+)', json.dumps(layout)))
+    assert named <= topics
+    assert {"/ECM/left/image/annotations", "/svmdist/scene", "/svmdist/log"} <= named
+    fields = {
+        path["value"].partition(".")[2]
+        for panel in layout["configById"].values()
+        for path in panel.get("paths", [])
+    }
+    assert fields <= {field.name for field in DistanceEstimate.DESCRIPTOR.fields}
+
+
+def test_rerun_shows_image_camera_transforms_and_text(
+    annotated: tuple[Recording, list[DrawnFrame], Setup], tmp_path: Path
+) -> None:
+    """Rerun's own importer, as `rerun FILE` runs it."""
+    pytest.importorskip("rerun", reason="rerun-sdk has no wheel for this platform")
+    # A home of its own: the program writes its settings there, and says what it would collect at first.
+    environment = os.environ | {"HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)}
+
+    def rerun(*arguments: object) -> str:
+        command = [sys.executable, "-m", "rerun", *map(str, arguments)]
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=120, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    rerun("mcap", "convert", annotated[0].path, "-o", tmp_path / "duo.rrd")
+    columns, rows = defaultdict[str, set[str]](set), Counter[str]()
+    for count, entity, found in re.findall(
+        r"with (\d+) rows .* - (/\S+) - data columns: \[(.*)\]", rerun("rrd", "print", tmp_path / "duo.rrd")
+    ):
+        if "McapChannel:id" not in found:
+            columns[entity] |= set(found.split())
+            rows[entity] += int(count)
+    assert columns["/ECM/left/image"] >= {"EncodedImage:blob", "EncodedImage:media_type"}
+    assert "Pinhole:image_from_camera" in columns["/ECM/left/camera_info"]
+    for topic in ("/tf", "/svmdist/tf", "/ground_truth/tf"):
+        assert {"Transform3D:child_frame", "Transform3D:translation"} <= columns[topic]
+    assert "TextLog:text" in columns["/svmdist/log"]
+    assert set(columns) >= ANNOTATION_TOPICS
+    assert (rows["/ECM/left/image"], rows["/ECM/left/image/annotations"], rows["/svmdist/tf"]) == (
+        80,
+        80,
+        160,
+    )
