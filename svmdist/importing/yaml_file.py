@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from svmdist.errors import SourceError
+from svmdist.input_file import read_regular, why
 
 MAX_BYTES = 1 << 20
 OPENCV_HEADER = re.compile(r"\A%YAML:1\.0.*\n")
@@ -35,12 +36,9 @@ _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _mapping)
 def read_yaml(path: Path) -> dict[str, Any]:
     """The first document of a YAML file, which must be a mapping; SourceError in one line for anything else."""
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+        data = read_regular(path, MAX_BYTES)
     except OSError as problem:
-        raise SourceError(f"{path}: cannot read: {problem.strerror or problem}") from None
-    if len(data) > MAX_BYTES:
-        raise SourceError(f"{path}: more than {MAX_BYTES >> 20} MiB, which is no calibration")
+        raise SourceError(f"{path}: cannot read: {why(problem)}") from None
     try:
         text = OPENCV_HEADER.sub("", data.decode("utf-8"))
         document = next(iter(yaml.load_all(text, _Loader)), None)

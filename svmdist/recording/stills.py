@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from svmdist.errors import SourceError
+from svmdist.input_file import read_regular, why
 from svmdist.profile import Limits
 from svmdist.recording.messages.encoding import EncodedSample, encode_still
 from svmdist.recording.messages.images import ImageError, decode_still, still_format, still_size
@@ -18,12 +19,9 @@ size_of = still_size
 def read_file(path: Path, limits: Limits) -> bytes | Image:
     """The bytes of a PNG or JPEG, or the pixels of another format; SourceError in one line where it is no image."""
     try:
-        with path.open("rb") as file:
-            data = file.read(limits.image_bytes + 1)
+        data = read_regular(path, limits.image_bytes)
     except OSError as problem:
-        raise SourceError(f"{path}: cannot read: {problem.strerror or problem}") from None
-    if len(data) > limits.image_bytes:
-        raise SourceError(f"{path}: an image of more than {limits.image_bytes} bytes")
+        raise SourceError(f"{path}: cannot read: {why(problem)}") from None
     return data if still_format(data) else _decode_other(data, path, limits)
 
 

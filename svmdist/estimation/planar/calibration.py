@@ -14,7 +14,7 @@ from svmdist.camera import Camera
 from svmdist.errors import CalibrationError
 from svmdist.estimation.planar.equations import PlaneMapping, Quadratic, screen_cm_corrected
 from svmdist.output_file import write_atomically
-from svmdist.toml_model import StrictModel, parse_toml
+from svmdist.toml_model import MIN_NUMBER, StrictModel, parse_toml
 from svmdist.transforms import Array
 
 MIN_SAMPLE_COUNT = 12
@@ -152,9 +152,9 @@ def fit_calibration(
         y=y,
         fit=Fit(
             sample_count=count,
-            rmse_x_m=float(np.sqrt(np.mean(residual_x**2))),
-            rmse_y_m=float(np.sqrt(np.mean(residual_y**2))),
-            max_error_m=float(np.max(np.hypot(residual_x, residual_y))),
+            rmse_x_m=_stored(np.sqrt(np.mean(residual_x**2))),
+            rmse_y_m=_stored(np.sqrt(np.mean(residual_y**2))),
+            max_error_m=_stored(np.max(np.hypot(residual_x, residual_y))),
             span_x_px=(float(samples.tool_px[:, 0].min()), float(samples.tool_px[:, 0].max())),
             span_y_px=(float(samples.tool_px[:, 1].min()), float(samples.tool_px[:, 1].max())),
         ),
@@ -185,12 +185,17 @@ def _fit_axis(samples: CalibrationSamples, axis: int) -> tuple[QuadraticModel, A
         )
     constant, linear, q = fitted
     model = QuadraticModel(
-        quadratic_per_cm=float(q),
-        linear=float(linear - 2.0 * q * middle_cm),
-        constant_cm=float(constant - linear * middle_cm + q * middle_cm**2),
+        quadratic_per_cm=_stored(q),
+        linear=_stored(linear - 2.0 * q * middle_cm),
+        constant_cm=_stored(constant - linear * middle_cm + q * middle_cm**2),
     )
     predicted_cm = np.asarray(model.to_quadratic()(screen_cm))
     return model, (predicted_cm - truth_cm) / 100.0
+
+
+def _stored(value: float) -> float:
+    """A number as a file holds it: a size that no file may hold has no effect, and is 0."""
+    return 0.0 if abs(value) < MIN_NUMBER else float(value)
 
 
 def _describe(camera: Camera) -> str:

@@ -26,7 +26,11 @@ from svmdist.workflows.drawing.distances import (
 )
 
 CAMERA = Camera(
-    640, 480, np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]), np.zeros(5), "camera"
+    640,
+    480,
+    np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]),
+    np.zeros(5),
+    frame_id="camera",
 )
 CLEARANCE = Distance(0.01, 0.001, (1.0, 0.0, 0.0), (0.0, 0.0, 0.1))
 RESULT = FrameResult(
