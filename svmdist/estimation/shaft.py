@@ -34,7 +34,7 @@ class ShaftEstimator:
                 " [instrument]"
             )
         require_tissue(profile)
-        self._max_std_m = profile.settings.shaft.max_position_std_m
+        self._settings = profile.settings.shaft
         self._has_plate = False
 
     def estimate(self, frame: Frame) -> FrameResult:
@@ -50,7 +50,8 @@ class ShaftEstimator:
         if isinstance(fit, Failure):
             return result.rejected(_status(frame.tool.shaft), fit.reason)
         std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
-        if not std_m <= self._max_std_m:
+        farther = max(1.0, float(np.linalg.norm(fit.pose.position_m)) / self._settings.near_m)
+        if not std_m <= farther * self._settings.max_position_std_m:
             detail = f"the position is uncertain by {std_m * 1e3:.1f} mm"
             return result.rejected(Status.UNCERTAIN, detail)
         return measured(result, frame, ToolEstimate(fit.pose, frame.joints, self._has_plate), tissue.pose)

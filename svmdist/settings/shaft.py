@@ -90,3 +90,6 @@ class ShaftSettings(MethodSettings):
     max_position_std_m: float = Field(default=0.008, gt=0.0, lt=1.0)
     """A position less certain than this along any direction is no measurement: a shaft whose radius is known to 2 %
     leaves 2 mm of depth, one that is seen as a stub twice that."""
+    near_m: float = Field(default=0.2, gt=0.0, lt=10.0)
+    """Up to this distance from the camera that deviation holds; beyond, it grows in proportion: a radius known to 2 %
+    leaves 2 % of the distance."""
