@@ -189,7 +189,7 @@ def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
             shown += piece
         process.wait()
     os.close(leader)
-    assert process.returncode == 130
+    assert process.returncode == 130, shown.decode(errors="replace")
     assert b"Traceback" not in shown
     assert shown.count(INTERRUPTED.encode()) == 1
     assert shown.rindex(b"\x1b[?25h") < shown.index(INTERRUPTED.encode())
