@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from svmdist.estimation.gate import GatingResult
 from svmdist.settings.filter import FilterSettings
 
+CODED = "tag"
+"""The source that nothing else can be taken for."""
+
 
 @dataclass(slots=True)
 class Tally:
@@ -117,10 +120,11 @@ class Consistency:
         """The same without the source that is refused most, where enough of the tool's others is accepted.
 
         One detection may be wrong for seconds: a shadow taken for the shaft, a marker that is half hidden. Where two
-        contradict the prediction, it is the prediction that is wrong.
+        contradict the prediction, it is the prediction that is wrong; or where a tag does, whose code says what it is.
         """
         of_tool = {name: tally for name, tally in self._tallies.items() if name in self._tool_sources}
-        worst = max(of_tool, default="", key=lambda name: of_tool[name].refused)
+        mistakable = [name for name in of_tool if name != CODED]
+        worst = max(mistakable, default="", key=lambda name: of_tool[name].refused)
         others = [tally for name, tally in of_tool.items() if name != worst]
         if sum(tally.accepted for tally in others) < self._settings.consistency_min_degrees:
             return self.refused_share

@@ -160,3 +160,13 @@ def test_tissue_that_never_agreed_with_its_plane_is_a_contradiction() -> None:
         after.add(frame * STEP_NS, [judged(1.0)] * 4)
         after.add(frame * STEP_NS, [refused], of_tool=False)
     assert "tissue contradicts its plane" in after.contradiction
+
+
+def test_a_tag_is_taken_for_nothing_else() -> None:
+    """A tag that is refused contradicts a young filter, whatever other sources agree."""
+    watch = Consistency(SETTINGS)
+    for frame in range(8):
+        tag = GatingResult("tag", 90.0, 6, False, "tag")
+        others = [GatingResult(name, 4.0, 4, True, name) for name in ("shaft", "distal marker")]
+        watch.add(frame * STEP_NS, [tag, *others])
+    assert "tag" in watch.contradiction
