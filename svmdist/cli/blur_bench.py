@@ -21,12 +21,14 @@ from svmdist.cli.options import (
     Method,
     OptionalFiles,
     OutputOption,
+    PlotOption,
     ProfileOption,
     SummaryFormatOption,
     TopicOption,
     topics_of,
 )
 from svmdist.cli.outputs import summary_format
+from svmdist.cli.plots import GridPlotOption, require_plot
 from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
 from svmdist.errors import UsageError, did_you_mean
 
@@ -68,6 +70,8 @@ def blur_bench_command(
     start: StartOption = 0.0,
     end: EndOption = None,
     every: EveryOption = 1,
+    save_plot: PlotOption = None,
+    plot: GridPlotOption = None,
 ) -> None:
     """Measure features and error under blur.
 
@@ -77,6 +81,7 @@ def blur_bench_command(
     from svmdist.workflows.setup import prepare
 
     require_output(output, files or ())
+    require_plot("blur-bench --grid", plot, save_plot, files or ())
     if grid:
         _refuse("--kernel is for Table I: it cannot be used with --grid", kernel)
         conditions = grid_conditions_of(degradations, severities)
@@ -87,13 +92,17 @@ def blur_bench_command(
             ("--severities", severities),
         ):
             _refuse(f"{option} is for --grid: Table I is always measured with the paper's method", value)
+        _refuse(
+            "--save-plot draws error and coverage over severity: it is for --grid, Table I has no severities",
+            save_plot,
+        )
         kernels_px = _kernels(kernel or [])
     setup = prepare(profile, (method or Method.OVERLAY).value, "corrected", calibration)
     window = window_of(start, end, every)
     opened = open_recordings(files_or_golden(files), setup.profile, topics_of(topic), window)
     recordings = opened.recordings
     summary = (
-        grid_summary(recordings, setup, conditions, jobs)
+        grid_summary(recordings, setup, conditions, jobs, save_plot)
         if grid
         else _table_one(recordings, setup, kernels_px, jobs)
     )

@@ -16,6 +16,7 @@ from svmdist.cli.options import (
     Method,
     OptionalFiles,
     OutputOption,
+    PlotOption,
     ProfileOption,
     SummaryFormatOption,
     TopicOption,
@@ -24,6 +25,7 @@ from svmdist.cli.options import (
 )
 from svmdist.cli.outputs import summary_format
 from svmdist.cli.perturbations import parse_perturb_groups
+from svmdist.cli.plots import ComparePlotOption, require_plot
 from svmdist.cli.progress import progress_bar
 from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
 
@@ -69,6 +71,8 @@ def compare_command(
     start: StartOption = 0.0,
     end: EndOption = None,
     every: EveryOption = 1,
+    save_plot: PlotOption = None,
+    plot: ComparePlotOption = None,
 ) -> None:
     """Measure with all methods side by side.
 
@@ -84,6 +88,7 @@ def compare_command(
     from svmdist.workflows.setup import prepare
 
     require_output(output, files or ())
+    drawn = require_plot("compare", plot, save_plot, files or ())
     given = parse_lag(lag)
     conditions: list[LogCondition] = [CLEAN]
     conditions += [
@@ -109,4 +114,8 @@ def compare_command(
         summary_format(form, output),
         output,
     )
+    if save_plot and drawn:
+        from svmdist.report.figures_plot import save_compare_plot
+
+        save_compare_plot(scores, save_plot)
     raise typer.Exit(opened.health_code())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -54,9 +55,13 @@ def grid_conditions_of(degradations: str | None, severities: str | None) -> list
 
 
 def grid_summary(
-    recordings: list[Recording], setup: Setup, conditions: list[Condition], jobs: int | None
+    recordings: list[Recording],
+    setup: Setup,
+    conditions: list[Condition],
+    jobs: int | None,
+    save_plot: Path | None = None,
 ) -> Summary:
-    """Measure with a progress bar, and make tables and rows."""
+    """Measure with a progress bar, and make tables, rows, and the plot where one is asked for."""
     from svmdist.report.degradation_grid import grid_keys, grid_row, grid_table, recorded_notes
     from svmdist.report.figures import FIGURE_NOTE
     from svmdist.report.text import counted
@@ -64,6 +69,10 @@ def grid_summary(
 
     with progress_bar(f"{setup.method}, {len(conditions)} conditions", "measurements") as advance:
         cells = degradation_grid(recordings, setup, conditions, jobs=jobs, on_progress=advance)
+    if save_plot:
+        from svmdist.report.figures_plot import save_blur_plot
+
+        save_blur_plot(cells, save_plot)
     title = (
         f"{setup.method} on {cells[0].figures.frame_count} frames of {counted(len(recordings), 'recording')}"
     )

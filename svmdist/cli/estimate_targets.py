@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from svmdist.cli.console import require_output
 from svmdist.cli.options import RowFormat
 from svmdist.cli.outputs import FileFormat, command_line, require_report, row_format
+from svmdist.cli.plots import require_plot
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
@@ -48,13 +49,10 @@ class EstimateTargets:
 
     def check(self, files: Sequence[Path]) -> None:
         """Fail before the work rather than after it; raises OutputError or UsageError."""
-        for target in (self.output, self.report, self.plot):
+        for target in (self.output, self.report):
             require_output(target, files)
         require_report(self.report)
-        if self.plot:
-            from svmdist.report.plot import plot_format
-
-            plot_format(self.plot)
+        require_plot("estimate", None, self.plot, files)
         if self.drawn and len(files) > 1:
             raise UsageError(f"{self.drawn[0]}: holds one recording, and {len(files)} are given")
 

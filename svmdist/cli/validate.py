@@ -41,8 +41,8 @@ from svmdist.cli.options import (
     topics_of,
 )
 from svmdist.cli.outputs import command_line, require_report, summary_format
+from svmdist.cli.plots import PlotKind, ValidatePlotOption, require_plot
 from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
-from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
     from svmdist.workflows.scoring.truth import TruthRules
@@ -50,25 +50,6 @@ if TYPE_CHECKING:
     from svmdist.workflows.validate import Measured, Validation
 
 
-class PlotKind(StrEnum):
-    """`--plot`."""
-
-    FIG6 = "fig6"
-    TIME = "time"
-    RESIDUALS = "residuals"
-    BLAND_ALTMAN = "bland-altman"
-    CALIBRATION = "calibration"
-
-
-PlotKindOption = Annotated[
-    PlotKind | None,
-    typer.Option(
-        "--plot",
-        help="What --save-plot draws: fig6, truth, estimate and error over time as in the paper's figure; time;"
-        " residuals over time and distance; bland-altman; calibration of the interval. Default: fig6.",
-        show_default=False,
-    ),
-]
 BaselineOption = Annotated[
     Path | None,
     typer.Option(
@@ -147,7 +128,7 @@ def validate_command(
     instrument: InstrumentOption = None,
     jobs: JobsOption = None,
     report: ReportOption = None,
-    plot: PlotKindOption = None,
+    plot: ValidatePlotOption = None,
     start: StartOption = 0.0,
     end: EndOption = None,
     every: EveryOption = 1,
@@ -170,15 +151,10 @@ def validate_command(
     from svmdist.workflows.setup import prepare
     from svmdist.workflows.validate import validate
 
-    for target in (output, save_plot, write_baseline, report):
+    for target in (output, write_baseline, report):
         require_output(target, files or ())
     require_report(report)
-    if plot is not None and save_plot is None:
-        raise UsageError(f"--plot {plot}: says what --save-plot FILE draws, which is not given")
-    if save_plot:
-        from svmdist.report.plot import plot_format
-
-        plot_format(save_plot)  # before the work rather than after it
+    drawn = require_plot("validate", plot, save_plot, files or ())
     alarms = alarm_rules(alarm_below, alarm_confidence, method.value)
     paths = files_or_golden(files)
     stored = load_baseline(baseline) if baseline else None
@@ -190,7 +166,7 @@ def validate_command(
     opened = open_recordings(paths, setup.profile, topics_of(topic), window_of(start, end, every))
     wanted = instruments_of(instrument, setup.profile)
     measured: list[Measured] = []
-    on_measured = measured.append if report or plot not in (None, PlotKind.FIG6) else None
+    on_measured = measured.append if report or drawn not in (None, PlotKind.FIG6) else None
     result = validate(
         opened.recordings,
         setup,
@@ -203,8 +179,8 @@ def validate_command(
         opened.fail if opened.count > 1 else None,
     )
     _write(result, summary_format(form, output), output)
-    if save_plot:
-        _save_plot(result, measured, setup, rules, plot or PlotKind.FIG6, save_plot)
+    if save_plot and drawn:
+        _save_plot(result, measured, setup, rules, drawn, save_plot)
     if report:
         from svmdist.report.html.build import validation_report
         from svmdist.report.html.page import write_report

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -15,9 +13,8 @@ from matplotlib.figure import Figure
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import deviations_at
-from svmdist.output_file import atomic_file
-from svmdist.report.text import printable
-from svmdist.transforms import Array
+from svmdist.report.plot_style import COLUMN_IN, PAGE_IN, plain_name, plot_format, print_looks, write_figure
+from svmdist.report.series_values import with_breaks
 from svmdist.workflows.scoring.distances import DistanceScore, Pairs
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference
@@ -31,44 +28,31 @@ REFERENCE_NAMES = {
     Reference.POSE: "pose topic",
     Reference.KINEMATICS: "DH kinematics",
 }
-MAX_GAP_IN_STEPS = 3.0
-"""A curve is broken where frames are missing for longer than this many frame periods."""
+PANELS_IN = 2.8
+"""Height of a recording's two panels, in inches."""
 
 
 def save_plot(validation: Validation, path: Path, reference: Reference | None = None) -> None:
     """Draw one panel a recording and write the figure in the format of the path's suffix.
 
     Drawn is the clearance where method and reference tell one, else the spatial distance, else the planar one.
-    Raises OutputError for a suffix matplotlib cannot write, for a reference that no recording has, and
+    Raises OutputError for another suffix than png, svg or pdf, for a reference that no recording has, and
     where writing fails.
     """
     scores = _scores_to_draw(validation, reference)
     if not scores:
         raise OutputError(f"{path}: nothing to draw: no recording was compared with {reference}")
-    suffix = plot_format(path)
-    figure = draw(scores, validation.alarm_rules)
-    metadata = {"Date": None} if suffix == "svg" else None
-    # SVG ids and dates would differ between two runs on the same data.
-    with atomic_file(path) as target, mpl.rc_context({"svg.hashsalt": "svmdist"}), warnings.catch_warnings():
-        # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
-        warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
-        figure.savefig(target, dpi=150, format=suffix, metadata=metadata)
-
-
-def plot_format(path: Path) -> str:
-    """The format of a path's suffix; raises OutputError, which lists the choices, for one matplotlib cannot write."""
-    formats = set(Figure().canvas.get_supported_filetypes()) - {"pgf"}  # which needs a TeX installation
-    suffix = path.suffix.lstrip(".").lower()
-    if suffix not in formats:
-        raise OutputError(f"{path}: cannot draw a .{suffix}: the choices are {', '.join(sorted(formats))}")
-    return suffix
+    plot_format(path)
+    with print_looks():
+        write_figure(draw(scores, validation.alarm_rules), path)
 
 
 def draw(scores: Sequence[Score], alarms: AlarmRules | None = None) -> Figure:
     """Draw the panels, two columns wide where there are several, with the alarms' threshold where there is one."""
     columns = 1 if len(scores) == 1 else 2
     rows = -(-len(scores) // columns)
-    figure = Figure(figsize=(5.6 * columns, 3.3 * rows), layout="constrained")
+    width_in = COLUMN_IN if columns == 1 else PAGE_IN
+    figure = Figure(figsize=(width_in, PANELS_IN * rows), layout="constrained")
     grid = figure.add_gridspec(rows, columns)
     for index, score in enumerate(scores):
         cell = grid[index // columns, index % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.04)
@@ -81,10 +65,13 @@ def draw(scores: Sequence[Score], alarms: AlarmRules | None = None) -> Figure:
                 below_mm,
                 color=ALARM_COLOUR,
                 linewidth=0.9,
-                linestyle="--",
+                linestyle=":",
                 label=f"alarm below {below_mm:g} mm",
             )
-        _draw_panel(upper, lower, curves, with_legend=index == 0)
+        _draw_panel(upper, lower, curves)
+        if index == 0:
+            handles, labels = upper.get_legend_handles_labels()
+            figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure
 
 
@@ -114,13 +101,13 @@ def _curves(score: Score) -> _Curves:
     return _Curves("distance", score.pairs, _title(score), label)
 
 
-def _draw_panel(upper: Axes, lower: Axes, curves: _Curves, *, with_legend: bool) -> None:
+def _draw_panel(upper: Axes, lower: Axes, curves: _Curves) -> None:
     pairs = curves.pairs
     seconds = (pairs.stamps_ns - (pairs.stamps_ns[0] if len(pairs.stamps_ns) else 0)) / 1e9
-    time, truth, estimate, half = _with_breaks(
+    time, truth, estimate, half = with_breaks(
         seconds, pairs.truth_m * 1e3, pairs.estimate_m * 1e3, deviations_at(0.95) * pairs.std_m * 1e3
     )
-    upper.plot(time, truth, color=TRUTH_COLOUR, linewidth=1.6, label=curves.truth_label)
+    upper.plot(time, truth, color=TRUTH_COLOUR, linewidth=1.4, linestyle="--", label=curves.truth_label)
     upper.plot(
         time, estimate, color=ESTIMATE_COLOUR, linewidth=1.0, marker=".", markersize=3, label="estimate"
     )
@@ -136,28 +123,23 @@ def _draw_panel(upper: Axes, lower: Axes, curves: _Curves, *, with_legend: bool)
         )
     lower.axhline(0.0, color="0.6", linewidth=0.8)
     lower.plot(time, estimate - truth, color="0.25", linewidth=0.9, marker=".", markersize=2)
-    upper.set_title(curves.title, fontsize=9, loc="left")
-    upper.set_ylabel(f"{curves.distance} [mm]", fontsize=8)
-    lower.set_ylabel("error [mm]", fontsize=8)
-    lower.set_xlabel("time [s]", fontsize=8)
+    upper.set_title(curves.title, loc="left")
+    upper.set_ylabel(f"{curves.distance} [mm]")
+    lower.set_ylabel("error [mm]")
+    lower.set_xlabel("time [s]")
     for axes in (upper, lower):
         axes.tick_params(labelsize=7)
-        axes.grid(color="0.92", linewidth=0.6)
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
     upper.tick_params(labelbottom=False)
-    if with_legend:
-        upper.legend(fontsize=7, frameon=False, loc="best")
 
 
 def _title(score: Score) -> str:
-    name, statistics = _name(score), score.statistics
+    statistics = score.statistics
     if statistics is None:
-        return f"{name}: nothing measured"
+        return f"{_name(score)}\nnothing measured"
     r2 = "–" if statistics.r_squared is None else f"{statistics.r_squared:.4f}"
     fitted = ", fitted on" if score.fitted_on else ""
     return (
-        f"{name}: R² {r2}, RMSE {statistics.rmse * 1e3:.2f} mm, σ {statistics.truth_std * 1e3:.1f} mm,"
+        f"{_name(score)}\nR² {r2}, RMSE {statistics.rmse * 1e3:.2f} mm, σ {statistics.truth_std * 1e3:.1f} mm,"
         f" n {statistics.count}{fitted}"
     )
 
@@ -165,22 +147,12 @@ def _title(score: Score) -> str:
 def _title_3d(score: Score, distance: str, of: DistanceScore) -> str:
     rmse_mm, held = of.statistics.rmse * 1e3, of.interval_coverage
     interval = "" if held is None else f", {held * 100:.0f} % in the 95 % interval"
-    return f"{_name(score)}, {distance}: RMSE {rmse_mm:.2f} mm{interval}, n {of.statistics.count}"
+    return f"{_name(score)}\n{distance}: RMSE {rmse_mm:.2f} mm{interval}, n {of.statistics.count}"
 
 
 def _name(score: Score) -> str:
-    # A dollar sign in a file's name must not start a formula.
-    return printable(score.recording).replace("$", r"\$")
+    return f"{plain_name(score.recording)}: {plain_name(score.method)}"
 
 
 def _reference_label(reference: Reference) -> str:
     return f"truth ({REFERENCE_NAMES[reference]})"
-
-
-def _with_breaks(seconds: Array, *curves: Array) -> tuple[Array, ...]:
-    """Put a NaN between frames that are far apart, so that no line spans what was not measured."""
-    if len(seconds) < 3:
-        return seconds, *curves
-    steps = np.diff(seconds)
-    at = np.flatnonzero(steps > MAX_GAP_IN_STEPS * np.median(steps)) + 1
-    return tuple(np.insert(values, at, np.nan) for values in (seconds, *curves))

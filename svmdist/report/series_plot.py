@@ -2,42 +2,36 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from svmdist.errors import OutputError
-from svmdist.metrics import interval_coverage
-from svmdist.output_file import atomic_file
-from svmdist.report.plot import MAX_GAP_IN_STEPS, plot_format
-from svmdist.report.series_values import LEVELS, distance_name, pooled, rejected_spans
-from svmdist.report.text import printable
-from svmdist.transforms import Array
+from svmdist.report.plot_style import (
+    COLUMN_IN,
+    PAGE_IN,
+    PANEL_IN,
+    plain_name,
+    plot_format,
+    print_looks,
+    write_figure,
+)
+from svmdist.report.series_values import (
+    LEVELS,
+    distance_name,
+    held_shares,
+    pooled,
+    rejected_spans,
+    with_breaks,
+)
 from svmdist.workflows.series import Series
 
-COLUMN_IN, PAGE_IN, PANEL_IN = 3.5, 7.16, 2.2
-"""Widths of a column and of a page in print, and the height of a panel, in inches."""
 INK, ESTIMATE, TRUTH, BAND, LOST = "0.0", "#1f5fa8", "#c1272d", "#b9cfe8", "0.88"
-DPI = 300
-LOOKS: Any = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.5,
-    "legend.frameon": False,
-    "legend.fontsize": 7,
-    "svg.hashsalt": "svmdist",
-}
 
 
 class SeriesPlot(StrEnum):
@@ -56,14 +50,9 @@ def save_series_plot(
 
     Raises OutputError for another ending than matplotlib can write, for nothing to draw, and where writing fails.
     """
-    suffix = plot_format(path)
-    with mpl.rc_context(LOOKS), warnings.catch_warnings():
-        # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
-        warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
-        figure = draw_series(series, kind, path, alarm_below_m)
-        with atomic_file(path) as target:
-            metadata = {"Date": None} if suffix == "svg" else None
-            figure.savefig(target, dpi=DPI, format=suffix, metadata=metadata)
+    plot_format(path)
+    with print_looks():
+        write_figure(draw_series(series, kind, path, alarm_below_m), path)
 
 
 def draw_series(
@@ -101,7 +90,7 @@ def draw_series(
 
 
 def _draw_time(axes: Axes, series: Series, alarm_below_m: float | None) -> None:
-    seconds, estimate, half, truth = _with_breaks(
+    seconds, estimate, half, truth = with_breaks(
         series.seconds, series.estimate_m * 1e3, series.half_m * 1e3, series.truth_m * 1e3
     )
     for at, (low, high) in enumerate(rejected_spans(series)):
@@ -163,32 +152,14 @@ def _draw_agreement(axes: Sequence[Axes], group: Sequence[Series]) -> None:
 
 
 def _draw_calibration(axes: Sequence[Axes], group: Sequence[Series]) -> None:
-    truth_mm, error_mm, std_mm = pooled(group)
-    stated = np.isfinite(std_mm)
-    estimate_mm = (truth_mm + error_mm)[stated]
-    held = [
-        100.0 * (interval_coverage(estimate_mm, truth_mm[stated], std_mm[stated], level) or 0.0)
-        for level in LEVELS
-    ]
+    held, count = held_shares(group)
     (only,) = axes
     only.plot([50, 100], [50, 100], color=INK, linewidth=0.8, linestyle="--", label="honest")
     only.plot(100.0 * np.array(LEVELS), held, color=ESTIMATE, marker="o", markersize=3, label="truths inside")
-    only.set_title(
-        f"{group[0].method}: interval of the {distance_name(group[0])}, n {int(stated.sum())}", loc="left"
-    )
+    only.set_title(f"{group[0].method}: interval of the {distance_name(group[0])}, n {count}", loc="left")
     only.set(xlabel="stated level [%]", ylabel="truths inside [%]")
     only.legend(loc="best")
 
 
 def _name(series: Series) -> str:
-    # A dollar sign in a file's name must not start a formula.
-    return printable(f"{series.recording} {series.instrument}").replace("$", r"\$").strip()
-
-
-def _with_breaks(seconds: Array, *curves: Array) -> tuple[Array, ...]:
-    """Put a NaN between frames that are far apart, so that no line spans what is not in the log."""
-    if len(seconds) < 3:
-        return seconds, *curves
-    steps = np.diff(seconds)
-    at = np.flatnonzero(steps > MAX_GAP_IN_STEPS * np.median(steps)) + 1
-    return tuple(np.insert(values, at, np.nan) for values in (seconds, *curves))
+    return plain_name(f"{series.recording} {series.instrument}")

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from svmdist.metrics import interval_coverage
 from svmdist.transforms import Array
 from svmdist.workflows.series import Series
 
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 """Levels of intervals whose honesty is shown."""
+MAX_GAP_IN_STEPS = 3.0
+"""A curve is broken where frames are missing for longer than this many frame periods."""
 
 
 def distance_name(series: Series) -> str:
@@ -41,3 +44,21 @@ def pooled(series: Sequence[Series]) -> tuple[Array, Array, Array]:
     )
     kept = np.isfinite(error_m)
     return truth_m[kept] * 1e3, error_m[kept] * 1e3, std_m[kept] * 1e3
+
+
+def held_shares(series: Sequence[Series]) -> tuple[list[float], int]:
+    """Shares in % of truths inside the intervals of `LEVELS`, and of how many frames that state a deviation."""
+    truth_mm, error_mm, std_mm = pooled(series)
+    stated = np.isfinite(std_mm)
+    estimate_mm, truth_mm, std_mm = (truth_mm + error_mm)[stated], truth_mm[stated], std_mm[stated]
+    held = [100.0 * (interval_coverage(estimate_mm, truth_mm, std_mm, level) or 0.0) for level in LEVELS]
+    return held, int(stated.sum())
+
+
+def with_breaks(seconds: Array, *curves: Array) -> tuple[Array, ...]:
+    """Put a NaN between frames that are far apart, so that no line spans what was not measured."""
+    if len(seconds) < 3:
+        return seconds, *curves
+    steps = np.diff(seconds)
+    at = np.flatnonzero(steps > MAX_GAP_IN_STEPS * np.median(steps)) + 1
+    return tuple(np.insert(values, at, np.nan) for values in (seconds, *curves))

@@ -100,7 +100,7 @@ def measure_runs(
     distances; another instrument than the first is left out where it has none.
     """
     jobs = usable_cores() if jobs is None else jobs
-    counts = [_image_count(recording) for recording in recordings]
+    counts = [recording.image_count() for recording in recordings]
     known = [number for number in counts if number is not None]
     total = sum(known) * len(conditions) * len(setups) if len(known) == len(counts) else None
     for recording in recordings:  # what has no truth is told before the work
@@ -287,9 +287,3 @@ def _with_truth(recording: Recording) -> list[str]:
     first, *others = recording.instruments
     role = Role.GROUND_TRUTH_DISTANCE
     return [first, *(name for name in others if recording.for_instrument(name).topic_of(role) is not None)]
-
-
-def _image_count(recording: Recording) -> int | None:
-    """The number of (left) images, where the file says."""
-    topic = recording.topic_of(Role.IMAGE)
-    return next((info.message_count for info in recording.topics() if info.topic == topic), None)

@@ -15,6 +15,7 @@ from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, blur_row
 from svmdist.report.plot import draw, save_plot
+from svmdist.report.plot_style import PAGE_IN
 from svmdist.report.table import csv_lines, json_array_lines, render, rich_table
 from svmdist.report.validation import score_keys, score_row, validation_document
 from svmdist.report.validation_tables import remarks, validation_table
@@ -178,10 +179,10 @@ def test_an_svg_is_identical_on_a_rerun(tmp_path):
     assert mpl.rcParams["svg.hashsalt"] == salt
 
 
-@pytest.mark.parametrize("name", ["plot.xyz", "plot", "plot.mcap", "plot.pgf"])
+@pytest.mark.parametrize("name", ["plot.xyz", "plot", "plot.mcap", "plot.pgf", "plot.jpg"])
 def test_an_unknown_suffix_lists_the_choices(tmp_path, name):
     """A suffix that cannot be drawn is an OutputError that names those that can, and writes nothing."""
-    with pytest.raises(OutputError, match=r"cannot draw .*the choices are .*pdf, .*png, .*svg"):
+    with pytest.raises(OutputError, match=r"cannot draw .*the choices are png, svg, pdf$"):
         save_plot(validation("sweep.mcap"), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
@@ -204,7 +205,7 @@ def test_names_in_plot_titles_are_text(tmp_path, name):
         save_plot(validation(name), path)
     text = path.read_text("utf-8")
     assert "\x1b" not in text
-    title = next(line for line in text.splitlines() if "RMSE" in line and "<text" in line)
+    title = next(line for line in text.splitlines() if ": overlay" in line and "<text" in line)
     assert name.replace("\x1b", "\N{REPLACEMENT CHARACTER}") in title
 
 
@@ -213,7 +214,11 @@ def test_several_recordings_make_several_panels():
     figure = draw(validation("a.mcap", "b.mcap", "c.mcap").scores)
     assert len(figure.axes) == 6
     titles = [axes.get_title(loc="left") for axes in figure.axes[::2]]
-    assert [title.split(":")[0] for title in titles] == ["a.mcap", "b.mcap", "c.mcap"]
+    names = [title.partition("\n")[0] for title in titles]
+    assert names == ["a.mcap: overlay", "b.mcap: overlay", "c.mcap: overlay"]
+    assert figure.get_figwidth() == PAGE_IN
+    styles = {(line.get_linestyle(), line.get_marker()) for line in figure.axes[0].get_lines()}
+    assert len(styles) == 2  # told apart without colour
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
@@ -249,10 +254,10 @@ def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval():
     ):
         upper, lower = draw([made], rules).axes
         assert upper.get_ylabel() == f"{name} [mm]"
-        assert f", {name}: RMSE" in upper.get_title(loc="left")
+        assert upper.get_title(loc="left").partition("\n")[2].startswith(f"{name}: RMSE")
         (band,) = lower.collections
         assert np.nanmax(band.get_paths()[0].vertices[:, 1]) == pytest.approx(1.96, abs=1e-3)
-        thresholds = [line for line in upper.get_lines() if line.get_linestyle() == "--"]
+        thresholds = [line for line in upper.get_lines() if line.get_linestyle() == ":"]
         assert [line.get_ydata()[0] for line in thresholds] == ([5.0] if name == "clearance" else [])
     assert "100 % in the 95 % interval" not in draw([planar]).axes[0].get_title(loc="left")
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from svmdist.metrics import interval_coverage
-from svmdist.report.series_values import LEVELS, distance_name, pooled, rejected_spans
+from svmdist.report.series_values import LEVELS, distance_name, held_shares, pooled, rejected_spans
 from svmdist.transforms import Array
 from svmdist.workflows.series import Series
 
@@ -187,13 +186,7 @@ def error_distribution(series: Sequence[Series], name: str) -> HtmlFigure:
 
 def interval_calibration(series: Sequence[Series], name: str) -> HtmlFigure:
     """Share of truths inside intervals of several levels; on the diagonal, intervals are honest."""
-    truth_mm, error_mm, std_mm = pooled(series)
-    stated = np.isfinite(std_mm)
-    estimate_mm = (truth_mm + error_mm)[stated]
-    held = [
-        100.0 * (interval_coverage(estimate_mm, truth_mm[stated], std_mm[stated], level) or 0.0)
-        for level in LEVELS
-    ]
+    held, _ = held_shares(series)
     levels = [100.0 * level for level in LEVELS]
     data = [
         _line([50.0, 100.0], [50.0, 100.0], "honest", VERMILION, dash="dash"),
