@@ -147,7 +147,7 @@ def _title(score: Score) -> str:
 def _title_3d(score: Score, distance: str, of: DistanceScore) -> str:
     rmse_mm, held = of.statistics.rmse * 1e3, of.interval_coverage
     interval = "" if held is None else f", {held * 100:.0f} % in the 95 % interval"
-    return f"{_name(score)}\n{distance}: RMSE {rmse_mm:.2f} mm{interval}, n {of.statistics.count}"
+    return f"{_name(score)}, {distance}\nRMSE {rmse_mm:.2f} mm{interval}, n {of.statistics.count}"
 
 
 def _name(score: Score) -> str:

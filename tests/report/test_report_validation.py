@@ -254,7 +254,7 @@ def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval():
     ):
         upper, lower = draw([made], rules).axes
         assert upper.get_ylabel() == f"{name} [mm]"
-        assert upper.get_title(loc="left").partition("\n")[2].startswith(f"{name}: RMSE")
+        assert f", {name}\nRMSE" in upper.get_title(loc="left")
         (band,) = lower.collections
         assert np.nanmax(band.get_paths()[0].vertices[:, 1]) == pytest.approx(1.96, abs=1e-3)
         thresholds = [line for line in upper.get_lines() if line.get_linestyle() == ":"]
