@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -87,6 +88,10 @@ def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
     return Path(info.context["folder"]) / path if info.context else path
 
 
+MAX_FAULTS = 5
+"""More faults of a file than these are counted, not told."""
+FEW_KEYS = 3
+"""A file with more keys, most of which are unknown, is taken for one of another kind."""
 MAX_FILE_BYTES = 4 << 20
 """A profile has a few kilobytes."""
 MAX_NUMBER, MIN_NUMBER = 1e9, 1e-30
@@ -121,7 +126,16 @@ def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Mod
     try:
         return model.model_validate(data, context={"folder": path.parent})
     except ValidationError as problem:
-        raise error(f"{path}: {'; '.join(_describe(problem, model))}") from None
+        known = {field.alias or name: field.is_required() for name, field in model.model_fields.items()}
+        if len(data) >= FEW_KEYS and 2 * sum(key in known for key in data) < len(data):
+            needed = ", ".join([key for key, is_required in known.items() if is_required] or known)
+            found = ", ".join(_short(key) for key in data)
+            kind = re.sub(r"(?<=[a-z])(?=[A-Z])", "-", model.__name__).lower().removesuffix("-file")
+            raise error(f"{path}: not a {kind} file: expected the keys {needed}; found {found}") from None
+        faults = list(_describe(problem, model))
+        if len(faults) > MAX_FAULTS:
+            faults[MAX_FAULTS:] = [f"and {len(faults) - MAX_FAULTS} more"]
+        raise error(f"{path}: {'; '.join(faults)}") from None
 
 
 def _describe(problem: ValidationError, model: type[BaseModel]) -> Iterator[str]:

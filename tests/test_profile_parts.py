@@ -163,3 +163,21 @@ def test_colours_are_the_default() -> None:
     region = {"hue": (0, 8), "min_area_px": 5}
     rules = HsvSegmentation.model_validate({"tissue": region, "instrument": region})
     assert (rules.method, rules.shaft) == ("hsv", None)
+
+
+def test_a_file_of_another_kind_is_told_as_such(tmp_path: Path) -> None:
+    """A calibration given as a profile is no list of unknown keys."""
+    (tmp_path / "other.toml").write_text("schema = 1\nmethod = 'overlay'\nsize = 1\nname = 'a'")
+    with pytest.raises(
+        ProfileError, match=r"not a document file: expected the keys .*; found 'schema', 'method'"
+    ):
+        parse_toml(tmp_path / "other.toml", Document, ProfileError)
+
+
+def test_many_faults_are_counted(tmp_path: Path) -> None:
+    """Five are told."""
+    keys = "".join(f"inner.k{number} = 1\n" for number in range(9))
+    (tmp_path / "faulty.toml").write_text(keys)
+    with pytest.raises(ProfileError, match=r"and \d+ more$") as caught:
+        parse_toml(tmp_path / "faulty.toml", Document, ProfileError)
+    assert str(caught.value).count(";") == 5

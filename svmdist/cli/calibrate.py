@@ -10,6 +10,7 @@ import typer
 
 from svmdist.cli.console import report_health, require_output, say
 from svmdist.cli.options import Files, PlanarMethod, ProfileOption, TopicOption, topics_of
+from svmdist.cli.recordings import EndOption, EveryOption, StartOption, window_of
 from svmdist.errors import UsageError
 
 
@@ -27,6 +28,9 @@ def calibrate_command(
     profile: ProfileOption = "psm13",
     topic: TopicOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    every: EveryOption = 1,
 ) -> None:
     """Fit the mapping from pixels to the plane.
 
@@ -35,13 +39,18 @@ def calibrate_command(
     from svmdist.estimation.planar.calibration import save_calibration
     from svmdist.profile import load_profile
     from svmdist.recording.reader import open_recording
+    from svmdist.recording.reading import Reading
     from svmdist.workflows.calibrate import calibrate
 
     require_output(output, files)
     if os.path.exists(output) and not force:
         raise UsageError(f"{output} exists; --force replaces it")
+    window = window_of(start, end, every)
     loaded = load_profile(profile)
-    recordings = [open_recording(path, loaded, topics=topics_of(topic)) for path in files]
+    recordings = [
+        open_recording(path, loaded, topics=topics_of(topic)).read_as(Reading(window=window))
+        for path in files
+    ]
     calibration = calibrate(recordings, loaded, method.value)
     save_calibration(calibration, output)
     fit = calibration.fit

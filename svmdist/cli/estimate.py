@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
-from svmdist.cli.console import ExitCode, say, terminal_width, write_lines
+from svmdist.cli.console import ExitCode, Verbosity, say, terminal_width, write_lines
 from svmdist.cli.drawn import DrawnJob, Tally, write_drawn
 from svmdist.cli.estimate_targets import EstimateTargets
 from svmdist.cli.options import (
@@ -124,7 +124,7 @@ def estimate_command(
     _summarise(tally)
     targets.write_pictures(measured, setup, rules, jobs)
     code = opened.health_code()
-    if code is ExitCode.CLEAN and tally and not any(status == "ok" for status, _ in tally):
+    if code is ExitCode.CLEAN and not any(status == "ok" for status, _ in tally):
         code = ExitCode.UNUSABLE  # nothing was measured: the summary above says why
     raise typer.Exit(code)
 
@@ -226,7 +226,10 @@ def _lines(
 def _summarise(tally: Tally) -> None:
     total = sum(tally.values())
     if total == 0:
-        say("svmdist: no frame to measure")
+        say(
+            "svmdist: no frame to measure: the log has no image, or none between --start and --end",
+            Verbosity.QUIET,
+        )
         return
     measured = sum(count for (status, _), count in tally.items() if status == "ok")
     reasons = sorted({status for status, _ in tally} - {"ok"})

@@ -10,6 +10,7 @@ import typer
 
 from svmdist.cli.console import report_health, require_output, say, write_lines
 from svmdist.cli.options import HandEyeOption, OutputOption, ProfileOption, TopicOption, topics_of
+from svmdist.cli.recordings import window_of
 
 if TYPE_CHECKING:
     from svmdist.workflows.fk import PoseErrors
@@ -42,6 +43,25 @@ def fk_command(
         PoseFormat, typer.Option("--format", "-f", help="Format of the data; tum is the format of evo.")
     ] = PoseFormat.CSV,
     output: OutputOption = None,
+    start: Annotated[
+        float,
+        typer.Option(
+            "--start", metavar="SECONDS", min=0.0, help="Begin so long after the first joint state."
+        ),
+    ] = 0.0,
+    end: Annotated[
+        float | None,
+        typer.Option(
+            "--end",
+            metavar="SECONDS",
+            min=0.0,
+            help="End so long after the first joint state.",
+            show_default=False,
+        ),
+    ] = None,
+    every: Annotated[
+        int, typer.Option("--every", metavar="N", min=1, help="Take every N-th joint state only.")
+    ] = 1,
 ) -> None:
     """Print the tool's pose for every joint state.
 
@@ -55,11 +75,12 @@ def fk_command(
     from svmdist.workflows.fk import fk
 
     require_output(output, [file])
+    window = window_of(start, end, every)
     loaded = load_profile(profile, hand_eye)
     topics = topics_of(topic) | ({"joints": joints} if joints else {})
     recording = open_recording(file, loaded, topics=topics)
     loaded = loaded.for_instrument(recording.instruments[0])
-    result = fk(recording, loaded, in_camera=in_camera)
+    result = fk(recording, loaded, in_camera=in_camera, window=window)
     match form:
         case PoseFormat.CSV:
             write_lines(csv_lines(POSE_KEYS, pose_rows(result)), output)

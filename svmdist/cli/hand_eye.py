@@ -21,6 +21,7 @@ from svmdist.cli.options import (
     parse_lag,
     topics_of,
 )
+from svmdist.cli.recordings import EndOption, EveryOption, StartOption, window_of
 from svmdist.errors import RecordingError, UsageError
 
 if TYPE_CHECKING:
@@ -78,20 +79,22 @@ def hand_eye_command(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
     jobs: JobsOption = None,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    every: EveryOption = 1,
 ) -> None:
     """Fit where robots' bases stand for the camera.
 
     The tool as the images show it is compared with the joints or poses that the robot reports. The result has a
     covariance, and is used by every command whose profile names the file, or by --hand-eye.
     """
-    import json
-
     from svmdist.cli.lag import told_lag
     from svmdist.profile import load_profile
     from svmdist.profile_hand_eye import save_hand_eye
     from svmdist.recording.reader import open_recording
+    from svmdist.recording.reading import Reading
     from svmdist.report.hand_eye import HAND_EYE_KEYS, hand_eye_file, hand_eye_lines, hand_eye_row
-    from svmdist.report.table import csv_lines
+    from svmdist.report.table import csv_lines, json_text
     from svmdist.results import Failure
     from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
     from svmdist.workflows.setup import prepare
@@ -100,12 +103,13 @@ def hand_eye_command(
     if output is not None and output.exists() and not force:
         raise UsageError(f"{output}: exists already; give another name, or --force to replace it")
     given = parse_lag(lag)
+    window = window_of(start, end, every)
     topics = topics_of(topic)
     methods = [method.value] if method else _served(file, load_profile(profile), topics)
     failures: list[str] = []
     for chosen in methods:
         setup = prepare(profile, chosen)
-        recording = open_recording(file, setup.profile, topics=topics)
+        recording = open_recording(file, setup.profile, topics=topics).read_as(Reading(window=window))
         wanted = instruments_of(instrument, setup.profile) or recording.instruments
         seen = told_lag(recording, setup, given, wanted, jobs)
         found = {
@@ -127,7 +131,7 @@ def hand_eye_command(
             write_lines(csv_lines(HAND_EYE_KEYS, map(hand_eye_row, results)), None)
         case TableFormat.JSON:
             rows = [hand_eye_row(result) for result in results]
-            write_lines([json.dumps(rows, indent=1, ensure_ascii=False) + "\n"], None)
+            write_lines([json_text(rows, indent=1) + "\n"], None, is_json=True)
     for failure in failures:
         say(f"svmdist: note: {failure}")
     if output is not None:

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import re
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperCommand, TyperGroup
 
 from svmdist.cli import (
     blur_bench,
@@ -26,71 +21,10 @@ from svmdist.cli import (
     show,
     validate,
 )
+from svmdist.cli.command import QUIET, QUIET_HELP, VERBOSE, VERBOSE_HELP, Command, Commands
 from svmdist.cli.console import ExitCode, Verbosity, abandon, adapt_streams, say, set_verbosity, with_notes
 from svmdist.cli.resources import what_lacks
-from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
-
-QUIET, VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")
-
-
-class Command(TyperCommand):
-    """A subcommand, which takes -q and -v as `svmdist` itself does: who types them looks for them in neither place."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the arguments, and how much is to be printed."""
-        own = args.index("--") if "--" in args else len(args)
-        for names, verbosity in ((VERBOSE, Verbosity.VERBOSE), (QUIET, Verbosity.QUIET)):
-            if set(names) & set(args[:own]):
-                set_verbosity(verbosity)
-        kept = [argument for argument in args[:own] if argument not in (*QUIET, *VERBOSE)]
-        return super().parse_args(ctx, [*kept, *args[own:]])
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command and tell how long it took."""
-        begin_s = time.perf_counter()
-        try:
-            return super().invoke(ctx)
-        finally:
-            say(f"svmdist: {self.name} took {time.perf_counter() - begin_s:.1f} s", Verbosity.VERBOSE)
-
-
-class Commands(TyperGroup):
-    """The subcommands, interruptible: by itself Typer would exit without a word, or with another code."""
-
-    def make_context(self, *args: Any, **kwargs: Any) -> Any:
-        """Read the command line."""
-        with _interruptible(), _plain_choices():
-            return super().make_context(*args, **kwargs)
-
-    def invoke(self, *args: Any, **kwargs: Any) -> Any:
-        """Run a subcommand."""
-        with _interruptible(), _plain_choices():
-            return super().invoke(*args, **kwargs)
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """Turn an interrupt into one line and the exit code that shells give it."""
-    try:
-        yield
-    except KeyboardInterrupt as problem:
-        is_ended = isinstance(problem, Terminated)
-        say(with_notes("svmdist: terminated" if is_ended else "svmdist: interrupted", problem))
-        sys.exit(128 + problem.signal_number if isinstance(problem, Terminated) else ExitCode.INTERRUPTED)
-
-
-@contextmanager
-def _plain_choices() -> Iterator[None]:
-    """Tell a wrong choice as everything else here does, the nearest one first, in place of Typer's words."""
-    try:
-        yield
-    except typer.BadParameter as problem:
-        found = re.fullmatch(r"(?:Value error, )?'(.*)' is not one of (.*)\.", problem.message)
-        if found:
-            name, choices = found[1], re.findall(r"'([^']*)'", found[2])
-            problem.message = f"{name}: {did_you_mean(name, choices)}"
-        raise
-
+from svmdist.errors import SvmdistError, UsageError
 
 app = typer.Typer(
     name="svmdist",
@@ -121,10 +55,8 @@ VersionOption = Annotated[
 ]
 
 
-QuietOption = Annotated[bool, typer.Option(*QUIET, help="Print errors only beside the data.")]
-VerboseOption = Annotated[
-    bool, typer.Option(*VERBOSE, help="Also print which topics are read, and the time taken.")
-]
+QuietOption = Annotated[bool, typer.Option(*QUIET, help=QUIET_HELP)]
+VerboseOption = Annotated[bool, typer.Option(*VERBOSE, help=VERBOSE_HELP)]
 
 
 @app.callback()

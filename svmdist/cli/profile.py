@@ -8,11 +8,13 @@ from typing import Annotated
 
 import typer
 
+from svmdist.cli.command import Command, CommandGroup
 from svmdist.cli.console import require_output, say, write_lines
 from svmdist.cli.options import OutputOption, TopicOption, topics_of
 from svmdist.errors import UsageError
 
 profile_app = typer.Typer(
+    cls=CommandGroup,
     help="Make a profile.",
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -25,7 +27,7 @@ def profile_main() -> None:
     """Make a profile."""
 
 
-@profile_app.command("new")
+@profile_app.command("new", cls=Command)
 def new_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Log to look at.", show_default=False)],
     name: Annotated[

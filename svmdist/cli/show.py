@@ -79,11 +79,11 @@ def show_command(
     ] = Path("."),
     jobs: JobsOption = None,
 ) -> None:
-    """Show images of a recording with what was found in them, as PNG files.
+    """Show images with what was found in them.
 
-    Each phase of the method is a panel: segmentation, contours, marker, matches and outline of overlay; edges, tip,
-    tag and surface of fused. With --masks, only what was segmented is drawn. Without --frame, --at or --worst, six
-    images from the first to the last are drawn. The names of the files are printed.
+    The pictures are PNG files. Each phase of the method is a panel: segmentation, contours, marker, matches and
+    outline of overlay; edges, tip, tag and surface of fused. With --masks, only what was segmented is drawn. Without
+    --frame, --at or --worst, six images from the first to the last are drawn. The names of the files are printed.
     """
     if sum(choice is not None for choice in (frame, at, worst)) > 1:
         raise UsageError("--frame, --at and --worst choose images: give one of them")

@@ -159,7 +159,7 @@ class Recording:
     def with_bases(self, fixed: Mapping[str, FixedTransform]) -> Recording:
         """The same log with the camera-to-base transforms of some instruments, by name, in place of its own."""
         arms = [replace(arm, fixed=fixed.get(arm.name, arm.fixed)) for arm in self._arms]
-        return Recording(self._source, arms, self._limits, self._world, self.lag)
+        return Recording(self._source, arms, self._limits, self._world, self.lag, self._how)
 
     @property
     def _lag_ns(self) -> int:
@@ -211,11 +211,10 @@ class Recording:
         return self._choice.find(Role(role))
 
     def image_count(self) -> int | None:
-        """How many images the file says that it has; None where it does not say, or where some are left out."""
-        if self._how.window is not None:
-            return None
+        """How many images are read of those that the file says it has; None where neither is known beforehand."""
         topic = self._choice.find(Role.IMAGE)
-        return next((info.message_count for info in self.topics() if info.topic == topic), None)
+        count = next((info.message_count for info in self.topics() if info.topic == topic), None)
+        return count if count is None or self._how.window is None else self._how.window.count_of(count)
 
     @cached_property
     def camera(self) -> Camera:

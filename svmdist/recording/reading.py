@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class HasStamp(Protocol):
     """An image, in whatever form."""
@@ -46,6 +49,20 @@ class Window:
             if count % self.every == 0:
                 yield image
             count += 1
+
+    def count_of(self, image_count: int) -> int | None:
+        """How many of so many images are inside; None where that depends on their stamps."""
+        if self.start_s > 0.0 or self.end_s < math.inf:
+            return None
+        return -(-image_count // self.every)
+
+    def places(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+        """Which of rising stamps, shape (n,), are inside, counted from the first one."""
+        if len(stamps_ns) == 0:
+            return np.zeros(0, np.intp)
+        at_ns = stamps_ns - stamps_ns[0]
+        inside = (at_ns >= round(self.start_s * 1e9)) & (at_ns <= self.end_s * 1e9 + 0.5)
+        return np.flatnonzero(inside)[:: self.every]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from svmdist.errors import RecordingError
 from svmdist.estimation.frame import Frame
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
@@ -94,7 +95,8 @@ def blur_bench(
 ) -> list[BlurRow]:
     """Degrade every frame of the recordings by every blur and measure it; images are decoded once.
 
-    The marker is virtual: it is pasted on the degraded image and is not degraded itself.
+    The marker is virtual: it is pasted on the degraded image and is not degraded itself. Raises RecordingError where
+    there is no image.
     """
     tallies = {blur: _Tally() for blur in kernels_px}
     conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
@@ -112,6 +114,8 @@ def blur_bench(
         for blur, results in measured.items():
             tallies[blur].measured_count += len(results)
             tallies[blur].squared_errors_m2 += _squared_errors_m2(recording, setup, results)
+    if not any(tally.frame_count for tally in tallies.values()):
+        raise RecordingError("there is no image to measure in these recordings")
     return [_row(blur, kernels_px[blur], tally) for blur, tally in tallies.items()]
 
 

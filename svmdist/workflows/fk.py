@@ -13,7 +13,8 @@ from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import MANY, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
-from svmdist.tracks import MAX_GAP_NS, PoseTrack
+from svmdist.recording.reading import Window
+from svmdist.tracks import MAX_GAP_NS, JointTrack, PoseTrack
 from svmdist.transforms import Array, inverse, rotation_angle
 
 BLOCK = 1 << 14
@@ -47,9 +48,14 @@ class ForwardKinematics:
 
 
 def fk(
-    recording: Recording, profile: Profile, max_gap_ns: int = MAX_GAP_NS, *, in_camera: bool = False
+    recording: Recording,
+    profile: Profile,
+    max_gap_ns: int = MAX_GAP_NS,
+    *,
+    in_camera: bool = False,
+    window: Window | None = None,
 ) -> ForwardKinematics:
-    """Compute the tool's pose for every joint state of a recording by the profile's chain.
+    """Compute the tool's pose for every joint state of a recording, or those in a window, by the profile's chain.
 
     With `in_camera` in the camera's frame, by the transform of a hand-eye file or of the log; joint states without a
     transform at their stamp are left out. Raises RecordingError where there are no joint states, no transform, or the
@@ -59,6 +65,11 @@ def fk(
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)
     joints = recording.joint_track()
+    if window is not None:
+        inside = window.places(joints.stamps_ns)
+        if len(inside) == 0:
+            raise RecordingError(f"{recording.path.name}: no joint state is between --start and --end")
+        joints = JointTrack(joints.stamps_ns[inside], joints.names, joints.positions[inside])
     T_base_tool = np.empty((len(joints.stamps_ns), 4, 4))
     # In blocks: the joints in the chain's order, and what is computed of them, would be as large again.
     for block in _blocks(len(T_base_tool)):

@@ -6,9 +6,10 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from svmdist.errors import RecordingError
+from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.recording.inspect import RecordingSummary
-from svmdist.recording.names import sanitize_list
+from svmdist.recording.names import sanitize, sanitize_list
+from svmdist.recording.topics import Role
 
 OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*|MTML|MTMR)(/|$)")
 """Arms of a da Vinci that carry no instrument."""
@@ -34,7 +35,20 @@ class LogRoles:
 
 
 def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
-    """Find the topics; `given` chooses some by role. Raises RecordingError where a choice is the user's to make."""
+    """Find the topics; `given` chooses some by role.
+
+    Raises RecordingError where a choice is the user's to make, and for a given topic that is not in the log;
+    UsageError for an unknown role.
+    """
+    there = [topic.topic for topic in summary.topics]
+    for role, chosen in given.items():
+        if role not in list(Role):
+            raise UsageError(f"no role {role} for a topic: {did_you_mean(role, list(Role))}")
+        if chosen not in there:
+            raise RecordingError(
+                f"{summary.path.name}: no topic {sanitize(chosen)} for {sanitize(role)}; the topics are"
+                f" {sanitize_list(there) or 'none'}"
+            )
     kinds: dict[str, list[str]] = {}
     for topic in summary.topics:
         if topic.kind is not None and topic.message_count:

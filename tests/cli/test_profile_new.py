@@ -35,3 +35,15 @@ def test_wrong_logs(cli: Cli, tmp_path: Path) -> None:
         assert (outcome.code, outcome.out) == (1, "")
         assert len(outcome.err.strip().splitlines()) == 1
         assert path.name in outcome.err
+
+
+def test_wrong_topics(cli: Cli) -> None:
+    """A topic that the log has not got, and a role that there is not."""
+    outcome = cli("profile", "new", LOG, "--topic", "image=/left/image_raw")
+    assert (outcome.code, outcome.out) == (1, "")
+    assert outcome.err.startswith(
+        "svmdist: contact.mcap: no topic /left/image_raw for image; the topics are /ECM/"
+    )
+    outcome = cli("profile", "new", LOG, "--topic", "imag=/ECM/left/image")
+    assert (outcome.code, outcome.out) == (2, "")
+    assert "did you mean image?" in outcome.err

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from svmdist.cli.options import RowFormat, SummaryFormat
@@ -38,6 +40,66 @@ def test_a_window_has_the_images_between_its_ends_and_every_nth(golden: Path, cl
     ).out
     assert rows_of(some) == every[10:21:3]
     assert cli("estimate", log, "--start", 2, "--end", 1).code == 2
+
+
+def test_a_calibration_of_a_window_is_fitted_on_its_frames(golden: Path, cli: Cli, tmp_path: Path) -> None:
+    """3 to 6 s at 10 Hz are 31 images; a log of too few of them cannot be calibrated on."""
+    log, output = golden / "calibration.mcap", tmp_path / "c.toml"
+    said = cli("calibrate", log, "-o", output, "--start", 3, "--end", 6).err
+    assert f"{output}: 31 frames" in said
+    assert "sample_count = 31\n" in output.read_text("utf-8")
+    assert (
+        "16 frames"
+        in cli("calibrate", log, "-o", output, "--start", 3, "--end", 6, "--every", 2, "--force").err
+    )
+    outcome = cli("calibrate", log, "-o", output, "--end", 0.5, "--force")
+    assert (outcome.code, outcome.err) == (
+        1,
+        "svmdist: expected at least 12 measured frames to calibrate, found 6\n",
+    )
+
+
+def test_poses_of_a_window_are_those_of_its_joint_states(golden: Path, cli: Cli) -> None:
+    """1 to 1.1 s of 100 Hz: every third joint state, and the errors against the pose topic are theirs."""
+    log = golden / "3d" / "contact.mcap"
+    every = rows_of(cli("fk", log).out)
+    some = cli("fk", log, "--start", 1, "--end", 1.1, "--every", 3)
+    first_ns = int(every[0]["stamp_ns"])
+    wanted = [row for row in every if 10**9 <= int(row["stamp_ns"]) - first_ns <= 1_100_000_000][::3]
+    assert len(wanted) == 4
+    for row, expected in zip(rows_of(some.out), wanted, strict=True):
+        assert row["stamp_ns"] == expected["stamp_ns"]
+        # A few poses are computed in another order than many.
+        assert float(row["x_m"]) == pytest.approx(float(expected["x_m"]), abs=1e-12)
+    assert "against 4 poses" in some.err
+    late = cli("fk", log, "--start", 99)
+    assert (late.code, late.out) == (1, "")
+    assert late.err == "svmdist: contact.mcap: no joint state is between --start and --end\n"
+
+
+def test_hand_eye_sees_the_images_of_a_window(golden: Path, cli: Cli) -> None:
+    log = golden / "real" / "random.mcap"
+    outcome = cli("hand-eye", log, "--method", "fiducial", "-f", "json", "--start", 1, "--every", 2)
+    (row,) = json.loads(outcome.out)
+    whole = json.loads(cli("hand-eye", log, "--method", "fiducial", "-f", "json").out)[0]
+    assert 8 <= row["frame_count"] < 0.6 * whole["frame_count"]
+
+
+def test_a_window_without_an_image_is_told(golden: Path, cli: Cli) -> None:
+    for command in ("estimate", "validate", "compare", "blur-bench"):
+        outcome = cli(command, golden / "sweep.mcap", "--start", 99, "-f", "csv")
+        assert outcome.code == 1
+        assert "image" in outcome.err
+
+
+def test_the_number_of_images_in_a_window() -> None:
+    """Known where only every N-th is taken; else it depends on the stamps."""
+    assert [Window(every=3).count_of(n) for n in (0, 1, 3, 4)] == [0, 1, 1, 2]
+    assert Window(1.0).count_of(10) is None
+    assert Window(end_s=1.0).count_of(10) is None
+    stamps_ns = np.arange(10) * 100_000_000 + 5
+    assert Window(0.2, 0.7, 2).places(stamps_ns).tolist() == [2, 4, 6]
+    assert Window(0.2).places(stamps_ns[:0]).tolist() == []
 
 
 def test_window_options() -> None:
