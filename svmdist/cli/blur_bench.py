@@ -29,6 +29,7 @@ from svmdist.cli.options import (
 )
 from svmdist.cli.outputs import summary_format
 from svmdist.cli.plots import GridPlotOption, require_plot
+from svmdist.cli.progress import progress_bar
 from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
 from svmdist.errors import UsageError, did_you_mean
 
@@ -124,7 +125,8 @@ def _table_one(
     from svmdist.report.text import counted
     from svmdist.workflows.blur_bench import blur_bench
 
-    measured = blur_bench(recordings, setup, kernels_px, jobs)
+    with progress_bar("Table I", "images") as advance:
+        measured = blur_bench(recordings, setup, kernels_px, jobs, advance)
     title = f"{measured[0].frame_count} frames of {counted(len(recordings), 'recording')}"
     rows = [blur_row(row) for row in measured]
     return Summary([rich_table(title, BLUR_COLUMNS, rows)], BLUR_KEYS, rows, [BLUR_NOTE])

@@ -10,6 +10,7 @@ import typer
 
 from svmdist.cli.console import report_health, require_output, say
 from svmdist.cli.options import Files, PlanarMethod, ProfileOption, TopicOption, topics_of
+from svmdist.cli.progress import progress_bar
 from svmdist.cli.recordings import EndOption, EveryOption, StartOption, window_of
 from svmdist.errors import UsageError
 
@@ -51,7 +52,8 @@ def calibrate_command(
         open_recording(path, loaded, topics=topics_of(topic)).read_as(Reading(window=window))
         for path in files
     ]
-    calibration = calibrate(recordings, loaded, method.value)
+    with progress_bar("calibrating", "images") as advance:
+        calibration = calibrate(recordings, loaded, method.value, advance)
     save_calibration(calibration, output)
     fit = calibration.fit
     say(

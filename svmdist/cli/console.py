@@ -57,6 +57,11 @@ def set_verbosity(verbosity: Verbosity) -> None:
     _Voice.verbosity = verbosity
 
 
+def is_quiet() -> bool:
+    """Whether errors only are wanted."""
+    return _Voice.verbosity is Verbosity.QUIET
+
+
 def say(message: str, at: Verbosity = Verbosity.NORMAL) -> None:
     """Print one line for a person to stderr, without markup or control characters, if so much is wanted."""
     if _Voice.verbosity < at:

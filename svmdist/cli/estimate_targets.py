@@ -11,6 +11,7 @@ from svmdist.cli.console import require_output
 from svmdist.cli.options import RowFormat
 from svmdist.cli.outputs import FileFormat, command_line, require_report, row_format
 from svmdist.cli.plots import require_plot
+from svmdist.cli.progress import progress_bar
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
@@ -77,4 +78,6 @@ class EstimateTargets:
             from svmdist.report.html.build import estimate_report
             from svmdist.report.html.page import write_report
 
-            write_report(estimate_report(measured, setup, command_line(), rules, jobs), self.report)
+            with progress_bar("drawing the worst frames", "images") as advance:
+                page = estimate_report(measured, setup, command_line(), rules, jobs, advance)
+            write_report(page, self.report)

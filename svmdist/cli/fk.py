@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from svmdist.cli.console import report_health, require_output, say, write_lines
+from svmdist.cli.console import report_health, require_output, say, terminal_width, write_lines
 from svmdist.cli.options import HandEyeOption, OutputOption, ProfileOption, TopicOption, topics_of
+from svmdist.cli.progress import Item, progress_bar, tracked
 from svmdist.cli.recordings import window_of
 
 if TYPE_CHECKING:
@@ -80,17 +82,25 @@ def fk_command(
     topics = topics_of(topic) | ({"joints": joints} if joints else {})
     recording = open_recording(file, loaded, topics=topics)
     loaded = loaded.for_instrument(recording.instruments[0])
-    result = fk(recording, loaded, in_camera=in_camera, window=window)
+    with progress_bar("reading", "joint states") as advance:
+        result = fk(recording, loaded, in_camera=in_camera, window=window, on_progress=advance)
+    count = len(result.stamps_ns)
     match form:
         case PoseFormat.CSV:
-            write_lines(csv_lines(POSE_KEYS, pose_rows(result)), output)
+            write_lines(csv_lines(POSE_KEYS, _written(pose_rows(result), output, count)), output)
         case PoseFormat.JSON:
-            write_lines(json_array_lines(POSE_KEYS, pose_rows(result)), output, is_json=True)
+            lines = json_array_lines(POSE_KEYS, _written(pose_rows(result), output, count))
+            write_lines(lines, output, is_json=True)
         case PoseFormat.TUM:
-            write_lines(tum_lines(result), output)
+            write_lines(_written(tum_lines(result), output, count), output)
     if result.errors is not None:
         _say_errors(result.errors)
     raise typer.Exit(report_health([recording]))
+
+
+def _written(rows: Iterable[Item], output: Path | None, count: int) -> Iterable[Item]:
+    """The rows, with progress told, but where they show on a terminal by themselves."""
+    return rows if terminal_width(output) is not None else tracked(rows, "writing", "poses", count)
 
 
 def _say_errors(errors: PoseErrors) -> None:

@@ -21,6 +21,7 @@ from svmdist.cli.options import (
     parse_lag,
     topics_of,
 )
+from svmdist.cli.progress import progress_bar
 from svmdist.cli.recordings import EndOption, EveryOption, StartOption, window_of
 from svmdist.errors import RecordingError, UsageError
 
@@ -112,10 +113,12 @@ def hand_eye_command(
         recording = open_recording(file, setup.profile, topics=topics).read_as(Reading(window=window))
         wanted = instruments_of(instrument, setup.profile) or recording.instruments
         seen = told_lag(recording, setup, given, wanted, jobs)
-        found = {
-            name: hand_eye(seen, setup, name, None if against is None else against.value, jobs)
-            for name in wanted
-        }
+        found = {}
+        for name in wanted:
+            with progress_bar(f"{chosen} sees {name}", "images") as advance:
+                found[name] = hand_eye(
+                    seen, setup, name, None if against is None else against.value, jobs, advance
+                )
         failures += [
             f"{chosen}, {name}: {one.reason}" for name, one in found.items() if isinstance(one, Failure)
         ]

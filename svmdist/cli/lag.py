@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from svmdist.cli.console import say
+from svmdist.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from svmdist.recording.reader import Recording
@@ -20,8 +21,11 @@ def told_lag(
     if lag is None:
         return recording
     from svmdist.workflows.lag import with_lag
+    from svmdist.workflows.progress import Steps
 
-    corrected, found = with_lag(recording, setup.profile, lag, wanted, jobs)
+    with progress_bar(f"lag of {recording.name}", "images") as advance:
+        steps = Steps(advance, recording.image_count())
+        corrected, found = with_lag(recording, setup.profile, lag, wanted, jobs, on_image=steps.advance)
     if not found.told:
         say(f"svmdist: note: {recording.name}: the lag cannot be told and none is taken off: {found.reason}")
     elif lag == "auto":

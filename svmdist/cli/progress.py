@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TypeVar
 
-from svmdist.cli.console import error_console, say
+from svmdist.cli.console import error_console, is_quiet, say
 
 Item = TypeVar("Item")
 LINE_EVERY_S = 10.0
@@ -26,9 +26,26 @@ def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], 
 
     A total of None is not known.
     """
-    if not stderr_is_terminal():  # which also spares loading the layout
-        yield _lines(title, unit)
+    if is_quiet() or _Shown.is_one:
+        yield lambda _done, _total: None
         return
+    _Shown.is_one = True
+    try:
+        with nullcontext(_lines(title, unit)) if not stderr_is_terminal() else _bar(title, unit) as advance:
+            yield advance
+    finally:
+        _Shown.is_one = False
+
+
+class _Shown:
+    """Whether a bar is shown: of what is done within what is watched already, there is no other one."""
+
+    is_one = False
+
+
+@contextmanager
+def _bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], None]]:
+    """The bar; its layout is loaded for a terminal only."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = error_console()
@@ -62,20 +79,26 @@ def tracked(items: Iterable[Item], title: str, unit: str, total: int | None) -> 
             advance(count, total)
 
 
+def now_s() -> float:
+    """The clock by which lines come."""
+    return time.monotonic()
+
+
 def _lines(
-    title: str, unit: str, clock: Callable[[], float] = time.monotonic
+    title: str, unit: str, clock: Callable[[], float] | None = None
 ) -> Callable[[int, int | None], None]:
     """A function that is told (done, total), and says so in a line every ten seconds."""
+    clock = clock or now_s
     start_s = clock()
     next_s = start_s + LINE_EVERY_S
 
     def advance(done: int, total: int | None) -> None:
         nonlocal next_s
-        now_s = clock()
-        if now_s < next_s:
+        at_s = clock()
+        if at_s < next_s:
             return
-        next_s = now_s + LINE_EVERY_S
+        next_s = at_s + LINE_EVERY_S
         of = "" if total is None else f" of {total}"
-        say(f"svmdist: {title}: {done}{of} {unit}, {done / (now_s - start_s):.1f} {unit}/s")
+        say(f"svmdist: {title}: {done}{of} {unit}, {done / (at_s - start_s):.1f} {unit}/s")
 
     return advance

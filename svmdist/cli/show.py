@@ -144,10 +144,13 @@ def _masks(recording: Recording, setup: Setup, numbers: set[int]) -> Iterator[Pi
 def _phases(recording: Recording, setup: Setup, numbers: set[int], jobs: int | None) -> Iterator[Picture]:
     from svmdist.report.phases import phases_picture
     from svmdist.workflows.annotate import drawn_frames
+    from svmdist.workflows.progress import Steps
 
-    for shown in drawn_frames(recording, setup, jobs=jobs, numbers=numbers):
-        title = f"{recording.name}  frame {shown.number}  method {setup.method}"
-        yield shown.number, phases_picture(shown, setup.method, title)
+    with progress_bar(f"drawing {recording.name}", "images") as advance:
+        steps = Steps(advance, max(numbers) + 1)
+        for shown in drawn_frames(recording, setup, jobs=jobs, numbers=numbers, on_image=steps.advance):
+            title = f"{recording.name}  frame {shown.number}  method {setup.method}"
+            yield shown.number, phases_picture(shown, setup.method, title)
 
 
 def _worst(recording: Recording, setup: Setup, count: int, total: int, jobs: int | None) -> set[int]:

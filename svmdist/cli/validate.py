@@ -42,6 +42,7 @@ from svmdist.cli.options import (
 )
 from svmdist.cli.outputs import command_line, require_report, summary_format
 from svmdist.cli.plots import PlotKind, ValidatePlotOption, require_plot
+from svmdist.cli.progress import progress_bar
 from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
 
 if TYPE_CHECKING:
@@ -167,17 +168,11 @@ def validate_command(
     wanted = instruments_of(instrument, setup.profile)
     measured: list[Measured] = []
     on_measured = measured.append if report or drawn not in (None, PlotKind.FIG6) else None
-    result = validate(
-        opened.recordings,
-        setup,
-        rules,
-        parse_lag(lag),
-        alarms,
-        wanted,
-        jobs,
-        on_measured,
-        opened.fail if opened.count > 1 else None,
-    )
+    given, on_unusable = parse_lag(lag), opened.fail if opened.count > 1 else None
+    with progress_bar(f"validating {setup.method}", "rows") as advance:
+        result = validate(
+            opened.recordings, setup, rules, given, alarms, wanted, jobs, on_measured, on_unusable, advance
+        )
     _write(result, summary_format(form, output), output)
     if save_plot and drawn:
         _save_plot(result, measured, setup, rules, drawn, save_plot)
@@ -185,7 +180,9 @@ def validate_command(
         from svmdist.report.html.build import validation_report
         from svmdist.report.html.page import write_report
 
-        write_report(validation_report(result, measured, setup, rules, command_line(), jobs), report)
+        with progress_bar("drawing the worst frames", "images") as advance:
+            page = validation_report(result, measured, setup, rules, command_line(), jobs, advance)
+        write_report(page, report)
     code = opened.health_code()
     if write_baseline:
         save_baseline(make_baseline(result), write_baseline)

@@ -288,8 +288,8 @@ class Recording:
             self.health.add(loss, decoded.place)
         return decoded.found
 
-    def joint_track(self) -> JointTrack:
-        """Read all joint states."""
+    def joint_track(self, on_sample: Callable[[], None] | None = None) -> JointTrack:
+        """Read all joint states; `on_sample` hears of each."""
         topic = self._choice.require(Role.JOINTS)
         names: tuple[str, ...] | None = None
         stamps, values = array("q"), array("d")  # a sample as an object is five times as large
@@ -297,6 +297,8 @@ class Recording:
         for raw, sample in self._messages.samples(topic):
             if not isinstance(sample, JointSample):
                 continue
+            if on_sample is not None:
+                on_sample()
             names = names or sample.names
             if sample.names != names:
                 self._messages.record_loss(LossKind.MESSAGE, OTHER_JOINTS, raw)

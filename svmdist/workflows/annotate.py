@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -50,10 +50,11 @@ def drawn_frames(
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
     numbers: Collection[int] | None = None,
+    on_image: Callable[[], None] | None = None,
 ) -> Iterator[DrawnFrame]:
     """Replay a recording and draw every image, or those of some numbers; with `rules`, alarms are watched.
 
-    What comes after the last of these numbers is not looked at.
+    What comes after the last of these numbers is not looked at. `on_image` hears of every image that is.
     """
     last = max(numbers, default=-1) if numbers is not None else None
     watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
@@ -63,6 +64,8 @@ def drawn_frames(
             for result in replayed.results
             if result.instrument in watches
         }
+        if on_image is not None:
+            on_image()
         if numbers is None or number in numbers:
             yield DrawnFrame(number, replayed, alarms, frame_drawing(replayed, setup, alarms))
         if last is not None and number >= last:

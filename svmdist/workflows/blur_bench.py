@@ -20,6 +20,7 @@ from svmdist.vision.marker.features import EDGE_MARGIN_PX, detect_orb
 from svmdist.vision.marker.pattern import paste_marker
 from svmdist.vision.regions import find_region
 from svmdist.workflows.conditions import BlurCondition
+from svmdist.workflows.progress import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.truth import Reference, distance_truth
 from svmdist.workflows.setup import Setup
@@ -92,18 +93,20 @@ def blur_bench(
     setup: Setup,
     kernels_px: Mapping[Blur, int] = DEFAULT_KERNELS_PX,
     jobs: int | None = None,
+    on_progress: Progress | None = None,
 ) -> list[BlurRow]:
     """Degrade every frame of the recordings by every blur and measure it; images are decoded once.
 
-    The marker is virtual: it is pasted on the degraded image and is not degraded itself. Raises RecordingError where
-    there is no image.
+    The marker is virtual: it is pasted on the degraded image and is not degraded itself. `on_progress` is told of
+    images. Raises RecordingError where there is no image.
     """
     tallies = {blur: _Tally() for blur in kernels_px}
     conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
+    steps = Steps(on_progress, image_total(recordings))
     for recording in recordings:
         measured: dict[Blur, list[FrameResult]] = {blur: [] for blur in kernels_px}
         first = recording.instruments[:1]
-        for replayed in replay(recording, [setup], conditions, wanted=first, jobs=jobs):
+        for replayed in steps.of(replay(recording, [setup], conditions, wanted=first, jobs=jobs)):
             for blur, lane in zip(kernels_px, replayed, strict=True):
                 (result,) = lane.results
                 tallies[blur].frame_count += 1

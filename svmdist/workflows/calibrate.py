@@ -15,14 +15,20 @@ from svmdist.geometry.rays import pixel_rays
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording
 from svmdist.workflows.estimate import estimate
+from svmdist.workflows.progress import Progress, Steps, image_total
 from svmdist.workflows.setup import Setup
 
 PIXELS_AS_THEY_ARE = PlaneMapping("corrected", Quadratic(0.0, 1.0, 0.0), Quadratic(0.0, 1.0, 0.0))
 """The estimator needs a mapping; calibration reads its pixels only."""
 
 
-def calibrate(recordings: Sequence[Recording], profile: Profile, method: str = "overlay") -> Calibration:
-    """Fit a calibration to recordings with ground truth of the tool's position.
+def calibrate(
+    recordings: Sequence[Recording],
+    profile: Profile,
+    method: str = "overlay",
+    on_progress: Progress | None = None,
+) -> Calibration:
+    """Fit a calibration to recordings with ground truth of the tool's position; `on_progress` is told of images.
 
     Raises CalibrationError for recordings of different cameras, too few frames or too little of the image
     covered, and RecordingError where a recording has no true tool pose.
@@ -34,13 +40,14 @@ def calibrate(recordings: Sequence[Recording], profile: Profile, method: str = "
         raise CalibrationError("expected at least one recording to calibrate with, found none")
     camera = recordings[0].camera
     samples = []
+    steps = Steps(on_progress, image_total(recordings))
     for recording in recordings:
         if not camera.same_optics(recording.camera):
             raise CalibrationError(
                 f"recordings of different cameras cannot be calibrated together: {recordings[0].name}"
                 f" and {recording.name} differ"
             )
-        samples.append(collect_samples(recording, profile, method))
+        samples.append(collect_samples(recording, profile, method, steps))
     return fit_calibration(
         CalibrationSamples(
             np.concatenate([part.tool_px for part in samples]),
@@ -55,10 +62,13 @@ def calibrate(recordings: Sequence[Recording], profile: Profile, method: str = "
     )
 
 
-def collect_samples(recording: Recording, profile: Profile, method: str) -> CalibrationSamples:
+def collect_samples(
+    recording: Recording, profile: Profile, method: str, steps: Steps | None = None
+) -> CalibrationSamples:
     """Pairs of tool pixel and true position in the camera's plane, of all frames that have both."""
     setup = Setup(profile, method, "corrected", None, PIXELS_AS_THEY_ARE)
-    results = [result for result in estimate(recording, setup, recording.instruments[:1]) if result.measured]
+    rows = (steps or Steps(None, None)).of(estimate(recording, setup, recording.instruments[:1]))
+    results = [result for result in rows if result.measured]
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
     tool_px = np.array([result.image.tool_px for result in results], np.float64).reshape(-1, 2)
     if recording.camera.has_distortion and len(tool_px):

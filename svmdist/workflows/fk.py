@@ -16,6 +16,7 @@ from svmdist.recording.reader import Recording
 from svmdist.recording.reading import Window
 from svmdist.tracks import MAX_GAP_NS, JointTrack, PoseTrack
 from svmdist.transforms import Array, inverse, rotation_angle
+from svmdist.workflows.progress import Progress, Steps
 
 BLOCK = 1 << 14
 
@@ -54,17 +55,21 @@ def fk(
     *,
     in_camera: bool = False,
     window: Window | None = None,
+    on_progress: Progress | None = None,
 ) -> ForwardKinematics:
     """Compute the tool's pose for every joint state of a recording, or those in a window, by the profile's chain.
 
     With `in_camera` in the camera's frame, by the transform of a hand-eye file or of the log; joint states without a
-    transform at their stamp are left out. Raises RecordingError where there are no joint states, no transform, or the
-    profile has no chain, and KinematicsError where the chain's joints are not in them.
+    transform at their stamp are left out. `on_progress` is told of joint states as they are read. Raises
+    RecordingError where there are no joint states, no transform, or the profile has no chain, and KinematicsError where
+    the chain's joints are not in them.
     """
     if profile.robot is None:
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)
-    joints = recording.joint_track()
+    topic = recording.topic_of("joints")
+    count = next((info.message_count for info in recording.topics() if info.topic == topic), None)
+    joints = recording.joint_track(Steps(on_progress, count).advance)
     if window is not None:
         inside = window.places(joints.stamps_ns)
         if len(inside) == 0:

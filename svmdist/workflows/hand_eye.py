@@ -24,6 +24,7 @@ from svmdist.results import Failure, FrameResult, ToolPose
 from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, inverse, rotation_angle, skew
+from svmdist.workflows.progress import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
 from svmdist.workflows.setup import Setup
 
@@ -70,12 +71,14 @@ def hand_eye(
     instrument: str,
     against: Against | None = None,
     jobs: int | None = None,
+    on_progress: Progress | None = None,
 ) -> HandEyeResult | Failure:
     """Fit the camera-to-base transform of an instrument; a Failure says why it cannot be told.
 
     The method of the setup sees the tool, without any transform of the log. `against` is what the robot reports:
     kinematics of its joints, or poses; None takes the joints where log and profile have them. With joints, a second
     pass lets the method know how the wrist is bent in the camera's frame, by the transform of the first pass.
+    `on_progress` is told of the images of both.
     Raises UsageError for a method that does not see the tool, RecordingError where the log lacks joints and poses.
     """
     if setup.method not in SEEING_METHODS:
@@ -87,12 +90,14 @@ def hand_eye(
     against = against or _default(own, profile)
     blind = recording.with_bases({name: FixedTransform(None) for name in recording.instruments})
     focal_px = float(recording.camera.K[0, 0])
-    rows = _seen(blind, setup, instrument, jobs)
+    twice = against == "kinematics" and setup.method != "fiducial"
+    steps = Steps(on_progress, image_total([recording], lambda _: 2 if twice else 1))
+    rows = _seen(blind, setup, instrument, jobs, steps)
     reported = _reported(own, profile, against, _stamps(rows))
     fit, places = _fit(rows, reported, setup, profile, focal_px)
-    if isinstance(fit, HandEyeFit) and against == "kinematics" and setup.method != "fiducial":
+    if isinstance(fit, HandEyeFit) and twice:
         knowing = blind.with_bases({instrument: FixedTransform(fit.T_camera_base)})
-        again = _seen(knowing, setup, instrument, jobs)
+        again = _seen(knowing, setup, instrument, jobs, steps)
         reported_again = _reported(own, profile, against, _stamps(again))
         second, places_again = _fit(again, reported_again, setup, profile, focal_px)
         if isinstance(second, HandEyeFit):
@@ -123,10 +128,13 @@ def _default(recording: Recording, profile: Profile) -> Against:
     )
 
 
-def _seen(recording: Recording, setup: Setup, instrument: str, jobs: int | None) -> list[FrameResult]:
+def _seen(
+    recording: Recording, setup: Setup, instrument: str, jobs: int | None, steps: Steps
+) -> list[FrameResult]:
     """The rows in which the method saw the tool."""
     bare = replace(setup, profile=setup.profile.model_copy(update={"hand_eye": None}))
-    rows = [replayed.results[0] for (replayed,) in replay(recording, [bare], wanted=[instrument], jobs=jobs)]
+    lanes = steps.of(replay(recording, [bare], wanted=[instrument], jobs=jobs))
+    rows = [replayed.results[0] for (replayed,) in lanes]
     return [row for row in rows if row.measured and row.tool is not None]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -36,15 +36,17 @@ def with_lag(
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
     rules: TruthRules | None = None,
+    on_image: Callable[[], None] | None = None,
 ) -> tuple[Recording, LagEstimate]:
     """Put the clocks of a recording right by a lag; the recording as it is where none is given or found.
 
-    `auto` is one pass over the images ahead of all else; it keeps 72 bytes a frame and instrument.
+    `auto` is one pass over the images ahead of all else; it keeps 72 bytes a frame and instrument, and `on_image`
+    hears of each.
     """
     if lag is None:
         return recording, LagEstimate(0.0, None, 1.0)
     found = (
-        find_lag(recording, profile, wanted, jobs, rules)
+        find_lag(recording, profile, wanted, jobs, rules, on_image)
         if lag == "auto"
         else LagEstimate(float(lag), None, 1.0)
     )
@@ -64,6 +66,7 @@ def find_lag(
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
     rules: TruthRules | None = None,
+    on_image: Callable[[], None] | None = None,
 ) -> LagEstimate:
     """Estimate the lag of a recording for any method: from where the middle of each instrument is seen.
 
@@ -76,6 +79,8 @@ def find_lag(
     for (replayed,) in replay(recording, [seen], wanted=wanted, jobs=jobs):
         for name, result in zip(names, replayed.results, strict=True):
             readings[name].add(result)
+        if on_image is not None:
+            on_image()
     found = [
         lag_of_readings(
             readings[name],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import count, product
+from itertools import product
 
 from svmdist.estimation.detection.lazy import Clock
 from svmdist.metrics import coverage
@@ -16,13 +16,11 @@ from svmdist.recording.topics import Role
 from svmdist.workflows.ahead import usable_cores
 from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.processes import in_processes
+from svmdist.workflows.progress import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.distances import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 from svmdist.workflows.scoring.truth import truth_follows_images
 from svmdist.workflows.setup import Setup
-
-Progress = Callable[[int, int | None], None]
-"""Is told how many measurements are done, and how many there are where the logs say."""
 
 CHUNKS_PER_PROCESS = 2
 """Conditions are dealt out in so many parts a process: each part decodes the images once more, few parts wait."""
@@ -100,19 +98,10 @@ def measure_runs(
     distances; another instrument than the first is left out where it has none.
     """
     jobs = usable_cores() if jobs is None else jobs
-    counts = [recording.image_count() for recording in recordings]
-    known = [number for number in counts if number is not None]
-    total = sum(known) * len(conditions) * len(setups) if len(known) == len(counts) else None
+    advance = Steps(on_progress, image_total(recordings, lambda _: len(conditions) * len(setups))).advance
     for recording in recordings:  # what has no truth is told before the work
         for name in _with_truth(recording):
             recording.for_instrument(name).distance_track()
-    done = count(1)
-
-    def advance() -> None:
-        number = next(done)
-        if on_progress is not None:
-            on_progress(number, total)
-
     if jobs > 1 and clock is None and all(recording.origin for recording in recordings):
         parts = _parts(recordings, setups, conditions, jobs)
         if len(parts) > 1:

@@ -14,6 +14,7 @@ from svmdist.recording.reader import Recording
 from svmdist.results import FrameResult
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.lag import Lag, recording_lag, with_lag
+from svmdist.workflows.progress import Progress, Steps, image_total
 from svmdist.workflows.scoring.alarms import require_clearance
 from svmdist.workflows.scoring.score import Score, pool_scores, score_rows
 from svmdist.workflows.scoring.truth import KINEMATICS_PRINTED_NOTE, Reference, TruthRules
@@ -65,6 +66,7 @@ def validate(
     jobs: int | None = None,
     on_measured: Callable[[Measured], None] | None = None,
     on_unusable: Callable[[RecordingError], None] | None = None,
+    on_progress: Progress | None = None,
 ) -> Validation:
     """Score a setup on recordings against each reference that they have, and its alarms where asked for.
 
@@ -75,6 +77,7 @@ def validate(
     clearance to score alarms against. Raises UsageError where alarms are asked for and the method estimates no
     clearance, or the references are without ground truth. `on_measured` is given the rows of each recording. With
     `on_unusable`, a recording that cannot be scored is told to it, and the others are scored all the same.
+    `on_progress` is told of every row, and of every image where the lag is estimated first.
     """
     rules = rules or TruthRules()
     if alarms is not None:
@@ -86,9 +89,15 @@ def validate(
             )
     scores: list[Score] = []
     notes: list[str] = []
+    finds_lag = lag == "auto" and setup.method not in PLANAR_METHODS
+    steps = Steps(
+        on_progress, image_total(recordings, lambda one: len(wanted or one.instruments) + finds_lag)
+    )
     for recording in recordings:
         try:
-            scores += _score_recording(recording, setup, rules, lag, alarms, notes, wanted, jobs, on_measured)
+            scores += _score_recording(
+                recording, setup, rules, lag, alarms, notes, wanted, jobs, steps, on_measured
+            )
         except RecordingError as problem:
             if on_unusable is None:
                 raise
@@ -114,13 +123,16 @@ def _score_recording(
     notes: list[str],
     wanted: Sequence[str] | None,
     jobs: int | None,
+    steps: Steps,
     on_measured: Callable[[Measured], None] | None,
 ) -> list[Score]:
     """Score every wanted instrument. Scores are named after the recording, and after any instrument but the first."""
     notes += setup.degeneracies(recording.camera)
     planar = setup.method in PLANAR_METHODS  # it needs no joints, and its own rows tell the lag
-    read, found = with_lag(recording, setup.profile, None if planar else lag, wanted, jobs, rules)
-    every = list(estimate(read, setup, wanted, jobs))
+    read, found = with_lag(
+        recording, setup.profile, None if planar else lag, wanted, jobs, rules, steps.advance
+    )
+    every = list(steps.of(estimate(read, setup, wanted, jobs)))
     if not every:
         raise RecordingError(f"{recording.name}: there is no image to measure")
     scores, missing = [], []

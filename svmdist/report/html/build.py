@@ -16,6 +16,7 @@ from svmdist.report.frame_picture import draw_on
 from svmdist.report.html.page import Report, ReportFrame, ReportTable
 from svmdist.report.validation_tables import remarks, validation_tables
 from svmdist.workflows.annotate import drawn_frames
+from svmdist.workflows.progress import Progress, Steps
 from svmdist.workflows.scoring.truth import TruthRules
 from svmdist.workflows.series import Series, WorstFrame, make_series, worst_frames
 from svmdist.workflows.setup import Setup
@@ -32,6 +33,7 @@ def validation_report(
     rules: TruthRules,
     command: str,
     jobs: int | None = None,
+    on_progress: Progress | None = None,
 ) -> Report:
     """The report of a validation. The worst frames are measured once more, to draw them."""
     primary = validation.primary
@@ -48,7 +50,9 @@ def validation_report(
         title=f"svmdist validate: {setup.method}",
         series=[made for _, made in series],
         tables=[*tables, *([lags] if lags else [])],
-        frames=_worst([(one.read, made) for one, made in series], setup, validation.alarm_rules, jobs),
+        frames=_worst(
+            [(one.read, made) for one, made in series], setup, validation.alarm_rules, jobs, on_progress
+        ),
         facts=facts(setup, [one.recording for one in measured], command),
         notes=[*validation.notes, *remarks(validation), f"Errors are against {reference}."],
         alarm_below_m=below_m,
@@ -61,6 +65,7 @@ def estimate_report(
     command: str,
     alarms: AlarmRules | None = None,
     jobs: int | None = None,
+    on_progress: Progress | None = None,
 ) -> Report:
     """The report of estimates, for logs with or without a truth; where there is ground truth, it is shown."""
     series = [
@@ -70,7 +75,7 @@ def estimate_report(
         title=f"svmdist estimate: {setup.method}",
         series=[made for _, made in series],
         tables=[_counts(series)],
-        frames=_worst([(one.read, made) for one, made in series], setup, alarms, jobs),
+        frames=_worst([(one.read, made) for one, made in series], setup, alarms, jobs, on_progress),
         facts=facts(setup, [one.recording for one in measured], command),
         alarm_below_m=alarms.below_m if alarms else None,
     )
@@ -105,7 +110,11 @@ def _version(package: str) -> str:
 
 
 def _worst(
-    series: Sequence[tuple[Recording, Series]], setup: Setup, alarms: AlarmRules | None, jobs: int | None
+    series: Sequence[tuple[Recording, Series]],
+    setup: Setup,
+    alarms: AlarmRules | None,
+    jobs: int | None,
+    on_progress: Progress | None,
 ) -> list[ReportFrame]:
     """The worst frames of all logs, drawn, the worst first."""
     found: list[tuple[Recording, WorstFrame]] = []
@@ -120,8 +129,11 @@ def _worst(
     for recording, frame in chosen:
         wanted[id(recording)].add(frame.number)
     pictures = {}
+    steps = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values()))
     for key, numbers in wanted.items():
-        for drawn in drawn_frames(logs[key][0], setup, alarms, jobs=jobs, numbers=numbers):
+        for drawn in drawn_frames(
+            logs[key][0], setup, alarms, jobs=jobs, numbers=numbers, on_image=steps.advance
+        ):
             image = drawn.replayed.image_bgr
             if image is not None:
                 pictures[key, drawn.number] = draw_on(image, drawn.drawing)
