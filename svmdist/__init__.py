@@ -15,11 +15,30 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from svmdist.api import Estimates, Profile, compare, estimate, open_recording, validate
+    from svmdist.api import (
+        Estimates,
+        Profile,
+        bgr_image,
+        compare,
+        estimate,
+        open_recording,
+        prepare,
+        validate,
+    )
 
     __version__: str
 
-__all__ = ["Estimates", "Profile", "__version__", "compare", "estimate", "open_recording", "validate"]
+__all__ = [
+    "Estimates",
+    "Profile",
+    "__version__",
+    "bgr_image",
+    "compare",
+    "estimate",
+    "open_recording",
+    "prepare",
+    "validate",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from svmdist.errors import SvmdistError
 from svmdist.estimation.alarms import AlarmRules
+from svmdist.image_input import bgr_image
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile
 from svmdist.recording.reader import Recording
 from svmdist.recording.reader import open_recording as _open
@@ -28,7 +29,16 @@ from svmdist.workflows.validate import validate as _validate
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-__all__ = ["Estimates", "Profile", "compare", "estimate", "open_recording", "validate"]
+__all__ = [
+    "Estimates",
+    "Profile",
+    "bgr_image",
+    "compare",
+    "estimate",
+    "open_recording",
+    "prepare",
+    "validate",
+]
 
 Method = str | OwnMethod
 """The name of a method, or an object with `estimate(frame)`."""

@@ -18,7 +18,7 @@ from svmdist.errors import SvmdistError
 from svmdist.estimation.arm import Arm
 from svmdist.estimation.frame import Frame, frame_of
 from svmdist.results import Distance, Distances, FrameResult
-from svmdist.samples import Observation, Status
+from svmdist.samples import Observation, RightView, Status
 from svmdist.workflows.own_method import OwnEstimator, name_of
 from svmdist.workflows.setup import prepare
 from tests.cli.conftest import Cli, cli
@@ -125,5 +125,10 @@ def test_an_image_of_the_wrong_kind_is_told(golden: Path) -> None:
         (seen.image_bgr[..., 0], "found (480, 640)"),
         ([[1, 2]], "found list"),
     ):
-        with pytest.raises(ValueError, match=re.escape(said).replace("from\\ 0\\ to\\ 1", "from .* to .*")):
-            frame_of(replace(seen, image_bgr=image), arm, setup.segmenter)
+        for wrong, name in (
+            (replace(seen, image_bgr=image), "image_bgr"),
+            (replace(seen, right=RightView(image, seen.camera, np.eye(4))), "right.image_bgr"),  # type: ignore[arg-type]
+        ):
+            pattern = re.escape(said).replace("from\\ 0\\ to\\ 1", "from .* to .*")
+            with pytest.raises(ValueError, match=f"^{re.escape(name)}: expected a BGR image .*{pattern}"):
+                frame_of(wrong, arm, setup.segmenter)

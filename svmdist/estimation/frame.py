@@ -6,12 +6,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from svmdist.estimation.arm import Arm
 from svmdist.estimation.detection.scene import Scene
 from svmdist.estimation.detection.tool import ToolDetections
 from svmdist.estimation.detection.view import View
+from svmdist.image_input import require_bgr
 from svmdist.results import Failure
 from svmdist.samples import Image, JointSample, Observation
 from svmdist.vision.segmentation.segmenter import Segmenter
@@ -104,25 +103,15 @@ def frames_of(
 
 
 def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
-    """The frame of the only instrument of an observation; raises ValueError for what is no image of its camera."""
-    _require_image(observation)
+    """The frame of the only instrument of an observation; raises WrongImageError for what is no image of its camera.
+
+    Images of logs are checked when they are decoded; these were made by a caller.
+    """
+    require_bgr(observation.image_bgr, observation.camera, "image_bgr")
+    if observation.right is not None:
+        require_bgr(observation.right.image_bgr, observation.right.camera, "right.image_bgr")
     scene = Scene(observation, arm.profile, segmenter)
     return frames_of(scene, [arm], [observation], [arm.state_at(observation)], [(None, None)])[0]
-
-
-def _require_image(observation: Observation) -> None:
-    """Check an image that a caller made; those of logs are checked when they are decoded."""
-    image, camera = observation.image_bgr, observation.camera
-    expected = f"expected a BGR image of uint8, shape ({camera.height_px}, {camera.width_px}, 3)"
-    if not isinstance(image, np.ndarray):
-        raise ValueError(f"{expected}; found {type(image).__name__}")
-    if image.dtype != np.uint8:
-        span = (
-            f", from {image.min():g} to {image.max():g}" if image.size and image.dtype.kind in "fiu" else ""
-        )
-        raise ValueError(f"{expected}; found {image.dtype}{span}: levels are from 0 to 255")
-    if image.shape != (camera.height_px, camera.width_px, 3):
-        raise ValueError(f"{expected} as its camera has it; found {image.shape}")
 
 
 def prefetch(source: object, names: Sequence[str]) -> None:

@@ -20,6 +20,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 
 from svmdist.camera import Camera
+from svmdist.image_input import require_bgr
 from svmdist.profile import Limits
 from svmdist.recording.messages.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.recording.messages.images import still_format, still_size
@@ -201,10 +202,7 @@ def _stamp(message: Any, stamp_ns: int) -> None:
 
 def _compressed(sample: ImageSample, jpeg_quality: int | None) -> tuple[bytes, str]:
     image = sample.image_bgr
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise ValueError(
-            f"expected a BGR image (height, width, 3) of uint8, found {image.shape} of {image.dtype}"
-        )
+    require_bgr(image)
     if jpeg_quality is None:
         return cv2.imencode(".png", image, PNG_OPTIONS)[1].tobytes(), "png"
     options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, *JPEG_OPTIONS)
