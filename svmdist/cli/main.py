@@ -89,7 +89,7 @@ def run() -> None:
     adapt_streams()
     set_verbosity(Verbosity.NORMAL)
     try:
-        app()
+        app(prog_name="svmdist")
     except UsageError as problem:
         say(f"svmdist: {problem}", Verbosity.QUIET)
         sys.exit(ExitCode.USAGE)

@@ -51,6 +51,7 @@ def _option(command: str) -> Any:
     return typer.Option(
         "--plot",
         metavar="|".join(kinds),
+        autocompletion=lambda incomplete: [str(kind) for kind in kinds if kind.startswith(incomplete)],
         help=f"What --save-plot draws: {meanings}. Default: {kinds[0]}.",
         show_default=False,
     )

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from svmdist.errors import SourceError
+from svmdist.pyav import import_av
 from svmdist.samples import Image
 
 
@@ -19,7 +20,7 @@ class Video:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._av = _import_av(path)
+        self._av = import_av(SourceError, f"{path}: a video")
         with self._stream() as (container, stream):
             times = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
             self.size_px: tuple[int, int] = (stream.width, stream.height)
@@ -60,14 +61,3 @@ class Video:
             raise SourceError(
                 f"{self.path}: neither an image nor a video that can be read: {reason}"
             ) from None
-
-
-def _import_av(path: Path) -> Any:
-    try:
-        import av
-    except ImportError:
-        raise SourceError(
-            f"{path}: a video needs PyAV: install it with pip install 'svmdist[video]'"
-        ) from None
-    av.logging.set_level(av.logging.PANIC)  # errors are told once, by this program
-    return av

@@ -11,6 +11,7 @@ import numpy as np
 
 from svmdist.errors import OutputError
 from svmdist.output_file import atomic_file
+from svmdist.pyav import import_av
 from svmdist.report.frame_picture import draw_on
 from svmdist.samples import Image
 from svmdist.workflows.annotate import DrawnFrame
@@ -26,13 +27,7 @@ LARGEST_STEP_MS = 10_000
 
 def require_av() -> Any:
     """PyAV; raises OutputError where it is not installed."""
-    try:
-        import av
-    except ImportError:
-        raise OutputError(
-            "a video needs the package av, which is not installed: pip install 'svmdist[video]'"
-        ) from None
-    return av
+    return import_av(OutputError, "a video")
 
 
 def write_video(frames: Iterable[DrawnFrame], path: Path, size_px: tuple[int, int]) -> int:

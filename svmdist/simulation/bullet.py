@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import importlib
 import os
+import platform
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,9 @@ from types import TracebackType
 from typing import Any
 
 from svmdist.errors import SimulationError
+
+WHEELS_UP_TO = (3, 11)
+"""The last CPython that PyBullet publishes wheels for, as the extra `sim` in pyproject.toml has it."""
 
 
 @contextmanager
@@ -50,12 +54,19 @@ def load_pybullet() -> Any:
         with quiet_stdout(), _quiet(2):
             return importlib.import_module("pybullet")
     except ImportError as problem:
-        version = f"{sys.version_info.major}.{sys.version_info.minor}"
-        raise SimulationError(
-            "recording needs PyBullet, which has wheels for Linux x86_64 and CPython up to 3.11 only "
-            f"(this is CPython {version} on {sys.platform}): use Python 3.11 there and run "
-            f"pip install 'svmdist[sim]' ({problem})"
-        ) from None
+        advice = how_to_install(sys.version_info[:2], sys.platform, platform.machine())
+        raise SimulationError(f"recording needs PyBullet: {advice} ({problem})") from None
+
+
+def how_to_install(version: tuple[int, int], system: str, machine: str) -> str:
+    """What to do to have PyBullet, which the extra `sim` installs where there are wheels of it, and only there."""
+    if version == WHEELS_UP_TO and system == "linux" and machine == "x86_64":
+        return "run pip install 'svmdist[sim]'"
+    last, here = (".".join(map(str, numbers)) for numbers in (WHEELS_UP_TO, version))
+    return (
+        f"it has wheels for Linux x86_64 and CPython up to {last} only, so that svmdist[sim] installs nothing here"
+        f" (CPython {here}, {system} {machine}): use Python {last} there and run pip install 'svmdist[sim]'"
+    )
 
 
 class BulletClient:

@@ -10,12 +10,14 @@ import numpy as np
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
+from svmdist.pyav import import_av
 from svmdist.recording.messages.images import ImageError, check_dimensions
 from svmdist.recording.names import cut
 from svmdist.samples import Image
 
 NAL_UNIT = re.compile(rb"\x00\x00\x01(.)", re.DOTALL)
 IDR_SLICE = 5
+NEEDED_FOR = "an image in H.264"
 
 
 class VideoDecoder:
@@ -53,7 +55,7 @@ class VideoDecoder:
         return image
 
     def _decode(self, data: bytes) -> Image:
-        av = _import_av()
+        av = import_av(RecordingError, NEEDED_FOR)
         packet = av.Packet(data)
         packet.pts = self._count
         packet.time_base = Fraction(1, 1000)
@@ -68,19 +70,9 @@ class VideoDecoder:
         return np.asarray(frames[0].to_ndarray(format="bgr24"), np.uint8)
 
     def _open(self) -> Any:
-        av = _import_av()
+        av = import_av(RecordingError, NEEDED_FOR)
         codec = av.CodecContext.create("h264", "r")
         codec.thread_count = 1  # threads hold frames back
         codec.flags |= av.codec.context.Flags.low_delay
         codec.options = {"max_pixels": str(self._limits.image_pixels), "err_detect": "explode"}
         return codec
-
-
-def _import_av() -> Any:
-    try:
-        import av
-    except ImportError:
-        raise RecordingError(
-            "images in H.264 need the package av; install svmdist with its extra: svmdist[video]"
-        ) from None
-    return av

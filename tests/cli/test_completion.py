@@ -1,0 +1,76 @@
+"""Completion in a shell: the script that is shown is one, and what is typed is completed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.running import ended
+
+
+def completed(words: str) -> list[str]:
+    """What bash is offered for the last word, which may be empty."""
+    typed = words.split(" ")
+    done = ended(
+        environment={
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(len(typed) - 1),
+            "_SVMDIST_COMPLETE": "complete_bash",
+        }
+    )
+    assert done.returncode == 0, done.stderr
+    return str(done.stdout).split()
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("svmdist bl", ["blur-bench"]),
+        ("svmdist profile ", ["new"]),
+        ("svmdist estimate --hand", ["--hand-eye"]),
+        ("svmdist estimate --method f", ["fiducial", "fused"]),
+        ("svmdist validate --plot ", ["fig6", "time", "residuals", "bland-altman", "calibration"]),
+        ("svmdist compare --plot ", ["compare"]),
+        ("svmdist estimate log.mcap -f js", ["json", "jsonl"]),
+    ],
+)
+def test_names_options_and_choices_are_completed(words: str, offered: list[str]) -> None:
+    assert completed(words) == offered
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_a_shell_completes_with_the_script_that_is_shown(tmp_path: Path) -> None:
+    """bash reads the script, and its function asks a command of that name."""
+    command = tmp_path / "svmdist"
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m svmdist "$@"\n')
+    command.chmod(0o755)
+    shown = ended("--show-completion", "bash")
+    script = str(shown.stdout) if shown.returncode == 0 else str(ended("--show-completion").stdout)
+    assert "_svmdist_completion" in script
+    ask = "\nCOMP_WORDS=(svmdist hand); COMP_CWORD=1; _svmdist_completion svmdist; echo ${COMPREPLY[@]}\n"
+    done = subprocess.run(
+        ["bash", "-c", script + ask],
+        env={**os.environ, "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.stdout.split() == ["hand-eye"], done.stderr
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_completion_is_installed_for_a_shell(tmp_path: Path) -> None:
+    """The script goes to the home folder, and the shell's start-up file reads it."""
+    done = ended("--install-completion", "bash", environment={"HOME": str(tmp_path)})
+    if done.returncode == 2:  # where the shell is detected, none is named
+        pytest.skip(f"this version of Typer names no shell: {done.stderr}")
+    assert done.returncode == 0, done.stderr
+    (script,) = [path for path in tmp_path.rglob("*") if path.is_file() and path.name.startswith("svmdist")]
+    assert "complete_bash" in script.read_text("utf-8")
+    assert str(script) in (tmp_path / ".bashrc").read_text("utf-8")
