@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import io
 import os
+import stat
 import sys
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -197,23 +198,21 @@ def require_output(output: Path | None, inputs: Iterable[Path] = ()) -> None:
             raise OutputError("stdout: cannot write: it is closed; give --output FILE")
         return
     try:
-        os.stat(output)
+        found = os.stat(output)
     except FileNotFoundError:
-        is_there = False
+        found = None
     except (OSError, ValueError) as problem:
         raise OutputError(f"{output}: cannot write: {why(problem)}") from None
-    else:
-        is_there = True
-    if is_there and any(os.path.exists(path) and path.samefile(output) for path in inputs):
-        raise UsageError(f"{output}: is the recording to read; give the output another name")
-    if output.is_dir():
-        raise OutputError(f"{output}: cannot write: it is a folder")
-    if not output.parent.is_dir():
+    if found is None and not output.parent.is_dir():
         raise OutputError(f"{output}: cannot write: there is no folder {output.parent}")
-    target = output if is_there else output.parent
-    if output.is_file() and output.stat().st_size > 0:
-        say(f"svmdist: replaces {output}", Verbosity.VERBOSE)
-    if not os.access(target, os.W_OK):
+    if found is not None:
+        if any(os.path.exists(path) and os.path.samestat(os.stat(path), found) for path in inputs):
+            raise UsageError(f"{output}: is the recording to read; give the output another name")
+        if stat.S_ISDIR(found.st_mode):
+            raise OutputError(f"{output}: cannot write: it is a folder")
+        if stat.S_ISREG(found.st_mode) and found.st_size > 0:
+            say(f"svmdist: replaces {output}", Verbosity.VERBOSE)
+    if not os.access(output.parent if found is None else output, os.W_OK):
         raise OutputError(f"{output}: cannot write: permission denied")
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from svmdist.errors import SourceError
 from svmdist.importing.images import numbers_of
 from svmdist.importing.stamps import parse_stamp_ns
+from svmdist.input_file import read_regular, why
 from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
 
 MAX_BYTES = 1 << 28
@@ -77,11 +78,9 @@ class ImageTimes:
 def read_table(path: Path) -> Table:
     """Read a table whose cells stand between commas, semicolons, tabs or blanks; SourceError in one line."""
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise SourceError(f"{path}: more than {MAX_BYTES >> 20} MiB")
-        text = path.read_text("utf-8-sig")
+        text = read_regular(path, MAX_BYTES).decode("utf-8-sig")
     except OSError as problem:
-        raise SourceError(f"{path}: cannot read: {problem.strerror or problem}") from None
+        raise SourceError(f"{path}: cannot read: {why(problem)}") from None
     except UnicodeDecodeError as problem:
         raise SourceError(f"{path}: not a table: byte {problem.start} is not UTF-8") from None
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]

@@ -7,13 +7,8 @@ from pathlib import Path
 from svmdist.errors import SourceError
 from svmdist.input_file import read_regular, why
 from svmdist.profile import Limits
-from svmdist.recording.messages.encoding import EncodedSample, encode_still
-from svmdist.recording.messages.images import ImageError, decode_still, still_format, still_size
+from svmdist.recording.messages.images import ImageError, decode_still, still_format
 from svmdist.samples import Image
-
-__all__ = ["EncodedSample", "decode_file", "encode_still", "read_file", "size_of"]
-
-size_of = still_size
 
 
 def read_file(path: Path, limits: Limits) -> bytes | Image:

@@ -16,7 +16,7 @@ from svmdist.errors import SvmdistError
 from svmdist.importing.cameras import CalibrationOptions, complete, stated_cameras
 from svmdist.importing.tables import ImageTimes, read_joints, read_poses
 from svmdist.profile import Limits
-from svmdist.recording.stills import EncodedSample, encode_still
+from svmdist.recording.messages.encoding import EncodedSample, encode_still
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, ImageSample, JointSample, PoseSample, Sample
 from svmdist.workflows.import_views import Picture, View, ViewOptions, halves, open_views

@@ -17,8 +17,8 @@ from svmdist.importing.stamps import require_rising, stamps_at_rate, stamps_from
 from svmdist.importing.tables import read_times
 from svmdist.importing.video import Video
 from svmdist.profile import Limits
-from svmdist.recording.messages.images import ImageError
-from svmdist.recording.stills import decode_file, read_file, size_of
+from svmdist.recording.messages.images import ImageError, still_size
+from svmdist.recording.stills import decode_file, read_file
 from svmdist.samples import Image
 
 Picture = bytes | Image
@@ -142,7 +142,7 @@ def _file_view(paths: Sequence[Path], stamps_ns: list[int], every: int, limits: 
 def _size(picture: Picture, name: str, limits: Limits) -> tuple[int, int]:
     if isinstance(picture, bytes):
         try:
-            return size_of(picture, limits)
+            return still_size(picture, limits)
         except ImageError as problem:
             raise SourceError(f"{name}: {problem}") from None
     return picture.shape[1], picture.shape[0]

@@ -131,3 +131,19 @@ def test_wrong_joints(tmp_path: Path, text: str, names: list[str] | None, said: 
     path.write_text(text)
     with pytest.raises(SourceError, match=said):
         read_joints(path, IMAGES, names)
+
+
+def test_a_pipe_is_no_table(tmp_path: Path) -> None:
+    """It would wait for a writer for ever, and has no size to be checked beforehand."""
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("there are no named pipes")
+    os.mkfifo(tmp_path / "poses.csv")
+    with pytest.raises(SourceError, match=r"poses\.csv: cannot read: it is no regular file"):
+        read_table(tmp_path / "poses.csv")
+
+
+def test_a_table_is_read_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tables, "MAX_BYTES", 20)
+    (tmp_path / "t.csv").write_text("stamp_ns,x\n" + "1,2\n" * 10)
+    with pytest.raises(SourceError, match=r"t\.csv: cannot read: it has more than 20 bytes, the limit"):
+        read_table(tmp_path / "t.csv")
