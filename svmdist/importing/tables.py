@@ -1,11 +1,9 @@
-"""Tables of poses, joints and times: CSV or columns of numbers, with or without names of columns."""
+"""Tables of poses, joints and times: which columns tell what, in which unit."""
 
 from __future__ import annotations
 
-import csv
-import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,12 +12,18 @@ import numpy as np
 from svmdist.errors import SourceError
 from svmdist.importing.images import numbers_of
 from svmdist.importing.stamps import parse_stamp_ns
-from svmdist.input_file import read_regular, why
+from svmdist.importing.table_file import (
+    LENGTHS_M,
+    UNIT,
+    Table,
+    is_number,
+    numbers_in,
+    plain_name,
+    read_table,
+    unit_of,
+)
 from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
 
-MAX_BYTES = 1 << 28
-UNIT = re.compile(r"\s*\[(.*)\]\s*$")
-"""A unit in brackets behind a name, as in `timestamp [ns]`."""
 STAMP_NAMES = frozenset({"stamp", "timestamp", "time", "t", "stamps", "secs", "header.stamp"})
 IMAGE_NAMES = frozenset({"image", "frame", "file", "filename", "name", "image_name", "index"})
 AXES = ("x", "y", "z")
@@ -33,21 +37,6 @@ QUATERNION_NAMES = tuple(
     | {f"pose.orientation.{axis}", f"rotation_{axis}", f"quaternion_{axis}"}
     for axis in (*AXES, "w")
 )
-LENGTHS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of text cells; `names` of the columns, None where the file has none; `units` in brackets or suffixes."""
-
-    path: Path
-    names: tuple[str, ...] | None
-    rows: tuple[tuple[str, ...], ...]
-    first_line: int
-
-    def fail(self, row: int, reason: str) -> SourceError:
-        """The error for a row."""
-        return SourceError(f"{self.path}: line {row + self.first_line}: {reason}")
 
 
 @dataclass(frozen=True)
@@ -75,35 +64,6 @@ class ImageTimes:
     stamps_ns: list[int]
 
 
-def read_table(path: Path) -> Table:
-    """Read a table whose cells stand between commas, semicolons, tabs or blanks; SourceError in one line."""
-    try:
-        text = read_regular(path, MAX_BYTES).decode("utf-8-sig")
-    except OSError as problem:
-        raise SourceError(f"{path}: cannot read: {why(problem)}") from None
-    except UnicodeDecodeError as problem:
-        raise SourceError(f"{path}: not a table: byte {problem.start} is not UTF-8") from None
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
-    comments = [line.lstrip("# ") for _, line in lines if line.lstrip().startswith("#")]
-    lines = [(number, line) for number, line in lines if not line.lstrip().startswith("#")]
-    if not lines:
-        raise SourceError(f"{path}: an empty table")
-    split = _splitter(lines[0][1])
-    rows = [split(line) for _, line in lines]
-    names = None
-    if _looks_named(rows):
-        names, rows, lines = rows[0], rows[1:], lines[1:]
-    elif comments and len(split(comments[-1])) == len(rows[0]) and not _is_number(split(comments[-1])[0]):
-        names = split(comments[-1])
-    if not rows:
-        raise SourceError(f"{path}: a table without rows")
-    width = len(names or rows[0])
-    for (number, _), row in zip(lines, rows, strict=True):
-        if len(row) != width:
-            raise SourceError(f"{path}: line {number}: expected {width} cells, found {len(row)}")
-    return Table(path, None if names is None else tuple(names), tuple(map(tuple, rows)), lines[0][0])
-
-
 def read_times(path: Path, names: Sequence[str]) -> list[int]:
     """The stamps of images, in ns, from a table of names and times, or of one time per image."""
     table = read_table(path)
@@ -111,7 +71,7 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
     stamp, image = _special(table)
     if stamp is None:
         stamp = next(
-            (column for column in range(width) if column != image and _is_number(table.rows[0][column])), None
+            (column for column in range(width) if column != image and is_number(table.rows[0][column])), None
         )
         if image is None and width > 1:
             image = next((column for column in range(width) if column != stamp), None)
@@ -141,12 +101,12 @@ def read_poses(path: Path, images: ImageTimes, unit_m: float) -> StampedPoses:
     stamps, used = _row_stamps(table, images, {7, 12, 16})
     if table.names is None:
         others = [column for column in range(len(table.rows[0])) if column not in used]
-        return StampedPoses(stamps, _from_plain(table, _numbers(table, others), unit_m))
-    plain = [_plain(name) for name in table.names]
+        return StampedPoses(stamps, _from_plain(table, numbers_in(table, others), unit_m))
+    plain = [plain_name(name) for name in table.names]
     position = [_column(table, plain, choices) for choices in POSITION_NAMES]
     quaternion = [_column(table, plain, choices) for choices in QUATERNION_NAMES]
-    scale = [LENGTHS_M.get(_unit_of(table.names[column]) or "", unit_m) for column in position]
-    T = _transforms(table, _numbers(table, position) * scale, _numbers(table, quaternion))
+    scale = [LENGTHS_M.get(unit_of(table.names[column]) or "", unit_m) for column in position]
+    T = _transforms(table, numbers_in(table, position) * scale, numbers_in(table, quaternion))
     return StampedPoses(stamps, T)
 
 
@@ -163,7 +123,7 @@ def read_joints(path: Path, images: ImageTimes, names: Sequence[str] | None = No
     columns = list(names) if names else [table.names[column] for column in others if table.names]
     if len(columns) != len(others) or not columns:
         raise SourceError(f"{path}: {len(others)} columns of numbers for {len(columns)} joint names")
-    numbers = _numbers(table, others)
+    numbers = numbers_in(table, others)
     plain, scales = zip(*(_joint(column) for column in columns), strict=True)
     if len(set(plain)) < len(plain):
         raise SourceError(f"{path}: two columns are of the same joint: {', '.join(columns)}")
@@ -171,7 +131,7 @@ def read_joints(path: Path, images: ImageTimes, names: Sequence[str] | None = No
 
 
 def _joint(column: str) -> tuple[str, float]:
-    unit = _unit_of(column)
+    unit = unit_of(column)
     name = UNIT.sub("", column).strip()
     for suffix, scale in (("deg", np.pi / 180.0), ("rad", 1.0), ("mm", 1e-3), ("m", 1.0)):
         if unit == suffix or (unit is None and name.endswith(f"_{suffix}")):
@@ -211,7 +171,7 @@ def _special(table: Table) -> tuple[int | None, int | None]:
     """The columns of times and of images, by their names."""
     stamp = image = None
     for column, name in enumerate(table.names or ()):
-        plain = _plain(name)
+        plain = plain_name(name)
         bare = re.sub(r"_(s|ms|us|ns)$", "", plain)
         if stamp is None and bare in STAMP_NAMES:
             stamp = column
@@ -235,17 +195,6 @@ def _places(table: Table, image: int, names: Sequence[str]) -> list[int]:
             raise table.fail(row, f"there is no image {cells[image]!r}; the first one is {names[0]}")
         places.append(place)
     return places
-
-
-def _numbers(table: Table, columns: Sequence[int]) -> Array:
-    """Columns as numbers, shape (n, m)."""
-    numbers = np.empty((len(table.rows), len(columns)))
-    for row, cells in enumerate(table.rows):
-        for place, column in enumerate(columns):
-            if not _is_number(cells[column]) or not math.isfinite(float(cells[column])):
-                raise table.fail(row, f"expected a number, found {cells[column][:40]!r}")
-            numbers[row, place] = float(cells[column])
-    return numbers
 
 
 def _from_plain(table: Table, numbers: Array, unit_m: float) -> Array:
@@ -296,46 +245,8 @@ def _unit(table: Table, column: int) -> str | None:
     if table.names is None:
         return None
     name = table.names[column]
-    unit = _unit_of(name)
+    unit = unit_of(name)
     if unit is None:
-        found = re.search(r"_(s|ms|us|ns)$", _plain(name))
+        found = re.search(r"_(s|ms|us|ns)$", plain_name(name))
         unit = found[1] if found else None
     return unit if unit in ("s", "ms", "us", "ns") else None
-
-
-def _unit_of(name: str) -> str | None:
-    """The unit that a name of a column states, in brackets or behind its last underscore; None for none."""
-    found = UNIT.search(name)
-    if found:
-        return found[1].strip().lower()
-    suffix = name.strip().rpartition("_")[2].lower()
-    return suffix if suffix in LENGTHS_M and "_" in name else None
-
-
-def _plain(name: str) -> str:
-    return UNIT.sub("", name).strip().lower()
-
-
-def _splitter(line: str) -> Callable[[str], list[str]]:
-    """What cuts a line into cells, as the first line shows."""
-    mark = next((mark for mark in (",", ";", "\t") if mark in line), None)
-    if mark is None:
-        return str.split
-    return lambda text: [cell.strip() for cell in next(csv.reader([text], delimiter=mark))]
-
-
-def _looks_named(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether the first row names columns: one of its cells is text where the next row has a number."""
-    if len(rows) == 1:
-        return not any(map(_is_number, rows[0]))
-    return any(
-        not _is_number(first) and _is_number(second) for first, second in zip(rows[0], rows[1], strict=False)
-    )
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

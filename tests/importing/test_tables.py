@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from svmdist.errors import SourceError
+from svmdist.importing import table_file
 from svmdist.importing.stamps import parse_stamp_ns, stamps_at_rate, stamps_from_names
+from svmdist.importing.table_file import read_table
 from svmdist.importing.tables import ImageTimes, read_joints, read_poses, read_times
 from svmdist.transforms import make_transform, rotation_of
 
@@ -143,7 +146,7 @@ def test_a_pipe_is_no_table(tmp_path: Path) -> None:
 
 
 def test_a_table_is_read_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tables, "MAX_BYTES", 20)
+    monkeypatch.setattr(table_file, "MAX_BYTES", 20)
     (tmp_path / "t.csv").write_text("stamp_ns,x\n" + "1,2\n" * 10)
     with pytest.raises(SourceError, match=r"t\.csv: cannot read: it has more than 20 bytes, the limit"):
         read_table(tmp_path / "t.csv")

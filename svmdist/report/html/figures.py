@@ -19,6 +19,10 @@ MAX_MARKERS = 2000
 """More points than these are drawn as a line, or thinned out evenly where they are no line."""
 
 
+MAX_SHAPES = 200
+"""More spans than these are drawn as one area."""
+
+
 @dataclass(frozen=True)
 class HtmlFigure:
     """A figure: its name, heading, plotly's data and layout, and a text in place of it."""
@@ -44,12 +48,8 @@ def distance_over_time(series: Series, name: str, alarm_below_m: float | None = 
     half_m = series.half_m
     data: list[dict[str, Any]] = []
     if np.isfinite(half_m).any():
-        low, high = ((series.estimate_m + sign * half_m) * 1e3 for sign in (-1.0, 1.0))
-        thin = {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "type": "scatter", "x": time}
-        data.append({**thin, "y": numbers(low), "showlegend": False, "name": "lower bound"})
-        data.append(
-            {**thin, "y": numbers(high), "fill": "tonexty", "fillcolor": BAND, "name": "95 % interval"}
-        )
+        low_mm, high_mm = ((series.estimate_m + sign * half_m) * 1e3 for sign in (-1.0, 1.0))
+        data.append(_band(series.seconds, low_mm, high_mm))
     if np.isfinite(series.truth_m).any():
         data.append(_line(time, numbers(series.truth_m * 1e3), "truth", VERMILION, dash="dash"))
     estimate = _line(time, numbers(series.estimate_m * 1e3), "estimate", BLUE)
@@ -58,6 +58,8 @@ def distance_over_time(series: Series, name: str, alarm_below_m: float | None = 
     estimate["customdata"] = series.number.tolist()
     estimate["hovertemplate"] = "frame %{customdata}<br>%{x:.2f} s: %{y:.2f} mm<extra></extra>"
     data.append(estimate)
+    if estimate["mode"] == "lines":
+        data += _singles(series.seconds, series.estimate_m * 1e3)
     spans = rejected_spans(series)
     shapes = [
         {
@@ -66,7 +68,10 @@ def distance_over_time(series: Series, name: str, alarm_below_m: float | None = 
         }
         for low, high in spans
     ]
-    if spans:
+    if len(spans) > MAX_SHAPES:
+        shapes = []
+        data.append(_shaded(spans))
+    elif spans:
         data.append({"type": "scatter", "x": [None], "y": [None], "mode": "markers", "name": "not measured",
                      "marker": {"symbol": "square", "size": 12, "color": REJECTED}})  # fmt: skip
     if alarm_below_m is not None and series.distance == "clearance":
@@ -82,7 +87,75 @@ def distance_over_time(series: Series, name: str, alarm_below_m: float | None = 
         text += f" {len(spans)} spans were not measured; they are shaded."
     title = f"{distance_name(series)} over time"
     layout = _over_time(series, f"{distance_name(series)} [mm]", shapes)
+    if len(spans) > MAX_SHAPES:
+        layout["yaxis2"] = {"overlaying": "y", "range": [0, 1], "fixedrange": True, "visible": False}
     return HtmlFigure(name, title, text, data, layout, linked=True)
+
+
+def _band(seconds: Array, low: Array, high: Array) -> dict[str, Any]:
+    """The area between two curves, an outline for each run of frames that have both.
+
+    As a fill between two traces it would reach across what was not measured. Frames that stand alone have a width.
+    """
+    known = np.isfinite(low) & np.isfinite(high)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    reach_s, gap = _reach_s(seconds), [np.nan]
+    x: list[Any] = []
+    y: list[Any] = []
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        run = slice(begin, end)
+        times, lows, highs = seconds[run], low[run], high[run]
+        if end - begin == 1:
+            times = np.array([times[0] - reach_s, times[0] + reach_s])
+            lows, highs = np.repeat(lows, 2), np.repeat(highs, 2)
+        x += [times, times[::-1], gap]
+        y += [lows, highs[::-1], gap]
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": numbers(np.concatenate(x), 3),
+        "y": numbers(np.concatenate(y)),
+        "line": {"width": 0},
+        "fill": "toself",
+        "fillcolor": BAND,
+        "hoverinfo": "skip",
+        "name": "95 % interval",
+    }
+
+
+def _singles(seconds: Array, values: Array) -> list[dict[str, Any]]:
+    """Frames that stand alone between others without a value, which a line does not show, as short dashes."""
+    known = np.concatenate([[False], np.isfinite(values), [False]])
+    alone = np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
+    if len(alone) == 0:
+        return []
+    reach_s, gap = _reach_s(seconds), np.full(len(alone), np.nan)
+    x = np.stack([seconds[alone] - reach_s, seconds[alone] + reach_s, gap], 1).ravel()
+    y = np.stack([values[alone], values[alone], gap], 1).ravel()
+    dashes = _line(numbers(x, 3), numbers(y), "single frames", BLUE)
+    return [{**dashes, "hoverinfo": "skip", "showlegend": False, "line": {"color": BLUE, "width": 3}}]
+
+
+def _reach_s(seconds: Array) -> float:
+    """How far what stands for one frame reaches to either side: less than half of the way to the next one."""
+    return 0.3 * float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.05
+
+
+def _shaded(spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """Spans as one area from the bottom to the top: a browser takes seconds for thousands of shapes."""
+    x = [second for low, high in spans for second in (low, low, high, high)]
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": x,
+        "y": [0, 1, 1, 0] * len(spans),
+        "yaxis": "y2",
+        "fill": "tozeroy",
+        "fillcolor": REJECTED,
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+        "name": "not measured",
+    }
 
 
 def error_over_time(series: Series, name: str) -> HtmlFigure:
@@ -90,15 +163,11 @@ def error_over_time(series: Series, name: str) -> HtmlFigure:
     time, half_mm = numbers(series.seconds, 3), series.half_m * 1e3
     data: list[dict[str, Any]] = []
     if np.isfinite(half_mm).any():
-        thin = {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "type": "scatter", "x": time}
-        data.append({**thin, "y": numbers(-half_mm), "showlegend": False, "name": "lower bound"})
-        data.append(
-            {**thin, "y": numbers(half_mm), "fill": "tonexty", "fillcolor": BAND, "name": "95 % interval"}
-        )
+        data.append(_band(series.seconds, -half_mm, half_mm))
     error = _line(time, numbers(series.error_m * 1e3), "error", BLUE)
     error["customdata"] = series.number.tolist()
     error["hovertemplate"] = "frame %{customdata}<br>%{x:.2f} s: %{y:+.2f} mm<extra></extra>"
-    data.append(error)
+    data += [error, *_singles(series.seconds, series.error_m * 1e3)]
     known = series.error_m[np.isfinite(series.error_m)] * 1e3
     text = f"RMSE {np.sqrt(np.mean(known**2)):.2f} mm, largest error {np.abs(known).max():.2f} mm."
     return HtmlFigure(name, "error over time", text, data, _over_time(series, "error [mm]"), linked=True)
