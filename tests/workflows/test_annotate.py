@@ -200,9 +200,19 @@ def test_rerun_shows_image_camera_transforms_and_text(
     for topic in ("/tf", "/svmdist/tf", "/ground_truth/tf"):
         assert {"Transform3D:child_frame", "Transform3D:translation"} <= columns[topic]
     assert "TextLog:text" in columns["/svmdist/log"]
+    # Every annotation topic is there with every message; a message of /svmdist/tf has a row for each instrument.
     assert set(columns) >= ANNOTATION_TOPICS
-    assert (rows["/ECM/left/image"], rows["/ECM/left/image/annotations"], rows["/svmdist/tf"]) == (
+    written = {info.topic: info.message_count for info in annotated[0].topics()}
+    assert {topic: rows[topic] for topic in ANNOTATION_TOPICS - {"/svmdist/tf"}} == {
+        topic: written[topic] for topic in ANNOTATION_TOPICS - {"/svmdist/tf"}
+    }
+    assert (rows["/ECM/left/image"], written["/svmdist/PSM2/distance"], written["/svmdist/scene"]) == (
         80,
         80,
-        160,
+        80,
     )
+    assert rows["/svmdist/tf"] == 160
+    # What Rerun has no archetype for arrives with its message, to be looked at as data.
+    assert "svmdist.DistanceEstimate:message" in columns["/svmdist/PSM1/distance"]
+    assert "foxglove.SceneUpdate:message" in columns["/svmdist/scene"]
+    assert "foxglove.ImageAnnotations:message" in columns["/ECM/left/image/annotations"]
