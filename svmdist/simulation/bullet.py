@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import importlib.util
 import os
 import platform
 import sys
@@ -45,6 +46,12 @@ def _quiet(descriptor: int) -> Iterator[None]:
         ctypes.CDLL(None).fflush(None)
         os.dup2(saved, descriptor)
         os.close(saved)
+
+
+def require_pybullet() -> None:
+    """Raise SimulationError where PyBullet is not installed, without loading it."""
+    if importlib.util.find_spec("pybullet") is None:
+        load_pybullet()
 
 
 def load_pybullet() -> Any:

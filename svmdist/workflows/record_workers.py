@@ -21,6 +21,7 @@ import cv2
 
 from svmdist.errors import SimulationError, SvmdistError
 from svmdist.recording.messages.encoding import EncodedSample, encode_all
+from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.plan import Block, Plan
 from svmdist.simulation.sensor import NoiseState
 from svmdist.simulation.simulate import Simulator
@@ -79,6 +80,7 @@ def encoded_samples(
     Recordings of few images are made in this process, which is faster then. Raises WorkerDiedError where a process is
     killed, and what a worker raised. The workers end with the iterator.
     """
+    require_pybullet()  # before there are workers, each of which would tell it
     workers = min(jobs, len(plan.blocks) // FRAMES_PER_WORKER)
     with one_opencv_thread():  # the cores are taken, and a forked process has no threads but its own
         if workers <= 1:
@@ -166,7 +168,7 @@ class _Pool:
         try:
             worker.connection.send(_Task(number, self._tasks[number], self._noise_states))
         except OSError:
-            raise _died(worker) from None
+            raise _last_words(worker) or _died(worker) from None
 
     def _messages(self) -> Iterator[tuple[_Worker, object]]:
         """Wait for workers, and give what they say."""
@@ -191,6 +193,16 @@ class _Pool:
                 worker.process.join()
             worker.process.close()
         self._workers.clear()
+
+
+def _last_words(worker: _Worker) -> Exception | None:
+    """What a worker that is no longer there said went wrong; None where it said nothing."""
+    with suppress(EOFError, OSError):
+        while worker.connection.poll():
+            message = worker.connection.recv()
+            if isinstance(message, _Failed):
+                return message.error
+    return None
 
 
 def _died(worker: _Worker) -> WorkerDiedError:

@@ -147,6 +147,19 @@ def test_a_worker_passes_its_error_on(
     assert multiprocessing.active_children() == []
 
 
+def test_what_a_worker_said_before_it_ended_is_told_when_it_gets_no_task(small: Profile) -> None:
+    """A worker may fail, and be gone, before it is given anything: its reason counts, not that it is gone."""
+    ours, theirs = multiprocessing.Pipe()
+    process = multiprocessing.get_context("spawn").Process()
+    worker = record_workers._Worker(process, ours)
+    theirs.send(record_workers._Failed(SimulationError("no such thing")))
+    theirs.close()
+    pool = object.__new__(record_workers._Pool)
+    pool._tasks, pool._noise_states = [()], None
+    with pytest.raises(SimulationError, match="no such thing"):
+        pool._give(worker, 0)
+
+
 def test_no_process_outlives_a_killed_recorder(tmp_path: Path) -> None:
     """The recorder cannot end them any more: they notice."""
     target = tmp_path / "log.mcap"
