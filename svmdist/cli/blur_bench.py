@@ -82,6 +82,7 @@ def blur_bench_command(
     from svmdist.workflows.setup import prepare
 
     require_output(output, files or ())
+    chosen_form = summary_format(form, output)
     require_plot("blur-bench --grid", plot, save_plot, files or ())
     if grid:
         _refuse("--kernel is for Table I: it cannot be used with --grid", kernel)
@@ -107,7 +108,7 @@ def blur_bench_command(
         if grid
         else _table_one(recordings, setup, kernels_px, jobs)
     )
-    write_summary(summary, summary_format(form, output), output)
+    write_summary(summary, chosen_form, output)
     raise typer.Exit(opened.health_code())
 
 

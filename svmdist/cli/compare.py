@@ -88,6 +88,7 @@ def compare_command(
     from svmdist.workflows.setup import prepare
 
     require_output(output, files or ())
+    chosen_form = summary_format(form, output)
     drawn = require_plot("compare", plot, save_plot, files or ())
     given = parse_lag(lag)
     conditions: list[LogCondition] = [CLEAN]
@@ -111,7 +112,7 @@ def compare_command(
     rows = [compare_row(score) for score in scores]
     write_summary(
         Summary(compare_tables(scores), compare_keys(), rows, [FIGURE_NOTE]),
-        summary_format(form, output),
+        chosen_form,
         output,
     )
     if save_plot and drawn:

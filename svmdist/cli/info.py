@@ -41,9 +41,9 @@ def info_command(
     from svmdist.workflows.capabilities import look_for_tag
 
     require_output(output, [file])
+    chosen = table_format(form, output)
     loaded = load_profile(profile, hand_eye)
     summary = inspect_recording(file, loaded, topics=topics_of(topic))
-    chosen = table_format(form, output)
     tags = None
     if chosen is not TableFormat.CSV and {"image", "camera_info"} <= set(summary.roles):
         try:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
 from svmdist.cli.options import RowFormat, SummaryFormat, TableFormat
 from svmdist.errors import UsageError
+
+Form = TypeVar("Form", RowFormat, SummaryFormat, TableFormat)
 
 
 class FileFormat(StrEnum):
@@ -30,7 +33,9 @@ SUMMARY_ENDINGS = {
     ".md": SummaryFormat.MARKDOWN,
 }
 TABLE_ENDINGS = {f".{form}": form for form in TableFormat if form is not TableFormat.TABLE}
-FILE_ENDINGS = {f".{form}": form for form in FileFormat}
+FILE_ENDINGS = {f".{form}": form for form in FileFormat} | {".htm": FileFormat.HTML}
+TEXT_ENDINGS = frozenset({"", ".txt", ".log", ".out"})
+"""Files for a person: a table."""
 
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Replace a recording that exists. Other files are replaced anyway.")
@@ -40,7 +45,8 @@ ForceOption = Annotated[
 def row_format(given: RowFormat | None, output: Path | None) -> RowFormat | FileFormat:
     """The format of rows: the given one, else that of the file's ending, else a table.
 
-    Raises UsageError for a given format that the ending contradicts, where the ending is no text.
+    Raises UsageError for a given format that the ending contradicts, where the ending is no text, and without one for
+    an ending that no format has.
     """
     ending = "" if output is None else output.suffix.lower()
     if ending in FILE_ENDINGS:
@@ -49,19 +55,37 @@ def row_format(given: RowFormat | None, output: Path | None) -> RowFormat | File
                 f"--format {given}: {output} is written as {FILE_ENDINGS[ending]}; leave out one of them"
             )
         return FILE_ENDINGS[ending]
-    return ROW_ENDINGS.get(ending, RowFormat.TABLE) if given is None else given
+    return _by_ending(ROW_ENDINGS, RowFormat.TABLE, output, FILE_ENDINGS) if given is None else given
 
 
 def summary_format(given: SummaryFormat | None, output: Path | None) -> SummaryFormat:
-    """The format of a summary: the given one, else that of the file's ending, else a table."""
-    ending = "" if output is None else output.suffix.lower()
-    return SUMMARY_ENDINGS.get(ending, SummaryFormat.TABLE) if given is None else given
+    """The format of a summary: the given one, else that of the file's ending, else a table; raises UsageError."""
+    return _by_ending(SUMMARY_ENDINGS, SummaryFormat.TABLE, output) if given is None else given
 
 
 def table_format(given: TableFormat | None, output: Path | None) -> TableFormat:
     """The same of what has no markup."""
+    return _by_ending(TABLE_ENDINGS, TableFormat.TABLE, output) if given is None else given
+
+
+def _by_ending(
+    endings: Mapping[str, Form], table: Form, output: Path | None, others: Iterable[str] = ()
+) -> Form:
+    """The format of a file's ending, a table for text and stdout; raises UsageError for another ending.
+
+    A table in a file that is called .avi, or .html, is not what was meant.
+    """
     ending = "" if output is None else output.suffix.lower()
-    return TABLE_ENDINGS.get(ending, TableFormat.TABLE) if given is None else given
+    if ending in endings:
+        return endings[ending]
+    if ending in TEXT_ENDINGS or (output is not None and output.parent == Path("/dev")):
+        return table
+    choices = ", ".join(sorted({*endings, *others}))
+    hint = "; svmdist validate --report FILE.html writes a report" if ending in {".html", ".htm"} else ""
+    raise UsageError(
+        f"-o {output}: no format has the ending {ending}: the choices are {choices}, and .txt for a table; or give"
+        f" --format{hint}"
+    )
 
 
 def require_report(report: Path | None) -> None:

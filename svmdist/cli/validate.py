@@ -155,6 +155,7 @@ def validate_command(
     for target in (output, write_baseline, report):
         require_output(target, files or ())
     require_report(report)
+    chosen_form = summary_format(form, output)
     drawn = require_plot("validate", plot, save_plot, files or ())
     alarms = alarm_rules(alarm_below, alarm_confidence, method.value)
     paths = files_or_golden(files)
@@ -173,7 +174,7 @@ def validate_command(
         result = validate(
             opened.recordings, setup, rules, given, alarms, wanted, jobs, on_measured, on_unusable, advance
         )
-    _write(result, summary_format(form, output), output)
+    _write(result, chosen_form, output)
     if save_plot and drawn:
         _save_plot(result, measured, setup, rules, drawn, save_plot)
     if report:

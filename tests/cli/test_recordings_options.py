@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from svmdist.cli.options import RowFormat, SummaryFormat
-from svmdist.cli.outputs import row_format, summary_format
+from svmdist.cli.outputs import FileFormat, row_format, summary_format
 from svmdist.cli.recordings import logs_in, window_of
 from svmdist.errors import UsageError
 from svmdist.recording.reading import Window, unique_names
@@ -161,3 +161,23 @@ def test_endings_and_formats() -> None:
     assert row_format(None, None) is RowFormat.TABLE
     assert summary_format(None, Path("a.tex")) is SummaryFormat.LATEX
     assert summary_format(SummaryFormat.JSON, Path("a.md")) is SummaryFormat.JSON
+    assert row_format(None, Path("a.htm")) is FileFormat.HTML
+    assert row_format(None, Path("a.txt")) is row_format(None, Path("/dev/null")) is RowFormat.TABLE
+    assert row_format(RowFormat.CSV, Path("a.dat")) is RowFormat.CSV
+
+
+@pytest.mark.parametrize("command", ["estimate", "validate", "compare", "blur-bench", "info"])
+def test_an_ending_that_no_format_has_is_refused_before_any_work(
+    cli: Cli, tmp_path: Path, command: str
+) -> None:
+    """A table in a file called .avi is not what was meant. The recording is not looked at."""
+    outcome = cli(command, tmp_path / "none.mcap", "-o", tmp_path / "rows.avi")
+    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
+    assert "no format has the ending .avi: the choices are .csv, " in outcome.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_report_of_scores_has_its_option(cli: Cli, tmp_path: Path) -> None:
+    outcome = cli("validate", tmp_path / "none.mcap", "-o", tmp_path / "report.html")
+    assert outcome.code == 2
+    assert "--report FILE.html" in outcome.err
