@@ -106,7 +106,7 @@ EXAMPLES: dict[str, tuple[Example, ...]] = {
     ),
     "fk": (
         Example("The tool's pose for each joint state", "svmdist fk log.mcap -o poses.csv"),
-        Example("In the camera's frame, for evo", "svmdist fk log.mcap --in-camera -f tum -o poses.tum"),
+        Example("In the camera's frame, for evo", "svmdist fk log.mcap --in-camera -o poses.tum"),
     ),
     "hand-eye": (
         Example(

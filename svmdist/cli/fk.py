@@ -11,6 +11,7 @@ import typer
 
 from svmdist.cli.console import report_health, require_output, say, terminal_width, write_lines
 from svmdist.cli.options import HandEyeOption, OutputOption, ProfileOption, TopicOption, topics_of
+from svmdist.cli.outputs import by_ending
 from svmdist.cli.progress import Item, progress_bar, tracked
 from svmdist.cli.recordings import window_of
 
@@ -42,8 +43,14 @@ def fk_command(
         ),
     ] = False,
     form: Annotated[
-        PoseFormat, typer.Option("--format", "-f", help="Format of the data; tum is the format of evo.")
-    ] = PoseFormat.CSV,
+        PoseFormat | None,
+        typer.Option(
+            "--format",
+            "-f",
+            help="Format of the data; tum is the format of evo. Default: by the ending of the output file, else csv.",
+            show_default=False,
+        ),
+    ] = None,
     output: OutputOption = None,
     start: Annotated[
         float,
@@ -77,6 +84,7 @@ def fk_command(
     from svmdist.workflows.fk import fk
 
     require_output(output, [file])
+    chosen = pose_format(form, output)
     window = window_of(start, end, every)
     loaded = load_profile(profile, hand_eye)
     topics = topics_of(topic) | ({"joints": joints} if joints else {})
@@ -85,7 +93,7 @@ def fk_command(
     with progress_bar("reading", "joint states") as advance:
         result = fk(recording, loaded, in_camera=in_camera, window=window, on_progress=advance)
     count = len(result.stamps_ns)
-    match form:
+    match chosen:
         case PoseFormat.CSV:
             write_lines(csv_lines(POSE_KEYS, _written(pose_rows(result), output, count)), output)
         case PoseFormat.JSON:
@@ -96,6 +104,12 @@ def fk_command(
     if result.errors is not None:
         _say_errors(result.errors)
     raise typer.Exit(report_health([recording]))
+
+
+def pose_format(given: PoseFormat | None, output: Path | None) -> PoseFormat:
+    """The format of poses: the given one, else that of the file's ending, else CSV; raises UsageError."""
+    endings = {f".{form}": form for form in PoseFormat}
+    return by_ending(endings, PoseFormat.CSV, output, "CSV") if given is None else given
 
 
 def _written(rows: Iterable[Item], output: Path | None, count: int) -> Iterable[Item]:

@@ -14,7 +14,7 @@ import typer
 from svmdist.cli.options import RowFormat, SummaryFormat, TableFormat
 from svmdist.errors import UsageError
 
-Form = TypeVar("Form", RowFormat, SummaryFormat, TableFormat)
+Form = TypeVar("Form", bound=StrEnum)
 
 
 class FileFormat(StrEnum):
@@ -55,23 +55,27 @@ def row_format(given: RowFormat | None, output: Path | None) -> RowFormat | File
                 f"--format {given}: {output} is written as {FILE_ENDINGS[ending]}; leave out one of them"
             )
         return FILE_ENDINGS[ending]
-    return _by_ending(ROW_ENDINGS, RowFormat.TABLE, output, FILE_ENDINGS) if given is None else given
+    return by_ending(ROW_ENDINGS, RowFormat.TABLE, output, others=FILE_ENDINGS) if given is None else given
 
 
 def summary_format(given: SummaryFormat | None, output: Path | None) -> SummaryFormat:
     """The format of a summary: the given one, else that of the file's ending, else a table; raises UsageError."""
-    return _by_ending(SUMMARY_ENDINGS, SummaryFormat.TABLE, output) if given is None else given
+    return by_ending(SUMMARY_ENDINGS, SummaryFormat.TABLE, output) if given is None else given
 
 
 def table_format(given: TableFormat | None, output: Path | None) -> TableFormat:
     """The same of what has no markup."""
-    return _by_ending(TABLE_ENDINGS, TableFormat.TABLE, output) if given is None else given
+    return by_ending(TABLE_ENDINGS, TableFormat.TABLE, output) if given is None else given
 
 
-def _by_ending(
-    endings: Mapping[str, Form], table: Form, output: Path | None, others: Iterable[str] = ()
+def by_ending(
+    endings: Mapping[str, Form],
+    plain: Form,
+    output: Path | None,
+    name: str = "a table",
+    others: Iterable[str] = (),
 ) -> Form:
-    """The format of a file's ending, a table for text and stdout; raises UsageError for another ending.
+    """The format of a file's ending, `plain` for text and stdout; raises UsageError for another ending.
 
     A table in a file that is called .avi, or .html, is not what was meant.
     """
@@ -79,11 +83,11 @@ def _by_ending(
     if ending in endings:
         return endings[ending]
     if ending in TEXT_ENDINGS or (output is not None and output.parent == Path("/dev")):
-        return table
+        return plain
     choices = ", ".join(sorted({*endings, *others}))
     hint = "; svmdist validate --report FILE.html writes a report" if ending in {".html", ".htm"} else ""
     raise UsageError(
-        f"-o {output}: no format has the ending {ending}: the choices are {choices}, and .txt for a table; or give"
+        f"-o {output}: no format has the ending {ending}: the choices are {choices}, and .txt for {name}; or give"
         f" --format{hint}"
     )
 

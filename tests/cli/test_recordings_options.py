@@ -177,6 +177,21 @@ def test_an_ending_that_no_format_has_is_refused_before_any_work(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_poses_have_the_format_of_the_ending(cli: Cli, golden: Path, tmp_path: Path) -> None:
+    log = golden / "sweep.mcap"
+    lines = {}
+    for name in ("a.tum", "a.json", "a.csv", "a"):
+        assert cli("fk", log, "-o", tmp_path / name, "--every", 100).code == 0
+        lines[name] = (tmp_path / name).read_text("utf-8").splitlines()
+    assert len(lines["a.tum"][-1].split(" ")) == 8
+    assert lines["a.json"][0] == "["
+    assert lines["a.csv"] == lines["a"]
+    assert lines["a"][0].startswith("stamp_ns,")
+    refused = cli("fk", log, "-o", tmp_path / "a.xlsx")
+    assert refused.code == 2
+    assert ".csv, .json, .tum" in refused.err
+
+
 def test_a_report_of_scores_has_its_option(cli: Cli, tmp_path: Path) -> None:
     outcome = cli("validate", tmp_path / "none.mcap", "-o", tmp_path / "report.html")
     assert outcome.code == 2
