@@ -4,35 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.errors import KinematicsError, RecordingError, UsageError
-from svmdist.estimation.filter.error_model import ErrorModel
+from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
-from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import DHChain
-from svmdist.kinematics.robot_state import RobotState
-from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import Profile
 from svmdist.profile_hand_eye import HandEye
 from svmdist.recording.arms import FixedTransform
 from svmdist.recording.reader import Recording
 from svmdist.results import Failure, FrameResult, ToolPose
-from svmdist.samples import JointSample
-from svmdist.tracks import JointTrack
-from svmdist.transforms import Array, inverse, rotation_angle, skew
+from svmdist.transforms import Array, inverse, rotation_angle
 from svmdist.workflows.progress import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
+from svmdist.workflows.reported_tool import Against, ReportedTool, default_reference, reported_tool
 from svmdist.workflows.setup import Setup
 
 SEEING_METHODS = ("fiducial", "stereo", "shaft")
 """Methods whose tool is from the images alone, the surest first."""
-Against = Literal["kinematics", "pose"]
-NEAR_NS = 200_000_000
-"""Joints within this of an image tell their rates."""
 
 
 @dataclass(frozen=True)
@@ -48,21 +38,6 @@ class HandEyeResult:
     stamps_ns: NDArray[np.int64]
     tool_std_m: float
     from_log: tuple[float, float] | None
-
-
-@dataclass(frozen=True)
-class _Reported:
-    """What the robot reports at stamps: poses in the base's frame (n, 4, 4), which are known, and their errors.
-
-    `axes` (n, 3) are the shaft's directions, NaN where not known; `noise` (n, 3, 3) what differs from frame to frame;
-    `shared` (n, 6, m) what errors of all frames do to place and direction.
-    """
-
-    T_base_tool: Array
-    valid: NDArray[np.bool_]
-    axes: Array
-    noise: Array
-    shared: Array
 
 
 def hand_eye(
@@ -87,18 +62,18 @@ def hand_eye(
         )
     profile = replace_profile(setup.profile, instrument)
     own = recording.for_instrument(instrument)
-    against = against or _default(own, profile)
+    against = against or default_reference(own, profile)
     blind = recording.with_bases({name: FixedTransform(None) for name in recording.instruments})
     focal_px = float(recording.camera.K[0, 0])
     twice = against == "kinematics" and setup.method != "fiducial"
     steps = Steps(on_progress, image_total([recording], lambda _: 2 if twice else 1))
     rows = _seen(blind, setup, instrument, jobs, steps)
-    reported = _reported(own, profile, against, _stamps(rows))
+    reported = reported_tool(own, profile, against, _stamps(rows))
     fit, places = _fit(rows, reported, setup, profile, focal_px)
     if isinstance(fit, HandEyeFit) and twice:
         knowing = blind.with_bases({instrument: FixedTransform(fit.T_camera_base)})
         again = _seen(knowing, setup, instrument, jobs, steps)
-        reported_again = _reported(own, profile, against, _stamps(again))
+        reported_again = reported_tool(own, profile, against, _stamps(again))
         second, places_again = _fit(again, reported_again, setup, profile, focal_px)
         if isinstance(second, HandEyeFit):
             rows, fit, places = again, second, places_again
@@ -110,22 +85,6 @@ def hand_eye(
 def replace_profile(profile: Profile, instrument: str) -> Profile:
     """The profile as one of its instruments sees it, without an earlier hand-eye file."""
     return profile.model_copy(update={"hand_eye": None}).for_instrument(instrument)
-
-
-def _default(recording: Recording, profile: Profile) -> Against:
-    if profile.robot is not None and recording.topic_of("joints") is not None:
-        names = recording.joint_track().names
-        there = set(names)
-        if all(
-            there & {joint.name, *joint.aliases} for joint in profile.robot.joints if joint.type != "fixed"
-        ):
-            return "kinematics"
-    if recording.topic_of("pose") is not None:
-        return "pose"
-    raise RecordingError(
-        f"{recording.path.name}: no joint states of profile {profile.name}'s chain and no poses of"
-        f" {profile.instrument_name}: hand-eye needs the one or the other"
-    )
 
 
 def _seen(
@@ -142,78 +101,8 @@ def _stamps(rows: Sequence[FrameResult]) -> NDArray[np.int64]:
     return np.array([row.stamp_ns for row in rows], np.int64)
 
 
-def _reported(
-    recording: Recording, profile: Profile, against: Against, stamps_ns: NDArray[np.int64]
-) -> _Reported:
-    if against == "pose":
-        poses = recording.pose_track().at(stamps_ns)
-        count = len(stamps_ns)
-        noise = profile.settings.hand_eye.pose_std_m**2 * np.eye(3)
-        return _Reported(
-            poses.values,
-            poses.valid,
-            np.full((count, 3), np.nan),
-            np.repeat(noise[None], count, 0),
-            np.zeros((count, 6, 0)),
-        )
-    return _by_joints(recording, profile, stamps_ns)
-
-
-def _by_joints(recording: Recording, profile: Profile, stamps_ns: NDArray[np.int64]) -> _Reported:
-    """Forward kinematics with the deviations that the profile states: play differs, all else is shared."""
-    if profile.robot is None:
-        raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
-    chain = chain_of(profile.robot)
-    model = ErrorModel(chain, profile.kinematic_error)
-    columns, shaft = model.columns, shaft_of(chain)
-    joints = recording.joint_track()
-    shared_columns = [*range(*columns.offsets.indices(model.size)), columns.time_offset]
-    shared_columns += range(*columns.lengths.indices(model.size))
-    poses, axes, noise, shared = [], [], [], []
-    sampled = joints.at(stamps_ns)
-    for stamp_ns, positions, valid in zip(stamps_ns, sampled.values, sampled.valid, strict=True):
-        state = _state(chain, joints, int(stamp_ns), positions) if valid else None
-        if state is None:
-            poses.append(np.full((4, 4), np.nan))
-            axes.append(np.full(3, np.nan))
-            noise.append(np.zeros((3, 3)))
-            shared.append(np.zeros((6, len(shared_columns))))
-            continue
-        links = model.links(model.nominal(state), model.no_correction(), model.anchor_m(state))
-        tool = links.link(None)
-        std = np.sqrt(np.diag(model.prior(state)))[shared_columns]
-        play = tool.derivative[:3] @ model.play_covariance @ tool.derivative[:3].T
-        axis, turned = np.full(3, np.nan), np.zeros((3, len(shared_columns)))
-        if shaft is not None:
-            link = links.link(shaft.link)
-            axis = link.T_camera_link[:3, :3] @ shaft.axis
-            turned = -skew(axis) @ link.derivative[3:][:, shared_columns]
-        poses.append(tool.T_camera_link)
-        axes.append(axis)
-        noise.append(play)
-        shared.append(np.vstack([tool.derivative[:3][:, shared_columns], turned]) * std)
-    return _Reported(
-        np.reshape(poses, (-1, 4, 4)),
-        np.asarray(sampled.valid),
-        np.reshape(axes, (-1, 3)),
-        np.reshape(noise, (-1, 3, 3)),
-        np.reshape(shared, (-1, 6, len(shared_columns))),
-    )
-
-
-def _state(chain: DHChain, joints: JointTrack, stamp_ns: int, positions: Array) -> RobotState:
-    """The robot with its base at the camera: what follows is in the base's frame."""
-    near = np.abs(joints.stamps_ns - stamp_ns) <= NEAR_NS
-    track = JointTrack(joints.stamps_ns[near], joints.names, joints.positions[near]) if near.any() else None
-    sample = JointSample(stamp_ns, joints.names, positions)
-    state = RobotState.of(chain, sample, np.eye(4), stamp_ns, track)
-    if isinstance(state, Failure):
-        raise KinematicsError(state.reason)
-    return state
-
-
 def _fit(
-    rows: Sequence[FrameResult], reported: _Reported, setup: Setup, profile: Profile, focal_px: float
+    rows: Sequence[FrameResult], reported: ReportedTool, setup: Setup, profile: Profile, focal_px: float
 ) -> tuple[HandEyeFit | Failure, ToolPlaces]:
     known = np.flatnonzero(reported.valid)
     tools = [_pose(rows[int(place)]) for place in known]
