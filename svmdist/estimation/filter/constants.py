@@ -17,6 +17,10 @@ from svmdist.profile import CameraError, Profile
 from svmdist.transforms import Array, cross, skew
 
 FOR_EVER_S = np.inf
+MIN_DEPTH_M = 1e-3
+"""What is nearer to the camera, or behind it, has no image."""
+AHEAD_M = np.array([0.0, 0.0, 1.0])
+"""Stands in for a point that cannot be seen, so that its projection is a number."""
 NEAR_M = 1e-3
 """A camera is no nearer to an edge than this: it bounds a derivative."""
 
@@ -85,6 +89,15 @@ class Deviations:
             SharedBias("baseline", by_baseline[..., None, None]),
             SharedBias("right camera's rotation", by_turn[..., None, :]),
         )
+
+    def of_disparity_at(
+        self, p_left_m: Array, right: Camera, disparity_px: Array, T_right_left: Array
+    ) -> tuple[SharedBias, ...]:
+        """The same of the disparity of points in the left camera, shape (..., 3), as the right camera sees them."""
+        p_right_m = (T_right_left[..., :3, :3] @ p_left_m[..., None])[..., 0] + T_right_left[..., :3, 3]
+        p_right_m = np.where(p_right_m[..., 2:] >= MIN_DEPTH_M, p_right_m, AHEAD_M)
+        _, slope = right.project_with_derivative(p_right_m)
+        return self.of_disparity(p_right_m, slope[..., 0, :], disparity_px, T_right_left)
 
     def of_radius(self, radius_px: Array) -> tuple[SharedBias, ...]:
         """Of a sphere's apparent radius, shape (...): focal length and the sphere's radius."""
