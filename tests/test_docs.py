@@ -171,6 +171,22 @@ def test_a_picture_is_what_its_command_makes_now(tmp_path: Path) -> None:
     assert np.abs(kept.astype(np.int16) - made).mean() < 1.0
 
 
+def test_the_architecture_names_every_package() -> None:
+    """The tree of docs/architecture.md has every folder of modules, and every folder that it has exists."""
+    text = (REPOSITORY / "docs" / "architecture.md").read_text("utf-8")
+    tree = re.findall(r"^svmdist/\n(.*?)^```", text, re.MULTILINE | re.DOTALL)[0]
+    named, parents = set(), [""]
+    for indent, name in re.findall(r"^( +)(\w+)/ ", tree, re.MULTILINE):
+        level = len(indent) // 2
+        parents[level:] = [f"{parents[level - 1]}{name}/"]
+        named.add(parents[level])
+    packages = {
+        f"{path.parent.relative_to(REPOSITORY / 'svmdist').as_posix()}/"
+        for path in (REPOSITORY / "svmdist").rglob("__init__.py")
+    }
+    assert named == packages - {"./"} | {"profiles/"}
+
+
 def test_every_command_is_in_the_readme() -> None:
     """Each subcommand has a row in the README's table, and the README names no other."""
     import typer
