@@ -31,7 +31,7 @@ TOP = {
     "svmdist",
 }
 SUFFIXES = {
-    "docs": {".md", ".jpg", ".png", ".svg", ".json"},
+    "docs": {".md", ".jpg", ".png", ".svg", ".json", ".css"},
     "schemas": {".md", ".proto"},
     "svmdist": {".py", ".pyi", ".toml", ".typed", ".proto", ".js", ".css"},
 }
