@@ -141,6 +141,25 @@ def test_links_of_the_site_lead_to_its_pages() -> None:
         assert site_links(markdown, place, pages) == expected
 
 
+def test_figures_in_sentences_are_those_of_the_results() -> None:
+    """What pages of methods tell of the golden logs in words is what docs/results.md has in its tables."""
+    tables = _tables((REPOSITORY / "docs" / "results.md").read_text("utf-8"))
+    instruments, fiducial = (
+        (REPOSITORY / "docs" / "method" / f"{name}.md").read_text("utf-8")
+        for name in ("instruments", "fiducial")
+    )
+    between = tables["Between PSM1 and PSM2 in `duo`, `fused`"][1]
+    assert f"On the golden `duo` log it errs by {between[1]} mm" in instruments
+    assert between[3] == "100 %"
+    measured = tables["All methods in 3D, both logs and all instruments"][1]
+    assert measured[0] == "`fiducial`"
+    assert f"{measured[1].replace('/', 'of')} frames are measured" in fiducial
+    results = (REPOSITORY / "docs" / "results.md").read_text("utf-8")
+    ideal = results.partition("### Alarms of `fused`")[2].partition("### ")[0]
+    (share,) = re.findall(r"^\| overall \|(?: [^|]+ \|){3} ([\d.]+ %) \|", ideal, re.MULTILINE)
+    assert f"{share} of the safe frames are alarmed" in " ".join(results.split())
+
+
 def test_pictures_are_made_by_the_commands_beside_them() -> None:
     """Each picture has its commands, and each page that shows it prints them; no picture is left over."""
     from tools.pictures import IMAGES, PICTURES
