@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,10 +11,18 @@ from numpy.typing import NDArray
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.profile import Profile
-from svmdist.profile_hand_eye import HandEye
+from svmdist.profile_hand_eye import ConstantEffect, HandEye
 from svmdist.recording.arms import FixedTransform
 from svmdist.recording.reader import Recording
 from svmdist.results import Failure, FrameResult, ToolPose
+from svmdist.stated_deviations import (
+    BASELINE,
+    FOCAL_LENGTH,
+    PRINCIPAL_POINT,
+    SHAFT_RADIUS,
+    TAG_SIZE,
+    stated_deviations,
+)
 from svmdist.transforms import Array, inverse, rotation_angle
 from svmdist.workflows.progress import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
@@ -38,6 +46,15 @@ class HandEyeResult:
     stamps_ns: NDArray[np.int64]
     tool_std_m: float
     from_log: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """The fit, or why there is none, the places that it is of, and what constants did to it."""
+
+    fit: HandEyeFit | Failure
+    places: ToolPlaces
+    effects: tuple[ConstantEffect, ...]
 
 
 def hand_eye(
@@ -69,17 +86,17 @@ def hand_eye(
     steps = Steps(on_progress, image_total([recording], lambda _: 2 if twice else 1))
     rows = _seen(blind, setup, instrument, jobs, steps)
     reported = reported_tool(own, profile, against, _stamps(rows))
-    fit, places = _fit(rows, reported, setup, profile, focal_px)
-    if isinstance(fit, HandEyeFit) and twice:
-        knowing = blind.with_bases({instrument: FixedTransform(fit.T_camera_base)})
+    fitted = _fit(rows, reported, setup, profile, focal_px)
+    if isinstance(fitted.fit, HandEyeFit) and twice:
+        knowing = blind.with_bases({instrument: FixedTransform(fitted.fit.T_camera_base)})
         again = _seen(knowing, setup, instrument, jobs, steps)
         reported_again = reported_tool(own, profile, against, _stamps(again))
-        second, places_again = _fit(again, reported_again, setup, profile, focal_px)
-        if isinstance(second, HandEyeFit):
-            rows, fit, places = again, second, places_again
-    if isinstance(fit, Failure):
-        return fit
-    return _result(fit, places, _stamps(rows), own, setup, profile, against)
+        second = _fit(again, reported_again, setup, profile, focal_px)
+        if isinstance(second.fit, HandEyeFit):
+            rows, fitted = again, second
+    if isinstance(fitted.fit, Failure):
+        return fitted.fit
+    return _result(fitted.fit, fitted, _stamps(rows), own, setup, profile, against)
 
 
 def replace_profile(profile: Profile, instrument: str) -> Profile:
@@ -103,10 +120,11 @@ def _stamps(rows: Sequence[FrameResult]) -> NDArray[np.int64]:
 
 def _fit(
     rows: Sequence[FrameResult], reported: ReportedTool, setup: Setup, profile: Profile, focal_px: float
-) -> tuple[HandEyeFit | Failure, ToolPlaces]:
+) -> _Fitted:
     known = np.flatnonzero(reported.valid)
     tools = [_pose(rows[int(place)]) for place in known]
     seen_m = np.reshape([tool.position_m for tool in tools], (-1, 3))
+    camera = _camera_errors(seen_m, setup.method, profile, focal_px)
     places = ToolPlaces(
         _stamps(rows)[known],
         seen_m,
@@ -117,9 +135,12 @@ def _fit(
         np.where(np.isfinite(reported.axes[known]).all(1), [tool.shaft_std_rad for tool in tools], np.nan),
         reported.axes[known],
         reported.shared[known],
-        _camera_errors(seen_m, setup.method, profile, focal_px),
+        np.concatenate(list(camera.values()), 2),
     )
-    return fit_hand_eye(places, profile.settings.hand_eye), places
+    fit = fit_hand_eye(places, profile.settings.hand_eye)
+    return _Fitted(
+        fit, places, () if isinstance(fit, Failure) else tuple(_effects(fit, reported, camera, profile))
+    )
 
 
 def _pose(row: FrameResult) -> ToolPose:
@@ -127,23 +148,37 @@ def _pose(row: FrameResult) -> ToolPose:
     return row.tool.pose
 
 
-def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> Array:
-    """What wrong constants of the camera and of what is seen do to each place, (n, 6, m), one deviation each.
+SEEN_SIZES = {"fiducial": TAG_SIZE, "shaft": SHAFT_RADIUS, "stereo": BASELINE}
+"""The size that depth goes by, for each method that sees the tool."""
 
-    A size that is off by a part scales the place; so does a baseline. A focal length scales its depth. A principal
-    point turns places about the camera; what it does to directions is small beside their own deviation.
+
+def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> dict[str, Array]:
+    """What constants of the camera, and of what is seen, that are larger than stated do to places, by their names.
+
+    Each is (n, 6, k), for one deviation of each of its k numbers. By a size that is stated too small, or a baseline,
+    a place is seen too near; by a focal length its depth is. A principal point turns places about the camera; what it
+    does to directions is small beside their own deviation.
     """
-    error = profile.camera_error
-    size = {
-        "fiducial": profile.fiducial.size_std_fraction if profile.fiducial else 0.0,
-        "shaft": profile.instrument.shaft_radius_std_fraction if profile.instrument else 0.0,
-        "stereo": error.baseline_std_fraction,
-    }[method]
-    depth = seen_m * [0.0, 0.0, 1.0]
-    turn_rad = error.centre_std_px / focal_px
-    columns = [_alone(size * seen_m), _alone(error.focal_std_fraction * depth)]
-    columns += [_alone(np.cross(turn_rad * axis, seen_m)) for axis in np.eye(3)[:2]]
-    return np.stack(columns, -1)
+    stated = stated_deviations(profile)
+    depth_m, turn_rad = seen_m * [0.0, 0.0, 1.0], stated[PRINCIPAL_POINT] / focal_px
+    turns = np.array([[0.0, turn_rad, 0.0], [-turn_rad, 0.0, 0.0]])
+    return {
+        SEEN_SIZES[method]: _alone(-stated.get(SEEN_SIZES[method], 0.0) * seen_m)[..., None],
+        FOCAL_LENGTH: _alone(-stated[FOCAL_LENGTH] * depth_m)[..., None],
+        PRINCIPAL_POINT: np.stack([_alone(np.cross(turn, seen_m)) for turn in turns], -1),
+    }
+
+
+def _effects(
+    fit: HandEyeFit, reported: ReportedTool, camera: Mapping[str, Array], profile: Profile
+) -> Iterator[ConstantEffect]:
+    """What each constant did to a fit, for the estimators that use it; without those that are stated to be exact."""
+    counts = dict.fromkeys(reported.names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
+    stated, at = stated_deviations(profile), 0
+    for name, count in counts.items():
+        rows, at = fit.effects[:, at : at + count].T, at + count
+        if stated.get(name, 0.0) > 0.0:
+            yield ConstantEffect(constant=name, deviation=stated[name], effects=rows.tolist())
 
 
 def _alone(shift_m: Array) -> Array:
@@ -153,7 +188,7 @@ def _alone(shift_m: Array) -> Array:
 
 def _result(
     fit: HandEyeFit,
-    places: ToolPlaces,
+    fitted: _Fitted,
     stamps_ns: NDArray[np.int64],
     recording: Recording,
     setup: Setup,
@@ -174,10 +209,11 @@ def _result(
             "reference": against,
             "frame_count": len(fit.agrees),
             "inlier_count": int(fit.agrees.sum()),
+            "constants": fitted.effects,
             "residual_rms_m": float(np.sqrt(np.mean(fit.residuals_m[fit.agrees] ** 2))),
         }
     )
-    middle_m = places.seen_m[fit.agrees].mean(0)
+    middle_m = fitted.places.seen_m[fit.agrees].mean(0)
     tool_std_m = float(np.sqrt(np.linalg.eigvalsh(stated.covariance_at(middle_m)[:3, :3])[-1]))
     return HandEyeResult(stated, fit, stamps_ns, tool_std_m, _from_log(recording, profile, T, middle_m))
 

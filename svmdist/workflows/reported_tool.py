@@ -31,7 +31,7 @@ class ReportedTool:
     """What the robot reports at stamps: poses in the base's frame (n, 4, 4), which are known, and their errors.
 
     `axes` (n, 3) are the shaft's directions, NaN where not known; `noise` (n, 3, 3) what differs from frame to frame;
-    `shared` (n, 6, m) what errors of all frames do to place and direction.
+    `shared` (n, 6, m) what errors of all frames do to place and direction, of the constants `names`.
     """
 
     T_base_tool: Array
@@ -39,6 +39,7 @@ class ReportedTool:
     axes: Array
     noise: Array
     shared: Array
+    names: tuple[str, ...] = ()
 
 
 def default_reference(recording: Recording, profile: Profile) -> Against:
@@ -82,10 +83,8 @@ def _by_joints(recording: Recording, profile: Profile, stamps_ns: NDArray[np.int
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)
     model = ErrorModel(chain, profile.kinematic_error)
-    columns, shaft = model.columns, shaft_of(chain)
-    joints = recording.joint_track()
-    shared_columns = [*range(*columns.offsets.indices(model.size)), columns.time_offset]
-    shared_columns += range(*columns.lengths.indices(model.size))
+    shaft, joints = shaft_of(chain), recording.joint_track()
+    names, shared_columns = tuple(model.constant_columns), list(model.constant_columns.values())
     poses, axes, noise, shared = [], [], [], []
     sampled = joints.at(stamps_ns)
     for stamp_ns, positions, valid in zip(stamps_ns, sampled.values, sampled.valid, strict=True):
@@ -115,6 +114,7 @@ def _by_joints(recording: Recording, profile: Profile, stamps_ns: NDArray[np.int
         np.reshape(axes, (-1, 3)),
         np.reshape(noise, (-1, 3, 3)),
         np.reshape(shared, (-1, 6, len(shared_columns))),
+        names,
     )
 
 
