@@ -24,6 +24,17 @@ MAX_FOCAL_PX = 1e7
 """Beyond it an image of 4,000 px is less than a minute of arc wide."""
 
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "fisheye"]
+KNOWN_DISTORTION: dict[str, DistortionModel] = {
+    "": "plumb_bob",
+    "none": "plumb_bob",
+    "plumb_bob": "plumb_bob",
+    "radtan": "plumb_bob",
+    "rational_polynomial": "rational_polynomial",
+    "equidistant": "fisheye",
+    "fisheye": "fisheye",
+    "kannala_brandt": "fisheye",
+}
+"""What a log or a calibration file may call a lens, and which model that is."""
 
 
 @dataclass(frozen=True)
@@ -149,14 +160,20 @@ class Camera:
         )
 
 
+def fisheye_coefficients(D: Array) -> Array:
+    """The four that OpenCV's fisheye lens takes, shape (4,): those that a log leaves out are 0."""
+    return np.resize(np.append(D, np.zeros(4)), 4)
+
+
 def _projected_by_opencv(p_m: Array, camera: Camera) -> Array:
     """Pixels of points, shape (n, 3), by a lens that is not the plain model's."""
     import cv2  # of few lenses: a camera is there without OpenCV
 
     origin = np.zeros(3)
     if camera.distortion_model == "fisheye":
-        D = np.resize(np.append(camera.D, np.zeros(4)), 4)
-        pixels, _ = cv2.fisheye.projectPoints(p_m[:, None], origin, origin, camera.K, D)
+        pixels, _ = cv2.fisheye.projectPoints(
+            p_m[:, None], origin, origin, camera.K, fisheye_coefficients(camera.D)
+        )
     else:
         pixels, _ = cv2.projectPoints(p_m, origin, origin, camera.K, camera.D)
     return np.asarray(pixels, np.float64).reshape(-1, 2)

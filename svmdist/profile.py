@@ -48,6 +48,7 @@ from svmdist.profile_segmentation import (
 )
 from svmdist.settings import Settings
 from svmdist.settings.stereo import StereoSettings
+from svmdist.stated_deviations import stated_deviations
 from svmdist.toml_model import Byte, StrictModel, parse_toml
 
 __all__ = [
@@ -170,7 +171,7 @@ class Profile(StrictModel):
         Raises UsageError that lists the names.
         """
         if name == self.instrument_name:
-            return self.model_copy(update={"other_instruments": (), **self._error_of(name)})
+            return self.model_copy(update={"other_instruments": ()})._with_hand_eye()
         other = next((other for other in self.other_instruments if other.name == name), None)
         if other is None:
             raise UsageError(
@@ -184,7 +185,6 @@ class Profile(StrictModel):
             "instrument_name": name,
             "entry": other.entry,
             "other_instruments": (),
-            **self._error_of(name),
         }
         if self.fiducial is not None:
             tag_id = other.fiducial_id
@@ -195,12 +195,15 @@ class Profile(StrictModel):
             update["instrument"] = other.instrument
         if other.simulation is not None and self.simulation is not None:
             update["simulation"] = self.simulation.model_copy(update=other.simulation.model_dump())
-        return self.model_copy(update=update)
+        return self.model_copy(update=update)._with_hand_eye()
 
-    def _error_of(self, name: str) -> dict[str, object]:
-        """The kinematic error of an instrument whose base is known by hand-eye; nothing for any other."""
-        found = self.hand_eye.of(name) if self.hand_eye is not None else None
-        return {} if found is None else {"kinematic_error": with_hand_eye(self.kinematic_error, found)}
+    def _with_hand_eye(self) -> Profile:
+        """With the kinematic error of an instrument whose base is known by hand-eye; the same of any other."""
+        found = self.camera_to_base
+        if found is None:
+            return self
+        error = with_hand_eye(self.kinematic_error, found, stated_deviations(self))
+        return self.model_copy(update={"kinematic_error": error})
 
     @property
     def camera_to_base(self) -> HandEye | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,10 +20,23 @@ FORMAT: Literal["svmdist.hand-eye/1"] = "svmdist.hand-eye/1"
 Six = tuple[float, float, float, float, float, float]
 
 
+class ConstantEffect(StrictModel):
+    """What a wrong constant did to a fitted transform: (δt, δφ), in m and rad, for one stated deviation of it.
+
+    A constant of several numbers has one row for each. `deviation` is what was stated at the fit, in the constant's
+    own unit: m, rad, s, px, or a fraction of it.
+    """
+
+    constant: str = Field(min_length=1)
+    deviation: float = Field(gt=0.0)
+    effects: tuple[Six, ...] = Field(min_length=1)
+
+
 class HandEye(StrictModel):
     """`T_camera_base` of one instrument, p_camera = R p_base + t, and the covariance of its error.
 
-    The error is (δt, δφ): t_true = t + δt in m, R_true = exp([δφ]) R in rad, both in the camera's axes.
+    The error is (δt, δφ): t_true = t + δt in m, R_true = exp([δφ]) R in rad, both in the camera's axes. `constants`
+    says which part of it is the work of constants that estimators use as well.
     """
 
     instrument: str = Field(min_length=1)
@@ -38,6 +52,7 @@ class HandEye(StrictModel):
     frame_count: int = Field(default=0, ge=0)
     inlier_count: int = Field(default=0, ge=0)
     residual_rms_m: float = Field(default=0.0, ge=0.0)
+    constants: tuple[ConstantEffect, ...] = ()
 
     @model_validator(mode="after")
     def _sound(self) -> HandEye:
@@ -54,9 +69,33 @@ class HandEye(StrictModel):
 
     def covariance_at(self, p_camera_m: Array) -> Array:
         """Covariance of (shift, turn), shape (6, 6), of what the base carries at a point of the camera frame, (3,)."""
+        J = self._carried_to(p_camera_m)
+        return np.asarray(J @ np.array(self.covariance) @ J.T)
+
+    def effects_at(self, p_camera_m: Array) -> dict[str, Array]:
+        """The same of each constant's effects, shape (6, k), by its name."""
+        J = self._carried_to(p_camera_m)
+        return {one.constant: J @ np.array(one.effects).T for one in self.constants}
+
+    def with_deviations(self, stated: Mapping[str, float]) -> HandEye:
+        """With deviations of constants as they are stated now; what is not stated counts as independent of all else."""
+        covariance, constants = np.array(self.covariance), []
+        for one in self.constants:
+            deviation = stated.get(one.constant, 0.0)
+            if one.constant not in stated:
+                continue
+            scale, effects = deviation / one.deviation, np.array(one.effects)
+            covariance += (scale**2 - 1.0) * effects.T @ effects
+            if deviation > 0.0:
+                scaled = (scale * effects).tolist()
+                constants.append(ConstantEffect(constant=one.constant, deviation=deviation, effects=scaled))
+        update = {"covariance": covariance.tolist(), "constants": tuple(constants)}
+        return HandEye.model_validate(self.model_dump() | update)
+
+    def _carried_to(self, p_camera_m: Array) -> Array:
         J = np.eye(6)
         J[:3, 3:] = -skew(p_camera_m - np.array(self.translation_m))
-        return np.asarray(J @ np.array(self.covariance) @ J.T)
+        return J
 
 
 class Source(StrictModel):
@@ -91,8 +130,14 @@ class HandEyeError(KinematicError):
     hand_eye: HandEye
 
 
-def with_hand_eye(error: KinematicError, hand_eye: HandEye) -> HandEyeError:
-    """The errors with the covariance of hand-eye in place of the stated deviations of the transform."""
+def with_hand_eye(
+    error: KinematicError, hand_eye: HandEye, stated_deviations: Mapping[str, float]
+) -> HandEyeError:
+    """The errors with the covariance of hand-eye in place of the stated deviations of the transform.
+
+    `stated_deviations` are those of all constants now, by their names.
+    """
+    hand_eye = hand_eye.with_deviations(stated_deviations)
     turn_var = float(np.linalg.eigvalsh(np.array(hand_eye.covariance)[3:, 3:])[-1])
     stated = error.model_dump() | {"camera_base_std_rad": float(np.sqrt(max(turn_var, 0.0)))}
     stated.pop("hand_eye", None)

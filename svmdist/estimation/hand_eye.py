@@ -54,6 +54,7 @@ class ToolPlaces:
 class HandEyeFit:
     """`T_camera_base`, covariance of (δt, δφ), (6, 6), which frames agree, (n,), and the residuals of all, (n,) in m.
 
+    `effects`, shape (6, m), is what shared errors, those of the robot first, do to (δt, δφ) for one deviation each;
     `ratio` is the mean squared residual over what is expected: above 1 the covariance has been enlarged by it.
     """
 
@@ -61,6 +62,7 @@ class HandEyeFit:
     covariance: Array
     agrees: NDArray[np.bool_]
     residuals_m: Array
+    effects: Array
     ratio: float
 
 
@@ -88,14 +90,14 @@ def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | 
             f"{number} of {count} places of the tool agree with the robot's motion: is it the same instrument, at the"
             " same time (--lag)?"
         )
-    covariance, ratio = _covariance(places, T, agrees, settings)
+    covariance, effects, ratio = _covariance(places, T, agrees, settings)
     turn_std_rad = float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
     if not turn_std_rad <= settings.max_turn_std_rad:
         return Failure(
             f"the rotation is uncertain by {np.degrees(turn_std_rad):.0f}°: move the tool further, in all directions"
         )
     residuals_m = np.linalg.norm(_residuals(places, T), axis=1)
-    return HandEyeFit(T, covariance, agrees, residuals_m, ratio)
+    return HandEyeFit(T, covariance, agrees, residuals_m, effects, ratio)
 
 
 def rigid_fit(seen_m: Array, nominal_m: Array, weights: Array | None = None) -> Array:
@@ -223,8 +225,10 @@ def _refined(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], settings: 
 
 def _covariance(
     places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], settings: HandEyeSettings
-) -> tuple[Array, float]:
-    """Covariance of (δt, δφ), and the mean squared residual over what is expected of it.
+) -> tuple[Array, Array, float]:
+    """Covariance of (δt, δφ), the part in it of each shared error, (6, m), and the ratio.
+
+    The ratio is the mean squared residual over what is expected of it.
 
     Noise counts as much more as residuals are larger than expected (Birge 1932), and as neighbours repeat each other,
     by what the residuals show or the settings say: errors of detections and play of joints last for some frames, where
@@ -242,8 +246,9 @@ def _covariance(
     step_s = float(np.median(np.diff(places.stamps_ns[agrees]))) / 1e9
     repeated = min(max(repeated, float(np.exp(-step_s / settings.correlation_time_s))), 0.95)
     noise = max(1.0, ratio) * (1.0 + repeated) / (1.0 - repeated)
-    shift = gain @ rows.J.T @ rows.H
-    return noise * gain + shift @ shift.T, ratio
+    # What was seen is off by H c, so the fit is off by as much, and its correction is the opposite.
+    effects = -gain @ rows.J.T @ rows.H
+    return noise * gain + effects @ effects.T, effects, ratio
 
 
 def _across(axes: Array, seen_m: Array) -> Array:

@@ -21,6 +21,7 @@ from svmdist.estimation.instrument.stereo_watch import DisparityWatch
 from svmdist.estimation.instrument.two_views import TwoViews
 from svmdist.estimation.shaft_pose.model import shaft_model
 from svmdist.estimation.shaft_pose.residuals import Landmarks
+from svmdist.estimation.tissue.height import depth_biases
 from svmdist.estimation.tissue.pose import require_tissue
 from svmdist.geometry.surfaces import Cloud
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
@@ -110,13 +111,8 @@ class StereoEstimator:
         right = frame.scene.observation.right
         assert right is not None  # the surface is of both views
         at_m = np.median(surface.points_m, 0)
-        T_right_left = inverse(right.T_left_right)
-        right_m = T_right_left[:3, :3] @ at_m + T_right_left[:3, 3]
-        _, slope = right.camera.project_with_derivative(right_m)
-        disparity_px = float(frame.left.camera.K[0, 0] * np.linalg.norm(T_right_left[:3, 3]) / at_m[2])
-        biases = frame.arm.deviations.of_disparity(right_m, slope[0], np.array(disparity_px), T_right_left)
-        variance_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
-        return float(at_m[2] / disparity_px * np.sqrt(variance_px2))
+        biases = depth_biases(at_m, frame.left.camera, right, frame.arm.deviations)
+        return float(np.sqrt(sum(float(np.sum(bias.jacobian**2)) for bias in biases)))
 
     def _tool(self, frame: Frame, pair: RectifiedPair) -> ToolPose | Rejection:
         """What both views show, fitted together; without sizes of a shaft the triangulated marker, turned nominally."""

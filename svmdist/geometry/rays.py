@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from svmdist.camera import Camera
+from svmdist.camera import Camera, fisheye_coefficients
 from svmdist.geometry.surfaces import Plane
 from svmdist.transforms import Array
 
@@ -16,8 +16,7 @@ def pixel_rays(camera: Camera, points_px: ArrayLike) -> Array:
     points = np.atleast_2d(np.asarray(points_px, np.float64))
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
     if camera.distortion_model == "fisheye":
-        D = np.resize(np.append(camera.D, np.zeros(4)), 4)
-        straight = cv2.fisheye.undistortPoints(points[:, None], camera.K, D)
+        straight = cv2.fisheye.undistortPoints(points[:, None], camera.K, fisheye_coefficients(camera.D))
     else:
         straight = cv2.undistortPoints(
             points[:, None], camera.K, camera.D if len(camera.D) else None, None, None, None, criteria

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from svmdist.camera import KNOWN_DISTORTION
 from svmdist.errors import SourceError, did_you_mean
 from svmdist.importing.yaml_file import read_yaml
 from svmdist.transforms import Array
@@ -24,17 +25,6 @@ WIDTH_KEYS = ("image_width", "width", "image_Width")
 HEIGHT_KEYS = ("image_height", "height", "image_Height")
 PAIR_K_KEYS = (("M1", "M2"), ("K1", "K2"), ("cameraMatrix1", "cameraMatrix2"))
 PAIR_D_KEYS = (("D1", "D2"), ("distCoeffs1", "distCoeffs2"))
-MODELS = {
-    "": "plumb_bob",
-    "none": "plumb_bob",
-    "plumb_bob": "plumb_bob",
-    "radtan": "plumb_bob",
-    "rational_polynomial": "rational_polynomial",
-    "equidistant": "fisheye",
-    "fisheye": "fisheye",
-    "kannala_brandt": "fisheye",
-}
-"""Names of distortion models, and what svmdist calls them."""
 FORMS = "camera_info of ROS (camera_matrix or K), OpenCV (camera_matrix, or M1, D1, M2, D2, R, T), Kalibr (cam0, cam1)"
 
 
@@ -69,9 +59,9 @@ def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...
 
 def model_of(name: str, count: int) -> str:
     """What svmdist calls a distortion model, by its name and its number of coefficients; ValueError for another one."""
-    known = MODELS.get(name.lower())
+    known = KNOWN_DISTORTION.get(name.lower())
     if known is None:
-        raise ValueError(f"distortion model {name!r}: {did_you_mean(name, filter(None, MODELS))}")
+        raise ValueError(f"distortion model {name!r}: {did_you_mean(name, filter(None, KNOWN_DISTORTION))}")
     if known == "fisheye" and count != 4:
         raise ValueError(f"distortion model {name} has 4 coefficients, found {count}")
     if count not in (0, 4, 5, 8, 12, 14):

@@ -12,7 +12,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from svmdist.camera import Camera
+from svmdist.camera import Camera, fisheye_coefficients
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
 
@@ -95,7 +95,7 @@ def _maps(
     coefficients = np.frombuffer(D)
     if model == "fisheye":
         maps = cv2.fisheye.initUndistortRectifyMap(
-            K_from, np.resize(np.append(coefficients, np.zeros(4)), 4), R, K_to, size_px, cv2.CV_16SC2
+            K_from, fisheye_coefficients(coefficients), R, K_to, size_px, cv2.CV_16SC2
         )
     else:
         maps = cv2.initUndistortRectifyMap(K_from, coefficients, R, K_to, size_px, cv2.CV_16SC2)

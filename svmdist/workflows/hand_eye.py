@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -17,11 +17,19 @@ from svmdist.kinematics.dh import DHChain
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import Profile
-from svmdist.profile_hand_eye import HandEye
+from svmdist.profile_hand_eye import ConstantEffect, HandEye
 from svmdist.recording.arms import FixedTransform
 from svmdist.recording.reader import Recording
 from svmdist.results import Failure, FrameResult, ToolPose
 from svmdist.samples import JointSample
+from svmdist.stated_deviations import (
+    BASELINE,
+    FOCAL_LENGTH,
+    PRINCIPAL_POINT,
+    SHAFT_RADIUS,
+    TAG_SIZE,
+    stated_deviations,
+)
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, inverse, rotation_angle, skew
 from svmdist.workflows.replay import replay
@@ -54,7 +62,7 @@ class _Reported:
     """What the robot reports at stamps: poses in the base's frame (n, 4, 4), which are known, and their errors.
 
     `axes` (n, 3) are the shaft's directions, NaN where not known; `noise` (n, 3, 3) what differs from frame to frame;
-    `shared` (n, 6, m) what errors of all frames do to place and direction.
+    `shared` (n, 6, m) what errors of all frames do to place and direction, of the constants `names`.
     """
 
     T_base_tool: Array
@@ -62,6 +70,16 @@ class _Reported:
     axes: Array
     noise: Array
     shared: Array
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """The fit, or why there is none, the places that it is of, and what constants did to it."""
+
+    fit: HandEyeFit | Failure
+    places: ToolPlaces
+    effects: tuple[ConstantEffect, ...]
 
 
 def hand_eye(
@@ -89,17 +107,17 @@ def hand_eye(
     focal_px = float(recording.camera.K[0, 0])
     rows = _seen(blind, setup, instrument, jobs)
     reported = _reported(own, profile, against, _stamps(rows))
-    fit, places = _fit(rows, reported, setup, profile, focal_px)
-    if isinstance(fit, HandEyeFit) and against == "kinematics" and setup.method != "fiducial":
-        knowing = blind.with_bases({instrument: FixedTransform(fit.T_camera_base)})
+    fitted = _fit(rows, reported, setup, profile, focal_px)
+    if isinstance(fitted.fit, HandEyeFit) and against == "kinematics" and setup.method != "fiducial":
+        knowing = blind.with_bases({instrument: FixedTransform(fitted.fit.T_camera_base)})
         again = _seen(knowing, setup, instrument, jobs)
         reported_again = _reported(own, profile, against, _stamps(again))
-        second, places_again = _fit(again, reported_again, setup, profile, focal_px)
-        if isinstance(second, HandEyeFit):
-            rows, fit, places = again, second, places_again
-    if isinstance(fit, Failure):
-        return fit
-    return _result(fit, places, _stamps(rows), own, setup, profile, against)
+        second = _fit(again, reported_again, setup, profile, focal_px)
+        if isinstance(second.fit, HandEyeFit):
+            rows, fitted = again, second
+    if isinstance(fitted.fit, Failure):
+        return fitted.fit
+    return _result(fitted.fit, fitted, _stamps(rows), own, setup, profile, against)
 
 
 def replace_profile(profile: Profile, instrument: str) -> Profile:
@@ -157,10 +175,8 @@ def _by_joints(recording: Recording, profile: Profile, stamps_ns: NDArray[np.int
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)
     model = ErrorModel(chain, profile.kinematic_error)
-    columns, shaft = model.columns, shaft_of(chain)
-    joints = recording.joint_track()
-    shared_columns = [*range(*columns.offsets.indices(model.size)), columns.time_offset]
-    shared_columns += range(*columns.lengths.indices(model.size))
+    shaft, joints = shaft_of(chain), recording.joint_track()
+    names, shared_columns = tuple(model.constant_columns), list(model.constant_columns.values())
     poses, axes, noise, shared = [], [], [], []
     sampled = joints.at(stamps_ns)
     for stamp_ns, positions, valid in zip(stamps_ns, sampled.values, sampled.valid, strict=True):
@@ -190,6 +206,7 @@ def _by_joints(recording: Recording, profile: Profile, stamps_ns: NDArray[np.int
         np.reshape(axes, (-1, 3)),
         np.reshape(noise, (-1, 3, 3)),
         np.reshape(shared, (-1, 6, len(shared_columns))),
+        names,
     )
 
 
@@ -206,10 +223,11 @@ def _state(chain: DHChain, joints: JointTrack, stamp_ns: int, positions: Array) 
 
 def _fit(
     rows: Sequence[FrameResult], reported: _Reported, setup: Setup, profile: Profile, focal_px: float
-) -> tuple[HandEyeFit | Failure, ToolPlaces]:
+) -> _Fitted:
     known = np.flatnonzero(reported.valid)
     tools = [_pose(rows[int(place)]) for place in known]
     seen_m = np.reshape([tool.position_m for tool in tools], (-1, 3))
+    camera = _camera_errors(seen_m, setup.method, profile, focal_px)
     places = ToolPlaces(
         _stamps(rows)[known],
         seen_m,
@@ -220,9 +238,12 @@ def _fit(
         np.where(np.isfinite(reported.axes[known]).all(1), [tool.shaft_std_rad for tool in tools], np.nan),
         reported.axes[known],
         reported.shared[known],
-        _camera_errors(seen_m, setup.method, profile, focal_px),
+        np.concatenate(list(camera.values()), 2),
     )
-    return fit_hand_eye(places, profile.settings.hand_eye), places
+    fit = fit_hand_eye(places, profile.settings.hand_eye)
+    return _Fitted(
+        fit, places, () if isinstance(fit, Failure) else tuple(_effects(fit, reported, camera, profile))
+    )
 
 
 def _pose(row: FrameResult) -> ToolPose:
@@ -230,23 +251,37 @@ def _pose(row: FrameResult) -> ToolPose:
     return row.tool.pose
 
 
-def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> Array:
-    """What wrong constants of the camera and of what is seen do to each place, (n, 6, m), one deviation each.
+SEEN_SIZES = {"fiducial": TAG_SIZE, "shaft": SHAFT_RADIUS, "stereo": BASELINE}
+"""The size that depth goes by, for each method that sees the tool."""
 
-    A size that is off by a part scales the place; so does a baseline. A focal length scales its depth. A principal
-    point turns places about the camera; what it does to directions is small beside their own deviation.
+
+def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> dict[str, Array]:
+    """What constants of the camera, and of what is seen, that are larger than stated do to places, by their names.
+
+    Each is (n, 6, k), for one deviation of each of its k numbers. By a size that is stated too small, or a baseline,
+    a place is seen too near; by a focal length its depth is. A principal point turns places about the camera; what it
+    does to directions is small beside their own deviation.
     """
-    error = profile.camera_error
-    size = {
-        "fiducial": profile.fiducial.size_std_fraction if profile.fiducial else 0.0,
-        "shaft": profile.instrument.shaft_radius_std_fraction if profile.instrument else 0.0,
-        "stereo": error.baseline_std_fraction,
-    }[method]
-    depth = seen_m * [0.0, 0.0, 1.0]
-    turn_rad = error.centre_std_px / focal_px
-    columns = [_alone(size * seen_m), _alone(error.focal_std_fraction * depth)]
-    columns += [_alone(np.cross(turn_rad * axis, seen_m)) for axis in np.eye(3)[:2]]
-    return np.stack(columns, -1)
+    stated = stated_deviations(profile)
+    depth_m, turn_rad = seen_m * [0.0, 0.0, 1.0], stated[PRINCIPAL_POINT] / focal_px
+    turns = np.array([[0.0, turn_rad, 0.0], [-turn_rad, 0.0, 0.0]])
+    return {
+        SEEN_SIZES[method]: _alone(-stated.get(SEEN_SIZES[method], 0.0) * seen_m)[..., None],
+        FOCAL_LENGTH: _alone(-stated[FOCAL_LENGTH] * depth_m)[..., None],
+        PRINCIPAL_POINT: np.stack([_alone(np.cross(turn, seen_m)) for turn in turns], -1),
+    }
+
+
+def _effects(
+    fit: HandEyeFit, reported: _Reported, camera: Mapping[str, Array], profile: Profile
+) -> Iterator[ConstantEffect]:
+    """What each constant did to a fit, for the estimators that use it; without those that are stated to be exact."""
+    counts = dict.fromkeys(reported.names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
+    stated, at = stated_deviations(profile), 0
+    for name, count in counts.items():
+        rows, at = fit.effects[:, at : at + count].T, at + count
+        if stated.get(name, 0.0) > 0.0:
+            yield ConstantEffect(constant=name, deviation=stated[name], effects=rows.tolist())
 
 
 def _alone(shift_m: Array) -> Array:
@@ -256,7 +291,7 @@ def _alone(shift_m: Array) -> Array:
 
 def _result(
     fit: HandEyeFit,
-    places: ToolPlaces,
+    fitted: _Fitted,
     stamps_ns: NDArray[np.int64],
     recording: Recording,
     setup: Setup,
@@ -277,10 +312,11 @@ def _result(
             "reference": against,
             "frame_count": len(fit.agrees),
             "inlier_count": int(fit.agrees.sum()),
+            "constants": fitted.effects,
             "residual_rms_m": float(np.sqrt(np.mean(fit.residuals_m[fit.agrees] ** 2))),
         }
     )
-    middle_m = places.seen_m[fit.agrees].mean(0)
+    middle_m = fitted.places.seen_m[fit.agrees].mean(0)
     tool_std_m = float(np.sqrt(np.linalg.eigvalsh(stated.covariance_at(middle_m)[:3, :3])[-1]))
     return HandEyeResult(stated, fit, stamps_ns, tool_std_m, _from_log(recording, profile, T, middle_m))
 

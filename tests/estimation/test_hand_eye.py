@@ -104,6 +104,21 @@ def test_errors_are_within_the_stated_ellipsoid(shared: int) -> None:
     assert shared > 0 or 3.0 < np.mean(distances) < 8.0
 
 
+def test_effects_are_what_shared_errors_do_to_the_transform() -> None:
+    """Where one of them is what is wrong, the true transform is the fitted one and its effect."""
+    rng = np.random.default_rng(6)
+    places = _places(rng, 40, 1e-4)
+    errors = np.zeros((40, 6, 2))
+    errors[:, :3, 0] = 0.02 * places.seen_m
+    errors[:, :3, 1] = 0.01 * np.roll(places.seen_m, 1, 1)
+    for which, size in ((0, 0.3), (1, -0.4)):
+        wrong = replace(places, seen_m=places.seen_m + size * errors[:, :3, which], camera_shared=errors)
+        fit, plain = _fitted(wrong), _fitted(replace(places, camera_shared=errors))
+        moved = _error(fit) - _error(plain)
+        np.testing.assert_allclose(moved, size * fit.effects[:, which], atol=2e-4)
+        assert np.linalg.norm(moved[:3]) > 5e-4
+
+
 def test_directions_help_a_small_motion() -> None:
     """Where the tool moves by a few mm, the shaft's direction makes the rotation surer."""
     rng = np.random.default_rng(5)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 
 from svmdist.estimation.arm import Arm
@@ -160,13 +159,12 @@ class ToolDetections:
         from svmdist.vision.silhouette import find_silhouette
 
         masks, instrument = view.masks, self._arm.profile.instrument
-        if not masks.seen or instrument is None or masks.black is None:
+        if not masks.seen or instrument is None:
             return None
-        picture = np.asarray(cv2.bitwise_not(masks.black), np.uint8)
         return find_silhouette(
             view.context.bgr_as_recorded,
             masks.seen[0],
-            picture,
+            masks.picture,
             wrist_shape(self._arm.required_chain, instrument),
             self._settings.silhouette,
             self._settings.shaft,

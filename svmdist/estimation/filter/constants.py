@@ -14,9 +14,14 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.profile import CameraError, Profile
+from svmdist.stated_deviations import BASELINE, FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS, TAG_SIZE
 from svmdist.transforms import Array, cross, skew
 
 FOR_EVER_S = np.inf
+MIN_DEPTH_M = 1e-3
+"""What is nearer to the camera, or behind it, has no image."""
+AHEAD_M = np.array([0.0, 0.0, 1.0])
+"""Stands in for a point that cannot be seen, so that its projection is a number."""
 NEAR_M = 1e-3
 """A camera is no nearer to an edge than this: it bounds a derivative."""
 
@@ -65,7 +70,7 @@ class Deviations:
         """Of projected points, shape (..., 2): focal length and principal point."""
         focal = self.camera.focal_std_fraction * (pixels - camera.K[:2, 2])
         centre = np.broadcast_to(self.camera.centre_std_px * np.eye(2), (*pixels.shape, 2))
-        return SharedBias("focal length", focal[..., None]), SharedBias("principal point", centre)
+        return SharedBias(FOCAL_LENGTH, focal[..., None]), SharedBias(PRINCIPAL_POINT, centre)
 
     def of_disparity(
         self, p_right_m: Array, slope_right: Array, disparity_px: Array, T_right_left: Array
@@ -81,15 +86,24 @@ class Deviations:
             ..., 0, :
         ] * self.camera.right_rotation_std_rad
         return (
-            SharedBias("focal length", focal),
-            SharedBias("baseline", by_baseline[..., None, None]),
+            SharedBias(FOCAL_LENGTH, focal),
+            SharedBias(BASELINE, by_baseline[..., None, None]),
             SharedBias("right camera's rotation", by_turn[..., None, :]),
         )
+
+    def of_disparity_at(
+        self, p_left_m: Array, right: Camera, disparity_px: Array, T_right_left: Array
+    ) -> tuple[SharedBias, ...]:
+        """The same of the disparity of points in the left camera, shape (..., 3), as the right camera sees them."""
+        p_right_m = (T_right_left[..., :3, :3] @ p_left_m[..., None])[..., 0] + T_right_left[..., :3, 3]
+        p_right_m = np.where(p_right_m[..., 2:] >= MIN_DEPTH_M, p_right_m, AHEAD_M)
+        _, slope = right.project_with_derivative(p_right_m)
+        return self.of_disparity(p_right_m, slope[..., 0, :], disparity_px, T_right_left)
 
     def of_radius(self, radius_px: Array) -> tuple[SharedBias, ...]:
         """Of a sphere's apparent radius, shape (...): focal length and the sphere's radius."""
         return (
-            SharedBias("focal length", self.camera.focal_std_fraction * radius_px[..., None, None]),
+            SharedBias(FOCAL_LENGTH, self.camera.focal_std_fraction * radius_px[..., None, None]),
             SharedBias("marker radius", self.marker_radius_fraction * radius_px[..., None, None]),
         )
 
@@ -105,9 +119,9 @@ class Deviations:
         centre = -self.camera.centre_std_px * across[..., :, 2:] * (normal[..., None, :2] / focal_px)
         radius = across @ (by_radius * radius_m[..., None])[..., None] * self.shaft_radius_fraction
         return (
-            SharedBias("focal length", focal),
-            SharedBias("principal point", centre),
-            SharedBias("shaft radius", radius),
+            SharedBias(FOCAL_LENGTH, focal),
+            SharedBias(PRINCIPAL_POINT, centre),
+            SharedBias(SHAFT_RADIUS, radius),
         )
 
     def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[SharedBias, ...]:
@@ -131,9 +145,9 @@ class Deviations:
         mounting[..., :3, :3] = self.tag_position_m * R
         mounting[..., 3:, 3:] = self.tag_rotation_rad * R
         return (
-            SharedBias("focal length", focal),
-            SharedBias("principal point", centre),
-            SharedBias("tag size", size),
+            SharedBias(FOCAL_LENGTH, focal),
+            SharedBias(PRINCIPAL_POINT, centre),
+            SharedBias(TAG_SIZE, size),
             SharedBias("tag mounting", mounting),
         )
 

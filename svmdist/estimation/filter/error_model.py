@@ -41,6 +41,7 @@ class ErrorModel:
         self._play_std = error.play_std_rad * turns + error.play_std_m * slides
         self.columns = self._joints.columns
         self.size = self.columns.size
+        self.constant_columns = self._joints.constant_columns
         length, angle = error.drift_m_per_sqrt_s, error.drift_rad_per_sqrt_s
         self._drift = np.zeros(self.size)
         self._drift[:3], self._drift[3:6] = length, angle
@@ -97,7 +98,26 @@ class ErrorModel:
         P[at.offsets, at.offsets] = np.diag(self._joint_std**2)
         P[at.time_offset, at.time_offset] = self._error.time_offset_std_s**2
         P[at.lengths, at.lengths] = self._error.length_std_m**2 * np.eye(at.length_count)
+        # What a transform by hand-eye owes to the offset of a joint is not to be counted beside that offset.
+        for name, effect in self._hand_eye_effects(robot).items():
+            if (column := self.constant_columns.get(name)) is not None:
+                P[:6, column] = effect[:, 0] * np.sqrt(P[column, column])
+                P[column, :6] = P[:6, column]
         return P + self.play_covariance
+
+    def prior_with_constants(self, robot: RobotState) -> dict[str, Array]:
+        """Covariance, shape (n, k), of the error state with constants of variance one that are no part of it."""
+        found = {}
+        for name, effect in self._hand_eye_effects(robot).items():
+            if name not in self.constant_columns:
+                found[name] = np.zeros((self.size, effect.shape[1]))
+                found[name][:6] = effect
+        return found
+
+    def _hand_eye_effects(self, robot: RobotState) -> dict[str, Array]:
+        if isinstance(self._error, HandEyeError):
+            return self._error.hand_eye.effects_at(self.anchor_m(robot))
+        return {}
 
     def _transform_covariance(self, robot: RobotState) -> Array:
         """Covariance of shift and turn at the anchor, shape (6, 6), by a wrong camera-to-base transform."""

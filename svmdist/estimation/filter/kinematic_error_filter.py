@@ -167,7 +167,8 @@ class KinematicErrorFilter:
 
     def _start(self) -> None:
         prior = self._state.start()
-        self._window = Window(self._model, self._state.anchor_m, prior, self._settings)
+        with_constants = self._model.prior_with_constants(self._state.robot)
+        self._window = Window(self._model, self._state.anchor_m, prior, self._settings, with_constants)
         self._rejections = self._contradictions = 0
         self._age_s = 0.0
         self.consistency.clear()
@@ -234,7 +235,7 @@ class KinematicErrorFilter:
         The batch takes the biases of measurements for noise; the filter knows that they last.
         """
         size, state = self._model.size, self._state
-        state.reset_bias_states(self._window.prior_at(at))
+        state.reset_bias_states(self._window.prior_at(at), self._window.prior_with_constants_at(at))
         # What is to be added to `at`: at first all the way back to no correction.
         to_correction = self._window.step_to_prior(at)
         stamp_ns = None

@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 from svmdist.estimation.filter.constants import SharedBias
 from svmdist.transforms import Array
 
-MIN_DEPTH_M = 1e-3
-"""What is nearer to the camera, or behind it, has no image."""
-
 
 @dataclass(frozen=True, slots=True)
 class PoseResidual:

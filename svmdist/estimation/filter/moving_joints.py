@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.kinematics.dh import DHChain
+from svmdist.stated_deviations import TIME_OFFSET, length_of, offset_of
 from svmdist.transforms import Array
 
 
@@ -44,6 +45,14 @@ class MovingJoints:
     def columns(self) -> ErrorColumns:
         """Where in the error state what stands."""
         return ErrorColumns(len(self.turns), len(self.lengths))
+
+    @property
+    def constant_columns(self) -> dict[str, int]:
+        """Where in the error state each constant stands, by its name."""
+        at, names = self.columns, self.chain.joint_names[self.first_joint :]
+        found = {offset_of(name): at.offsets.start + place for place, name in enumerate(names)}
+        found |= {length_of(place): at.lengths.start + place for place in range(at.length_count)}
+        return found | {TIME_OFFSET: at.time_offset}
 
     @classmethod
     def of(cls, chain: DHChain, first_joint: int) -> MovingJoints:

@@ -9,14 +9,12 @@ from typing import ClassVar
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter.constants import EXACT, Deviations, SharedBias
-from svmdist.estimation.filter.measurement import MIN_DEPTH_M, ConstantBias, PoseResidual
+from svmdist.estimation.filter.constants import AHEAD_M, EXACT, MIN_DEPTH_M, Deviations, SharedBias
+from svmdist.estimation.filter.measurement import ConstantBias, PoseResidual
 from svmdist.settings.filter import FilterSettings
 from svmdist.transforms import Array, skew
 from svmdist.vision.sphere import apparent_radius_px
 
-AHEAD_M = np.array([0.0, 0.0, 1.0])
-"""Stands in for a point that cannot be seen, so that its projection is a number."""
 MARKER = "distal marker"
 POINT_CORRELATION_TIME_S = FilterSettings().point_correlation_time_s
 
@@ -159,13 +157,8 @@ class DisparityMeasurement(_PointBias):
         """Focal length, baseline, the right camera's rotation, and what lasts of the disparity itself."""
         arm_m = (T_camera_link[..., :3, :3] @ np.asarray(self.p_link_m)[..., None])[..., 0]
         p_left_m = arm_m + T_camera_link[..., :3, 3]
-        p_right_m = (self.T_right_left[..., :3, :3] @ p_left_m[..., None])[..., 0] + self.T_right_left[
-            ..., :3, 3
-        ]
-        p_right_m = np.where(p_right_m[..., 2:] >= MIN_DEPTH_M, p_right_m, AHEAD_M)
-        _, slope = self.right.project_with_derivative(p_right_m)
         disparity_px = np.asarray(self.disparity_px, np.float64)
-        biases = self.deviations.of_disparity(p_right_m, slope[..., 0, :], disparity_px, self.T_right_left)
+        biases = self.deviations.of_disparity_at(p_left_m, self.right, disparity_px, self.T_right_left)
         lasting = np.broadcast_to(
             np.asarray(self.lasting_std_px)[..., None, None], (*disparity_px.shape, 1, 1)
         )

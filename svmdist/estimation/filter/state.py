@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 
 import numpy as np
 
+from svmdist.estimation.filter.constants import SharedBias
 from svmdist.estimation.filter.corrected_links import CorrectedLink, CorrectedLinks, NominalFrames
 from svmdist.estimation.filter.correction import Correction
 from svmdist.estimation.filter.error_model import ErrorModel
@@ -62,7 +63,7 @@ class ErrorState:
         self.anchor_m = self.model.anchor_m(self.robot)
         self.correction = self.model.no_correction()
         prior = self.model.prior(self.robot)
-        self.reset_bias_states(prior)
+        self.reset_bias_states(prior, self.model.prior_with_constants(self.robot))
         return prior
 
     def retracted(self, x: Array) -> ErrorState:
@@ -82,25 +83,35 @@ class ErrorState:
         P = keep @ self.P @ keep.T + K @ R @ K.T
         self.P = 0.5 * (P + P.T)
 
-    def reset_bias_states(self, P: Array) -> None:
-        """Begin anew with a covariance of the correction, shape (n, n), and no biases of measurements."""
+    def reset_bias_states(self, P: Array, with_constants: Mapping[str, Array]) -> None:
+        """Begin anew with a covariance of the correction, shape (n, n), and no biases of measurements.
+
+        `with_constants` is the correction's covariance, shape (n, k), with constants that had a part in it.
+        """
         self.P, self.bias_mean = P, np.zeros(0)
         self._bias_slices, self._correlation_times_s = {}, np.zeros(0)
+        for name, covariance in with_constants.items():
+            self._append(SharedBias(name, covariance))
+            at = self._bias_slices[name]
+            self.P[: self.model.size, at] = covariance
+            self.P[at, : self.model.size] = covariance.T
 
     def augment_state(self, parts: Sequence[Linearised]) -> None:
         """The first measurement of a kind, or that a constant matters to, adds its bias, of variance one."""
         for bias in (bias for part in parts for bias in part.biases):
-            if bias.name in self._bias_slices:
-                continue
-            at, count = len(self.P), bias.jacobian.shape[-1]
-            grown = np.eye(at + count)
-            grown[:at, :at] = self.P
-            self.P = grown
-            self._bias_slices[bias.name] = slice(at, at + count)
-            self.bias_mean = np.concatenate([self.bias_mean, np.zeros(count)])
-            self._correlation_times_s = np.concatenate(
-                [self._correlation_times_s, np.full(count, bias.correlation_time_s)]
-            )
+            if bias.name not in self._bias_slices:
+                self._append(bias)
+
+    def _append(self, bias: SharedBias) -> None:
+        at, count = len(self.P), bias.jacobian.shape[-1]
+        grown = np.eye(at + count)
+        grown[:at, :at] = self.P
+        self.P = grown
+        self._bias_slices[bias.name] = slice(at, at + count)
+        self.bias_mean = np.concatenate([self.bias_mean, np.zeros(count)])
+        self._correlation_times_s = np.concatenate(
+            [self._correlation_times_s, np.full(count, bias.correlation_time_s)]
+        )
 
     def bias(self, name: str) -> float:
         """The mean of a bias of one number, in units of its deviation; 0 for one that is not there."""

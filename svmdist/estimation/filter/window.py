@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,9 +62,21 @@ class _Weighed:
 
 
 class Window:
-    """The first frames of a filter that starts at `anchor_m`, shape (3,), with a prior covariance (n, n)."""
+    """The first frames of a filter that starts at `anchor_m`, shape (3,), with a prior covariance (n, n).
 
-    def __init__(self, model: ErrorModel, anchor_m: Array, prior: Array, settings: FilterSettings) -> None:
+    `with_constants` is the prior's covariance with constants, shape (n, k) each: the batch takes what they do for
+    noise, but the filter that follows does not.
+    """
+
+    def __init__(
+        self,
+        model: ErrorModel,
+        anchor_m: Array,
+        prior: Array,
+        settings: FilterSettings,
+        with_constants: Mapping[str, Array] | None = None,
+    ) -> None:
+        self._with_constants = with_constants or {}
         self._model = model
         self._anchor_m = anchor_m
         self._prior = prior
@@ -117,6 +129,11 @@ class Window:
         """The prior's covariance in the error state about a correction, shape (n, n)."""
         back = np.linalg.inv(_tangent(at))
         return np.asarray(back @ self._prior @ back.T)
+
+    def prior_with_constants_at(self, at: Correction) -> dict[str, Array]:
+        """The same of its covariance with constants, shape (n, k) each."""
+        back = np.linalg.inv(_tangent(at))
+        return {name: back @ covariance for name, covariance in self._with_constants.items()}
 
     def step_to_prior(self, at: Correction) -> Array:
         """The error state about a correction that leads to the prior's mean, shape (n,)."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.estimation.filter.constants import EXACT, Deviations
+from svmdist.estimation.gate import chi_square_bound
 from svmdist.estimation.instrument.stereo_watch import DisparityCheck
 from svmdist.estimation.instrument.two_views import (
     DISPARITY,
@@ -32,8 +33,14 @@ from svmdist.estimation.shaft_pose.residuals import (
     ShaftState,
     prior_residual,
 )
+from svmdist.estimation.shaft_pose.solution import (
+    by_constants,
+    normal_equations,
+    normalised_square,
+    retracted,
+)
 from svmdist.estimation.shaft_pose.start import first_shaft
-from svmdist.least_squares import NormalEquations, Steps, minimise
+from svmdist.least_squares import Steps, minimise
 from svmdist.results import Failure, ToolPose, across_std_rad
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.settings.stereo import StereoSettings
@@ -45,8 +52,6 @@ MAX_CHECK_STD = 0.1
 """Of the depth: what tells it less certainly is no check of a disparity."""
 CERTAIN = 100.0
 """What costs more to refuse than this is not refused."""
-MAX_TURN_RAD = 0.5
-"""Of one step: beyond it the derivatives of the residuals say nothing."""
 SUSPECTS = 6
 """Of contradicting measurements, those with the largest residuals are tried to do without."""
 ONE_IN_400 = 2.807
@@ -77,7 +82,7 @@ class _Solution:
     def excess(self, gate_chi2: float) -> dict[str, float]:
         """Each residual's normalised square over what one in 400 true ones exceeds."""
         return {
-            name: _square(residual) / _bound(gate_chi2, len(residual.whitened))
+            name: normalised_square(residual) / _bound(gate_chi2, len(residual.whitened))
             for name, residual in self.found.items()
         }
 
@@ -173,7 +178,7 @@ def _check(
     residual = measured[DISPARITY](without.state)
     slope = residual.derivative[0]
     of_pose = float(slope @ np.linalg.inv(without.information) @ slope)
-    C = _by_constants([residual])
+    C = by_constants([residual])
     std = float(np.sqrt(of_pose + 1.0 + (C @ C.T)[0, 0]))
     # Whitened numbers over what all of the depth would change: a share of the disparity, or of the depth.
     tool_m = BentTool.of(without.state, model).T[:3, 3]
@@ -268,53 +273,20 @@ def _solve(start: Array, measured: dict[str, Predicted], model: ShaftModel) -> _
         found = {name: predict(state) for name, predict in measured.items()}
         return found | {PRIOR: prior_residual(state, start, model)}
 
-    def linearise(state: ShaftState) -> NormalEquations:
-        found = list(residuals(state).values())
-        r = np.concatenate([residual.whitened for residual in found])
-        J = np.concatenate([residual.derivative for residual in found])
-        # Errors of constants are unknowns of variance one, solved for and left out: I + C Cᵀ in place of I.
-        C = _by_constants(found)
-        weighted = np.linalg.solve(np.eye(len(r)) + C @ C.T, np.column_stack([J, r]))
-        return NormalEquations(float(r @ weighted[:, -1]), J.T @ weighted[:, -1], J.T @ weighted[:, :-1])
-
-    def retract(state: ShaftState, step: Array) -> ShaftState:
-        turn_rad = float(np.linalg.norm(step[3:]))
-        return state.retracted(step * min(1.0, MAX_TURN_RAD / max(turn_rad, 1e-12)))
-
-    least = minimise(ShaftState(start, np.zeros(2)), linearise, retract, STEPS)
+    least = minimise(
+        ShaftState(start, np.zeros(2)),
+        lambda state: normal_equations(list(residuals(state).values())),
+        retracted,
+        STEPS,
+    )
     if least is None:
         return None
     return _Solution(least.state, residuals(least.state), least.equations.cost, least.equations.information)
 
 
-def _by_constants(found: list[Residual]) -> Array:
-    """Derivative of all residuals, one below the other, by every constant, shape (m, k): several may share one."""
-    columns: dict[str, Array] = {}
-    rows, at = sum(len(residual.whitened) for residual in found), 0
-    for residual in found:
-        after = at + len(residual.whitened)
-        for bias in residual.constants:
-            column = columns.setdefault(bias.name, np.zeros((rows, bias.jacobian.shape[-1])))
-            column[at:after] += bias.jacobian
-        at = after
-    return np.concatenate([np.zeros((rows, 0)), *columns.values()], -1)
-
-
-def _square(residual: Residual) -> float:
-    """The residual's normalised square, with what constants may do to it."""
-    C = _by_constants([residual])
-    covariance = np.eye(len(residual.whitened)) + C @ C.T
-    return float(residual.whitened @ np.linalg.solve(covariance, residual.whitened))
-
-
 def _bound(gate_chi2: float, count: int) -> float:
-    """The gate of two numbers, for as many as a residual has (Wilson and Hilferty 1931, at one in 400)."""
-
-    def quantile(k: int) -> float:
-        part = 2.0 / (9.0 * k)
-        return float(k * (1.0 - part + ONE_IN_400 * np.sqrt(part)) ** 3)
-
-    return gate_chi2 * quantile(count) / quantile(2)
+    """The gate of two numbers, for as many as a residual has, at one in 400."""
+    return gate_chi2 * chi_square_bound(count, ONE_IN_400) / chi_square_bound(2, ONE_IN_400)
 
 
 def _with_doubt(
@@ -340,7 +312,7 @@ def _with_doubt(
     if SIZE in measured and has_width + (DISPARITY in found) < 2:
         residual = measured[SIZE](agreed.state)
         bound = stereo.kept_doubt_stds**2 if SIZE in found else settings.doubt_square
-        if _square(residual) > bound:
+        if normalised_square(residual) > bound:
             towards = np.concatenate([pose.position_m, np.zeros(5)])  # of a depth that is larger by its whole
             off = float(residual.whitened[0]) / float(residual.derivative[0] @ towards)
             variance = max(variance, off**2)

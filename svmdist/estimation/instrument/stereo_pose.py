@@ -19,10 +19,9 @@ def with_calibration(
 ) -> StereoMatch:
     """The match with what baseline and the right camera's rotation may be off by in its disparity's deviation."""
     p_camera_m, _ = pair.point(match.left_px, match.disparity_px)
-    T_right_left = inverse(right.T_left_right)
-    right_m = T_right_left[:3, :3] @ p_camera_m + T_right_left[:3, 3]
-    _, slope = right.camera.project_with_derivative(right_m)
-    biases = deviations.of_disparity(right_m, slope[0], np.array(match.disparity_px), T_right_left)
+    biases = deviations.of_disparity_at(
+        p_camera_m, right.camera, np.array(match.disparity_px), inverse(right.T_left_right)
+    )
     variance_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
     return replace(match, disparity_std_px=float(np.sqrt(match.disparity_std_px**2 + variance_px2)))
 

@@ -28,6 +28,7 @@ from svmdist.estimation.shaft_pose.residuals import (
     rim_residual,
 )
 from svmdist.settings.shaft import ShaftSettings
+from svmdist.stated_deviations import BASELINE
 from svmdist.transforms import Array, skew
 from svmdist.vision.rectified import RectifiedPair
 
@@ -118,7 +119,7 @@ def _in_view(predict: Predicted, view: str, seen: TwoViews, deviations: Deviatio
         turned = (by_turn - by_place @ skew(T[:3, 3])) * deviations.camera.right_rotation_std_rad
         constants = (
             *local.constants,
-            SharedBias("baseline", baseline),
+            SharedBias(BASELINE, baseline),
             SharedBias("right camera's rotation", turned),
             SharedBias(MOTION, seen.motion_std_m * by_place),
         )

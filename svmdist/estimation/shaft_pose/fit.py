@@ -27,8 +27,9 @@ from svmdist.estimation.shaft_pose.residuals import (
     rim_residual,
     tip_residual,
 )
+from svmdist.estimation.shaft_pose.solution import normal_equations, normalised_square, retracted
 from svmdist.estimation.shaft_pose.start import first_shaft
-from svmdist.least_squares import NormalEquations, Steps, minimise
+from svmdist.least_squares import Steps, minimise
 from svmdist.results import Failure, ToolPose, across_std_rad
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
@@ -37,8 +38,6 @@ from svmdist.vision.sphere import apparent_radius_px
 DEFAULT = ShaftSettings()
 STEPS = Steps(max_steps=12, settled=1e-5)
 """A step below `settled`, in m and rad, ends the iteration: the next would be its square."""
-MAX_TURN_RAD = 0.5
-"""Of one step: beyond it the derivatives of the residuals say nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,20 +110,13 @@ def _fit(
             found.append(tip_residual(seen.shaft.wrist, tool, model, camera, settings))
         return [*found, prior_residual(state, start, model)]
 
-    def linearise(state: ShaftState) -> NormalEquations:
-        found = residuals(state)
-        r = np.concatenate([residual.whitened for residual in found])
-        J = np.concatenate([residual.derivative for residual in found])
-        # Errors of constants are unknowns of variance one, solved for and left out: I + C Cᵀ in place of I.
-        C = _by_constants(found)
-        weighted = np.linalg.solve(np.eye(len(r)) + C @ C.T, np.column_stack([J, r]))
-        return NormalEquations(float(r @ weighted[:, -1]), J.T @ weighted[:, -1], J.T @ weighted[:, :-1])
-
-    least = minimise(ShaftState(start, np.zeros(2)), linearise, _retracted, STEPS)
+    least = minimise(
+        ShaftState(start, np.zeros(2)), lambda state: normal_equations(residuals(state)), retracted, STEPS
+    )
     if least is None:
         return Failure("the fit does not converge")
     found = residuals(least.state)
-    squares = [_square(residual) for residual in found]
+    squares = [normalised_square(residual) for residual in found]
     worst = int(np.argmax(squares))
     if squares[worst] > settings.gate_chi2:
         return Failure(f"{found[worst].name} does not fit the rest")
@@ -160,28 +152,3 @@ def _with_doubt(
     covariance = fit.pose.covariance.copy()
     covariance[:3, :3] += (off_px / expected_px) ** 2 * np.outer(tool_m, tool_m)
     return replace(fit, pose=replace(fit.pose, covariance=covariance))
-
-
-def _by_constants(found: list[Residual]) -> Array:
-    """Derivative of all residuals, one below the other, by every constant, shape (m, k): several may share one."""
-    columns: dict[str, Array] = {}
-    rows, at = sum(len(residual.whitened) for residual in found), 0
-    for residual in found:
-        after = at + len(residual.whitened)
-        for bias in residual.constants:
-            column = columns.setdefault(bias.name, np.zeros((rows, bias.jacobian.shape[-1])))
-            column[at:after] += bias.jacobian
-        at = after
-    return np.concatenate([np.zeros((rows, 0)), *columns.values()], -1)
-
-
-def _square(residual: Residual) -> float:
-    """The residual's normalised square, with what constants may do to it."""
-    C = _by_constants([residual])
-    covariance = np.eye(len(residual.whitened)) + C @ C.T
-    return float(residual.whitened @ np.linalg.solve(covariance, residual.whitened))
-
-
-def _retracted(state: ShaftState, step: Array) -> ShaftState:
-    turn_rad = float(np.linalg.norm(step[3:]))
-    return state.retracted(step * min(1.0, MAX_TURN_RAD / max(turn_rad, 1e-12)))

@@ -81,15 +81,8 @@ def measured_height(
     over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
     at_m = np.median(surface.points_m[inner], 0)
     # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
-    T_right_left = inverse(right.T_left_right)
-    right_m = T_right_left[:3, :3] @ at_m + T_right_left[:3, 3]
-    _, slope = right.camera.project_with_derivative(right_m)
-    disparity_px = float(camera.K[0, 0] * np.linalg.norm(T_right_left[:3, 3]) / at_m[2])
-    m_per_px = at_m[2] / disparity_px * abs(float(dome.T_camera_tissue[2, 2]))
-    stereo_biases = tuple(
-        SharedBias(bias.name, m_per_px * bias.jacobian, bias.correlation_time_s)
-        for bias in deviations.of_disparity(right_m, slope[0], np.array(disparity_px), T_right_left)
-    )
+    along_normal = abs(float(dome.T_camera_tissue[2, 2]))
+    stereo_biases = (bias.scaled(along_normal) for bias in depth_biases(at_m, camera, right, deviations))
     by_shape = dome.derivative(points_m[inner, :2]).mean(0)
     dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
     own = SharedBias(
@@ -105,6 +98,16 @@ def measured_height(
         np.array([[noise_m2]]),
     )
     return part, over_m
+
+
+def depth_biases(
+    p_camera_m: Array, camera: Camera, right: RightView, deviations: Deviations
+) -> tuple[SharedBias, ...]:
+    """What errors of both cameras do to the depth in m that a surface by stereo has at a point, shape (3,)."""
+    T_right_left = inverse(right.T_left_right)
+    disparity_px = float(camera.K[0, 0] * np.linalg.norm(T_right_left[:3, 3]) / p_camera_m[2])
+    biases = deviations.of_disparity_at(p_camera_m, right.camera, np.array(disparity_px), T_right_left)
+    return tuple(bias.scaled(p_camera_m[2] / disparity_px) for bias in biases)
 
 
 def by_constants(

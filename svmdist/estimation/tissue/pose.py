@@ -18,6 +18,7 @@ from svmdist.geometry.mesh_files import read_closed_mesh
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Mesh, Plane, Surface
 from svmdist.profile import CameraError, Profile, Tissue
+from svmdist.stated_deviations import FOCAL_LENGTH, PRINCIPAL_POINT
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.completion import CompletedOutline
 
@@ -157,7 +158,7 @@ def ray_on_plane_biases(
     by_ray = plane.offset_m * (np.eye(3) / slope - np.outer(ray, plane.normal) / slope**2)
     focal = -error.focal_std_fraction * by_ray @ (ray * np.array([1.0, 1.0, 0.0]))
     centre = -error.centre_std_px * by_ray[:, :2] / np.diag(camera.K)[:2]
-    return SharedBias("focal length", focal[:, None]), SharedBias("principal point", centre)
+    return SharedBias(FOCAL_LENGTH, focal[:, None]), SharedBias(PRINCIPAL_POINT, centre)
 
 
 def _position_covariance(

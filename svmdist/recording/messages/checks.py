@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.camera import MAX_COEFFICIENTS, Camera, DistortionModel
+from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
 from svmdist.perturbations.clock import later_ns
 from svmdist.recording.messages.images import ImageError
 from svmdist.recording.names import MAX_NAME_BYTES, cut
@@ -24,17 +24,6 @@ MAX_JOINTS = 256
 MAX_TRANSFORMS = 1000
 """Of one message: several robots with all their links have a hundred."""
 Quaternion = tuple[float, float, float, float]
-KNOWN_DISTORTION: dict[str, DistortionModel] = {
-    "": "plumb_bob",
-    "none": "plumb_bob",
-    "plumb_bob": "plumb_bob",
-    "radtan": "plumb_bob",
-    "rational_polynomial": "rational_polynomial",
-    "equidistant": "fisheye",
-    "fisheye": "fisheye",
-    "kannala_brandt": "fisheye",
-}
-"""What a log may call a lens, and which model that is."""
 
 
 class DecodeError(ValueError):

@@ -39,6 +39,11 @@ class HsvMasks:
         return None
 
     @property
+    def picture(self) -> None:
+        """None: what is black may be border or shaft."""
+        return None
+
+    @property
     def seen(self) -> None:
         """None: colours tell no instruments apart."""
 

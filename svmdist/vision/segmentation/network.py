@@ -58,6 +58,11 @@ class ClassMasks:
         return np.asarray(cv2.inRange(self._image_bgr, np.full(3, 0), np.full(3, BLACK_LEVEL)), np.uint8)
 
     @property
+    def picture(self) -> None:
+        """None: what is black may be border or shaft."""
+        return None
+
+    @property
     def seen(self) -> None:
         """None: classes tell no instruments apart."""
 

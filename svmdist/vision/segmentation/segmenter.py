@@ -39,6 +39,10 @@ class Masks(Protocol):
         """What may be border around the endoscope's view; None where the shaft's mask holds it already."""
 
     @property
+    def picture(self) -> Image | None:
+        """What is surely not border around the endoscope's view; None where a method does not tell."""
+
+    @property
     def seen(self) -> tuple[SeenInstrument, ...] | None:
         """Whole instruments with their geometry, the surest first; None by a method that tells no instruments apart."""
 
@@ -82,6 +86,11 @@ class InstrumentMasks:
     def shaft(self) -> Image | None:
         """Its own shaft."""
         return None if self._masks.shaft is None else _without(self._masks.shaft, self._others)
+
+    @property
+    def picture(self) -> Image | None:
+        """What is not border, the instruments among it, which all share."""
+        return self._masks.picture
 
     @cached_property
     def seen(self) -> tuple[SeenInstrument, ...] | None:

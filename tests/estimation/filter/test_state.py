@@ -10,6 +10,8 @@ from svmdist.estimation.filter.error_model import ErrorModel
 from svmdist.estimation.filter.measurements import PointsMeasurement, SizeMeasurement
 from svmdist.estimation.filter.state import ErrorState
 from svmdist.kinematics.robot_state import RobotState
+from svmdist.profile_hand_eye import HandEye, with_hand_eye
+from svmdist.stated_deviations import SHAFT_RADIUS, offset_of, stated_deviations
 from svmdist.transforms import make_transform, rotation_of
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
@@ -25,6 +27,51 @@ def started() -> ErrorState:
     state.go_to(RobotState(CHAIN, 0, POSTURE, T_CAMERA_BASE))
     state.start()
     return state
+
+
+def test_constants_that_a_transform_owes_to_are_known_with_it() -> None:
+    """By hand-eye the correction is correlated with offsets and radius: seen together they cancel, or add up."""
+    stated = stated_deviations(PROFILE)
+    joint = CHAIN.joint_names[-1]
+    by_radius = np.array([[0.0, 0.0, 4e-3, 0.0, 0.0, 0.0]])
+    by_joint = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, -0.017]])
+    C = 1e-8 * np.eye(6) + by_radius.T @ by_radius + by_joint.T @ by_joint
+    effects = {SHAFT_RADIUS: by_radius, offset_of(joint): by_joint}
+    hand_eye = HandEye.model_validate(
+        {
+            "instrument": PROFILE.instrument_name,
+            "camera": PROFILE.frames.camera,
+            "base": PROFILE.frames.base,
+            "rotation": T_CAMERA_BASE[:3, :3].tolist(),
+            "translation_m": T_CAMERA_BASE[:3, 3].tolist(),
+            "covariance": C.tolist(),
+            "constants": [
+                {"constant": name, "deviation": stated[name], "effects": rows.tolist()}
+                for name, rows in effects.items()
+            ],
+        }
+    )
+    error = with_hand_eye(PROFILE.kinematic_error, hand_eye, stated)
+    state = ErrorState(ErrorModel(CHAIN, error))
+    state.go_to(RobotState(CHAIN, 0, POSTURE, T_CAMERA_BASE))
+    state.start()
+    size = state.model.size
+    assert np.linalg.eigvalsh(state.P)[0] > -1e-15
+    # The radius is the one constant outside the error state; a deviation of it moves depth by 4 mm.
+    assert state.P.shape == (size + 1, size + 1)
+    assert state.P[2, size] == pytest.approx(4e-3)
+    column = state.model.constant_columns[offset_of(joint)]
+    assert state.P[5, column] == pytest.approx(-0.017 * stated[offset_of(joint)])
+    # A measurement of the radius as it is stated takes its part out of the transform's depth.
+    state.augment_state(state.linearise([SIZE]))
+    H = np.zeros((1, len(state.P)))
+    H[0, size] = 1.0
+    S = H @ state.P @ H.T + 1e-6
+    state.update_covariance(state.P @ H.T / S, H, np.array([[1e-6]]))
+    before = C + np.zeros((6, 6))
+    moved = np.linalg.norm(T_CAMERA_BASE[:3, 3] - state.anchor_m)
+    assert before[2, 2] > 1.5e-5
+    assert state.P[2, 2] < 1e-7 + (0.017 * moved) ** 2 + 1e-8 * (1.0 + moved**2)
 
 
 def test_links_are_computed_once_for_a_correction() -> None:

@@ -1,0 +1,128 @@
+"""A hand-eye file's transform with what constants did to it: carried to a place, and restated by a profile."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.profile import Profile, load_profile
+from svmdist.profile_hand_eye import (
+    ConstantEffect,
+    HandEye,
+    HandEyeError,
+    HandEyeFile,
+    load_hand_eye,
+    save_hand_eye,
+)
+from svmdist.stated_deviations import SHAFT_RADIUS, TIME_OFFSET, offset_of, stated_deviations
+from svmdist.transforms import skew
+
+NOISE = 1e-6 * np.diag([1.0, 2.0, 3.0, 0.4, 0.5, 0.6])
+BY_RADIUS = np.array([[1e-3, 2e-3, 4e-3, 0.0, 0.01, 0.0]])
+BY_PITCH = np.array([[0.0, 1e-3, 0.0, 0.02, 0.0, -0.01]])
+
+
+def _hand_eye(profile: Profile, *effects: ConstantEffect) -> HandEye:
+    C = NOISE + sum(np.array(one.effects).T @ np.array(one.effects) for one in effects)
+    return HandEye.model_validate(
+        {
+            "instrument": profile.instrument_name,
+            "camera": profile.frames.camera,
+            "base": profile.frames.base,
+            "rotation": np.eye(3).tolist(),
+            "translation_m": [0.01, 0.02, 0.1],
+            "covariance": np.asarray(C).tolist(),
+            "constants": effects,
+        }
+    )
+
+
+@pytest.fixture
+def profile() -> Profile:
+    """That of the simulated robot."""
+    return load_profile("psm13")
+
+
+@pytest.fixture
+def hand_eye(profile: Profile) -> HandEye:
+    """A transform that a radius and a joint had a part in."""
+    stated, assumed = stated_deviations(profile), profile.robot
+    assert assumed is not None
+    joint = next(one.name for one in assumed.joints if one.type == "revolute")
+    return _hand_eye(
+        profile,
+        ConstantEffect(constant=SHAFT_RADIUS, deviation=stated[SHAFT_RADIUS], effects=BY_RADIUS.tolist()),
+        ConstantEffect(
+            constant=offset_of(joint), deviation=stated[offset_of(joint)], effects=BY_PITCH.tolist()
+        ),
+    )
+
+
+def test_effects_are_carried_as_the_covariance_is(hand_eye: HandEye) -> None:
+    """What is left of the covariance at a place without the effects there is the noise, carried there."""
+    place = np.array([0.03, -0.02, 0.15])
+    J = np.eye(6)
+    J[:3, 3:] = -skew(place - np.array(hand_eye.translation_m))
+    rest = hand_eye.covariance_at(place) - sum(e @ e.T for e in hand_eye.effects_at(place).values())
+    np.testing.assert_allclose(rest, J @ NOISE @ J.T, atol=1e-18)
+
+
+def test_a_deviation_that_is_stated_anew_scales_its_effect(hand_eye: HandEye) -> None:
+    stated = {one.constant: one.deviation for one in hand_eye.constants}
+    wider = hand_eye.with_deviations(stated | {SHAFT_RADIUS: 3.0 * stated[SHAFT_RADIUS]})
+    expected = NOISE + 9.0 * BY_RADIUS.T @ BY_RADIUS + BY_PITCH.T @ BY_PITCH
+    np.testing.assert_allclose(wider.covariance, expected, atol=1e-15)
+    np.testing.assert_allclose(
+        wider.effects_at(np.array(hand_eye.translation_m))[SHAFT_RADIUS].T, 3.0 * BY_RADIUS
+    )
+
+
+def test_an_exact_constant_has_no_effect(hand_eye: HandEye) -> None:
+    stated = {one.constant: one.deviation for one in hand_eye.constants} | {SHAFT_RADIUS: 0.0}
+    exact = hand_eye.with_deviations(stated)
+    assert [one.constant for one in exact.constants] == [hand_eye.constants[1].constant]
+    np.testing.assert_allclose(exact.covariance, NOISE + BY_PITCH.T @ BY_PITCH, atol=1e-15)
+
+
+def test_a_constant_that_the_profile_lacks_stays_in_the_covariance(hand_eye: HandEye) -> None:
+    alone = hand_eye.with_deviations({})
+    assert alone.constants == ()
+    np.testing.assert_allclose(alone.covariance, hand_eye.covariance)
+
+
+def test_the_file_keeps_them_and_files_without_them_are_read(hand_eye: HandEye, tmp_path: Path) -> None:
+    path = tmp_path / "hand-eye.toml"
+    save_hand_eye(path, HandEyeFile(format="svmdist.hand-eye/1", transforms=(hand_eye,)))
+    assert load_hand_eye(path).transforms[0] == hand_eye
+    plain = hand_eye.model_copy(update={"constants": ()})
+    save_hand_eye(path, HandEyeFile(format="svmdist.hand-eye/1", transforms=(plain,)))
+    text = path.read_text("utf-8").replace("constants = []\n", "")
+    path.write_text(text, "utf-8")
+    assert load_hand_eye(path).transforms[0].constants == ()
+
+
+def test_a_profile_states_its_own_deviations(profile: Profile, hand_eye: HandEye) -> None:
+    """The instrument's profile has the file's effects in its own deviations, and does not restate them twice."""
+    assert profile.instrument is not None
+    wide = profile.instrument.model_copy(update={"shaft_radius_std_fraction": 0.04})
+    file = HandEyeFile(format="svmdist.hand-eye/1", transforms=(hand_eye,))
+    own = profile.model_copy(update={"instrument": wide, "hand_eye": file})
+    once = own.for_instrument(profile.instrument_name)
+    again = once.for_instrument(profile.instrument_name)
+    for found in (once, again):
+        assert isinstance(found.kinematic_error, HandEyeError)
+        effect = next(one for one in found.kinematic_error.hand_eye.constants if one.constant == SHAFT_RADIUS)
+        assert effect.deviation == 0.04
+
+
+def test_names_cover_what_chains_have(profile: Profile) -> None:
+    """Every constant of the error state is one that a profile states."""
+    from svmdist.estimation.filter.error_model import ErrorModel
+    from svmdist.kinematics.chain import chain_of
+
+    assert profile.robot is not None
+    model = ErrorModel(chain_of(profile.robot), profile.kinematic_error)
+    assert set(model.constant_columns) <= set(stated_deviations(profile))
+    assert TIME_OFFSET in model.constant_columns
