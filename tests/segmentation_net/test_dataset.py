@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ import pytest
 
 from svmdist.vision.segmentation.network import OnnxSegmenter, network_input
 from tests.onnx_file import write_classifier
+from tools import train_segmentation
 from tools.segmentation_net import dataset
 from tools.segmentation_net.dataset import VALIDATION_SEED, augmented, halved, rendered
 from tools.segmentation_net.instruments import DISTAL, SHAFT, TISSUE
@@ -103,3 +105,17 @@ def test_sets_are_read_from_folders_of_their_repositories(tmp_path: Path) -> Non
     assert read.instruments.shape == read.bgr.shape[:2]
     assert read.instruments.sum() == 45 * 50
     assert read.instruments[50:95, 10:60].all()
+
+
+def test_training_without_pytorch_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """PyTorch is no dependency: who lacks it is told what to install, and nothing is drawn or written."""
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "tools.segmentation_net.training", raising=False)
+    monkeypatch.delitem(sys.modules, "tools.segmentation_net.network", raising=False)
+    assert train_segmentation.main([str(tmp_path / "net.onnx"), "--cache", str(tmp_path / "cache")]) == 1
+    said = capsys.readouterr()
+    assert "torch is not installed; training needs it: pip install torch" in said.err
+    assert said.err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
