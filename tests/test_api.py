@@ -27,7 +27,9 @@ __all__ = ["cli"]
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/extend.md", "docs/architecture.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "docs/quick-start.md", "docs/extend.md", "docs/architecture.md"]
+)
 def test_examples_run_as_they_are_printed(page: str) -> None:
     examples = re.findall(r"```python\n(.*?)```", (REPOSITORY / page).read_text("utf-8"), re.DOTALL)
     assert examples

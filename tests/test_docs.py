@@ -77,12 +77,133 @@ def test_tables_in_3d_agree_with_each_other_and_with_the_baseline(folder: str) -
             assert float(shown) == pytest.approx(1e3 * (kept_m or 0.0), abs=0.0051)
 
 
+def _anchors(document: Path) -> set[str]:
+    """The anchors of a document's headings, as GitHub and the documentation site make them."""
+    text = re.sub(r"^```.*?^```$", "", document.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    plain = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).replace("`", "") for heading in headings]
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in plain}
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(REPOSITORY)))
 def test_links_lead_somewhere(document: Path) -> None:
-    """Every relative link of a document names a file that is there."""
-    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", document.read_text("utf-8")):
-        if "://" not in target:
-            assert (document.parent / target).exists(), target
+    """Every relative link of a document names a file that is there, and its anchor a heading in that file."""
+    for target, anchor in re.findall(r"\]\(([^)#]*)(?:#([^)]*))?\)", document.read_text("utf-8")):
+        if "://" in target:
+            continue
+        file = document.parent / target if target else document
+        assert file.exists(), target
+        if anchor:
+            assert anchor in _anchors(file), f"{target}#{anchor}"
+
+
+def test_every_page_is_in_the_navigation_of_the_site() -> None:
+    """mkdocs.yml names every page but the decisions, whose own page names each of them."""
+    from tools.site_pages import OUTSIDE
+
+    pages = {path.relative_to(REPOSITORY / "docs").as_posix() for path in (REPOSITORY / "docs").rglob("*.md")}
+    decisions = {page for page in pages if re.match(r"decisions/\d", page)}
+    in_navigation = re.findall(r": (\S+\.md)$", (REPOSITORY / "mkdocs.yml").read_text("utf-8"), re.MULTILINE)
+    assert sorted(in_navigation) == sorted({*pages - decisions, *OUTSIDE.values()})
+    index = (REPOSITORY / "docs" / "decisions" / "README.md").read_text("utf-8")
+    listed = re.findall(r"^- \[(.*)\]\((.*)\)$", index, re.MULTILINE)
+    titles = [
+        ((REPOSITORY / "docs" / page).read_text("utf-8").partition("\n")[0].removeprefix("# "), page)
+        for page in sorted(decisions)
+    ]
+    assert [(title, f"decisions/{name}") for title, name in listed] == titles
+
+
+def test_links_of_the_site_lead_to_its_pages() -> None:
+    """Links between documents follow them to their places on the site; a file that is no page stays as text."""
+    from tools.site_pages import site_links
+
+    pages = {
+        "index.md",
+        "guide.md",
+        "recordings.md",
+        "changelog.md",
+        "decisions/README.md",
+        "images/scene.jpg",
+    }
+    for place, markdown, expected in (
+        ("index.md", "![a](docs/images/scene.jpg)", "![a](images/scene.jpg)"),
+        ("index.md", "[b](docs/guide.md#x)", "[b](guide.md#x)"),
+        ("guide.md", "[c](../recordings/README.md)", "[c](recordings.md)"),
+        ("recordings.md", "[d](../docs/guide.md)", "[d](guide.md)"),
+        ("decisions/0001.md", "[e](../guide.md) [f](../../README.md)", "[e](../guide.md) [f](../index.md)"),
+        ("guide.md", "[g](decisions/)", "[g](decisions/README.md)"),
+        ("guide.md", "[h](../pyproject.toml)", "h"),
+        ("guide.md", "[i](nowhere.md)", "[i](nowhere.md)"),
+        ("guide.md", "[j](https://example.org) [k](#here)", "[j](https://example.org) [k](#here)"),
+        ("guide.md", "```\n[l](../README.md)\n```\n", "```\n[l](../README.md)\n```\n"),
+    ):
+        assert site_links(markdown, place, pages) == expected
+
+
+def test_figures_in_sentences_are_those_of_the_results() -> None:
+    """What pages of methods tell of the golden logs in words is what docs/results.md has in its tables."""
+    tables = _tables((REPOSITORY / "docs" / "results.md").read_text("utf-8"))
+    instruments, fiducial = (
+        (REPOSITORY / "docs" / "method" / f"{name}.md").read_text("utf-8")
+        for name in ("instruments", "fiducial")
+    )
+    between = tables["Between PSM1 and PSM2 in `duo`, `fused`"][1]
+    assert f"On the golden `duo` log it errs by {between[1]} mm" in instruments
+    assert between[3] == "100 %"
+    measured = tables["All methods in 3D, both logs and all instruments"][1]
+    assert measured[0] == "`fiducial`"
+    assert f"{measured[1].replace('/', 'of')} frames are measured" in fiducial
+    results = (REPOSITORY / "docs" / "results.md").read_text("utf-8")
+    ideal = results.partition("### Alarms of `fused`")[2].partition("### ")[0]
+    (share,) = re.findall(r"^\| overall \|(?: [^|]+ \|){3} ([\d.]+ %) \|", ideal, re.MULTILINE)
+    assert f"{share} of the safe frames are alarmed" in " ".join(results.split())
+
+
+def test_pictures_are_made_by_the_commands_beside_them() -> None:
+    """Each picture has its commands, and each page that shows it prints them; no picture is left over."""
+    from tools.pictures import IMAGES, PICTURES
+
+    assert {path.name for path in IMAGES.iterdir()} == {*PICTURES, "instrument.svg"}
+    shown = set()
+    for document in DOCUMENTS:
+        text = document.read_text("utf-8")
+        for name in re.findall(r"!\[[^\]]+\]\([^)]*images/([^)]+\.(?:jpg|png))\)", text):
+            shown.add(name)
+            for command in PICTURES[name]:
+                assert f"$ uv run {command}\n" in text, (document, command)
+    assert shown == set(PICTURES)
+
+
+def test_a_picture_is_what_its_command_makes_now(tmp_path: Path) -> None:
+    """The picture of `overlay` as remade: the same panels, but for the digits."""
+    import cv2
+    import numpy as np
+
+    from tools.pictures import IMAGES, make_picture
+
+    make_picture("overlay.jpg", tmp_path)
+    kept, made = (cv2.imread(str(folder / "overlay.jpg")) for folder in (IMAGES, tmp_path))
+    assert kept is not None
+    assert made is not None
+    assert kept.shape == made.shape
+    assert np.abs(kept.astype(np.int16) - made).mean() < 1.0
+
+
+def test_the_architecture_names_every_package() -> None:
+    """The tree of docs/architecture.md has every folder of modules, and every folder that it has exists."""
+    text = (REPOSITORY / "docs" / "architecture.md").read_text("utf-8")
+    tree = re.findall(r"^svmdist/\n(.*?)^```", text, re.MULTILINE | re.DOTALL)[0]
+    named, parents = set(), [""]
+    for indent, name in re.findall(r"^( +)(\w+)/ ", tree, re.MULTILINE):
+        level = len(indent) // 2
+        parents[level:] = [f"{parents[level - 1]}{name}/"]
+        named.add(parents[level])
+    packages = {
+        f"{path.parent.relative_to(REPOSITORY / 'svmdist').as_posix()}/"
+        for path in (REPOSITORY / "svmdist").rglob("__init__.py")
+    }
+    assert named == packages - {"./"} | {"profiles/"}
 
 
 def test_every_command_is_in_the_readme() -> None:

@@ -37,8 +37,8 @@ What each method makes of a world that is not as log and profile say. One thing 
 ([names and units](simulation.md#worlds-that-are-not-the-profile)). A cell has four figures: the spatial RMSE in mm, the
 share of truths in the stated 95 % interval, that of frames which the method itself calls `inconsistent`, and that of
 measured frames which are off by more than five stated deviations; shares in %. A dash: no frame was measured. What the
-methods made of such worlds before November 2026 is kept [beside this page](robustness-before.md); what no log can tell
-stands with [the method](method.md#limits-of-fused).
+methods made of such worlds before November 2026 is kept [beside this page](robustness-before.md); [the limits of
+`fused`](method/fused.md#limits) are what no log can show.
 
 This page is made by `tools/robustness.py` from logs of {frames} frames:
 

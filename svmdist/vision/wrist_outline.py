@@ -24,6 +24,8 @@ FLANK = 0.75
 """What is farther from the axis than this, over the width, is background beside a wrist for the most part."""
 MAD = 1.4826
 MIN_CELLS = 12
+FROM_ONE_END = 1.0 / np.sqrt(3.0)
+"""How far what may be anywhere in a range is from one end of it, root mean square, over its length."""
 FAR_PERCENTILE = 99.0
 """Of the outline's distances from the shaft's end: its tip, without a speck that hangs on it."""
 
@@ -62,7 +64,7 @@ def wrist_point(
 
     `mask`, shape (h, w), is what is roughly known of the instrument; `along` (2,) is the shaft's direction to the tip.
     The origin is the shape's part of the way from the end to the outline's tip, as the crow flies, in the middle of
-    the outline.
+    the outline. Of an outline that is shorter than a straight wrist it may be farther on.
     """
     cell_px = width_px / WIDTH_CELLS
     farthest = settings.wrist_reach * shape.length_widths
@@ -98,9 +100,11 @@ def wrist_point(
     at = offset[ring].mean(0)
     # The middle of an arc lies inside of it.
     at *= shape.tool_fraction * reach_px / max(float(np.linalg.norm(at)), 1e-9)
+    # An outline shorter than a straight wrist comes towards the camera, or lacks its jaws: then the origin is beyond.
+    beyond_px = shape.tool_fraction * max(0.0, shape.length_widths * width_px - reach_px)
     tip = offset[distance > reach_px - cell_px].mean(0)
     pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
-    return WristPoint(pixel, settings.wrist_std * reach_px, tip_px)
+    return WristPoint(pixel, float(np.hypot(settings.wrist_std * reach_px, FROM_ONE_END * beyond_px)), tip_px)
 
 
 def _unlike_flanks(

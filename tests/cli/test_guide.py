@@ -57,7 +57,7 @@ def my_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_guides_commands_run(cli: Cli, my_folder: Path) -> None:
     """From images to rows, as written; those about a robot's log are options that exist."""
-    commands = [command.split() for command in re.findall(r"^\$ svmdist (.*)$", GUIDE, re.MULTILINE)]
+    commands = [command.split() for command in re.findall(r"^\$ uv run svmdist (.*)$", GUIDE, re.MULTILINE)]
     assert [command[0] for command in commands] == [
         *("import", "profile", "info", "show", "estimate", "estimate"),
         *("hand-eye", "estimate", "fk", "validate"),

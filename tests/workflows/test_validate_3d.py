@@ -109,6 +109,29 @@ def test_alarms_count_every_frame_with_a_truth(recording: Recording) -> None:
     assert lost.recall == pytest.approx(1.0 - 1.0 / len(unsafe))
 
 
+def test_overall_figures_do_not_depend_on_the_order_of_the_files(recording: Recording) -> None:
+    """Scores pooled in any order give the same figures and intervals, although the bootstrap draws neighbours."""
+    rng = np.random.default_rng(5)
+    score = scored(recording, rows_of(recording))
+    several = [
+        replace(
+            score,
+            recording=name,
+            pairs=replace(
+                score.pairs, estimate_m=score.pairs.truth_m + rng.normal(0.0, std_m, len(score.pairs))
+            ),
+        )
+        for name, std_m in (("b", 1e-3), ("c", 3e-3), ("a", 1e-4))
+    ]
+    first, *others = (pool_scores([several[n] for n in order]) for order in ((0, 1, 2), (2, 1, 0), (1, 0, 2)))
+    assert first.rmse_interval_m is not None
+    assert first.rmse_interval_m.low < first.rmse_interval_m.high
+    for other in others:
+        assert other.statistics == first.statistics
+        assert other.rmse_interval_m == first.rmse_interval_m
+        assert other.r_squared_interval == first.r_squared_interval
+
+
 def test_tables_and_document_show_them(recording: Recording) -> None:
     """Three tables of at most 100 columns each, and the same figures in JSON."""
     score = scored(recording, rows_of(recording, 0.0), AlarmRules(BELOW_M))

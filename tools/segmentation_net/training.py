@@ -95,7 +95,7 @@ def train_stage(
 
 def to_input(images_bgr: NDArray[np.uint8]) -> Tensor:
     """The network's input, (n, 3, h, w), of images (n, h, w, 3) in BGR."""
-    pixels = torch.from_numpy(np.ascontiguousarray(images_bgr)).permute(0, 3, 1, 2)  # stays channels last
+    pixels = torch.from_numpy(np.array(images_bgr)).permute(0, 3, 1, 2)  # stays channels last
     return (pixels.float() - MIDDLE) / MIDDLE
 
 

@@ -6,7 +6,7 @@
 with an anchor a, the tool's first nominal position. The nominal state is the correction; the error state is small
 and flat, and retracted into the correction (Solà 2017, "Quaternion kinematics for the error-state Kalman filter",
 sec. 6). Joints that hold still err like a wrong base, so their errors are lumped into the camera-to-base
-transform's (Richter et al. 2021). `docs/method.md` derives them and what can be observed.
+transform's (Richter et al. 2021). `docs/method/fused.md` derives them and what can be observed.
 """
 
 from __future__ import annotations

@@ -156,8 +156,11 @@ def score_rows(
 def pool_scores(scores: Sequence[Score], first_instrument: str = "") -> Score:
     """One score over the pairs of several of one instrument: every frame counts the same.
 
-    It is called `overall`, and for an instrument that is not the first, `overall` with the instrument's name.
+    It is called `overall`, and for an instrument that is not the first, `overall` with the instrument's name. The
+    order of the scores does not matter: their pairs are put in the order of the recordings' names, since the
+    bootstrap draws blocks of neighbours.
     """
+    scores = sorted(scores, key=lambda score: (score.recording, score.pairs.stamps_ns[:1].tolist()))
     instrument = scores[0].instrument
     rejected = sum((Counter(score.rejected) for score in scores), Counter[str]())
     alarms = [score.alarms for score in scores if score.alarms]

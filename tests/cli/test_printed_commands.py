@@ -1,0 +1,157 @@
+"""Every command that README and docs print runs as printed, in the folder of a fresh clone.
+
+Each document's commands run in their order, in a folder of their own. bash resolves them; `uv` is replaced by a call in
+this process. To be quick, commands about logs take few frames (`SHORT`); `pytest -m fault` runs them as they are.
+"""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Cli
+from tests.conftest import REPOSITORY
+from tests.printed_commands import Command, commands_of
+from tests.printed_files import PREPARE
+from tests.test_docs import DOCUMENTS
+
+ONE_PROCESS = ["--jobs", "1"]
+SHORT = {
+    "record": ["--duration", "1", "--rate", "4", *ONE_PROCESS],
+    "estimate": ["--every", "20", *ONE_PROCESS],
+    "validate": ["--every", "8", *ONE_PROCESS],
+    "compare": ["--every", "40", *ONE_PROCESS],
+    "blur-bench": ["--every", "40", *ONE_PROCESS],
+}
+"""What is added to a command about golden logs, and to `record`, where it is to be quick. Later options win."""
+NOT_RUN = {
+    "pytest": "it is this run",
+    "pytest tests/benchmarks --benchmark-enable": "the benchmarks; each is a test, which runs without its timing",
+    "python -m tests.benchmarks.processes logs": "compares programs for minutes; tests/benchmarks runs its parts",
+    "python -m tools.make_docs": "measures all golden logs again for minutes; tests hold its parts to the documents",
+    "python -m tools.real_bench sets --out real-bench --write": "needs the image sets that the lines above it clone",
+    "--group docs mkdocs serve": "serves until it is stopped; .ci/run builds the site",
+}
+"""Calls of `uv run` that are not made, each with the reason."""
+OTHER_PROGRAMS = {
+    "git clone": "public image sets, of gigabytes",
+    "pip install": "changes the environment; .ci/run installs the wheel",
+    "python -m grpc_tools": "needs a compiler of protobuf that is no dependency",
+    "cp out/svmdist/": "copies what that compiler wrote",
+}
+"""Beginnings of commands of other programs, which are not run, each with the reason."""
+PRINTED = {
+    document.relative_to(REPOSITORY).as_posix(): commands
+    for document in DOCUMENTS
+    if document.name != "CHANGELOG.md" and (commands := commands_of(document))
+}
+WRITE_TO_RECORDINGS = {"recordings/README.md"}
+
+
+def is_of_another_program(command: Command) -> bool:
+    """Whether a command is one of those that are listed as not run."""
+    return command.text.startswith(tuple(OTHER_PROGRAMS))
+
+
+@pytest.fixture
+def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with what a clone has at its top, to run in; what commands write stays in it."""
+    for entry in REPOSITORY.iterdir():
+        if not entry.name.startswith(".") and entry.name != "recordings":
+            (tmp_path / entry.name).symlink_to(entry)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def made_here(clone: Path, arguments: list[str]) -> bool:
+    """Whether a command reads a log that stands in the folder itself, not a golden one."""
+    return any((clone / argument).is_file() for argument in arguments if "/" not in argument)
+
+
+@pytest.fixture(scope="module")
+def done() -> set[str]:
+    """Calls that have run, which read golden logs alone and whose results no later command takes: once is enough."""
+    return set()
+
+
+def run(document: str, clone: Path, cli: Cli, done: set[str], *, short: bool) -> None:
+    """Run the commands of a document in their order, and make sure that each ends well."""
+    if document in WRITE_TO_RECORDINGS:
+        shutil.copytree(REPOSITORY / "recordings", clone / "recordings")
+        (clone / "svmdist").unlink()
+        shutil.copytree(REPOSITORY / "svmdist" / "profiles", clone / "svmdist" / "profiles")
+    else:
+        (clone / "recordings").symlink_to(REPOSITORY / "recordings")
+    if document in PREPARE:
+        PREPARE[document](clone)
+    for command in PRINTED[document]:
+        if is_of_another_program(command):
+            continue
+        calls = command.calls(clone)
+        assert calls, f"{command.place}: not a call of uv, and not listed: {command.text}"
+        for call in calls[:1] if short else calls:  # of a loop, one turn is enough where it is to be quick
+            assert call[0] == "run", f"{command.place}: uv {call}"
+            if " ".join(call[1:]) in NOT_RUN:
+                continue
+            program, *arguments = call[1:]
+            assert program == "svmdist", f"{command.place}: neither svmdist nor listed: {call}"
+            if short and (arguments[0] == "record" or not made_here(clone, arguments[1:2])):
+                arguments += SHORT.get(arguments[0], [])
+            told = f"svmdist {shlex.join(arguments)}"
+            if told in done:
+                continue
+            if (
+                document not in WRITE_TO_RECORDINGS
+                and "-o" not in arguments
+                and not made_here(clone, arguments)
+            ):
+                done.add(told)
+            outcome = cli(*arguments)
+            assert outcome.code == 0, f"{command.place}: {told}: {outcome.code}: {outcome.err}"
+            if short and arguments[0] == "record" and document in WRITE_TO_RECORDINGS:
+                target = arguments[arguments.index("-o") + 1]  # the next commands need the golden log in full
+                shutil.copy2(REPOSITORY / target, clone / target)
+
+
+@pytest.mark.parametrize("document", PRINTED)
+def test_printed_commands_run(document: str, clone: Path, cli: Cli, done: set[str]) -> None:
+    """As printed, but on few frames."""
+    run(document, clone, cli, done, short=True)
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("document", PRINTED)
+def test_printed_commands_run_in_full(document: str, clone: Path, cli: Cli, done: set[str]) -> None:
+    """As printed, to the last frame."""
+    run(document, clone, cli, done, short=False)
+
+
+def test_the_lists_of_what_is_not_run_are_no_longer_than_needed() -> None:
+    """Each entry is a command that some document prints: one that is gone from the documents goes from the lists."""
+    printed = [command for commands in PRINTED.values() for command in commands]
+    others = {start for start in OTHER_PROGRAMS for command in printed if command.text.startswith(start)}
+    assert others == set(OTHER_PROGRAMS)
+    calls = {
+        " ".join(call[1:])
+        for command in printed
+        if not is_of_another_program(command)
+        for call in command.calls(REPOSITORY)
+    }
+    assert set(NOT_RUN) <= calls
+
+
+def test_a_command_that_does_not_run_is_found(clone: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check itself: a wrong option, a missing file and another program each fail with the line."""
+    for text in (
+        "uv run svmdist info --nope",
+        "uv run svmdist info no.mcap",
+        "svmdist --version",
+        "uv run evil",
+    ):
+        monkeypatch.setitem(PRINTED, "x.md", [Command("x.md", 7, text)])
+        (clone / "recordings").unlink(missing_ok=True)
+        with pytest.raises((AssertionError, Exception), match=r"x\.md:7|svmdist --version"):
+            run("x.md", clone, cli, set(), short=True)
