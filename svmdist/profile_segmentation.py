@@ -6,6 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
+from svmdist.errors import did_you_mean
+from svmdist.models import PREFIX, SHIPPED, shipped_file
 from svmdist.toml_model import Byte, Hue, NeighbourFile, StrictModel
 
 
@@ -73,7 +75,8 @@ class OnnxSegmentation(StrictModel):
 
     method: Annotated[Literal["onnx"], BeforeValidator(_known)]
     model: NeighbourFile
-    """The ONNX file; a relative path starts from the profile's folder."""
+    """The ONNX file; a relative path starts from the profile's folder. `svmdist:instruments` is the network that ships,
+    for which all that follows has a default."""
     width_px: int = Field(ge=8, le=4096)
     height_px: int = Field(ge=8, le=4096)
     """Size of the network's input; the image is stretched to it."""
@@ -84,9 +87,24 @@ class OnnxSegmentation(StrictModel):
     """What each channel is then multiplied by; one number serves all three."""
     output: str | None = None
     """Name of the output to take; None: the only one."""
+    from_border: bool = False
+    """Whether parts of instruments that do not reach the border of the picture are left out."""
     tissue: ClassRegion
     instrument: ClassRegion
     shaft: ClassRegion | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _shipped(cls, data: Any) -> Any:
+        """A network that ships knows its own layout; what the profile says of it comes first."""
+        model = data.get("model") if isinstance(data, dict) else None
+        if not isinstance(model, str) or not model.startswith(PREFIX):
+            return data
+        name = model.removeprefix(PREFIX)
+        if name not in SHIPPED:
+            known = [PREFIX + each for each in SHIPPED]
+            raise ValueError(f"model = {model!r}: no such network ships: {did_you_mean(model, known)}")
+        return {**SHIPPED[name], **data, "model": shipped_file(name)}
 
     @field_validator("scale", mode="before")
     @classmethod

@@ -16,6 +16,7 @@ from svmdist.errors import ProfileError, did_you_mean
 from svmdist.input_file import open_regular, why
 from svmdist.profile import ClassRegion, OnnxSegmentation
 from svmdist.samples import Image
+from svmdist.vision.segmentation.from_border import parts_from_border
 
 Labels = NDArray[np.int32]
 Tensor = NDArray[np.generic]
@@ -44,15 +45,15 @@ class ClassMasks:
     @cached_property
     def instrument(self) -> Image:
         """Pixels of the classes of the instrument's distal part."""
-        return self._of(self._rules.instrument)
+        return self._kept(self._of(self._rules.instrument))
 
     @cached_property
     def shaft(self) -> Image | None:
         """Pixels of the shaft's classes; None where the profile knows none."""
-        return None if self._rules.shaft is None else self._of(self._rules.shaft)
+        return None if self._rules.shaft is None else self._kept(self._of(self._rules.shaft))
 
     @cached_property
-    def black(self) -> Image | None:
+    def black(self) -> Image:
         """Pixels as black as the border around an endoscope's view, which no class represents."""
         return np.asarray(cv2.inRange(self._image_bgr, np.full(3, 0), np.full(3, BLACK_LEVEL)), np.uint8)
 
@@ -65,7 +66,20 @@ class ClassMasks:
     def seen(self) -> None:
         """None: classes tell no instruments apart."""
 
-    def _of(self, region: ClassRegion) -> Image:
+    def _kept(self, mask: Image) -> Image:
+        return mask if self._from_border is None else np.asarray(mask & self._from_border, np.uint8)
+
+    @cached_property
+    def _from_border(self) -> Image | None:
+        """What of the instruments reaches the border of the picture; None where all of it counts."""
+        if not self._rules.from_border:
+            return None
+        union = np.maximum(self._of(self._rules.instrument), self._of(self._rules.shaft))
+        return parts_from_border(union, self.black)
+
+    def _of(self, region: ClassRegion | None) -> Image:
+        if region is None:
+            return np.zeros(self._labels.shape, np.uint8)
         return np.where(np.isin(self._labels, region.class_ids), 255, 0).astype(np.uint8)
 
 
