@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.samples import Image
+from svmdist.settings.auto import AutoSettings
 from svmdist.vision.segmentation.auto import AutoSegmenter
 from svmdist.vision.segmentation.network import OnnxSegmenter
 from svmdist.vision.segmentation.segmenter import Segmenter
@@ -70,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for overlays")
     given = parser.parse_args(arguments)
     cv2.setNumThreads(1)
-    methods: dict[str, Method] = {"auto": _auto}
+    methods: dict[str, Method] = {"auto": _auto(), "auto without the network": _auto(network_weight=0.0)}
     if given.network is not None:
         methods["network"] = _network(given.network, from_border=False)
         methods["network, from the border"] = _network(given.network, from_border=True)
@@ -116,9 +117,10 @@ def instruments_of(segmenter: Segmenter, bgr: Image) -> Mask:
     return (masks.instrument > 0) if shaft is None else ((masks.instrument | shaft) > 0)
 
 
-def _auto(images: Sequence[Image]) -> Segmenter:
+def _auto(**settings: float) -> Method:
     """Learns from the set's images, as from those of a log; from a single image by itself."""
-    return AutoSegmenter().adapted_to(images) if len(images) > 1 else AutoSegmenter()
+    segmenter = AutoSegmenter(AutoSettings.model_validate(settings))
+    return lambda images: segmenter.adapted_to(images) if len(images) > 1 else segmenter
 
 
 def _network(model: Path, *, from_border: bool) -> Method:

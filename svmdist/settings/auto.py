@@ -16,6 +16,9 @@ class AutoSettings(MethodSettings):
 
     working_px: int = Field(default=320, ge=160, le=1280)
     """Longer side of the image that is worked on: a shaft of 8 mm at 200 mm is 10 to 20 px wide there."""
+    network_weight: float = Field(default=1.0, ge=0.0, le=4.0)
+    """How much the log odds of the network that ships count beside those of the colours that were learnt. 1: both are
+    taken for independent. 0: it is not run."""
     adapting_frames: int = Field(default=8, ge=1, le=64)
     """Images of a log, evenly over its length, that colours are learnt from before the first row: so many, or up to
     twice as many."""

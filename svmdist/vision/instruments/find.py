@@ -74,10 +74,13 @@ def search_bars(image: WorkingImage) -> list[JudgedBar]:
 
 
 def find_instruments(
-    image: WorkingImage, appearance: Appearance, sought: Sequence[JudgedBar] = ()
+    image: WorkingImage, appearance: Appearance | None, sought: Sequence[JudgedBar] = ()
 ) -> list[Found]:
-    """The instruments of an image, the surest first. `sought` are bars that are known without their colours."""
-    ratio = appearance.of(image)
+    """The instruments of an image, the surest first. `sought` are bars that are known without their colours.
+
+    Without an appearance, only what else is known of its pixels tells where to look.
+    """
+    ratio = image.hint if appearance is None else appearance.of(image) + image.hint
     settings = image.settings
     likely = _above(ratio, 0.0, image)
     bars = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +15,8 @@ from svmdist.settings.auto import AutoSettings
 from svmdist.vision.field_of_view import field_of_view
 
 Floats = NDArray[np.float32]
+Hint = Callable[[Image], Floats]
+"""Gives log odds of instrument, shape (h, w), of an image, shape (h, w, 3)."""
 
 SQUARE_3 = np.ones((3, 3), np.uint8)
 SQUARE_5 = np.ones((5, 5), np.uint8)
@@ -23,23 +26,31 @@ SQUARE_5 = np.ones((5, 5), np.uint8)
 class WorkingImage:
     """A small image, shape (h, w, 3) in BGR, and the mask, shape (h, w), of what of it is picture.
 
-    `scale` is its size over that of the image that it was made of.
+    `scale` is its size over that of the image that it was made of; `hinting` gives log odds of instrument for pixels.
     """
 
     bgr: Image
     picture: Image
     scale: float
     settings: AutoSettings
+    hinting: Hint | None = None
 
     @classmethod
-    def of(cls, bgr: Image, settings: AutoSettings) -> WorkingImage:
+    def of(cls, bgr: Image, settings: AutoSettings, hinting: Hint | None = None) -> WorkingImage:
         """Make it of an image of any size."""
         height, width = bgr.shape[:2]
         scale = settings.working_px / max(width, height)
         size = (round(scale * width), round(scale * height))
         how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
         small = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
-        return cls(small, picture_of(small, settings), scale, settings)
+        return cls(small, picture_of(small, settings), scale, settings, hinting)
+
+    @cached_property
+    def hint(self) -> Floats:
+        """Log odds of instrument that are known beside colours, shape (h, w); 0 without `hinting`."""
+        if self.hinting is None or self.settings.network_weight == 0.0:
+            return np.zeros(self.picture.shape, np.float32)
+        return np.asarray(self.settings.network_weight * self.hinting(self.bgr), np.float32)
 
     @cached_property
     def core(self) -> Image:

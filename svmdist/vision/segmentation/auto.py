@@ -15,6 +15,7 @@ from svmdist.vision.instruments.find import find_instruments, learnt_appearance,
 from svmdist.vision.instruments.seen import SeenInstrument, seen_instrument
 from svmdist.vision.instruments.tissue import tissue_of
 from svmdist.vision.instruments.working import WorkingImage
+from svmdist.vision.segmentation.hint import network_hint
 
 DEFAULT = AutoSettings()
 
@@ -24,7 +25,7 @@ class AutoMasks:
 
     def __init__(self, bgr: Image, appearance: Appearance | None, settings: AutoSettings) -> None:
         self._size = bgr.shape[0], bgr.shape[1]
-        self._image = WorkingImage.of(bgr, settings)
+        self._image = WorkingImage.of(bgr, settings, network_hint)
         self._appearance = appearance
 
     @cached_property
@@ -34,7 +35,7 @@ class AutoMasks:
             appearance, sought = learnt_appearance([self._image]), search_bars(self._image)
         else:
             appearance, sought = self._appearance, []
-        found = [] if appearance is None else find_instruments(self._image, appearance, sought)
+        found = find_instruments(self._image, appearance, sought)
         return tuple(seen_instrument(one, self._image, self._size) for one in found)
 
     @cached_property
@@ -76,7 +77,8 @@ class AutoMasks:
 class AutoSegmenter:
     """Finds instruments by their straight edges, and tells them from tissue by colours that it learns.
 
-    By itself it learns from each image alone; `adapted_to` makes one that has learnt from the images of a log.
+    The network that ships is a second witness (decision 33). By itself it learns from each image alone; `adapted_to`
+    makes one that has learnt from the images of a log.
     """
 
     uses_colours = False
@@ -92,7 +94,7 @@ class AutoSegmenter:
 
     def adapted_to(self, images: Sequence[Image]) -> AutoSegmenter:
         """One that knows what instruments look like in these images, shape (h, w, 3) in BGR each."""
-        working = [WorkingImage.of(image, self._settings) for image in images]
+        working = [WorkingImage.of(image, self._settings, network_hint) for image in images]
         return AutoSegmenter(self._settings, learnt_appearance(working))
 
     def masks(self, bgr: Image, hsv: Image | None = None, /) -> AutoMasks:  # noqa: ARG002

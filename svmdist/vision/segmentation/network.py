@@ -116,6 +116,16 @@ class OnnxSegmenter:
             cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST_EXACT), np.int32
         )
 
+    def scores(self, image_bgr: Image) -> NDArray[np.float32]:
+        """The classes' scores at the network's own resolution, shape (C, h', w'), of an image, shape (h, w, 3) in BGR.
+
+        Raises ProfileError for a network that gives labels.
+        """
+        output = self._run(image_bgr)
+        if output.ndim != 4 or output.shape[1] < 2:
+            raise ProfileError(f"{self._rules.model}: the network gives labels, and no scores of classes")
+        return np.asarray(output[0], np.float32)
+
     def _run(self, image_bgr: Image) -> Tensor:
         """The network's output, checked: (1, C, h', w') scores, or (1, 1, h', w') or (1, h', w') labels."""
         rules = self._rules
