@@ -33,6 +33,9 @@ NOT_RUN = {
     "python -m tests.benchmarks.processes logs": "compares programs for minutes; tests/benchmarks runs its parts",
     "python -m tools.make_docs": "measures all golden logs again for minutes; tests hold its parts to the documents",
     "python -m tools.real_bench sets --out real-bench --write": "needs the image sets that the lines above it clone",
+    "python -m tools.segmentation_bench sets --network svmdist/models/instruments.onnx --renders 400 --out masks": (
+        "needs the image sets that the line above it clones"
+    ),
     "--group docs mkdocs serve": "serves until it is stopped; .ci/run builds the site",
 }
 """Calls of `uv run` that are not made, each with the reason."""
