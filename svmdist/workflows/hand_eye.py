@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -84,18 +85,19 @@ def hand_eye(
     focal_px = float(recording.camera.K[0, 0])
     twice = against == "kinematics" and setup.method != "fiducial"
     steps = Steps(on_progress, image_total([recording], lambda _: 2 if twice else 1))
-    rows = _seen(blind, setup, instrument, jobs, steps)
+    rows, missed = _seen(blind, setup, instrument, jobs, steps)
     reported = reported_tool(own, profile, against, _stamps(rows))
     fitted = _fit(rows, reported, setup, profile, focal_px)
     if isinstance(fitted.fit, HandEyeFit) and twice:
         knowing = blind.with_bases({instrument: FixedTransform(fitted.fit.T_camera_base)})
-        again = _seen(knowing, setup, instrument, jobs, steps)
+        again, _ = _seen(knowing, setup, instrument, jobs, steps)
         reported_again = reported_tool(own, profile, against, _stamps(again))
         second = _fit(again, reported_again, setup, profile, focal_px)
         if isinstance(second.fit, HandEyeFit):
             rows, fitted = again, second
     if isinstance(fitted.fit, Failure):
-        return fitted.fit
+        is_for_want_of_rows = len(rows) < profile.settings.hand_eye.min_count
+        return Failure(f"{fitted.fit.reason}{missed}") if is_for_want_of_rows else fitted.fit
     return _result(fitted.fit, fitted, _stamps(rows), own, setup, profile, against)
 
 
@@ -106,12 +108,14 @@ def replace_profile(profile: Profile, instrument: str) -> Profile:
 
 def _seen(
     recording: Recording, setup: Setup, instrument: str, jobs: int | None, steps: Steps
-) -> list[FrameResult]:
-    """The rows in which the method saw the tool."""
+) -> tuple[list[FrameResult], str]:
+    """The rows in which the method saw the tool, and what most of the others say, to be put behind a reason."""
     bare = replace(setup, profile=setup.profile.model_copy(update={"hand_eye": None}))
     lanes = steps.of(replay(recording, [bare], wanted=[instrument], jobs=jobs))
     rows = [replayed.results[0] for (replayed,) in lanes]
-    return [row for row in rows if row.measured and row.tool is not None]
+    seen = [row for row in rows if row.measured and row.tool is not None]
+    said = Counter(row.detail or row.status for row in rows if not row.measured).most_common(1)
+    return seen, "".join(f"; {count} frames say: {reason}" for reason, count in said)
 
 
 def _stamps(rows: Sequence[FrameResult]) -> NDArray[np.int64]:
