@@ -8,13 +8,20 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
+from svmdist.remote_file import RemoteFile
 
-def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file to read; OSError with a reason where it is none, or cannot be opened.
+LogPath = Path | RemoteFile
+"""Where a log may be: a file or folder, or a URL."""
+
+
+def open_regular(path: LogPath) -> BinaryIO:
+    """Open a regular file, or one behind a URL, to read; OSError with a reason where it is none, or cannot be opened.
 
     It is opened without waiting, and looked at when it is open: a pipe would wait for a writer for ever, a device may
     never end, and what a path leads to can change between a look and an opening.
     """
+    if isinstance(path, RemoteFile):
+        return path.open()
     try:
         number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except ValueError:  # NUL; no other character is impossible in a path

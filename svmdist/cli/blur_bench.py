@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from svmdist.cli.console import Summary, files_or_golden, require_output, write_summary
+from svmdist.cli.console import Summary, require_output, write_summary
 from svmdist.cli.degradation_grid import (
     DegradationsOption,
     GridMethodOption,
     SeveritiesOption,
     grid_conditions_of,
     grid_summary,
+    grid_summary_of_logs,
 )
+from svmdist.cli.many import Many, ResumeOption, SchedulerOption
 from svmdist.cli.options import (
     CalibrationOption,
     JobsOption,
@@ -30,12 +32,21 @@ from svmdist.cli.options import (
 from svmdist.cli.outputs import summary_format
 from svmdist.cli.plots import GridPlotOption, require_plot
 from svmdist.cli.progress import progress_bar
-from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
+from svmdist.cli.recordings import (
+    EndOption,
+    EveryOption,
+    StartOption,
+    local_logs,
+    logs_or_golden,
+    open_recordings,
+    window_of,
+)
 from svmdist.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from svmdist.recording.reader import Recording
     from svmdist.vision.blur import Blur
+    from svmdist.workflows.blur_bench import BlurTally
     from svmdist.workflows.setup import Setup
 
 KernelOption = Annotated[
@@ -71,6 +82,8 @@ def blur_bench_command(
     start: StartOption = 0.0,
     end: EndOption = None,
     every: EveryOption = 1,
+    scheduler: SchedulerOption = None,
+    resume: ResumeOption = None,
     save_plot: PlotOption = None,
     plot: GridPlotOption = None,
 ) -> None:
@@ -81,9 +94,10 @@ def blur_bench_command(
     """
     from svmdist.workflows.setup import prepare
 
-    require_output(output, files or ())
+    logs = logs_or_golden(files)
+    require_output(output, local_logs(logs))
     chosen_form = summary_format(form, output)
-    require_plot("blur-bench --grid", plot, save_plot, files or ())
+    require_plot("blur-bench --grid", plot, save_plot, local_logs(logs))
     if grid:
         _refuse("--kernel is for Table I: it cannot be used with --grid", kernel)
         conditions = grid_conditions_of(degradations, severities)
@@ -101,7 +115,22 @@ def blur_bench_command(
         kernels_px = _kernels(kernel or [])
     setup = prepare(profile, (method or Method.OVERLAY).value, "corrected", calibration)
     window = window_of(start, end, every)
-    opened = open_recordings(files_or_golden(files), setup.profile, topics_of(topic), window)
+    many = Many(logs, jobs, scheduler, resume)
+    if many.is_asked_for or (many.fills_cores if grid else len(logs) > 1):
+        from svmdist.cli.log_jobs import BlurJob, GridJob
+
+        if grid:
+            grid_job = GridJob(setup, tuple(conditions), topics_of(topic), window)
+            with many.measured(grid_job, "measuring") as runs:
+                summary, code = grid_summary_of_logs(runs, setup, conditions, save_plot), runs.code
+        else:
+            blur_job = BlurJob(setup, dict(kernels_px), topics_of(topic), window)
+            with many.measured(blur_job, "measuring") as counted:
+                tallies = [result.tallies for _, result in counted.measured]
+                summary, code = _blur_summary(tallies, kernels_px), counted.code
+        write_summary(summary, chosen_form, output)
+        raise typer.Exit(code())
+    opened = open_recordings(logs, setup.profile, topics_of(topic), window)
     recordings = opened.recordings
     summary = (
         grid_summary(recordings, setup, conditions, jobs, save_plot)
@@ -121,14 +150,23 @@ def _refuse(message: str, value: object) -> None:
 def _table_one(
     recordings: list[Recording], setup: Setup, kernels_px: Mapping[Blur, int], jobs: int | None
 ) -> Summary:
+    from svmdist.workflows.blur_bench import blur_tallies
+    from svmdist.workflows.progress import Steps, image_total
+
+    with progress_bar("Table I", "images") as advance:
+        steps = Steps(advance, image_total(recordings))
+        tallies = [blur_tallies(one, setup, kernels_px, jobs, steps) for one in recordings]
+    return _blur_summary(tallies, kernels_px)
+
+
+def _blur_summary(tallies: Sequence[Mapping[Blur, BlurTally]], kernels_px: Mapping[Blur, int]) -> Summary:
     from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, BLUR_NOTE, blur_row
     from svmdist.report.table import rich_table
     from svmdist.report.text import counted
-    from svmdist.workflows.blur_bench import blur_bench
+    from svmdist.workflows.blur_bench import blur_rows
 
-    with progress_bar("Table I", "images") as advance:
-        measured = blur_bench(recordings, setup, kernels_px, jobs, advance)
-    title = f"{measured[0].frame_count} frames of {counted(len(recordings), 'recording')}"
+    measured = blur_rows(tallies, kernels_px)
+    title = f"{measured[0].frame_count} frames of {counted(len(tallies), 'recording')}"
     rows = [blur_row(row) for row in measured]
     return Summary([rich_table(title, BLUR_COLUMNS, rows)], BLUR_KEYS, rows, [BLUR_NOTE])
 

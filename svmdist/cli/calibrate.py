@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from svmdist.cli.console import report_health, require_output, say
-from svmdist.cli.options import Files, PlanarMethod, ProfileOption, TopicOption, topics_of
+from svmdist.cli.console import ExitCode, require_output, say
+from svmdist.cli.many import Many, ResumeOption, SchedulerOption
+from svmdist.cli.options import Files, JobsOption, PlanarMethod, ProfileOption, TopicOption, topics_of
 from svmdist.cli.progress import progress_bar
-from svmdist.cli.recordings import EndOption, EveryOption, StartOption, window_of
+from svmdist.cli.recordings import (
+    EndOption,
+    EveryOption,
+    StartOption,
+    local_logs,
+    named_logs,
+    open_recordings,
+    window_of,
+)
 from svmdist.errors import UsageError
 
 
@@ -32,6 +42,9 @@ def calibrate_command(
     start: StartOption = 0.0,
     end: EndOption = None,
     every: EveryOption = 1,
+    jobs: JobsOption = None,
+    scheduler: SchedulerOption = None,
+    resume: ResumeOption = None,
 ) -> None:
     """Fit the mapping from pixels to the plane.
 
@@ -39,21 +52,32 @@ def calibrate_command(
     """
     from svmdist.estimation.planar.calibration import save_calibration
     from svmdist.profile import load_profile
-    from svmdist.recording.reader import open_recording
-    from svmdist.recording.reading import Reading
-    from svmdist.workflows.calibrate import calibrate
+    from svmdist.workflows.calibrate import collect_part, fit_parts
+    from svmdist.workflows.progress import Steps, image_total
 
-    require_output(output, files)
+    logs = named_logs(files)
+    require_output(output, local_logs(logs))
     if os.path.exists(output) and not force:
         raise UsageError(f"{output} exists; --force replaces it")
     window = window_of(start, end, every)
     loaded = load_profile(profile)
-    recordings = [
-        open_recording(path, loaded, topics=topics_of(topic)).read_as(Reading(window=window))
-        for path in files
-    ]
-    with progress_bar("calibrating", "images") as advance:
-        calibration = calibrate(recordings, loaded, method.value, advance)
+    many = Many(logs, jobs, scheduler, resume)
+    finish: Callable[[], ExitCode]
+    if len(logs) > 1 or many.is_asked_for:
+        from svmdist.cli.log_jobs import CalibrateJob
+
+        with many.measured(
+            CalibrateJob(loaded, method.value, topics_of(topic), window), "measuring"
+        ) as outcomes:
+            calibration = fit_parts([part for _, part in outcomes.measured], method.value)
+            finish = outcomes.code
+    else:
+        opened = open_recordings(logs, loaded, topics_of(topic), window)
+        with progress_bar("calibrating", "images") as advance:
+            steps = Steps(advance, image_total(opened.recordings))
+            parts = [collect_part(one, loaded, method.value, jobs, steps) for one in opened.recordings]
+        calibration = fit_parts(parts, method.value)
+        finish = opened.health_code
     save_calibration(calibration, output)
     fit = calibration.fit
     say(
@@ -61,4 +85,4 @@ def calibrate_command(
         f" y {fit.rmse_y_m * 1e3:.3f} mm, max {fit.max_error_m * 1e3:.3f} mm; pixels"
         f" x {fit.span_x_px[0]:.0f}–{fit.span_x_px[1]:.0f}, y {fit.span_y_px[0]:.0f}–{fit.span_y_px[1]:.0f}"
     )
-    raise typer.Exit(report_health(recordings))
+    raise typer.Exit(finish())

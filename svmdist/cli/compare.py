@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated
 
 import typer
 
-from svmdist.cli.console import Summary, files_or_golden, require_output, write_summary
+from svmdist.cli.console import ExitCode, Summary, require_output, write_summary
 from svmdist.cli.degradations import parse_degradations
+from svmdist.cli.many import GroupOption, Many, ResumeOption, SchedulerOption, group_keys, group_name
 from svmdist.cli.options import (
     CalibrationOption,
     HandEyeOption,
@@ -27,7 +30,15 @@ from svmdist.cli.outputs import summary_format
 from svmdist.cli.perturbations import parse_perturb_groups
 from svmdist.cli.plots import ComparePlotOption, require_plot
 from svmdist.cli.progress import progress_bar
-from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
+from svmdist.cli.recordings import (
+    EndOption,
+    EveryOption,
+    StartOption,
+    local_logs,
+    logs_or_golden,
+    open_recordings,
+    window_of,
+)
 
 
 def compare_command(
@@ -71,6 +82,9 @@ def compare_command(
     start: StartOption = 0.0,
     end: EndOption = None,
     every: EveryOption = 1,
+    scheduler: SchedulerOption = None,
+    resume: ResumeOption = None,
+    group: GroupOption = None,
     save_plot: PlotOption = None,
     plot: ComparePlotOption = None,
 ) -> None:
@@ -83,13 +97,15 @@ def compare_command(
     from svmdist.report.comparison import compare_keys, compare_row, compare_tables
     from svmdist.report.figures import FIGURE_NOTE
     from svmdist.vision.degradations import require_degradation
-    from svmdist.workflows.compare import compare
+    from svmdist.workflows.compare import compare, compared
     from svmdist.workflows.conditions import CLEAN, Condition, LogCondition, PerturbedCondition
     from svmdist.workflows.setup import prepare
 
-    require_output(output, files or ())
+    logs = logs_or_golden(files)
+    require_output(output, local_logs(logs))
     chosen_form = summary_format(form, output)
-    drawn = require_plot("compare", plot, save_plot, files or ())
+    keys = group_keys(group)
+    drawn = require_plot("compare", plot, save_plot, local_logs(logs))
     given = parse_lag(lag)
     conditions: list[LogCondition] = [CLEAN]
     conditions += [
@@ -105,10 +121,22 @@ def compare_command(
         for chosen in methods
     ]
     window = window_of(start, end, every)
-    opened = open_recordings(files_or_golden(files), setups[0].profile, topics_of(topic), window)
-    recordings = [told_lag(recording, setups[0], given, None, jobs) for recording in opened.recordings]
-    with progress_bar("comparing", "measurements") as advance:
-        scores = compare(recordings, setups, conditions, jobs=jobs, on_progress=advance)
+    many = Many(logs, jobs, scheduler, resume)
+    code: Callable[[], ExitCode]
+    if many.is_asked_for or many.fills_cores:
+        from svmdist.cli.log_jobs import CompareJob
+
+        job = CompareJob(tuple(setups), tuple(conditions), topics_of(topic), window, given, keys)
+        with many.measured(job, "comparing") as outcomes:
+            scores = compared([run for _, result in outcomes.measured for run in result.runs], setups)
+            code = outcomes.code
+    else:
+        opened = open_recordings(logs, setups[0].profile, topics_of(topic), window)
+        recordings = [told_lag(recording, setups[0], given, None, jobs) for recording in opened.recordings]
+        by = partial(group_name, keys=keys) if keys else None
+        with progress_bar("comparing", "measurements") as advance:
+            scores = compare(recordings, setups, conditions, jobs=jobs, on_progress=advance, by=by)
+        code = opened.health_code
     rows = [compare_row(score) for score in scores]
     write_summary(
         Summary(compare_tables(scores), compare_keys(), rows, [FIGURE_NOTE]),
@@ -119,4 +147,4 @@ def compare_command(
         from svmdist.report.figures_plot import save_compare_plot
 
         save_compare_plot(scores, save_plot)
-    raise typer.Exit(opened.health_code())
+    raise typer.Exit(code())

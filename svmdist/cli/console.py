@@ -7,8 +7,9 @@ import io
 import os
 import stat
 import sys
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Protocol, TextIO
 
 from svmdist.cli.options import SummaryFormat
 from svmdist.errors import OutputError, UsageError
-from svmdist.input_file import why
+from svmdist.input_file import LogPath, why
 from svmdist.output_file import FALLBACK, write_atomically
 
 if TYPE_CHECKING:
@@ -47,6 +48,28 @@ class Verbosity(IntEnum):
     VERBOSE = 2
 
 
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A line that was to be said, and how much a person must want to know to be told."""
+
+    text: str
+    at: Verbosity
+
+
+_heard: ContextVar[list[Heard] | None] = ContextVar("heard", default=None)
+
+
+@contextmanager
+def hearing() -> Iterator[list[Heard]]:
+    """Collect what this thread says instead of printing it: a log's remarks travel with its result."""
+    lines: list[Heard] = []
+    token = _heard.set(lines)
+    try:
+        yield lines
+    finally:
+        _heard.reset(token)
+
+
 class _Voice:
     """The verbosity of the command that runs."""
 
@@ -65,6 +88,10 @@ def is_quiet() -> bool:
 
 def say(message: str, at: Verbosity = Verbosity.NORMAL) -> None:
     """Print one line for a person to stderr, without markup or control characters, if so much is wanted."""
+    lines = _heard.get()
+    if lines is not None:
+        lines.append(Heard(message, at))
+        return
     if _Voice.verbosity < at:
         return
     from svmdist.report.text import printable
@@ -175,6 +202,10 @@ def write_summary(summary: Summary, form: SummaryFormat, output: Path | None) ->
             write_lines([json_text(list(summary.rows), indent=1) + "\n"], output, is_json=True)
         case SummaryFormat.LATEX | SummaryFormat.MARKDOWN:
             write_marked_up(form, summary.tables, summary.notes, output)
+        case SummaryFormat.PARQUET if output is not None:
+            from svmdist.report.parquet import write_parquet
+
+            write_parquet(output, summary.keys, summary.rows)
 
 
 def write_marked_up(
@@ -191,7 +222,7 @@ def terminal_width(output: Path | None) -> int | None:
     return os.get_terminal_size().columns if output is None and sys.stdout.isatty() else None
 
 
-def require_output(output: Path | None, inputs: Iterable[Path] = ()) -> None:
+def require_output(output: Path | None, inputs: Iterable[LogPath] = ()) -> None:
     """Fail before the work rather than after it; raises OutputError, and UsageError where it is one of the inputs."""
     if output is None:
         if sys.stdout is None:  # as `svmdist … >&-` has it
@@ -206,7 +237,8 @@ def require_output(output: Path | None, inputs: Iterable[Path] = ()) -> None:
     if found is None and not output.parent.is_dir():
         raise OutputError(f"{output}: cannot write: there is no folder {output.parent}")
     if found is not None:
-        if any(os.path.exists(path) and os.path.samestat(os.stat(path), found) for path in inputs):
+        local = [path for path in inputs if isinstance(path, Path) and os.path.exists(path)]
+        if any(os.path.samestat(os.stat(path), found) for path in local):
             raise UsageError(f"{output}: is the recording to read; give the output another name")
         if stat.S_ISDIR(found.st_mode):
             raise OutputError(f"{output}: cannot write: it is a folder")
@@ -216,22 +248,12 @@ def require_output(output: Path | None, inputs: Iterable[Path] = ()) -> None:
         raise OutputError(f"{output}: cannot write: permission denied")
 
 
-def files_or_golden(files: Sequence[Path] | None) -> list[Path]:
-    """The given files, else every recording in recordings/; raises UsageError where there is none."""
-    if files:
-        return list(files)
-    found = sorted(Path("recordings").glob("*.mcap"))
-    if not found:
-        raise UsageError(f"no FILE given, and there is no .mcap in {Path('recordings').resolve()}")
-    return found
-
-
 class HasHealth(Protocol):
     """A recording, or a summary of one."""
 
     @property
-    def path(self) -> Path:
-        """The file or folder."""
+    def path(self) -> LogPath:
+        """The file or folder, or the URL."""
 
     @property
     def health(self) -> Health:

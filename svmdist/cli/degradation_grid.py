@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,8 +14,11 @@ from svmdist.cli.options import Method
 from svmdist.cli.progress import progress_bar
 
 if TYPE_CHECKING:
+    from svmdist.cli.log_jobs import GridRuns
+    from svmdist.cli.many import Outcomes
     from svmdist.recording.reader import Recording
     from svmdist.workflows.conditions import Condition
+    from svmdist.workflows.degradation_grid import GridCell
     from svmdist.workflows.setup import Setup
 
 GridMethodOption = Annotated[
@@ -62,19 +66,41 @@ def grid_summary(
     save_plot: Path | None = None,
 ) -> Summary:
     """Measure with a progress bar, and make tables, rows, and the plot where one is asked for."""
-    from svmdist.report.degradation_grid import grid_keys, grid_row, grid_table, recorded_notes
-    from svmdist.report.figures import FIGURE_NOTE
-    from svmdist.report.text import counted
     from svmdist.workflows.degradation_grid import degradation_grid
 
     with progress_bar(f"{setup.method}, {len(conditions)} conditions", "measurements") as advance:
         cells = degradation_grid(recordings, setup, conditions, jobs=jobs, on_progress=advance)
+    return _summary(setup, cells, [(one.name, one.metadata) for one in recordings], save_plot)
+
+
+def grid_summary_of_logs(
+    outcomes: Outcomes[GridRuns],
+    setup: Setup,
+    conditions: list[Condition],
+    save_plot: Path | None = None,
+) -> Summary:
+    """The same of many logs that were measured one by one."""
+    from svmdist.workflows.degradation_grid import grid_cells
+
+    runs = [run for _, result in outcomes.measured for run in result.runs]
+    logs = [(one.log.name, one.metadata) for one, _ in outcomes.measured]
+    return _summary(setup, grid_cells(runs, setup, conditions), logs, save_plot)
+
+
+def _summary(
+    setup: Setup,
+    cells: list[GridCell],
+    logs: list[tuple[str, Mapping[str, str]]],
+    save_plot: Path | None,
+) -> Summary:
+    from svmdist.report.degradation_grid import grid_keys, grid_row, grid_table, recorded_notes
+    from svmdist.report.figures import FIGURE_NOTE
+    from svmdist.report.text import counted
+
     if save_plot:
         from svmdist.report.figures_plot import save_blur_plot
 
         save_blur_plot(cells, save_plot)
-    title = (
-        f"{setup.method} on {cells[0].figures.frame_count} frames of {counted(len(recordings), 'recording')}"
-    )
-    notes = [FIGURE_NOTE, *recorded_notes(recordings)]
+    title = f"{setup.method} on {cells[0].figures.frame_count} frames of {counted(len(logs), 'recording')}"
+    notes = [FIGURE_NOTE, *recorded_notes(logs)]
     return Summary([grid_table(title, cells)], grid_keys(), [grid_row(cell) for cell in cells], notes)

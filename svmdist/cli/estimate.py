@@ -13,6 +13,8 @@ from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_ru
 from svmdist.cli.console import ExitCode, Verbosity, say, terminal_width, write_lines
 from svmdist.cli.drawn import DrawnJob, Tally, write_drawn
 from svmdist.cli.estimate_targets import EstimateTargets
+from svmdist.cli.log_summary import LogSummary, SummaryOption
+from svmdist.cli.many import GroupOption, Many, ResumeOption, SchedulerOption
 from svmdist.cli.options import (
     CalibrationOption,
     EquationsChoice,
@@ -37,10 +39,20 @@ from svmdist.cli.options import (
 )
 from svmdist.cli.outputs import ForceOption
 from svmdist.cli.progress import tracked
-from svmdist.cli.recordings import EndOption, EveryOption, Opened, StartOption, open_recordings, window_of
+from svmdist.cli.recordings import (
+    EndOption,
+    EveryOption,
+    Opened,
+    StartOption,
+    local_logs,
+    named_logs,
+    open_recordings,
+    window_of,
+)
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
+    from svmdist.cli.estimate_logs import EstimateJob
     from svmdist.estimation.alarms import AlarmRules
     from svmdist.recording.reader import Recording
     from svmdist.report.table import Row
@@ -71,40 +83,59 @@ def estimate_command(
     start: StartOption = 0.0,
     end: EndOption = None,
     every: EveryOption = 1,
+    scheduler: SchedulerOption = None,
+    resume: ResumeOption = None,
+    summary: SummaryOption = None,
+    group: GroupOption = None,
 ) -> None:
     """Estimate the distance in every frame.
 
     There is one row per frame, and per instrument where the log has several that the profile names. To a file that
     ends in .mcap goes a copy of the recording with what was found and measured drawn on its images, for Foxglove,
-    Lichtblick and Rerun; to one in .mp4, a video of the same; to one in .html, a report.
+    Lichtblick and Rerun; to one in .mp4, a video of the same; to one in .html, a report; to one in .parquet, a table
+    for pandas and Arrow.
+
+    Several logs are measured by --jobs processes. One that cannot be measured is reported at the end, and the others
+    are measured all the same.
     """
     from svmdist.estimation.methods import PLANAR_METHODS
     from svmdist.workflows.scoring.alarms import require_clearance
     from svmdist.workflows.setup import prepare
 
+    logs = named_logs(files)
     targets = EstimateTargets.of(form, output, report, save_plot)
-    targets.check(files)
+    targets.check(local_logs(logs), len(logs))
+    summaries = LogSummary.of(summary, group, local_logs(logs))
     given = parse_lag(lag)
     rules = alarm_rules(alarm_below, alarm_confidence, method.value)
     setup = prepare(profile, method.value, equations.value, calibration, hand_eye)
     if rules:
         require_clearance(setup.method, setup.profile)
-    opened = open_recordings(files, setup.profile, topics_of(topic), window_of(start, end, every))
-    recordings = opened.recordings
+    window = window_of(start, end, every)
     wanted = instruments_of(instrument, setup.profile)
+    if targets.form is RowFormat.TUM and setup.method in PLANAR_METHODS:
+        raise UsageError(
+            f"--format tum writes the tool's pose, and {method} knows none: choose a method in 3D"
+        )
+    many = Many(logs, jobs, scheduler, resume)
+    if targets.drawn and (many.is_asked_for or summaries.is_asked_for):
+        raise UsageError(
+            f"--scheduler, --resume and --summary go with rows: write {targets.drawn[0]} by itself"
+        )
+    if targets.drawn is None and (len(logs) > 1 or many.is_asked_for or summaries.is_asked_for):
+        from svmdist.cli.estimate_logs import EstimateJob
+
+        job = EstimateJob(setup, topics_of(topic), window, wanted, given, rules, bool(summaries.keys))
+        raise typer.Exit(_estimate_many(many, job, targets, summaries))
+    opened = open_recordings(logs, setup.profile, topics_of(topic), window)
+    recordings = opened.recordings
     several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
-    if targets.form is RowFormat.TUM:
-        if setup.method in PLANAR_METHODS:
-            raise UsageError(
-                f"--format tum writes the tool's pose, and {method} knows none: choose a method in 3D"
-            )
-        if several:
-            raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
+    _require_one_trajectory(targets, several)
     tally: Tally = Counter()
     measured: list[Measured] = []
     if targets.drawn is not None:
-        job = DrawnJob(recordings[0], setup, rules, wanted, given, jobs)
-        write_drawn(job, *targets.drawn, tally, force=force)
+        drawn = DrawnJob(recordings[0], setup, rules, wanted, given, jobs)
+        write_drawn(drawn, *targets.drawn, tally, force=force)
     else:
         kept = measured if targets.needs_rows_kept else None
         rows = _started(_rows(opened, setup, wanted, tally, rules, given, jobs, kept))
@@ -117,16 +148,63 @@ def estimate_command(
         if targets.form is None:
             deque(rows, maxlen=0)
         else:
-            width = terminal_width(targets.output)
-            lines = _lines(targets.form, rows, rules is not None, several, width, planar)
-            is_json = targets.form in {RowFormat.JSON, RowFormat.JSONL}
-            write_lines(lines, targets.output, is_json=is_json)
+            _write_rows(targets, rows, rules is not None, several, planar)
     _summarise(tally)
     targets.write_pictures(measured, setup, rules, jobs)
-    code = opened.health_code()
+    raise typer.Exit(_code(opened.health_code(), tally))
+
+
+def _estimate_many(many: Many, job: EstimateJob, targets: EstimateTargets, summaries: LogSummary) -> ExitCode:
+    from svmdist.cli.estimate_logs import (
+        figures_of_logs,
+        measured_again,
+        reported_logs,
+        rows_of_logs,
+        tally_of_logs,
+    )
+    from svmdist.estimation.methods import PLANAR_METHODS
+    from svmdist.report.log_figures import log_table
+
+    with many.measured(job, "measuring") as outcomes:
+        tally = tally_of_logs(outcomes)
+        if targets.form is not None:
+            several = any(len(result.instruments) > 1 for _, result in outcomes.measured)
+            _require_one_trajectory(targets, several)
+            planar = job.setup.method in PLANAR_METHODS
+            _write_rows(targets, rows_of_logs(outcomes), job.rules is not None, several, planar)
+        each, together = figures_of_logs(outcomes, summaries.keys)
+        summaries.write(each, together)
+        _summarise(tally)
+        if targets.needs_rows_kept:
+            measured = measured_again(job, reported_logs(many.logs, each), many.jobs)
+            targets.write_pictures(measured, job.setup, job.rules, many.jobs, log_table(each, together))
+        return _code(outcomes.code(), tally)
+
+
+def _code(code: ExitCode, tally: Tally) -> ExitCode:
+    """The exit code, where nothing may have been measured: the summary says why."""
     if code is ExitCode.CLEAN and not any(status == "ok" for status, _ in tally):
-        code = ExitCode.UNUSABLE  # nothing was measured: the summary above says why
-    raise typer.Exit(code)
+        return ExitCode.UNUSABLE
+    return code
+
+
+def _require_one_trajectory(targets: EstimateTargets, several: bool) -> None:
+    if targets.form is RowFormat.TUM and several:
+        raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
+
+
+def _write_rows(
+    targets: EstimateTargets, rows: Iterator[Row], with_alarms: bool, several: bool, planar: bool
+) -> None:
+    form = targets.form or RowFormat.TABLE
+    if form is RowFormat.PARQUET and targets.output is not None:
+        from svmdist.report.estimates import ESTIMATE_KEYS, ESTIMATE_TYPES
+        from svmdist.report.parquet import write_parquet
+
+        write_parquet(targets.output, ESTIMATE_KEYS, rows, ESTIMATE_TYPES)
+        return
+    lines = _lines(form, rows, with_alarms, several, terminal_width(targets.output), planar)
+    write_lines(lines, targets.output, is_json=form in {RowFormat.JSON, RowFormat.JSONL})
 
 
 def _rows(
@@ -144,12 +222,12 @@ def _rows(
 
     for recording in opened.recordings:
         try:
-            yield from _rows_of(recording, setup, wanted, tally, rules, lag, jobs, measured)
+            yield from rows_of(recording, setup, wanted, tally, rules, lag, jobs, measured)
         except RecordingError as problem:
             opened.fail(problem)
 
 
-def _rows_of(
+def rows_of(
     recording: Recording,
     setup: Setup,
     wanted: tuple[str, ...] | None,
@@ -159,6 +237,7 @@ def _rows_of(
     jobs: int | None,
     measured: list[Measured] | None,
 ) -> Iterator[Row]:
+    """The rows of one recording; `tally` counts how they ended, `measured` gets all of them where it is given."""
     from svmdist.cli.lag import told_lag
     from svmdist.estimation.alarms import AlarmWatch
     from svmdist.estimation.lag import LagEstimate
@@ -221,6 +300,8 @@ def _lines(
             return json_lines(ESTIMATE_KEYS, rows)
         case RowFormat.TUM:
             return tool_pose_lines(rows)
+        case RowFormat.PARQUET:
+            raise UsageError("--format parquet is no text: give a file with -o FILE.parquet")
 
 
 def _summarise(tally: Tally) -> None:

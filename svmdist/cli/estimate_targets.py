@@ -15,6 +15,8 @@ from svmdist.cli.progress import progress_bar
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from svmdist.estimation.alarms import AlarmRules
     from svmdist.workflows.setup import Setup
     from svmdist.workflows.validate import Measured
@@ -48,14 +50,20 @@ class EstimateTargets:
             raise UsageError(f"--report and --save-plot go with rows: write {output} by itself")
         return EstimateTargets(output, None, (output, chosen), None, None)
 
-    def check(self, files: Sequence[Path]) -> None:
+    def check(self, files: Sequence[Path], count: int) -> None:
         """Fail before the work rather than after it; raises OutputError or UsageError."""
         for target in (self.output, self.report):
             require_output(target, files)
         require_report(self.report)
         require_plot("estimate", None, self.plot, files)
-        if self.drawn and len(files) > 1:
-            raise UsageError(f"{self.drawn[0]}: holds one recording, and {len(files)} are given")
+        if self.form is RowFormat.PARQUET:
+            from svmdist.report.parquet import require_pyarrow
+
+            if self.output is None:
+                raise UsageError("--format parquet is no text: give a file with -o FILE.parquet")
+            require_pyarrow()
+        if self.drawn and count > 1:
+            raise UsageError(f"{self.drawn[0]}: holds one recording, and {count} are given")
 
     @property
     def needs_rows_kept(self) -> bool:
@@ -63,9 +71,14 @@ class EstimateTargets:
         return self.report is not None or self.plot is not None
 
     def write_pictures(
-        self, measured: Sequence[Measured], setup: Setup, rules: AlarmRules | None, jobs: int | None
+        self,
+        measured: Sequence[Measured],
+        setup: Setup,
+        rules: AlarmRules | None,
+        jobs: int | None,
+        logs: Table | None = None,
     ) -> None:
-        """Write the plot and the report, where they are asked for."""
+        """Write the plot and the report, where they are asked for; `logs` is a table of all logs for the report."""
         if self.plot:
             from svmdist.report.series_plot import SeriesPlot, save_series_plot
             from svmdist.workflows.series import make_series
@@ -79,5 +92,5 @@ class EstimateTargets:
             from svmdist.report.html.page import write_report
 
             with progress_bar("drawing the worst frames", "images") as advance:
-                page = estimate_report(measured, setup, command_line(), rules, jobs, advance)
+                page = estimate_report(measured, setup, command_line(), rules, jobs, logs, advance)
             write_report(page, self.report)

@@ -57,6 +57,7 @@ class SummaryFormat(StrEnum):
     JSON = "json"
     LATEX = "latex"
     MARKDOWN = "markdown"
+    PARQUET = "parquet"
 
 
 class RowFormat(StrEnum):
@@ -67,18 +68,23 @@ class RowFormat(StrEnum):
     JSON = "json"
     JSONL = "jsonl"
     TUM = "tum"
+    PARQUET = "parquet"
 
 
 Files = Annotated[
-    list[Path],
+    list[str],
     typer.Argument(
-        metavar="FILE", help="Recordings: MCAP files, ROS 1 bags or rosbag2 folders.", show_default=False
+        metavar="FILE",
+        help="Recordings: MCAP files, ROS 1 bags, rosbag2 folders, folders of these, globs or URLs.",
+        show_default=False,
     ),
 ]
 OptionalFiles = Annotated[
-    list[Path] | None,
+    list[str] | None,
     typer.Argument(
-        metavar="FILE", help="Recordings. Default: every .mcap file in recordings/.", show_default=False
+        metavar="FILE",
+        help="Recordings, folders, globs or URLs. Default: every .mcap file in recordings/.",
+        show_default=False,
     ),
 ]
 TopicOption = Annotated[
@@ -164,7 +170,7 @@ JobsOption = Annotated[
         metavar="N",
         min=1,
         max=256,
-        help="Frames or conditions to work on at a time. The results are the same. Default: the usable cores.",
+        help="Logs, frames or conditions to work on at a time. The results are the same. Default: the usable cores.",
         show_default=False,
     ),
 ]

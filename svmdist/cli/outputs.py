@@ -31,6 +31,7 @@ SUMMARY_ENDINGS = {
     ".json": SummaryFormat.JSON,
     ".tex": SummaryFormat.LATEX,
     ".md": SummaryFormat.MARKDOWN,
+    ".parquet": SummaryFormat.PARQUET,
 }
 TABLE_ENDINGS = {f".{form}": form for form in TableFormat if form is not TableFormat.TABLE}
 FILE_ENDINGS = {f".{form}": form for form in FileFormat} | {".htm": FileFormat.HTML}
@@ -60,7 +61,14 @@ def row_format(given: RowFormat | None, output: Path | None) -> RowFormat | File
 
 def summary_format(given: SummaryFormat | None, output: Path | None) -> SummaryFormat:
     """The format of a summary: the given one, else that of the file's ending, else a table; raises UsageError."""
-    return by_ending(SUMMARY_ENDINGS, SummaryFormat.TABLE, output) if given is None else given
+    chosen = by_ending(SUMMARY_ENDINGS, SummaryFormat.TABLE, output) if given is None else given
+    if chosen is SummaryFormat.PARQUET:
+        from svmdist.report.parquet import require_pyarrow
+
+        if output is None:
+            raise UsageError("--format parquet is no text: give a file with -o FILE.parquet")
+        require_pyarrow()
+    return chosen
 
 
 def table_format(given: TableFormat | None, output: Path | None) -> TableFormat:

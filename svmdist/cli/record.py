@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from svmdist.cli.console import require_output, say
+from svmdist.cli.console import ExitCode, Verbosity, require_output, say
 from svmdist.cli.degradations import parse_degradations
 from svmdist.cli.options import ProfileOption, parse_length_m
 from svmdist.cli.perturbations import parse_perturb
 from svmdist.cli.progress import progress_bar
+from svmdist.errors import UsageError
+
+if TYPE_CHECKING:
+    from svmdist.workflows.episodes import Episodes
 
 
 class ScenarioName(StrEnum):
@@ -176,6 +180,24 @@ def record_command(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
     profile: ProfileOption = "psm13",
+    episodes: Annotated[
+        int | None,
+        typer.Option(
+            "--episodes",
+            metavar="N",
+            min=1,
+            max=100_000,
+            help="Record N seeds, from --seed on, in --jobs processes. --output is then a folder, or a name with"
+            " {seed} or {episode}.",
+            show_default=False,
+        ),
+    ] = None,
+    skip_existing: Annotated[
+        bool,
+        typer.Option(
+            "--skip-existing", help="With --episodes: leave those that are there, to go on with the others."
+        ),
+    ] = False,
 ) -> None:
     """Simulate the robot and write a recording.
 
@@ -188,8 +210,11 @@ def record_command(
     from svmdist.workflows.record import record
 
     relief_m = 0.0 if relief is None else parse_length_m("--relief", relief)
-    path = output or Path(f"{scenario.value}-{seed}.mcap")
-    require_output(path)
+    if skip_existing and (episodes is None or force):
+        raise UsageError("--skip-existing goes with --episodes, and without --force")
+    path = output or Path() if episodes else output or Path(f"{scenario.value}-{seed}.mcap")
+    if episodes is None:
+        require_output(path)
     plan = Scenario(scenario.value, seed, duration, rate)
     extras = Extras(
         stereo,
@@ -201,6 +226,16 @@ def record_command(
         draw_world(World(world.value), seed, parse_perturb("--perturb", perturb)),
         World(world.value),
     )
+    if episodes is not None:
+        from svmdist.workflows.episodes import Episodes
+
+        chosen = parse_perturb("--perturb", perturb)
+        drawn = renderer.value, noise, jpeg, force, skip_existing
+        raise typer.Exit(
+            _record_episodes(
+                Episodes(plan, load_profile(profile), extras, chosen, *drawn), path, episodes, jobs
+            )
+        )
     with progress_bar(f"{scenario.value}, seed {seed}", "frames") as advance:
         result = record(
             plan,
@@ -216,3 +251,26 @@ def record_command(
         )
     size_mb = result.size_bytes / 1e6
     say(f"svmdist: {path}: {result.frame_count} frames, {result.message_count} messages, {size_mb:.2f} MB")
+
+
+def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | None) -> ExitCode:
+    from svmdist.workflows.episodes import episode_paths, record_episodes
+
+    scenario = episodes.scenario
+    paths = episode_paths(output, scenario.name, scenario.seed, count)
+    with progress_bar(f"{scenario.name}, {count} seeds", "recordings") as advance:
+        found = record_episodes(episodes, paths, jobs, advance)
+    made = [one.recorded for one in found if one.recorded]
+    were_there = sum(one.was_there for one in made)
+    left = f", {were_there} of them were there" if were_there else ""
+    say(
+        f"svmdist: {len(made)} of {count} recordings{left}: {sum(one.frame_count for one in made)} frames,"
+        f" {sum(one.size_bytes for one in made) / 1e6:.2f} MB"
+    )
+    for one in found:
+        if one.failure:
+            reason = one.failure if str(one.path) in one.failure else f"{one.path}: {one.failure}"
+            say(f"svmdist: not recorded: {reason}", Verbosity.QUIET)
+    if not made:
+        return ExitCode.UNUSABLE
+    return ExitCode.CLEAN if len(made) == count else ExitCode.LOSS

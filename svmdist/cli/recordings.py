@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from glob import glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,13 +15,17 @@ import typer
 
 from svmdist.cli.console import ExitCode, Verbosity, report_health, say
 from svmdist.errors import RecordingError, SvmdistError, UsageError
+from svmdist.input_file import LogPath
+from svmdist.remote_file import RemoteFile, is_url
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
     from svmdist.recording.reader import Recording
     from svmdist.recording.reading import Window
+    from svmdist.workflows.batch.task import LogFile
 
 LOG_ENDINGS = (".mcap", ".bag")
+GLOB = re.compile(r"[*?\[]")
 
 StartOption = Annotated[
     float,
@@ -68,40 +75,115 @@ class Opened:
 
 
 def open_recordings(
-    paths: Sequence[Path], profile: Profile, topics: dict[str, str], window: Window | None = None
+    files: Sequence[LogFile], profile: Profile, topics: dict[str, str], window: Window | None = None
 ) -> Opened:
-    """Open files and all logs in folders, each under a name of its own; one of several that cannot be is left out.
+    """Open logs, each under its name; one of several that cannot be opened is left out.
 
     Raises RecordingError where there is one only, or none that can be opened.
     """
-    from svmdist.recording.reader import open_recording
-    from svmdist.recording.reading import Reading, unique_names
     from svmdist.recording.topics import Role
 
-    files = [file for path in paths for file in logs_in(path)]
     opened = Opened(count=len(files))
-    for path, name in zip(files, unique_names(files), strict=True):
+    for log in files:
         try:
-            recording = open_recording(path, profile, topics=topics)
+            recording = open_log(log, profile, topics, window)
         except RecordingError as problem:
             opened.fail(problem)
         else:
-            recording = recording.read_as(Reading(name, window))
             opened.recordings.append(recording)
             found = [f"{role} {topic}" for role in Role if (topic := recording.topic_of(role))]
-            say(f"svmdist: {name}: {path}: {', '.join(found)}", Verbosity.VERBOSE)
+            say(f"svmdist: {log.name}: {log.path}: {', '.join(found)}", Verbosity.VERBOSE)
     return opened
+
+
+def open_log(
+    log: LogFile, profile: Profile, topics: dict[str, str], window: Window | None = None
+) -> Recording:
+    """Open a log under its name; raises RecordingError."""
+    from svmdist.recording.reader import open_recording
+    from svmdist.recording.reading import Reading
+
+    return open_recording(log.path, profile, topics=topics).read_as(Reading(log.name, window))
+
+
+def logs_or_golden(files: Sequence[str | Path] | None) -> list[LogFile]:
+    """The logs that are named, else every recording in recordings/; raises UsageError where there is none."""
+    if files:
+        return named_logs(files)
+    if not any(Path("recordings").glob("*.mcap")):
+        raise UsageError(f"no FILE given, and there is no .mcap in {Path('recordings').resolve()}")
+    return named_logs(["recordings/*.mcap"])
+
+
+def named_logs(files: Sequence[str | Path]) -> list[LogFile]:
+    """The logs that files, folders, globs and URLs stand for, each once and under a name of its own.
+
+    Raises UsageError for a glob that nothing matches, and RecordingError where a store cannot be asked.
+    """
+    from svmdist.recording.reading import unique_names
+    from svmdist.workflows.batch.task import LogFile
+
+    found: dict[object, LogPath] = {}
+    for text in files:
+        for path in _paths_of(os.fspath(text)):
+            found.setdefault(path if isinstance(path, RemoteFile) else os.path.realpath(path), path)
+    paths = list(found.values())
+    return [LogFile(path, name) for path, name in zip(paths, unique_names(paths), strict=True)]
+
+
+def local_logs(logs: Sequence[LogFile]) -> list[Path]:
+    """The paths of logs that are on this machine."""
+    return [log.path for log in logs if isinstance(log.path, Path)]
+
+
+def _paths_of(text: str) -> list[LogPath]:
+    if is_url(text):
+        return [*_urls_of(text)]
+    if text.lower().startswith(("file://", "local://")):
+        from urllib.parse import unquote
+
+        text = unquote(text.partition("://")[2].removeprefix("localhost"))
+    path = Path(text)
+    if "\0" in text or os.path.lexists(path) or not GLOB.search(text):
+        return [*logs_in(path)]
+    matches = sorted(Path(match) for match in glob(text, recursive=True))
+    logs = [match for match in matches if _is_log(match)]
+    folders = [match for match in matches if match.is_dir() and match not in logs]
+    if not logs and len(folders) == len(matches) and matches:
+        logs = [log for folder in folders for log in logs_in(folder) if log != folder]
+    chosen = logs or [match for match in matches if match.is_file()]
+    if not chosen:
+        raise UsageError(f"{text}: no log matches")
+    return [*chosen]
+
+
+def _urls_of(url: str) -> list[RemoteFile]:
+    """The logs of a URL: of a folder or a glob all those in it, by name; a file stands for itself."""
+    from svmdist.remote_file import listed_urls
+
+    try:
+        found = listed_urls(
+            url, LOG_ENDINGS, is_glob=GLOB.search(url.partition("://")[2].partition("?")[0]) is not None
+        )
+    except OSError as problem:
+        raise RecordingError(f"{RemoteFile(url)}: cannot read: {problem.strerror or problem}") from None
+    if not found:
+        raise UsageError(f"{RemoteFile(url)}: no log matches")
+    return found
+
+
+def _is_log(path: Path) -> bool:
+    from svmdist.recording.rosbag import METADATA_FILE
+
+    return path.suffix.lower() in LOG_ENDINGS or (path.is_dir() and (path / METADATA_FILE).is_file())
 
 
 def logs_in(path: Path) -> list[Path]:
     """The logs in a folder, by name; a file, and a folder that is a rosbag2, stand for themselves."""
-    from svmdist.recording.rosbag import METADATA_FILE
-
-    if not path.is_dir() or (path / METADATA_FILE).is_file():
+    if "\0" in str(path) or not path.is_dir() or _is_log(path):
         return [path]
-    found = sorted(
-        file
-        for file in path.iterdir()
-        if file.suffix.lower() in LOG_ENDINGS or (file.is_dir() and (file / METADATA_FILE).is_file())
-    )
+    try:
+        found = sorted(file for file in path.iterdir() if _is_log(file) and not file.name.startswith("."))
+    except OSError as problem:
+        raise RecordingError(f"{path}: cannot read: {problem.strerror or problem}") from None
     return found or [path]  # opening it tells what was expected

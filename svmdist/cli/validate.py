@@ -11,13 +11,13 @@ import typer
 from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
 from svmdist.cli.console import (
     ExitCode,
-    files_or_golden,
     require_output,
     say,
     write_lines,
     write_marked_up,
     write_tables,
 )
+from svmdist.cli.many import GroupOption, Many, ResumeOption, SchedulerOption, group_keys
 from svmdist.cli.options import (
     CalibrationOption,
     EquationsChoice,
@@ -43,9 +43,17 @@ from svmdist.cli.options import (
 from svmdist.cli.outputs import command_line, require_report, summary_format
 from svmdist.cli.plots import PlotKind, ValidatePlotOption, require_plot
 from svmdist.cli.progress import progress_bar
-from svmdist.cli.recordings import EndOption, EveryOption, StartOption, open_recordings, window_of
+from svmdist.cli.recordings import (
+    EndOption,
+    EveryOption,
+    StartOption,
+    local_logs,
+    logs_or_golden,
+    window_of,
+)
 
 if TYPE_CHECKING:
+    from svmdist.workflows.baseline import Baseline
     from svmdist.workflows.scoring.truth import TruthRules
     from svmdist.workflows.setup import Setup
     from svmdist.workflows.validate import Measured, Validation
@@ -133,6 +141,9 @@ def validate_command(
     start: StartOption = 0.0,
     end: EndOption = None,
     every: EveryOption = 1,
+    scheduler: SchedulerOption = None,
+    resume: ResumeOption = None,
+    group: GroupOption = None,
 ) -> None:
     """Score estimates against the truth.
 
@@ -141,39 +152,32 @@ def validate_command(
     the true clearance: recall, precision, share of the safe frames that are alarmed, false alarms per minute and
     lead time.
     """
-    from svmdist.workflows.baseline import (
-        find_regressions,
-        load_baseline,
-        make_baseline,
-        require_same_alarms,
-        save_baseline,
-    )
+    from svmdist.cli.log_jobs import ValidateJob
+    from svmdist.cli.validate_logs import score_logs
+    from svmdist.workflows.baseline import load_baseline, make_baseline, require_same_alarms, save_baseline
     from svmdist.workflows.scoring.truth import Reference, truth_rules
     from svmdist.workflows.setup import prepare
-    from svmdist.workflows.validate import validate
 
+    logs = logs_or_golden(files)
     for target in (output, write_baseline, report):
-        require_output(target, files or ())
+        require_output(target, local_logs(logs))
+    keys = group_keys(group)
     require_report(report)
     chosen_form = summary_format(form, output)
-    drawn = require_plot("validate", plot, save_plot, files or ())
+    drawn = require_plot("validate", plot, save_plot, local_logs(logs))
     alarms = alarm_rules(alarm_below, alarm_confidence, method.value)
-    paths = files_or_golden(files)
     stored = load_baseline(baseline) if baseline else None
     if stored:
         require_same_alarms(stored, alarms)
     setup = prepare(profile, method.value, equations.value, calibration, hand_eye)
     references = tuple(Reference(choice.value) for choice in dict.fromkeys(truth)) if truth else None
     rules = truth_rules(tuple(truth_tf or ()), setup.profile, references, round(max_gap * 1e9))
-    opened = open_recordings(paths, setup.profile, topics_of(topic), window_of(start, end, every))
+    window = window_of(start, end, every)
     wanted = instruments_of(instrument, setup.profile)
-    measured: list[Measured] = []
-    on_measured = measured.append if report or drawn not in (None, PlotKind.FIG6) else None
-    given, on_unusable = parse_lag(lag), opened.fail if opened.count > 1 else None
-    with progress_bar(f"validating {setup.method}", "rows") as advance:
-        result = validate(
-            opened.recordings, setup, rules, given, alarms, wanted, jobs, on_measured, on_unusable, advance
-        )
+    frames = bool(report) or drawn not in (None, PlotKind.FIG6)
+    job = ValidateJob(setup, topics_of(topic), window, rules, parse_lag(lag), alarms, wanted, bool(keys))
+    scored = score_logs(Many(logs, jobs, scheduler, resume), job, keys, keeps_frames=frames)
+    result, measured = scored.validation, scored.measured
     _write(result, chosen_form, output)
     if save_plot and drawn:
         _save_plot(result, measured, setup, rules, drawn, save_plot)
@@ -182,20 +186,28 @@ def validate_command(
         from svmdist.report.html.page import write_report
 
         with progress_bar("drawing the worst frames", "images") as advance:
-            page = validation_report(result, measured, setup, rules, command_line(), jobs, advance)
+            page = validation_report(
+                result, measured, setup, rules, command_line(), jobs, scored.ranking, advance
+            )
         write_report(page, report)
-    code = opened.health_code()
+    code = scored.finish()
     if write_baseline:
         save_baseline(make_baseline(result), write_baseline)
-    if stored:
-        regressions = find_regressions(result, stored, complete=not files)
-        for regression in regressions:
-            say(f"svmdist: worse: {regression}")
-        if regressions:
-            code = ExitCode.WORSE
-        else:
-            say(f"svmdist: no figure is worse than in {baseline}")
+    if stored and _is_worse(result, stored, baseline, complete=not files):
+        code = ExitCode.WORSE
     raise typer.Exit(code)
+
+
+def _is_worse(result: Validation, stored: Baseline, path: Path | None, *, complete: bool) -> bool:
+    """Say which figures are worse than those stored."""
+    from svmdist.workflows.baseline import find_regressions
+
+    regressions = find_regressions(result, stored, complete=complete)
+    for regression in regressions:
+        say(f"svmdist: worse: {regression}")
+    if not regressions:
+        say(f"svmdist: no figure is worse than in {path}")
+    return bool(regressions)
 
 
 def _save_plot(
@@ -233,7 +245,12 @@ def _write(result: Validation, form: SummaryFormat, output: Path | None) -> None
         case SummaryFormat.LATEX | SummaryFormat.MARKDOWN:
             write_marked_up(form, validation_tables(result), remarks(result), output)
         case SummaryFormat.CSV:
-            scores = (*result.scores, *result.overall)
+            scores = (*result.scores, *result.groups, *result.overall)
             write_lines(csv_lines(score_keys(), (score_row(score) for score in scores)), output)
+        case SummaryFormat.PARQUET if output is not None:
+            from svmdist.report.parquet import write_parquet
+
+            every = (*result.scores, *result.groups, *result.overall)
+            write_parquet(output, score_keys(), [score_row(score) for score in every])
         case SummaryFormat.JSON:
             write_lines([json_text(validation_document(result), indent=1) + "\n"], output, is_json=True)

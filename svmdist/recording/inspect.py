@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from svmdist.camera import Camera
+from svmdist.input_file import LogPath
 from svmdist.profile import Limits, Profile
 from svmdist.recording.health import Health
 from svmdist.recording.messages.checks import DecodeError
@@ -46,7 +46,7 @@ class TopicSummary:
 class RecordingSummary:
     """A whole recording; `roles` names the topic of every role that one could be found for."""
 
-    path: Path
+    path: LogPath
     size_bytes: int
     metadata: dict[str, str]
     duration_s: float
@@ -109,7 +109,7 @@ class _Statistics:
 
 
 def inspect_recording(
-    path: Path | str,
+    path: LogPath | str,
     profile: Profile,
     *,
     limits: Limits | None = None,

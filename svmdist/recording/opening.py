@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from svmdist.errors import RecordingError
-from svmdist.input_file import open_regular, why
+from svmdist.input_file import LogPath, open_regular, why
 from svmdist.profile import Limits
 from svmdist.recording.mcap_file.framing import MAGIC as MCAP_MAGIC
 from svmdist.recording.mcap_file.source import McapSource
 from svmdist.recording.rosbag import METADATA_FILE
 from svmdist.recording.sources import ZSTD_MAGIC, Source, is_message_compressed
+from svmdist.remote_file import RemoteFile
 
 ROSBAG_MAGIC = b"#ROSBAG V2.0\n"
 SQLITE_MAGIC = b"SQLite format 3\x00"
@@ -34,10 +33,10 @@ LOOKS_LIKE = {
 WHAT_IS_EXPECTED = "an MCAP file, a ROS 1 bag or a rosbag2 folder"
 
 
-def open_source(path: Path, limits: Limits) -> Source:
+def open_source(path: LogPath, limits: Limits) -> Source:
     """Open a recording; RecordingError says in one line why a path cannot be one."""
     try:
-        if path.is_dir():
+        if not isinstance(path, RemoteFile) and path.is_dir():
             if (path / METADATA_FILE).is_file():
                 from svmdist.recording.rosbag.bag2_source import Rosbag2Source
 
@@ -59,7 +58,7 @@ def open_source(path: Path, limits: Limits) -> Source:
     return source
 
 
-def _open_file(path: Path, start: bytes, limits: Limits) -> Source:
+def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
     if not start:
         raise RecordingError(f"{path}: is empty; expected {WHAT_IS_EXPECTED}")
     if start.startswith(MCAP_MAGIC):
@@ -69,6 +68,10 @@ def _open_file(path: Path, start: bytes, limits: Limits) -> Source:
 
         return Rosbag1Source(path, limits)
     if start.startswith(SQLITE_MAGIC):
+        if isinstance(path, RemoteFile):
+            raise RecordingError(
+                f"{path}: a rosbag2 database is read from a disk only; copy it to this machine"
+            )
         from svmdist.recording.rosbag.sqlite_source import SqliteSource
 
         return SqliteSource(path, limits)

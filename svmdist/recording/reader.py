@@ -12,7 +12,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError, did_you_mean
-from svmdist.input_file import open_regular
+from svmdist.input_file import LogPath, open_regular
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
 from svmdist.perturbations.clock import later_ns
@@ -29,6 +29,7 @@ from svmdist.recording.reading import Reading
 from svmdist.recording.sources import RawMessage, Source, TopicInfo
 from svmdist.recording.topics import Role
 from svmdist.recording.transform_tree import TransformTree
+from svmdist.remote_file import RemoteFile, is_url
 from svmdist.samples import (
     CameraSample,
     DistanceSample,
@@ -46,7 +47,7 @@ AS_IT_IS = Reading()
 
 
 def open_recording(
-    path: Path | str,
+    path: LogPath | str,
     profile: Profile,
     *,
     limits: Limits | None = None,
@@ -59,14 +60,43 @@ def open_recording(
     for an unknown role. What is lost later while reading is counted in `health`.
     """
     limits = limits or profile.limits
-    source = open_source(Path(path), limits)
+    if isinstance(path, str):
+        path = RemoteFile(path) if is_url(path) else Path(path)
+    source = open_source(path, limits)
     recording = Recording(source, find_arms(source, profile, topics or {}), limits)
-    recording.origin = (Path(path), profile, limits, dict(topics or {}))
+    recording.origin = (path, profile, limits, dict(topics or {}))
     return recording
 
 
+def files_of(path: LogPath) -> list[LogPath]:
+    """A file, or the files of a folder in the order of their names."""
+    if isinstance(path, RemoteFile) or not path.is_dir():
+        return [path]
+    return [*sorted(file for file in path.iterdir() if file.is_file())]
+
+
+def content_sha256(path: LogPath) -> str:
+    """Hash a file, or the files of a folder in the order of their names, as hexadecimal digits."""
+    import hashlib
+
+    digest = hashlib.sha256()
+    for file in files_of(path):
+        try:
+            with open_regular(file) as stream:
+                while piece := stream.read(1 << 20):
+                    digest.update(piece)
+        except OSError as problem:
+            raise RecordingError(f"{file}: cannot read: {problem.strerror or problem}") from None
+    return digest.hexdigest()
+
+
 def _reopen(
-    path: Path, profile: Profile, limits: Limits, topics: dict[str, str], lag: KnownLag | None, how: Reading
+    path: LogPath,
+    profile: Profile,
+    limits: Limits,
+    topics: dict[str, str],
+    lag: KnownLag | None,
+    how: Reading,
 ) -> Recording:
     recording = open_recording(path, profile, limits=limits, topics=topics).read_as(how)
     return recording if lag is None else recording.with_lag(lag, profile)
@@ -111,7 +141,7 @@ class Recording:
         self._observer = Observer(self._messages, self._choice, world)
         self.lag = lag
         """The lag of the images that is known, and taken off; None where nothing is known of it."""
-        self.origin: tuple[Path, Profile, Limits, dict[str, str]] | None = None
+        self.origin: tuple[LogPath, Profile, Limits, dict[str, str]] | None = None
         """What it was opened by, so that another process can open it too."""
 
     def __reduce__(self) -> tuple[Callable[..., Recording], tuple[object, ...]]:
@@ -183,8 +213,8 @@ class Recording:
         return self._limits
 
     @property
-    def path(self) -> Path:
-        """The file or folder."""
+    def path(self) -> LogPath:
+        """The file or folder, or the URL."""
         return self._source.path
 
     @property
@@ -288,11 +318,13 @@ class Recording:
             self.health.add(loss, decoded.place)
         return decoded.found
 
-    def joint_track(self, on_sample: Callable[[], None] | None = None) -> JointTrack:
-        """Read all joint states; `on_sample` hears of each."""
+    def joint_samples(self, on_sample: Callable[[], None] | None = None) -> Iterator[JointSample]:
+        """Yield the joint states in the order of the file, all of the same joints; others are counted as lost.
+
+        `on_sample` hears of each.
+        """
         topic = self._choice.require(Role.JOINTS)
         names: tuple[str, ...] | None = None
-        stamps, values = array("q"), array("d")  # a sample as an object is five times as large
         replayed = None if self._world is None else self._world.joints_of(self._arms[0].name)
         for raw, sample in self._messages.samples(topic):
             if not isinstance(sample, JointSample):
@@ -303,20 +335,36 @@ class Recording:
             if sample.names != names:
                 self._messages.record_loss(LossKind.MESSAGE, OTHER_JOINTS, raw)
                 continue
-            for each in [sample] if replayed is None else replayed.replayed(sample):
-                stamps.append(each.stamp_ns)
-                values.extend(each.positions)
-        if names is None or not stamps:
-            raise RecordingError(f"{self.path.name}: no usable joint states on {sanitize(topic)}")
+            yield from [sample] if replayed is None else replayed.replayed(sample)
+
+    def joint_track(self, on_sample: Callable[[], None] | None = None) -> JointTrack:
+        """Read all joint states; `on_sample` hears of each."""
+        names: tuple[str, ...] = ()
+        stamps, values = array("q"), array("d")  # a sample as an object is five times as large
+        for sample in self.joint_samples(on_sample):
+            names = sample.names
+            stamps.append(sample.stamp_ns)
+            values.extend(sample.positions)
+        if not stamps:
+            raise self.no_joints()
         stamps_ns = np.array(stamps, np.int64)
         positions = np.frombuffer(values, np.float64).reshape(len(stamps), len(names))
         order = sort_stamps(stamps_ns)
         if len(order) < len(stamps_ns):
-            detail = f"{len(stamps_ns) - len(order)} joint states repeat a stamp; the last one counts"
-            self.health.add(Loss(LossKind.MESSAGE, detail, None, topic))
+            self.record_repeated_joints(len(stamps_ns) - len(order))
         elif (np.diff(order) == 1).all():
             return JointTrack(stamps_ns, names, positions)
         return JointTrack(stamps_ns[order], names, positions[order])
+
+    def no_joints(self) -> RecordingError:
+        """What is to be said of a log whose joint states cannot be used."""
+        topic = self._choice.require(Role.JOINTS)
+        return RecordingError(f"{self.path.name}: no usable joint states on {sanitize(topic)}")
+
+    def record_repeated_joints(self, count: int) -> None:
+        """Count joint states whose stamp comes again; the last of them counts."""
+        detail = f"{count} joint states repeat a stamp; the last one counts"
+        self.health.add(Loss(LossKind.MESSAGE, detail, None, self._choice.require(Role.JOINTS)))
 
     def transform_track(self, parent: str, child: str, *, ground_truth: bool = False) -> TransformTrack:
         """Read `T_parent_child` over time, composed along the tree of the nominal or the true transforms.
@@ -354,17 +402,27 @@ class Recording:
                     tree.add(later, is_static=raw.topic in static)
         return tree
 
+    def pose_samples(self) -> Iterator[PoseSample]:
+        """Yield the poses in the order of the file, at the stamps that the clocks put right give them."""
+        topic = self._choice.require(Role.POSE)
+        for _, sample in self._messages.samples(topic):
+            if isinstance(sample, PoseSample):
+                yield replace(sample, stamp_ns=later_ns(sample.stamp_ns, self._lag_ns))
+
     def pose_track(self) -> PoseTrack:
         """Read all poses; RecordingError where their frame changes."""
-        topic = self._choice.require(Role.POSE)
-        samples = [sample for _, sample in self._messages.samples(topic) if isinstance(sample, PoseSample)]
+        samples = list(self.pose_samples())
         frames = sorted({sample.frame_id for sample in samples})
         if len(frames) != 1:
-            found = f"poses in several frames: {sanitize_list(frames)}" if frames else "no usable poses"
-            raise RecordingError(f"{self.path.name}: {found} on {sanitize(topic)}")
-        stamps_ns = np.array([later_ns(sample.stamp_ns, self._lag_ns) for sample in samples], np.int64)
+            raise self.other_frames(frames)
+        stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
         order = sort_stamps(stamps_ns)
         return PoseTrack(frames[0], stamps_ns[order], np.array([s.T_frame_pose for s in samples])[order])
+
+    def other_frames(self, frames: Sequence[str]) -> RecordingError:
+        """What is to be said of poses that are in several frames, or of which there are none."""
+        found = f"poses in several frames: {sanitize_list(frames)}" if frames else "no usable poses"
+        return RecordingError(f"{self.path.name}: {found} on {sanitize(self._choice.require(Role.POSE))}")
 
     def distance_track(self) -> DistanceTrack:
         """Read all true distances."""
@@ -383,28 +441,17 @@ class Recording:
 
     def size_bytes(self) -> int:
         """Size of the file, or of all files of a folder."""
-        return sum(file.stat().st_size for file in self._files())
+        return sum(
+            file.size_bytes() if isinstance(file, RemoteFile) else file.stat().st_size
+            for file in self._files()
+        )
 
     def sha256(self) -> str:
         """Hash the file, or the files of a folder in the order of their names, as hexadecimal digits."""
-        import hashlib
+        return content_sha256(self.path)
 
-        digest = hashlib.sha256()
-        for file in self._files():
-            try:
-                with open_regular(file) as stream:
-                    while piece := stream.read(1 << 20):
-                        digest.update(piece)
-            except OSError as problem:
-                raise RecordingError(f"{file}: cannot read: {problem.strerror or problem}") from None
-        return digest.hexdigest()
-
-    def _files(self) -> list[Path]:
-        return (
-            sorted(file for file in self.path.iterdir() if file.is_file())
-            if self.path.is_dir()
-            else [self.path]
-        )
+    def _files(self) -> list[LogPath]:
+        return files_of(self.path)
 
     def _first_camera(self, topic: str) -> Camera | None:
         return next(

@@ -12,6 +12,9 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.input_file import LogPath
+from svmdist.remote_file import RemoteFile
+
 
 class HasStamp(Protocol):
     """An image, in whatever form."""
@@ -73,23 +76,26 @@ class Reading:
     window: Window | None = None
 
 
-def unique_names(paths: Sequence[Path]) -> list[str]:
+def unique_names(paths: Sequence[LogPath]) -> list[str]:
     """A name for each recording: the file's without its ending, with as many folders before it as tell it from others.
 
     >>> unique_names([Path("logs/a/contact.mcap"), Path("logs/b/contact.mcap"), Path("sweep.mcap")])
     ['a/contact', 'b/contact', 'sweep']
     """
-    parts = [(*Path(os.path.abspath(path)).parent.parts[1:], path.stem) for path in paths]
-    depths = [1] * len(parts)
+    parts = [(*_folders(path), path.stem) for path in paths]
+    depths = dict.fromkeys(parts, 1)
     while True:
-        names = ["/".join(part[-depth:]) for part, depth in zip(parts, depths, strict=True)]
-        clashing = [
-            at
-            for at, name in enumerate(names)
-            if depths[at] < len(parts[at])
-            and any(name == other and parts[at] != parts[index] for index, other in enumerate(names))
-        ]
+        sharing: dict[str, list[tuple[str, ...]]] = {}
+        for part, depth in depths.items():
+            sharing.setdefault("/".join(part[-depth:]), []).append(part)
+        clashing = [part for of in sharing.values() if len(of) > 1 for part in of if depths[part] < len(part)]
         if not clashing:
-            return names
-        for at in clashing:
-            depths[at] += 1
+            return ["/".join(part[-depths[part] :]) for part in parts]
+        for part in clashing:
+            depths[part] += 1
+
+
+def _folders(path: LogPath) -> tuple[str, ...]:
+    if isinstance(path, RemoteFile):
+        return path.folders
+    return Path(os.path.abspath(path)).parent.parts[1:]

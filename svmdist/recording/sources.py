@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
+from svmdist.input_file import LogPath
 from svmdist.recording.health import Health
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -43,7 +43,10 @@ class RawMessage:
 class Source(Protocol):
     """One recording file or folder of one format."""
 
-    path: Path
+    @property
+    def path(self) -> LogPath:
+        """The file or folder."""
+
     health: Health
 
     def topics(self) -> tuple[TopicInfo, ...]:

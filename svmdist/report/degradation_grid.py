@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from rich.table import Table as RichTable
 
-from svmdist.recording.reader import Recording
 from svmdist.report.figures import figure_cells, figure_columns, figure_keys
 from svmdist.report.table import Cell, Column, rich_table
 from svmdist.workflows.degradation_grid import GridCell
@@ -35,10 +34,10 @@ def grid_table(title: str, cells: Sequence[GridCell]) -> RichTable:
     return rich_table(title, [Column("condition", "images", is_text=True), *figure_columns()], rows)
 
 
-def recorded_notes(recordings: Sequence[Recording]) -> list[str]:
-    """Remarks on logs that were degraded when they were recorded."""
+def recorded_notes(logs: Iterable[tuple[str, Mapping[str, str]]]) -> list[str]:
+    """Remarks on logs, by name and metadata, that were degraded when they were recorded."""
     return [
-        f"{recording.name} was recorded with {recording.metadata['degrade']}; the grid's degradations come on top."
-        for recording in recordings
-        if "degrade" in recording.metadata
+        f"{name} was recorded with {metadata['degrade']}; the grid's degradations come on top."
+        for name, metadata in logs
+        if "degrade" in metadata
     ]

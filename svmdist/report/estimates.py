@@ -56,6 +56,15 @@ ESTIMATE_KEYS = (
 )
 """The contract: columns may be added at the end, none is renamed or removed."""
 
+_TEXT = frozenset({"recording", "status", "method", "equations", "instrument", "detail"})
+_WHOLE = frozenset(
+    ("stamp_ns", "alarm", "tool_area_px", "tissue_area_px", "keypoint_count", "match_count", "inlier_count")
+)
+ESTIMATE_TYPES = {
+    key: "string" if key in _TEXT else "int64" if key in _WHOLE else "float64" for key in ESTIMATE_KEYS
+}
+"""The types of the columns in Parquet."""
+
 QUATERNION_KEYS = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
 
 ALARM_COLUMNS = (

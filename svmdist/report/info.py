@@ -48,6 +48,32 @@ TOPIC_COLUMNS = (
 )
 
 
+LOG_KEYS = ("recording", "duration_s", "size_bytes", "images", "messages", "methods", "loss_count")
+LOG_COLUMNS = (
+    Column("recording", "recording", is_text=True),
+    Column("duration_s", "duration [s]", number(2)),
+    Column("size_bytes", "size [MB]", number(2, 1e-6)),
+    Column("images", "images"),
+    Column("messages", "messages"),
+    Column("methods", "methods", is_text=True),
+    Column("loss_count", "losses"),
+)
+
+
+def log_row(name: str, document: dict[str, Any]) -> dict[str, Cell]:
+    """One of several recordings, by its document, with the keys of `LOG_KEYS`."""
+    counts = {topic["topic"]: int(topic["message_count"]) for topic in document["topics"]}
+    return {
+        "recording": name,
+        "duration_s": document["duration_s"],
+        "size_bytes": document["size_bytes"],
+        "images": counts.get(document["roles"].get("image", ""), 0),
+        "messages": sum(counts.values()),
+        "methods": ", ".join(method for method, of in document["methods"].items() if of["served"]) or "none",
+        "loss_count": len(document["losses"]),
+    }
+
+
 def topic_row(topic: TopicSummary) -> dict[str, Cell]:
     """One topic, flat, with the keys of `TOPIC_KEYS`."""
     return {key: getattr(topic, key) for key in TOPIC_KEYS}

@@ -54,6 +54,7 @@ def validation_document(validation: Validation) -> dict[str, Any]:
             for score in validation.overall
             if primary is None or score.reference is primary.reference
         },
+        **({"groups": [_json_score(score) for score in validation.groups]} if validation.groups else {}),
         "paper": {"r_squared": PAPER_R_SQUARED, "note": PAPER_NOTE},
         "notes": list(validation.notes),
     }

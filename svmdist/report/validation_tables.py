@@ -33,7 +33,7 @@ _BOUNDS = {
 def validation_tables(validation: Validation) -> list[RichTable]:
     """The tables for a person: planar figures, those in 3D where there are any, and alarms where asked for."""
     tables = [validation_table(validation)]
-    scores = (*validation.scores, *validation.overall)
+    scores = (*validation.scores, *validation.groups, *validation.overall)
     if any(score.spatial or score.clearance for score in scores):
         tables.append(distance_table(validation))
     if validation.alarm_rules is not None:
@@ -55,7 +55,7 @@ def validation_table(validation: Validation) -> RichTable:
         f"{first.method}, {how}; errors and σ (of the truth) in mm; 95 %: bootstrap interval",
         columns,
         [_shown(score) for score in validation.scores],
-        [_shown(score) for score in validation.overall],
+        [_shown(score) for score in (*validation.groups, *validation.overall)],
     )
 
 
@@ -67,7 +67,7 @@ def distance_table(validation: Validation) -> RichTable:
         "in 3D; errors and σ (of the truth) in mm; in 95 %: truths inside the stated interval",
         columns,
         _distance_rows(validation.scores, metrics),
-        _distance_rows(validation.overall, metrics),
+        _distance_rows((*validation.groups, *validation.overall), metrics),
     )
 
 
@@ -79,7 +79,7 @@ def alarm_table(validation: Validation) -> RichTable:
     metrics.sort(key=lambda metric: ["unsafe", "alarm_recall", metric.key].index(metric.key))
     rows, overall = (
         [{"recording": score.recording, **cells(metrics, score)} for score in scores if score.alarms]
-        for scores in (validation.scores, validation.overall)
+        for scores in (validation.scores, (*validation.groups, *validation.overall))
     )
     title = f"alarms: clearance below {rules.below_m * 1e3:g} mm with P ≥ {rules.confidence:g}; shares in %, leads in s"
     return _table(title, [_NAME, *map(metric_column, metrics)], rows, overall)

@@ -75,7 +75,7 @@ class BlurRow:
 
 
 @dataclass
-class _Tally:
+class BlurTally:
     """What one blur collects while the frames pass by: numbers only, no image."""
 
     frame_count: int = 0
@@ -86,6 +86,17 @@ class _Tally:
     matches: list[int] = field(default_factory=list)
     inliers: list[int] = field(default_factory=list)
     squared_errors_m2: list[float] = field(default_factory=list)
+
+    def add(self, other: BlurTally) -> None:
+        """Take in what was collected on another recording."""
+        self.frame_count += other.frame_count
+        self.measured_count += other.measured_count
+        self.keypoints += other.keypoints
+        self.areas += other.areas
+        self.marker_keypoints += other.marker_keypoints
+        self.matches += other.matches
+        self.inliers += other.inliers
+        self.squared_errors_m2 += other.squared_errors_m2
 
 
 def blur_bench(
@@ -100,29 +111,51 @@ def blur_bench(
     The marker is virtual: it is pasted on the degraded image and is not degraded itself. `on_progress` is told of
     images. Raises RecordingError where there is no image.
     """
-    tallies = {blur: _Tally() for blur in kernels_px}
-    conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
     steps = Steps(on_progress, image_total(recordings))
-    for recording in recordings:
-        measured: dict[Blur, list[FrameResult]] = {blur: [] for blur in kernels_px}
-        first = recording.instruments[:1]
-        for replayed in steps.of(replay(recording, [setup], conditions, wanted=first, jobs=jobs)):
-            for blur, lane in zip(kernels_px, replayed, strict=True):
-                (result,) = lane.results
-                tallies[blur].frame_count += 1
-                for frame in lane.frames:
-                    _count(frame, result, tallies[blur])
-                if result.measured:
-                    measured[blur].append(result)
-        for blur, results in measured.items():
-            tallies[blur].measured_count += len(results)
-            tallies[blur].squared_errors_m2 += _squared_errors_m2(recording, setup, results)
+    parts = [blur_tallies(recording, setup, kernels_px, jobs, steps) for recording in recordings]
+    return blur_rows(parts, kernels_px)
+
+
+def blur_tallies(
+    recording: Recording,
+    setup: Setup,
+    kernels_px: Mapping[Blur, int],
+    jobs: int | None = None,
+    steps: Steps | None = None,
+) -> dict[Blur, BlurTally]:
+    """Degrade every frame of one recording by every blur, measure it, and count; `steps` hears of each image."""
+    tallies = {blur: BlurTally() for blur in kernels_px}
+    conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
+    measured: dict[Blur, list[FrameResult]] = {blur: [] for blur in kernels_px}
+    first = recording.instruments[:1]
+    for replayed in (steps or Steps(None, None)).of(
+        replay(recording, [setup], conditions, wanted=first, jobs=jobs)
+    ):
+        for blur, lane in zip(kernels_px, replayed, strict=True):
+            (result,) = lane.results
+            tallies[blur].frame_count += 1
+            for frame in lane.frames:
+                _count(frame, result, tallies[blur])
+            if result.measured:
+                measured[blur].append(result)
+    for blur, results in measured.items():
+        tallies[blur].measured_count += len(results)
+        tallies[blur].squared_errors_m2 += _squared_errors_m2(recording, setup, results)
+    return tallies
+
+
+def blur_rows(parts: Sequence[Mapping[Blur, BlurTally]], kernels_px: Mapping[Blur, int]) -> list[BlurRow]:
+    """A row a blur, over all recordings; RecordingError where there is no image."""
+    tallies = {blur: BlurTally() for blur in kernels_px}
+    for part in parts:
+        for blur, tally in part.items():
+            tallies[blur].add(tally)
     if not any(tally.frame_count for tally in tallies.values()):
         raise RecordingError("there is no image to measure in these recordings")
     return [_row(blur, kernels_px[blur], tally) for blur, tally in tallies.items()]
 
 
-def _count(frame: Frame, result: FrameResult, tally: _Tally) -> None:
+def _count(frame: Frame, result: FrameResult, tally: BlurTally) -> None:
     profile, masks, context = frame.arm.profile, frame.left.masks_as_recorded, frame.left.context
     instrument = find_region(masks.instrument, profile.segmentation.instrument)
     if instrument is None:
@@ -156,7 +189,7 @@ def _squared_errors_m2(recording: Recording, setup: Setup, results: Sequence[Fra
     return [float(value) for value in (distance_m - truth.planar_m)[truth.valid] ** 2]
 
 
-def _row(blur: Blur, kernel_px: int, tally: _Tally) -> BlurRow:
+def _row(blur: Blur, kernel_px: int, tally: BlurTally) -> BlurRow:
     errors = tally.squared_errors_m2
     return BlurRow(
         blur=blur,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 
 import numpy as np
 
+from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError
 from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.estimation.planar.calibration import Calibration, CalibrationSamples, SourceFile, fit_calibration
@@ -39,35 +41,71 @@ def calibrate(
     if not recordings:
         raise CalibrationError("expected at least one recording to calibrate with, found none")
     camera = recordings[0].camera
-    samples = []
+    for recording in recordings:  # before the work
+        require_same_camera(camera, recording.camera, recordings[0].name, recording.name)
     steps = Steps(on_progress, image_total(recordings))
-    for recording in recordings:
-        if not camera.same_optics(recording.camera):
-            raise CalibrationError(
-                f"recordings of different cameras cannot be calibrated together: {recordings[0].name}"
-                f" and {recording.name} differ"
-            )
-        samples.append(collect_samples(recording, profile, method, steps))
+    parts = [collect_part(recording, profile, method, steps=steps) for recording in recordings]
+    return fit_parts(parts, method)
+
+
+def require_same_camera(one: Camera, other: Camera, name: str, other_name: str) -> None:
+    """Raise CalibrationError where two recordings are of different cameras."""
+    if not one.same_optics(other):
+        raise CalibrationError(
+            f"recordings of different cameras cannot be calibrated together: {name} and {other_name} differ"
+        )
+
+
+@dataclass(frozen=True)
+class CalibrationPart:
+    """What one recording gives to a calibration: its samples, its camera, and what it is."""
+
+    name: str
+    file_name: str
+    sha256: str
+    camera: Camera
+    samples: CalibrationSamples
+
+
+def collect_part(
+    recording: Recording,
+    profile: Profile,
+    method: str,
+    jobs: int | None = None,
+    steps: Steps | None = None,
+) -> CalibrationPart:
+    """Measure one recording for a calibration; `steps` hears of each image."""
+    samples = collect_samples(recording, profile, method, steps, jobs)
+    return CalibrationPart(recording.name, recording.path.name, recording.sha256(), recording.camera, samples)
+
+
+def fit_parts(parts: Sequence[CalibrationPart], method: str) -> Calibration:
+    """Fit a calibration to the samples of recordings; CalibrationError as for `calibrate`."""
+    camera = parts[0].camera
+    for part in parts:
+        require_same_camera(camera, part.camera, parts[0].name, part.name)
     return fit_calibration(
         CalibrationSamples(
-            np.concatenate([part.tool_px for part in samples]),
-            np.concatenate([part.tool_m for part in samples]),
+            np.concatenate([part.samples.tool_px for part in parts]),
+            np.concatenate([part.samples.tool_m for part in parts]),
         ),
         camera,
         method,
         created_by=f"svmdist {version('svmdist')}",
-        sources=tuple(
-            SourceFile(name=recording.path.name, sha256=recording.sha256()) for recording in recordings
-        ),
+        sources=tuple(SourceFile(name=part.file_name, sha256=part.sha256) for part in parts),
     )
 
 
 def collect_samples(
-    recording: Recording, profile: Profile, method: str, steps: Steps | None = None
+    recording: Recording,
+    profile: Profile,
+    method: str,
+    steps: Steps | None = None,
+    jobs: int | None = None,
 ) -> CalibrationSamples:
     """Pairs of tool pixel and true position in the camera's plane, of all frames that have both."""
     setup = Setup(profile, method, "corrected", None, PIXELS_AS_THEY_ARE)
-    rows = (steps or Steps(None, None)).of(estimate(recording, setup, recording.instruments[:1]))
+    rows = (steps or Steps(None, None)).of(estimate(recording, setup, recording.instruments[:1], jobs))
     results = [result for result in rows if result.measured]
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
     tool_px = np.array([result.image.tool_px for result in results], np.float64).reshape(-1, 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from svmdist.errors import RecordingError
@@ -10,8 +10,11 @@ from svmdist.estimation.detection.lazy import Clock
 from svmdist.recording.reader import Recording
 from svmdist.workflows.conditions import CLEAN, LogCondition
 from svmdist.workflows.progress import Progress
-from svmdist.workflows.runs import Figures, Run, measure_runs, pooled_figures
+from svmdist.workflows.runs import Figures, RunNumbers, measure_runs, pooled_figures
 from svmdist.workflows.setup import Setup
+
+GroupBy = Callable[[Mapping[str, str]], str]
+"""Names the group of a recording by its metadata."""
 
 ALL = "all"
 UNDEGRADED = "clean"
@@ -46,16 +49,33 @@ class MethodScore:
     instrument: str = ""
 
 
-def group_of(recording: Recording, condition: LogCondition = CLEAN, instrument: str = "") -> Group:
+@dataclass(frozen=True)
+class GroupedRun:
+    """The numbers of one method on one instrument of one recording, and what they are compared as."""
+
+    group: Group
+    method: str
+    instrument: str
+    numbers: RunNumbers
+
+
+def group_of(
+    recording: Recording,
+    condition: LogCondition = CLEAN,
+    instrument: str = "",
+    by: GroupBy | None = None,
+) -> Group:
     """What a recording is compared as: its scenario, or its name where it names none, and its degradations.
 
     Those are what it was recorded with, `degrade` and `perturb` of its metadata, and then what is done to it now. Of a
-    real world, in which everything is perturbed, only that is told.
+    real world, in which everything is perturbed, only that is told. `by` groups by other metadata instead.
     """
     metadata = recording.metadata
+    other = instrument if instrument in recording.instruments[1:] else ""
+    if by is not None:
+        return Group(by(metadata), str(condition), other)
     world = f"world={metadata['world']}" if "world" in metadata else metadata.get("perturb", "")
     degradations = (metadata.get("degrade", ""), world, str(condition))
-    other = instrument if instrument in recording.instruments[1:] else ""
     return Group(
         recording.metadata.get("scenario", recording.name), ",".join(filter(None, degradations)), other
     )
@@ -69,6 +89,7 @@ def compare(
     jobs: int | None = None,
     clock: Clock | None = None,
     on_progress: Progress | None = None,
+    by: GroupBy | None = None,
 ) -> list[MethodScore]:
     """Run every setup on every recording under every condition; each process decodes an image once.
 
@@ -76,10 +97,40 @@ def compare(
     scenarios; then over all. Raises RecordingError where a recording has no ground-truth distances, and
     where there is no image.
     """
-    runs = list(measure_runs(recordings, setups, conditions, jobs=jobs, clock=clock, on_progress=on_progress))
-    if not any(run.frame_count for run in runs):
+    return compared(
+        grouped_runs(recordings, setups, conditions, jobs=jobs, clock=clock, on_progress=on_progress, by=by),
+        setups,
+    )
+
+
+def grouped_runs(
+    recordings: Sequence[Recording],
+    setups: Sequence[Setup],
+    conditions: Sequence[LogCondition] = (CLEAN,),
+    *,
+    jobs: int | None = None,
+    clock: Clock | None = None,
+    on_progress: Progress | None = None,
+    by: GroupBy | None = None,
+) -> list[GroupedRun]:
+    """Run every setup on every recording under every condition. Raises RecordingError as `compare` does."""
+    runs = measure_runs(recordings, setups, conditions, jobs=jobs, clock=clock, on_progress=on_progress)
+    return [
+        GroupedRun(
+            group_of(run.recording, run.condition, run.instrument, by),
+            run.method,
+            run.instrument,
+            RunNumbers.of(run),
+        )
+        for run in runs
+    ]
+
+
+def compared(runs: Sequence[GroupedRun], setups: Sequence[Setup]) -> list[MethodScore]:
+    """The scores of runs, by group and over groups; RecordingError where there is no image."""
+    if not any(run.numbers.frame_count for run in runs):
         raise RecordingError("there is no image to measure in these recordings")
-    groups = [(group_of(run.recording, run.condition, run.instrument), run) for run in runs]
+    groups = [(run.group, run) for run in runs]
     scores = [score for group in _unique(groups) for score in _scores(group, groups, setups)]
     degradations = list(dict.fromkeys(group.degradation for group, _ in groups))
     if len(degradations) > 1 and len({group.scenario for group, _ in groups}) > 1:
@@ -94,11 +145,13 @@ def compare(
     return scores
 
 
-def _unique(groups: Iterable[tuple[Group, Run]]) -> list[Group]:
+def _unique(groups: Iterable[tuple[Group, GroupedRun]]) -> list[Group]:
     return list(dict.fromkeys(group for group, _ in groups))
 
 
-def _scores(group: Group, runs: Sequence[tuple[Group, Run]], setups: Sequence[Setup]) -> list[MethodScore]:
+def _scores(
+    group: Group, runs: Sequence[tuple[Group, GroupedRun]], setups: Sequence[Setup]
+) -> list[MethodScore]:
     """The scores of one group, in the order of the setups."""
     methods = dict.fromkeys(setup.method for setup in setups)
     members = [run for of, run in runs if of == group]
@@ -106,7 +159,7 @@ def _scores(group: Group, runs: Sequence[tuple[Group, Run]], setups: Sequence[Se
         MethodScore(
             group,
             method,
-            pooled_figures([run for run in members if run.method == method]),
+            pooled_figures([run.numbers for run in members if run.method == method]),
             members[0].instrument,
         )
         for method in methods

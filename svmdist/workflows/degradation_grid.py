@@ -11,7 +11,7 @@ from svmdist.recording.reader import Recording
 from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
 from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.progress import Progress
-from svmdist.workflows.runs import Figures, measure_runs, pooled_figures
+from svmdist.workflows.runs import Figures, RunNumbers, measure_runs, pooled_figures
 from svmdist.workflows.setup import Setup
 
 
@@ -50,12 +50,47 @@ def degradation_grid(
 
     Raises RecordingError where a recording has no ground-truth distances, and where there is no image.
     """
-    runs = list(
-        measure_runs(recordings, [setup], conditions, jobs=jobs, clock=clock, on_progress=on_progress)
+    return grid_cells(
+        grid_runs(recordings, setup, conditions, jobs=jobs, clock=clock, on_progress=on_progress),
+        setup,
+        conditions,
     )
-    if not any(run.frame_count for run in runs):
+
+
+@dataclass(frozen=True)
+class GridRun:
+    """The numbers of one recording under one condition, by its place among all conditions."""
+
+    condition: int
+    numbers: RunNumbers
+
+
+def grid_runs(
+    recordings: Sequence[Recording],
+    setup: Setup,
+    conditions: Sequence[Condition],
+    *,
+    jobs: int | None = None,
+    clock: Clock | None = None,
+    on_progress: Progress | None = None,
+) -> list[GridRun]:
+    """Measure every frame under every condition. Raises RecordingError as `degradation_grid` does."""
+    places = {condition: place for place, condition in enumerate(conditions)}
+    runs = measure_runs(recordings, [setup], conditions, jobs=jobs, clock=clock, on_progress=on_progress)
+    return [
+        GridRun(places[run.condition], RunNumbers.of(run))
+        for run in runs
+        if isinstance(run.condition, Condition)
+    ]
+
+
+def grid_cells(runs: Sequence[GridRun], setup: Setup, conditions: Sequence[Condition]) -> list[GridCell]:
+    """The figures of each condition over all recordings; RecordingError where there is no image."""
+    if not any(run.numbers.frame_count for run in runs):
         raise RecordingError("there is no image to measure in these recordings")
     return [
-        GridCell(setup.method, condition, pooled_figures([run for run in runs if run.condition == condition]))
-        for condition in conditions
+        GridCell(
+            setup.method, condition, pooled_figures([run.numbers for run in runs if run.condition == place])
+        )
+        for place, condition in enumerate(conditions)
     ]

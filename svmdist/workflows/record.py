@@ -57,9 +57,7 @@ def record(
         raise UsageError(f"the quality of JPEG is from 1 to 100, found {jpeg_quality}")
     if jobs is not None and jobs < 1:
         raise UsageError(f"the number of jobs is from 1, found {jobs}")
-    metadata = _metadata(scenario, profile, renderer, noise) | extras.metadata()
-    if jpeg_quality is not None:
-        metadata["jpeg_quality"] = str(jpeg_quality)
+    metadata = recorded_metadata(scenario, profile, renderer, noise, extras, jpeg_quality)
     frame_count = message_count = 0
     keep_freed_memory()
     writer = RecordingWriter(output, metadata, force=force, jpeg_quality=jpeg_quality)
@@ -78,6 +76,19 @@ def record(
         writer.part_path.unlink(missing_ok=True)
         raise
     return RecordResult(output, frame_count, message_count, output.stat().st_size)
+
+
+def recorded_metadata(
+    scenario: Scenario,
+    profile: Profile,
+    renderer: str,
+    noise: float,
+    extras: Extras,
+    jpeg_quality: int | None = None,
+) -> dict[str, str]:
+    """What a recording says that it came from."""
+    metadata = _metadata(scenario, profile, renderer, noise) | extras.metadata()
+    return metadata if jpeg_quality is None else metadata | {"jpeg_quality": str(jpeg_quality)}
 
 
 def _metadata(scenario: Scenario, profile: Profile, renderer: str, noise: float) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -53,6 +54,25 @@ class Run:
 
 
 @dataclass(frozen=True)
+class RunNumbers:
+    """What figures are made of: the numbers of a run, without its recording and its condition."""
+
+    frame_count: int
+    measured_count: int
+    planar: DistanceScore | None
+    spatial: DistanceScore | None
+    clearance: DistanceScore | None
+    seconds: float
+
+    @staticmethod
+    def of(run: Run) -> RunNumbers:
+        """Those of a run."""
+        return RunNumbers(
+            run.frame_count, run.measured_count, run.planar, run.spatial, run.clearance, run.seconds
+        )
+
+
+@dataclass(frozen=True)
 class Figures:
     """The figures of one run, or of several together: every frame counts the same."""
 
@@ -69,7 +89,7 @@ class Figures:
         return coverage(self.measured_count, self.frame_count)
 
 
-def pooled_figures(runs: Sequence[Run]) -> Figures:
+def pooled_figures(runs: Sequence[Run] | Sequence[RunNumbers]) -> Figures:
     """The figures of runs together."""
     frame_count = sum(run.frame_count for run in runs)
     return Figures(
@@ -102,7 +122,8 @@ def measure_runs(
     for recording in recordings:  # what has no truth is told before the work
         for name in _with_truth(recording):
             recording.for_instrument(name).distance_track()
-    if jobs > 1 and clock is None and all(recording.origin for recording in recordings):
+    may_fork = jobs > 1 and multiprocessing.parent_process() is None
+    if may_fork and clock is None and all(recording.origin for recording in recordings):
         parts = _parts(recordings, setups, conditions, jobs)
         if len(parts) > 1:
             yield from _in_processes(parts, recordings, jobs, advance)

@@ -35,6 +35,8 @@ class Validation:
     overall: tuple[Score, ...]
     notes: tuple[str, ...]
     alarm_rules: AlarmRules | None = None
+    groups: tuple[Score, ...] = ()
+    """Scores of logs that were grouped by their metadata, per group and reference."""
 
     @property
     def primary(self) -> Score | None:
@@ -80,6 +82,34 @@ def validate(
     `on_progress` is told of every row, and of every image where the lag is estimated first.
     """
     rules = rules or TruthRules()
+    require_truth_for_alarms(alarms, setup, rules)
+    finds_lag = lag == "auto" and setup.method not in PLANAR_METHODS
+    steps = Steps(
+        on_progress, image_total(recordings, lambda one: len(wanted or one.instruments) + finds_lag)
+    )
+    parts: list[Scored] = []
+    for recording in recordings:
+        try:
+            parts.append(
+                score_recording(recording, setup, rules, lag, alarms, wanted, jobs, steps, on_measured)
+            )
+        except RecordingError as problem:
+            if on_unusable is None:
+                raise
+            on_unusable(problem)
+    return combine(parts, setup, rules, alarms)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """The scores of one recording, and remarks on it."""
+
+    scores: tuple[Score, ...]
+    notes: tuple[str, ...]
+
+
+def require_truth_for_alarms(alarms: AlarmRules | None, setup: Setup, rules: TruthRules) -> None:
+    """Raise UsageError where alarms are asked for that cannot be judged."""
     if alarms is not None:
         require_clearance(setup.method, setup.profile)
         if Reference.GROUND_TRUTH not in rules.wanted:
@@ -87,47 +117,54 @@ def validate(
                 f"alarms are scored against {Reference.GROUND_TRUTH}, the only reference with a clearance; the"
                 f" references asked for are {', '.join(rules.wanted)}"
             )
-    scores: list[Score] = []
-    notes: list[str] = []
-    finds_lag = lag == "auto" and setup.method not in PLANAR_METHODS
-    steps = Steps(
-        on_progress, image_total(recordings, lambda one: len(wanted or one.instruments) + finds_lag)
-    )
-    for recording in recordings:
-        try:
-            scores += _score_recording(
-                recording, setup, rules, lag, alarms, notes, wanted, jobs, steps, on_measured
-            )
-        except RecordingError as problem:
-            if on_unusable is None:
-                raise
-            on_unusable(problem)
+
+
+def combine(
+    parts: Sequence[Scored],
+    setup: Setup,
+    rules: TruthRules,
+    alarms: AlarmRules | None,
+    groups: Sequence[str] = (),
+) -> Validation:
+    """The scores of recordings, and those of all together; where `groups` names a group of each, of these too."""
+    scores = [score for part in parts for score in part.scores]
     if not scores:
         raise RecordingError("no recording could be scored")
-    overall = []
+    overall, of_groups = [], []
     for of in product(setup.profile.instrument_names, rules.wanted):
-        counted = [
-            score for score in scores if (score.instrument, score.reference) == of and not score.fitted_on
-        ]
+        counted = _counted(scores, of)
         if counted:
             overall.append(pool_scores(counted, setup.profile.instrument_name))
-    return Validation(tuple(scores), tuple(overall), tuple(dict.fromkeys(notes)), alarms)
+    for group in sorted(set(groups)):
+        members = [s for part, name in zip(parts, groups, strict=True) if name == group for s in part.scores]
+        for of in product(setup.profile.instrument_names, rules.wanted):
+            counted = _counted(members, of)
+            if counted:
+                pooled = pool_scores(counted, setup.profile.instrument_name)
+                of_groups.append(replace(pooled, recording=pooled.recording.replace("overall", group, 1)))
+    notes = [note for part in parts for note in part.notes]
+    return Validation(tuple(scores), tuple(overall), tuple(dict.fromkeys(notes)), alarms, tuple(of_groups))
 
 
-def _score_recording(
+def _counted(scores: Sequence[Score], of: tuple[str, Reference]) -> list[Score]:
+    """The scores of one instrument against one reference, without those of what the calibration was fitted on."""
+    return [score for score in scores if (score.instrument, score.reference) == of and not score.fitted_on]
+
+
+def score_recording(
     recording: Recording,
     setup: Setup,
     rules: TruthRules,
     lag: Lag | None,
     alarms: AlarmRules | None,
-    notes: list[str],
     wanted: Sequence[str] | None,
     jobs: int | None,
-    steps: Steps,
-    on_measured: Callable[[Measured], None] | None,
-) -> list[Score]:
+    steps: Steps | None = None,
+    on_measured: Callable[[Measured], None] | None = None,
+) -> Scored:
     """Score every wanted instrument. Scores are named after the recording, and after any instrument but the first."""
-    notes += setup.degeneracies(recording.camera)
+    steps = steps or Steps(None, None)
+    notes = setup.degeneracies(recording.camera)
     planar = setup.method in PLANAR_METHODS  # it needs no joints, and its own rows tell the lag
     read, found = with_lag(
         recording, setup.profile, None if planar else lag, wanted, jobs, rules, steps.advance
@@ -163,4 +200,4 @@ def _score_recording(
     notes += missing
     if setup.equations == "printed" and Reference.KINEMATICS in {score.reference for score in scores}:
         notes.append(KINEMATICS_PRINTED_NOTE)
-    return scores
+    return Scored(tuple(scores), tuple(notes))

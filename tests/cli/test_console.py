@@ -17,7 +17,6 @@ from rich.table import Table
 from svmdist.cli.console import (
     ExitCode,
     Summary,
-    files_or_golden,
     report_health,
     require_output,
     say,
@@ -27,6 +26,7 @@ from svmdist.cli.console import (
     write_tables,
 )
 from svmdist.cli.options import TableFormat
+from svmdist.cli.recordings import logs_or_golden
 from svmdist.errors import OutputError, UsageError
 from svmdist.recording.health import Health, Loss, LossKind
 
@@ -153,12 +153,12 @@ def test_without_a_file_the_golden_logs_are_taken(tmp_path: Path, monkeypatch: p
     """Those of the folder recordings here, sorted; with none, the error names it."""
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match=r"no FILE given, and there is no \.mcap in .*recordings"):
-        files_or_golden(None)
+        logs_or_golden(None)
     (tmp_path / "recordings").mkdir()
     for name in ("b.mcap", "a.mcap", "c.txt"):
         (tmp_path / "recordings" / name).touch()
-    assert [path.name for path in files_or_golden([])] == ["a.mcap", "b.mcap"]
-    assert files_or_golden([Path("mine")]) == [Path("mine")]
+    assert [str(log.path) for log in logs_or_golden([])] == ["recordings/a.mcap", "recordings/b.mcap"]
+    assert [log.path for log in logs_or_golden(["mine"])] == [Path("mine")]
 
 
 @dataclass

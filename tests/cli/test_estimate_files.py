@@ -51,7 +51,9 @@ def test_an_annotated_recording_is_replaced_only_by_force(cli: Cli, log: Path, t
 
 
 def test_two_recordings_do_not_go_into_one(cli: Cli, log: Path, tmp_path: Path) -> None:
-    refused = cli("estimate", log, log, "-o", tmp_path / "out.mcap")
+    other = tmp_path / "other.mcap"
+    other.write_bytes(log.read_bytes())
+    refused = cli("estimate", log, other, "-o", tmp_path / "out.mcap")
     assert refused.code == 2
     assert "holds one recording" in refused.err
     assert not (tmp_path / "out.mcap").exists()

@@ -189,7 +189,7 @@ def test_poses_have_the_format_of_the_ending(cli: Cli, golden: Path, tmp_path: P
     assert lines["a"][0].startswith("stamp_ns,")
     refused = cli("fk", log, "-o", tmp_path / "a.xlsx")
     assert refused.code == 2
-    assert ".csv, .json, .tum" in refused.err
+    assert ".csv, .json, .parquet, .tum" in refused.err
 
 
 def test_a_report_of_scores_has_its_option(cli: Cli, tmp_path: Path) -> None:

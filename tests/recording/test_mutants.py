@@ -1,7 +1,7 @@
 """Mutants of what every parser takes: a value, or an error of its own; no other exception, and no endless work.
 
 A corpus of small inputs stands in `tests/data/corpus`, a folder a parser; `tests/fuzz.py` looks for more that reach new
-code, by coverage. `pytest -m fault` makes 23,000 mutants of them, the plain run a few hundred.
+code, by coverage. `pytest -m fault` makes 25,000 mutants of them, the plain run a few hundred.
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ from svmdist.recording.inspect import inspect_recording
 from svmdist.recording.messages.checks import DecodeError
 from svmdist.recording.messages.decoding import SCHEMAS, Decoder
 from svmdist.recording.messages.images import ImageError, decode_still
+from svmdist.recording.reader import open_recording
 from svmdist.recording.rosbag.bag2_metadata import MetadataError, parse_metadata
 from svmdist.recording.sources import RawMessage
+from svmdist.remote_file import _blocks
 from svmdist.samples import Sample
 from svmdist.toml_limits import find_excess
 
@@ -42,6 +44,19 @@ def log(data: bytes, folder: Path) -> None:
     path.write_bytes(data)
     with suppress(SvmdistError):
         inspect_recording(path, load_profile())
+
+
+def far(data: bytes, _: Path) -> None:
+    """MCAP behind a URL, read by its index where it has one."""
+    import fsspec
+
+    fsspec.filesystem("memory").pipe_file("/mutant.mcap", data)
+    _blocks.cache_clear()
+    with suppress(SvmdistError):
+        recording = open_recording("memory://mutant.mcap", load_profile())
+        for _ in recording.raw_messages():
+            pass
+        assert isinstance(recording.metadata, dict)
 
 
 def yaml(data: bytes, _: Path) -> None:
@@ -104,6 +119,7 @@ def message(encoding: str) -> Callable[[bytes, Path], None]:
 
 TARGETS: dict[str, Callable[[bytes, Path], None]] = {
     "mcap": log,
+    "far": far,
     "bag1": log,
     "sqlite": log,
     "yaml": yaml,
@@ -117,7 +133,7 @@ TARGETS: dict[str, Callable[[bytes, Path], None]] = {
     "ros1": message("ros1"),
 }
 SHARES = {"mcap": 3000, "bag1": 2000, "sqlite": 1500, "profile": 500}
-"""Mutants in the long run; of the others 2,000: 23,000 in all."""
+"""Mutants in the long run; of the others 2,000: 25,000 in all."""
 
 
 def mutants(seeds: list[bytes], count: int, seed: int) -> list[bytes]:
@@ -150,7 +166,8 @@ def check(target: str, data: bytes, folder: Path) -> None:
 
 def corpus_of(target: str) -> list[bytes]:
     """The inputs of a target; small ones first."""
-    found = sorted((CORPUS / target).iterdir(), key=lambda path: (path.stat().st_size, path.name))
+    folder = CORPUS / ("mcap" if target == "far" else target)
+    found = sorted(folder.iterdir(), key=lambda path: (path.stat().st_size, path.name))
     assert found, f"no corpus for {target}"
     return [path.read_bytes() for path in found]
 

@@ -33,7 +33,7 @@ def test_rows_hold_position_and_quaternion() -> None:
 
 def test_tum_lines_keep_every_nanosecond() -> None:
     """Seconds with nine decimals, exact where a float of seconds would be rounded to 100 ns; then seven numbers."""
-    lines = [line.split() for line in tum_lines(poses())]
+    lines = [line.split() for line in tum_lines(pose_rows(poses()))]
     assert [line[0] for line in lines] == ["1700000000.000000001", "1700000000.999999999"]
     for line, row in zip(lines, pose_rows(poses()), strict=True):
         assert [float(number) for number in line[1:]] == [row[key] for key in POSE_KEYS[1:]]

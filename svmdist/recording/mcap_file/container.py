@@ -10,13 +10,12 @@ from __future__ import annotations
 import zlib
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
-from pathlib import Path
 from typing import BinaryIO
 
 from mcap.opcode import Opcode
 
 from svmdist.errors import RecordingError
-from svmdist.input_file import open_regular
+from svmdist.input_file import LogPath, open_regular
 from svmdist.profile import Limits
 from svmdist.recording.effort import Effort, TooMuchError
 from svmdist.recording.health import Health, LossKind
@@ -36,7 +35,7 @@ class Container:
 
     def __init__(
         self,
-        path: Path,
+        path: LogPath,
         limits: Limits,
         health: Health,
         check: DataSectionCheck | None = None,

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from svmdist.input_file import open_regular
+from svmdist.input_file import LogPath, open_regular
 from svmdist.profile import Limits
 from svmdist.recording.effort import Effort
 from svmdist.recording.health import Health, Loss, LossKind
@@ -50,7 +49,7 @@ class Content:
     """
 
     def __init__(
-        self, path: Path, limits: Limits, health: Health, topics: Collection[str] | None = None
+        self, path: LogPath, limits: Limits, health: Health, topics: Collection[str] | None = None
     ) -> None:
         self.definitions = Definitions(limits)
         self.tally = Tally()

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from mcap.opcode import Opcode
 
-from svmdist.input_file import open_regular
+from svmdist.input_file import LogPath, open_regular
 from svmdist.profile import Limits
 from svmdist.recording.mcap_file.framing import MAGIC, FrameStream
 from svmdist.recording.mcap_file.summary import read_footer
@@ -15,7 +13,7 @@ from svmdist.recording.mcap_file.summary import read_footer
 class DataSectionCheck:
     """Reads a file once, when first asked, and remembers the answer."""
 
-    def __init__(self, path: Path, limits: Limits) -> None:
+    def __init__(self, path: LogPath, limits: Limits) -> None:
         self._path = path
         self._limits = limits
         self._is_known = False

@@ -3,32 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from pathlib import Path
 
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from svmdist.errors import RecordingError
-from svmdist.input_file import open_regular
+from svmdist.input_file import LogPath, open_regular
 from svmdist.profile import Limits
 from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.mcap_file.container import Container
-from svmdist.recording.mcap_file.content import MessageRecord
+from svmdist.recording.mcap_file.content import MessageRecord, Record
 from svmdist.recording.mcap_file.crc_check import DataSectionCheck
+from svmdist.recording.mcap_file.indexed import Index, IndexedPass, metadata_records, read_index
 from svmdist.recording.mcap_file.record_parsers import MalformedRecordError, parse
 from svmdist.recording.mcap_file.summary import read_trusted_summary
 from svmdist.recording.sources import METADATA_NAME, RawMessage, TopicInfo, merge_topics
+from svmdist.remote_file import RemoteFile
 
 
 class McapSource:
     """One MCAP file."""
 
-    def __init__(self, path: Path, limits: Limits) -> None:
+    def __init__(self, path: LogPath, limits: Limits) -> None:
         self.path = path
         self.health = Health()
         self._limits = limits
         self._check = DataSectionCheck(path, limits)
         self._topics: tuple[TopicInfo, ...] | None = None
+        self._known_index: tuple[Index | None] | None = None
 
     def topics(self) -> tuple[TopicInfo, ...]:
         """List the topics: from the summary where its CRC is right, else by reading the whole file."""
@@ -49,6 +51,9 @@ class McapSource:
 
     def metadata(self) -> dict[str, str]:
         """Read the record `svmdist`, unless the CRC of the data section speaks against it."""
+        index = self._index()
+        if index is not None:
+            return self._indexed_metadata(index)
         for record in self._container().records():
             if isinstance(record, MessageRecord) or record.opcode != Opcode.METADATA:
                 continue
@@ -70,9 +75,18 @@ class McapSource:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield the messages of some topics, or of all, in file order."""
-        container = self._container(topics)
-        channels, definitions = container.content.definitions.channels, container.content.definitions
-        for record in container.records():
+        index = self._index()
+        walk: Container | IndexedPass
+        records: Iterator[Record | MessageRecord]
+        if index is None:
+            walk = self._container(topics)
+            records = walk.records()
+        else:
+            walk = IndexedPass(self.path, index, self._limits, self.health, topics)
+            records = walk.messages()
+        content = walk.content
+        channels, definitions = content.definitions.channels, content.definitions
+        for record in records:
             if isinstance(record, MessageRecord):
                 channel = channels[record.channel_id]
                 yield RawMessage(
@@ -82,8 +96,30 @@ class McapSource:
                     record.log_time_ns,
                     record.data,
                     record.offset,
-                    container.content.loss_count,
+                    content.loss_count,
                 )
+
+    def _index(self) -> Index | None:
+        """The index of a file that is far away; None for one on a disk, which is read and verified whole."""
+        if not isinstance(self.path, RemoteFile):
+            return None
+        if self._known_index is None:
+            try:
+                self._known_index = (read_index(self.path, self._limits),)
+            except OSError as problem:
+                raise RecordingError(f"{self.path}: cannot read: {problem.strerror or problem}") from None
+        return self._known_index[0]
+
+    def _indexed_metadata(self, index: Index) -> dict[str, str]:
+        try:
+            for offset, found in metadata_records(self.path, index, self._limits):
+                if isinstance(found, str):
+                    self.health.add(Loss(LossKind.RECORD, found, offset))
+                elif found.name == METADATA_NAME:
+                    return dict(found.metadata)
+        except OSError as problem:
+            raise RecordingError(f"{self.path}: cannot read: {problem.strerror or problem}") from None
+        return {}
 
     def _container(self, topics: Collection[str] | None = None) -> Container:
         return Container(self.path, self._limits, self.health, self._check, topics)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 from array import array
 from dataclasses import dataclass, field
@@ -22,10 +23,21 @@ from svmdist.recording.mcap_file.record_parsers import (
     parse_schema,
 )
 
+CHUNK_CHANNELS = struct.Struct("<HQ")
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkPlace:
+    """Where a chunk is, and the channels of its messages; none where its index does not name them."""
+
+    offset: int
+    length: int
+    channels: frozenset[int]
+
 
 @dataclass
 class Summary:
-    """What the summary section declares."""
+    """What the summary section declares. `chunks` and `metadata_places` are kept where a list is given for them."""
 
     schemas: dict[int, SchemaBody] = field(default_factory=dict)
     channels: dict[int, ChannelBody] = field(default_factory=dict)
@@ -33,6 +45,9 @@ class Summary:
     statistics: Statistics | None = None
     start: int = 0
     definition_bytes: int = 0
+    chunks: list[ChunkPlace] | None = None
+    metadata_places: list[tuple[int, int]] | None = None
+    """Offset and length of each metadata record."""
 
     def add(self, opcode: int, body: memoryview, limits: Limits) -> None:
         """Take note of a record of the summary section; MalformedRecordError when it cannot be read."""
@@ -51,6 +66,14 @@ class Summary:
                 if len(body) < CHUNK_INDEX_HEAD.size:
                     raise MalformedRecordError("a chunk index is too short")
                 self.chunk_offsets.append(CHUNK_INDEX_HEAD.unpack_from(body)[2])
+                if self.chunks is not None:
+                    self.chunks.append(_chunk_place(body))
+            case Opcode.METADATA_INDEX if self.metadata_places is not None:
+                if len(body) < 16:
+                    raise MalformedRecordError("a metadata index is too short")
+                self.metadata_places.append(
+                    (int.from_bytes(body[:8], "little"), int.from_bytes(body[8:16], "little"))
+                )
             case Opcode.STATISTICS:
                 if len(body) > limits.metadata_bytes:
                     raise MalformedRecordError(
@@ -79,8 +102,23 @@ def read_footer(file: BinaryIO, size_bytes: int) -> Footer | None:
     return footer
 
 
-def read_trusted_summary(file: BinaryIO, size_bytes: int, limits: Limits) -> Summary | None:
-    """Read the summary section where its CRC covers every byte of it and is right; None otherwise."""
+def _chunk_place(body: memoryview) -> ChunkPlace:
+    _, _, offset, length = CHUNK_INDEX_HEAD.unpack_from(body)
+    begin = CHUNK_INDEX_HEAD.size + 4
+    size = int.from_bytes(body[begin - 4 : begin], "little")
+    places = body[begin : begin + size]
+    if len(places) != size or size % CHUNK_CHANNELS.size:
+        raise MalformedRecordError("the channels of a chunk index are incomplete")
+    return ChunkPlace(offset, length, frozenset(channel for channel, _ in CHUNK_CHANNELS.iter_unpack(places)))
+
+
+def read_trusted_summary(
+    file: BinaryIO, size_bytes: int, limits: Limits, *, with_places: bool = False
+) -> Summary | None:
+    """Read the summary section where its CRC covers every byte of it and is right; None otherwise.
+
+    With `with_places` it holds where chunks and metadata are, and what is in the chunks.
+    """
     footer = read_footer(file, size_bytes)
     if footer is None or footer.summary_crc == 0 or footer.summary_start == 0:
         return None
@@ -92,6 +130,8 @@ def read_trusted_summary(file: BinaryIO, size_bytes: int, limits: Limits) -> Sum
     if zlib.crc32(section) != footer.summary_crc:
         return None
     summary = Summary(start=footer.summary_start)
+    if with_places:
+        summary.chunks, summary.metadata_places = [], []
     try:
         for opcode, _, body in split_records(memoryview(section)[:length]):
             summary.add(opcode, body, limits)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Collection, Iterator
-from pathlib import Path
 from typing import BinaryIO
 
 from svmdist.errors import RecordingError
-from svmdist.input_file import open_regular
+from svmdist.input_file import LogPath, open_regular
 from svmdist.profile import Limits
 from svmdist.recording.effort import Effort, TooMuchError
 from svmdist.recording.health import Health, Loss, LossKind
@@ -33,7 +32,7 @@ MAX_CONNECTIONS = 10_000
 class Rosbag1Source:
     """One ROS 1 bag. The format has no checksums: flipped bits in its values cannot be found."""
 
-    def __init__(self, path: Path, limits: Limits) -> None:
+    def __init__(self, path: LogPath, limits: Limits) -> None:
         self.path = path
         self.health = Health()
         self._limits = limits

@@ -80,7 +80,7 @@ class Rosbag2Source:
         """Yield the messages of some topics, or of all, file by file."""
         losses = 0
         counts: Counter[str] = Counter()
-        effort = Effort(sum(part.path.stat().st_size for part in self._parts))
+        effort = Effort(sum(file.stat().st_size for file in storage_files(self.path)))
         for part in self._parts:
             part_losses = 0
             for raw in part.messages(topics):

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
+from rich.table import Table
 
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.recording.reader import Recording
@@ -33,9 +34,13 @@ def validation_report(
     rules: TruthRules,
     command: str,
     jobs: int | None = None,
+    logs: Table | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
-    """The report of a validation. The worst frames are measured once more, to draw them."""
+    """The report of a validation. The worst frames are measured once more, to draw them.
+
+    `logs` is a table of all logs, of which `measured` are some.
+    """
     primary = validation.primary
     reference = primary.reference if primary else validation.scores[0].reference
     series = [
@@ -49,7 +54,7 @@ def validation_report(
     return Report(
         title=f"svmdist validate: {setup.method}",
         series=[made for _, made in series],
-        tables=[*tables, *([lags] if lags else [])],
+        tables=[*([_of_rich(logs)] if logs else []), *tables, *([lags] if lags else [])],
         frames=_worst(
             [(one.read, made) for one, made in series], setup, validation.alarm_rules, jobs, on_progress
         ),
@@ -65,16 +70,20 @@ def estimate_report(
     command: str,
     alarms: AlarmRules | None = None,
     jobs: int | None = None,
+    logs: Table | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
-    """The report of estimates, for logs with or without a truth; where there is ground truth, it is shown."""
+    """The report of estimates, for logs with or without a truth; where there is ground truth, it is shown.
+
+    `logs` is a table of all logs, of which `measured` are some.
+    """
     series = [
         (one, made) for one in measured for made in make_series(one.rows, one.recording, setup, lag=one.lag)
     ]
     return Report(
         title=f"svmdist estimate: {setup.method}",
         series=[made for _, made in series],
-        tables=[_counts(series)],
+        tables=[*([_of_rich(logs)] if logs else []), _counts(series)],
         frames=_worst([(one.read, made) for one, made in series], setup, alarms, jobs, on_progress),
         facts=facts(setup, [one.recording for one in measured], command),
         alarm_below_m=alarms.below_m if alarms else None,
@@ -191,8 +200,6 @@ def _lag_table(validation: Validation) -> ReportTable | None:
 
 def _of_rich(table: object) -> ReportTable:
     """A table for the terminal as one for the page."""
-    from rich.table import Table
-
     assert isinstance(table, Table)
     cells = [[str(cell) for cell in column.cells] for column in table.columns]
     headings = [str(column.header).strip() for column in table.columns]

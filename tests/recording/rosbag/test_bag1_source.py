@@ -13,7 +13,7 @@ from svmdist.profile import Limits
 from svmdist.recording.health import LossKind
 from svmdist.recording.rosbag.bag1_records import MAGIC, OP_CONNECTION, OP_MESSAGE
 from svmdist.recording.rosbag.bag1_source import Rosbag1Source
-from tests.recording.builders import Entry
+from tests.recording.builders import Entry, scene
 from tests.recording.other_recorders import Message, ros_messages, write_rosbag1
 
 from .test_bag1_records import fields_bytes, record_bytes
@@ -114,3 +114,38 @@ def test_a_length_that_cannot_be_ends_the_reading(tmp_path: Path) -> None:
 def test_a_file_that_is_gone_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="cannot read: No such file"):
         list(Rosbag1Source(tmp_path / "a.bag", LIMITS).messages())
+
+
+def messages_of(path: Path) -> tuple[list[tuple[str, int, bytes]], bool]:
+    """What a bag gives, and whether nothing was lost."""
+    source = Rosbag1Source(path, Limits())
+    found = [(raw.topic, raw.log_time_ns, bytes(raw.data)) for raw in source.messages()]
+    return found, source.health.is_clean
+
+
+@pytest.mark.parametrize("count", [150, pytest.param(5_000, marks=pytest.mark.fault)])
+def test_flipped_bits_in_bz2_give_no_wrong_value_and_no_silent_loss(tmp_path: Path, count: int) -> None:
+    """The format has no checksum, but bzip2 has one a block: what such chunks hold is right or told as lost."""
+    import random
+    import re
+
+    from tests.recording.faults import is_subsequence
+
+    path = write_rosbag1(tmp_path / "a.bag", ros_messages(scene(3)), Writer.CompressionFormat.BZ2)
+    data, (intact, _) = path.read_bytes(), messages_of(path)
+    chunks = [
+        (found.start(), int.from_bytes(data[found.start() - 4 : found.start()], "little"))
+        for found in re.finditer(b"BZh", data)
+    ]
+    rng = random.Random(count)
+    dropped = 0
+    for number in range(count):
+        start, length = rng.choice(chunks)
+        flipped = bytearray(data)
+        flipped[start + rng.randrange(length)] ^= 1 << rng.randrange(8)
+        path.write_bytes(flipped)
+        found, is_clean = messages_of(path)
+        assert is_subsequence(found, intact), number
+        assert len(found) == len(intact) or not is_clean, number
+        dropped += len(found) < len(intact)
+    assert dropped > count / 2

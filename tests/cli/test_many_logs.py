@@ -1,0 +1,246 @@
+"""Many logs from the command line: folders, globs and URLs; one bad log; results that stay; groups and summaries."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from svmdist.recording.writer import RecordingWriter
+from tests.cli.conftest import Cli
+from tests.synthetic import make_scene, samples
+
+SCENARIOS = ("sweep", "sweep", "approach")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three logs of two scenarios, one of another, and files that are no logs."""
+    made = tmp_path_factory.mktemp("many") / "logs"
+    made.mkdir()
+    for number, scenario in enumerate(SCENARIOS):
+        with RecordingWriter(
+            made / f"log{number}.mcap", {"scenario": scenario, "seed": str(number)}
+        ) as writer:
+            for topic, sample in samples(make_scene(), 4 + number):
+                writer.write(topic, sample)
+    (made / "notes.txt").write_text("no log")
+    return made
+
+
+@pytest.fixture
+def with_bad(folder: Path, tmp_path: Path) -> Path:
+    """The same logs with one that is cut, and one that is none."""
+    made = tmp_path / "logs"
+    made.mkdir()
+    for path in folder.glob("*.mcap"):
+        (made / path.name).write_bytes(path.read_bytes())
+    whole = (folder / "log2.mcap").read_bytes()
+    (made / "cut.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    (made / "junk.mcap").write_text("junk")
+    return made
+
+
+def rows_of(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(text.splitlines()))
+
+
+COMMANDS = [
+    ("estimate",),
+    ("validate",),
+    ("compare", "--method", "overlay", "--method", "kinematic", "--end", "0.2"),
+    ("blur-bench", "--end", "0.1"),
+    ("blur-bench", "--grid", "--degradations", "smoke", "--severities", "3", "--end", "0.1"),
+    ("info",),
+    ("fk",),
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_every_command_gives_the_same_for_any_number_of_processes(
+    cli: Cli, folder: Path, command: tuple[str, ...]
+) -> None:
+    """But for the processor time. A folder, a glob and the files themselves are the same logs."""
+    files = [str(path) for path in sorted(folder.glob("*.mcap"))]
+    asked = [(1, [str(folder)]), (2, [f"{folder}/*.mcap"])]
+    if command == ("estimate",):
+        asked += [(3, files), (2, [f"file://{folder}/log?.mcap"])]
+    found = []
+    for jobs, names in asked:
+        outcome = cli(command[0], *names, *command[1:], "-f", "csv", "--jobs", jobs)
+        assert outcome.code == 0, outcome.err
+        rows = rows_of(outcome.out)
+        for row in rows:
+            row.pop("ms_per_frame", None)
+        found.append((rows, outcome.err))
+    assert all(one == found[0] for one in found)
+    assert found[0][0]
+
+
+def test_calibrate_gives_the_same_for_any_number_of_processes(cli: Cli, folder: Path, tmp_path: Path) -> None:
+    texts = []
+    for jobs in (1, 2):
+        output = tmp_path / f"{jobs}.toml"
+        outcome = cli("calibrate", folder, "-o", output, "--jobs", jobs)
+        assert outcome.code in (0, 1), outcome.err
+        texts.append((output.read_text() if output.exists() else "", outcome.err.replace(str(output), "")))
+    assert texts[0] == texts[1]
+
+
+def test_a_bad_log_is_told_at_the_end_and_stops_nothing(cli: Cli, with_bad: Path, folder: Path) -> None:
+    """Exit code 3, with the rows of all others; a log that is cut gives what it has."""
+    outcome = cli("estimate", with_bad, "-f", "csv", "--jobs", "2")
+    assert outcome.code == 3
+    assert "left out: " in outcome.err.splitlines()[-1]
+    assert "junk.mcap: is no recording" in outcome.err.splitlines()[-1]
+    assert outcome.err.splitlines()[0].endswith("frames measured (100.0%)")
+    rows = rows_of(outcome.out)
+    good = [row for row in rows if row["recording"].startswith("log")]
+    assert good == rows_of(cli("estimate", folder, "-f", "csv").out)
+    assert 0 < len([row for row in rows if row["recording"] == "cut"]) < 6
+
+
+def test_where_nothing_can_be_measured_the_code_is_1(cli: Cli, tmp_path: Path) -> None:
+    for name in ("a.mcap", "b.mcap"):
+        (tmp_path / name).write_text("junk")
+    outcome = cli("validate", tmp_path)
+    assert outcome.code == 1
+    assert outcome.out == ""
+    assert outcome.err.count("left out: ") == 2
+    assert outcome.err.endswith("svmdist: no recording could be used\n")
+    alone = cli("validate", tmp_path / "a.mcap", "--resume", tmp_path / "results")
+    assert (alone.code, alone.err.count("\n")) == (1, 1)
+
+
+def test_a_glob_without_a_match_and_a_log_twice(cli: Cli, folder: Path) -> None:
+    outcome = cli("estimate", f"{folder}/*.bag")
+    assert (outcome.code, outcome.err) == (2, f"svmdist: {folder}/*.bag: no log matches\n")
+    twice = cli("estimate", folder, folder / "log1.mcap", "-f", "csv")
+    assert twice.out == cli("estimate", folder, "-f", "csv").out
+
+
+def test_resume_takes_what_is_there(cli: Cli, with_bad: Path, tmp_path: Path) -> None:
+    """The same rows; of another method nothing is taken; a log that is mended is measured."""
+    results = tmp_path / "results"
+    first = cli("estimate", with_bad, "-f", "csv", "--resume", results)
+    assert len(list(results.glob("*.json"))) == 4  # all but junk
+    stamps = {path: path.stat().st_mtime_ns for path in results.iterdir()}
+    again = cli("estimate", with_bad, "-f", "csv", "--resume", results)
+    assert again.out == first.out
+    assert "svmdist: 4 of 5 logs are done" in again.err
+    assert {path: path.stat().st_mtime_ns for path in results.iterdir()} == stamps
+    (with_bad / "junk.mcap").write_bytes((with_bad / "log0.mcap").read_bytes())
+    third = cli("estimate", with_bad, "-f", "csv", "--resume", results)
+    assert "svmdist: 4 of 5 logs are done" in third.err
+    assert len(rows_of(third.out)) == len(rows_of(first.out)) + 4
+    other = cli("estimate", with_bad, "-f", "csv", "--resume", results, "--method", "kinematic")
+    assert "svmdist: 0 of 5 logs are done" in other.err
+
+
+def test_the_summary_ranks_logs_and_groups_them(cli: Cli, with_bad: Path, tmp_path: Path) -> None:
+    """What failed first, then what was lost; groups by metadata, and all together, count every frame once."""
+    summary = tmp_path / "summary.csv"
+    outcome = cli("estimate", with_bad, "-o", tmp_path / "a.csv", "--summary", summary, "--group", "scenario")
+    assert outcome.code == 3
+    rows = rows_of(summary.read_text())
+    logs, together = rows[:5], rows[5:]
+    assert [row["recording"] for row in logs[:2]] == ["junk", "cut"]
+    assert [row["state"] for row in logs] == ["failed", "loss", "ok", "ok", "ok"]
+    assert [row["rank"] for row in logs] == ["1", "2", "3", "4", "5"]
+    groups = {row["recording"]: int(row["frame_count"]) for row in together}
+    assert groups["scenario=sweep"] == 4 + 5
+    assert groups["overall"] == sum(int(row["frame_count"]) for row in logs)
+    assert together[-1]["reason"] == "1 of 5 logs failed"
+
+
+def test_groups_of_validate_and_compare(cli: Cli, folder: Path) -> None:
+    scores = rows_of(cli("validate", folder, "-f", "csv", "--group", "scenario").out)
+    frames = {(row["recording"], row["reference"]): int(row["frame_count"]) for row in scores}
+    for reference in {row["reference"] for row in scores}:
+        assert frames["scenario=sweep", reference] == frames["log0", reference] + frames["log1", reference]
+        assert frames["scenario=approach", reference] == frames["log2", reference]
+    compared = cli("compare", folder, "--method", "kinematic", "-f", "csv", "--group", "scenario,seed")
+    found = [(row["group"], int(row["frame_count"])) for row in rows_of(compared.out)]
+    assert found == [
+        ("scenario=sweep seed=0", 4),
+        ("scenario=sweep seed=1", 5),
+        ("scenario=approach seed=2", 6),
+        ("all", 15),
+    ]
+
+
+def test_parquet_holds_the_same_rows(cli: Cli, folder: Path, tmp_path: Path) -> None:
+    import pandas
+
+    for command in (("estimate",), ("validate",), ("compare", "--method", "kinematic")):
+        made = {}
+        for ending in ("json", "parquet"):
+            made[ending] = tmp_path / f"a.{ending}"
+            outcome = cli(command[0], folder, *command[1:], "-o", made[ending])
+            assert outcome.code == 0, outcome.err
+        frame = pandas.read_parquet(made["parquet"])
+        if command[0] == "validate":
+            assert len(frame) == len(rows_of(cli("validate", folder, "-f", "csv").out))
+            continue
+        rows = json.loads(made["json"].read_text())
+        assert list(frame.columns) == list(rows[0])
+        assert len(frame) == len(rows)
+        for key in set(rows[0]) - {"ms_per_frame"}:
+            expected = [row[key] for row in rows]
+            assert [None if pandas.isna(value) else value for value in frame[key]] == expected, key
+    assert cli("estimate", folder, "-f", "parquet").code == 2
+
+
+def test_a_report_ranks_the_logs(cli: Cli, with_bad: Path, tmp_path: Path) -> None:
+    pytest.importorskip("plotly", reason="the extra report is not installed")
+    report = tmp_path / "a.html"
+    outcome = cli("estimate", with_bad, "-o", report)
+    assert outcome.code == 3
+    page = report.read_text()
+    assert page.index("Logs, what went wrong most first") < page.index("junk") < page.index(">cut<")
+    assert "distance-3" in page  # figures of four logs
+
+
+def test_fk_of_several_logs_names_them(cli: Cli, folder: Path) -> None:
+    rows = rows_of(cli("fk", folder, "-f", "csv").out)
+    assert {row["recording"] for row in rows} == {"log0", "log1", "log2"}
+    alone = rows_of(cli("fk", folder / "log1.mcap", "-f", "csv").out)
+    several = [row for row in rows if row["recording"] == "log1"]
+    for row in several:
+        row.pop("recording")
+    assert several == alone
+    assert cli("fk", folder, "-f", "tum").code == 2
+
+
+def test_what_many_logs_share_is_said_once(cli: Cli, folder: Path, tmp_path: Path) -> None:
+    for number in range(4):
+        (tmp_path / f"log{number}.mcap").write_bytes((folder / "log0.mcap").read_bytes())
+    outcome = cli("estimate", tmp_path, "--equations", "printed", "-f", "csv")
+    assert outcome.err.count("eqs. (3), (4) as printed") == 1
+    assert "(so in 4 logs)" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "leave out one of them"),
+        (("--resume", "results", "-o", "a.mcap"), "go with rows: write a.mcap by itself"),
+        (("--summary", "s.csv", "-o", "a.mp4"), "go with rows: write a.mp4 by itself"),
+        (("--group", "scenario"), "say where they go with --summary FILE"),
+    ],
+)
+def test_options_that_would_be_ignored_are_refused(
+    cli: Cli,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: tuple[str, ...],
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    outcome = cli("estimate", folder / "log0.mcap", *options)
+    assert outcome.code == 2
+    assert said in outcome.err
+    assert not list(tmp_path.iterdir())
