@@ -59,6 +59,9 @@ class SilhouetteSettings(MethodSettings):
     """The tool's origin in the outline beyond the cylinder's end, over the length of that: jaws open and turn."""
     min_wrist_widths: float = Field(default=0.5, gt=0.0)
     """An outline that ends closer than this behind the cylinder's end, over its width, shows no wrist."""
+    min_wrist_share: float = Field(default=0.5, ge=0.0, le=1.0)
+    """The same over the length of a straight wrist with closed jaws: less of it is another tip than the profile's, a
+    wrist that points at the camera by more than 60°, or one of which most is missed."""
     flank_stds: float = Field(default=4.0, gt=0.0)
     """What is this far, in their own scatter, from the colours on both sides of a wrist is wrist: one pixel of paper in
     a thousand is so far, and specks do not count."""

@@ -64,7 +64,8 @@ def wrist_point(
 
     `mask`, shape (h, w), is what is roughly known of the instrument; `along` (2,) is the shaft's direction to the tip.
     The origin is the shape's part of the way from the end to the outline's tip, as the crow flies, in the middle of
-    the outline. Of an outline that is shorter than a straight wrist it may be farther on.
+    the outline. Of an outline that is shorter than a straight wrist it may be farther on; one
+    that is much shorter tells nothing.
     """
     cell_px = width_px / WIDTH_CELLS
     farthest = settings.wrist_reach * shape.length_widths
@@ -92,8 +93,9 @@ def wrist_point(
     offset = np.stack(np.nonzero(beyond), -1) * cell_px + [u[0], v[0]]
     distance = np.linalg.norm(offset, axis=1)
     reach_px = float(np.percentile(distance, FAR_PERCENTILE))
-    if reach_px < settings.min_wrist_widths * width_px:
-        return None
+    expected_px = shape.length_widths * width_px
+    if reach_px < max(settings.min_wrist_widths * width_px, settings.min_wrist_share * expected_px):
+        return None  # another tip than the profile's, or one that is mostly missed
     ring = np.abs(distance - shape.tool_fraction * reach_px) < 0.5 * settings.wrist_std * reach_px
     if np.count_nonzero(ring) < 3:
         return None
@@ -101,7 +103,7 @@ def wrist_point(
     # The middle of an arc lies inside of it.
     at *= shape.tool_fraction * reach_px / max(float(np.linalg.norm(at)), 1e-9)
     # An outline shorter than a straight wrist comes towards the camera, or lacks its jaws: then the origin is beyond.
-    beyond_px = shape.tool_fraction * max(0.0, shape.length_widths * width_px - reach_px)
+    beyond_px = shape.tool_fraction * max(0.0, expected_px - reach_px)
     tip = offset[distance > reach_px - cell_px].mean(0)
     pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
     return WristPoint(pixel, float(np.hypot(settings.wrist_std * reach_px, FROM_ONE_END * beyond_px)), tip_px)
