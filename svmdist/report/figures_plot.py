@@ -102,7 +102,9 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
         of, above, below = OF[name], axes[0, column], axes[1, column]
         _decades(above, dots(above, lambda figures, of=of: _rmse_mm(of(figures))))  # type: ignore[misc]
         above.set_xlabel(f"RMSE [mm]\n{NAMES[name]}")
-        dots(below, lambda figures, of=of: _held(of(figures)))  # type: ignore[misc]
+        if not dots(below, lambda figures, of=of: _held(of(figures))):  # type: ignore[misc]
+            below.set_visible(False)  # planar methods state no interval
+            continue
         below.axvline(NOMINAL, color="0.0", linewidth=0.8, linestyle="--")
         below.set(xlabel=f"truths in 95 % interval [%]\n{NAMES[name]}", xlim=(0, 100))
     for panel in axes.flat:
