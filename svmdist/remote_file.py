@@ -11,6 +11,7 @@ import io
 import os
 import re
 import tempfile
+import weakref
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import PurePosixPath
@@ -151,6 +152,8 @@ class _Blocks:
                 file = filesystem.open(path, "rb", cache_type="none")
             self.size_bytes = int(file.seek(0, io.SEEK_END))
         self._file = file
+        # The cache and this object hold each other: whichever is collected first, the file is closed.
+        weakref.finalize(self, file.close)
         self._cache = BlockCache(BLOCK_BYTES, self._fetch, self.size_bytes, BLOCKS_KEPT)
 
     def read(self, start: int, end: int) -> bytes:
@@ -169,8 +172,12 @@ class _Blocks:
 def _downloaded(file: Any) -> Any:
     """A copy of a file that its server gives whole only."""
     copy = tempfile.TemporaryFile()  # noqa: SIM115  (it is closed with the blocks that are read of it)
-    while piece := file.read(BLOCK_BYTES):
-        copy.write(piece)
+    try:
+        while piece := file.read(BLOCK_BYTES):
+            copy.write(piece)
+    except BaseException:
+        copy.close()
+        raise
     return copy
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import io
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -206,6 +208,33 @@ def test_a_server_without_ranges_gives_the_file_whole(log: Path) -> None:
         with pytest.raises(RecordingError, match="no such file"):
             open_recording(f"http://127.0.0.1:{server.server_port}/none.mcap", PROFILE)
         server.shutdown()
+
+
+def test_what_is_kept_of_a_server_is_closed_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The copy of a file goes with the blocks that are read of it, though these are part of a circle."""
+    from svmdist import remote_file
+
+    made = []
+
+    def downloaded(file: object) -> object:
+        copy = io.BytesIO(b"0123456789")
+        made.append(copy)
+        return copy
+
+    class WholeOnly:
+        def info(self, path: str) -> dict[str, object]:
+            return {"name": path}
+
+        def open(self, path: str, *_: object, **__: object) -> io.BytesIO:
+            return io.BytesIO()
+
+    monkeypatch.setattr(remote_file, "_downloaded", downloaded)
+    monkeypatch.setattr(remote_file, "filesystem_of", lambda url: (WholeOnly(), url))
+    blocks = remote_file._Blocks("http://host/log.mcap")
+    assert blocks.read(2, 5) == b"234"
+    del blocks
+    gc.collect()
+    assert made[0].closed
 
 
 def test_a_protocol_that_nobody_knows() -> None:
