@@ -141,14 +141,7 @@ def best_bar(
     off = points_free @ normals.T - (starts * normals).sum(axis=1)
     near = (np.abs(off) < settings.line_within_px) & (tangents_free @ along.T > 0.85)
     support = near.sum(axis=0)
-    lines: list[int] = []
-    for line in np.argsort(-support, kind="stable"):
-        if support[line] < settings.least_side_px or len(lines) >= MOST_LINES:
-            break
-        apart = np.abs(((starts[line] - starts[lines]) * normals[lines]).sum(axis=1))
-        alike = along[lines] @ along[line] > 0.97
-        if not (alike & (apart < 2.0 * settings.line_within_px)).any():
-            lines.append(int(line))
+    lines = _different_lines(starts, along, normals, support, settings)
     best: tuple[float, int, int, Array] | None = None
     for place, first in enumerate(lines):
         for second in lines[place + 1 :]:
@@ -169,6 +162,24 @@ def best_bar(
     _, first, second, axis = best
     sides = np.stack([_line_of(points_free[near[:, line]], axis) for line in (first, second)])
     return Bar(sides, (float(support[first]), float(support[second])), len(points_free))
+
+
+def _different_lines(
+    starts: Array, along: Array, normals: Array, support: NDArray[np.int_], settings: AutoSettings
+) -> list[int]:
+    """Numbers of the lines with the most points, the best first, each of which is another line than those before it."""
+    order = np.argsort(-support, kind="stable")
+    order = order[support[order] >= settings.least_side_px]
+    starts, along, normals = starts[order], along[order], normals[order]
+    left = np.ones(len(order), np.bool_)
+    lines: list[int] = []
+    while left.any() and len(lines) < MOST_LINES:
+        best = int(np.argmax(left))
+        lines.append(int(order[best]))
+        apart = np.abs(((starts - starts[best]) * normals[best]).sum(axis=1))
+        left &= ~((along @ along[best] > 0.97) & (apart < 2.0 * settings.line_within_px))
+        left[best] = False
+    return lines
 
 
 def _chords(points: Array, free: NDArray[np.bool_]) -> tuple[Array, Array]:
