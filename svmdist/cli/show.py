@@ -28,6 +28,10 @@ if TYPE_CHECKING:
 
 DEFAULT_COUNT = 6
 """Pictures where none is asked for: enough to see a log from its beginning to its end."""
+PICTURE_ENDINGS = frozenset(
+    {".png", ".jpg", ".jpeg", ".svg", ".pdf", ".gif", ".bmp", ".tif", ".tiff", ".webp"}
+)
+"""Names that mean a picture, and not a folder."""
 Picture = tuple[int, "Image"]
 
 
@@ -73,7 +77,7 @@ def show_command(
             "--output",
             "-o",
             metavar="DIR",
-            help="Folder that the pictures go to; it is made.",
+            help="Folder that the pictures go to; it is made. A name in .png is the one picture of --frame or --at.",
             show_default=".",
         ),
     ] = Path("."),
@@ -117,20 +121,34 @@ def show_command(
         numbers = _worst(recording, setup, worst, len(stamps_ns), jobs)
     else:
         numbers = set(spread(len(stamps_ns), DEFAULT_COUNT))
+    is_one = _is_one_picture(output, len(numbers))
     try:
-        output.mkdir(parents=True, exist_ok=True)
+        (output.parent if is_one else output).mkdir(parents=True, exist_ok=True)
     except OSError as problem:
         raise OutputError(f"{output}: cannot make the folder: {problem.strerror or problem}") from None
     drawn = 0
     pictures = _masks(recording, setup, numbers) if masks else _phases(recording, setup, numbers, jobs)
     for number, picture in pictures:
-        path = output / f"{recording.name}-{number:05d}.png"
+        path = output if is_one else output / f"{recording.name}-{number:05d}.png"
         write_picture(path, picture)
         write_lines([f"{path}\n"], None)
         drawn += 1
     if drawn < len(numbers):
         say(f"svmdist: {len(numbers) - drawn} of {len(numbers)} images cannot be read, and are not drawn")
     raise typer.Exit(report_health([recording]))
+
+
+def _is_one_picture(output: Path, count: int) -> bool:
+    """Whether the output names a picture, not a folder; raises UsageError where it cannot hold what is asked for."""
+    if output.suffix.lower() not in PICTURE_ENDINGS or output.is_dir():
+        return False
+    if output.suffix.lower() != ".png":
+        raise UsageError(f"{output}: pictures are PNG files: give a name in .png, or a folder")
+    if count > 1:
+        raise UsageError(
+            f"{output}: is one picture, and {count} are asked for: give --frame, --at, or a folder"
+        )
+    return True
 
 
 def _masks(recording: Recording, setup: Setup, numbers: set[int]) -> Iterator[Picture]:

@@ -59,6 +59,22 @@ def test_at_takes_the_nearest_image_and_worst_the_worst(golden: Path, cli: Cli, 
     assert len(told) == 2
 
 
+def test_one_picture_may_have_a_name(golden: Path, cli: Cli, tmp_path: Path) -> None:
+    """A name in .png is a file for one image, and never a folder; other kinds of pictures are refused."""
+    log = golden / "sweep.mcap"
+    named = tmp_path / "made" / "seen.png"
+    one = cli("show", log, "--frame", 3, "-o", named)
+    assert (one.code, one.out) == (0, f"{named}\n")
+    assert cv2.imread(str(named)) is not None
+    several = cli("show", log, "-o", tmp_path / "six.png")
+    assert (several.code, several.err.count("\n")) == (2, 1)
+    assert "6 are asked for" in several.err
+    other = cli("show", log, "--frame", 3, "-o", tmp_path / "seen.pdf")
+    assert other.code == 2
+    assert "in .png, or a folder" in other.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["made"]
+
+
 def test_choices_that_exclude_each_other_are_refused(golden: Path, cli: Cli) -> None:
     log = golden / "sweep.mcap"
     both = cli("show", log, "--frame", 1, "--worst", 2)
