@@ -166,8 +166,7 @@ class KinematicErrorFilter:
         return across_std_rad(covariance, self.shaft_axis())
 
     def _start(self) -> None:
-        prior = self._state.start()
-        with_constants = self._model.prior_with_constants(self._state.robot)
+        prior, with_constants = self._state.start()
         self._window = Window(self._model, self._state.anchor_m, prior, self._settings, with_constants)
         self._rejections = self._contradictions = 0
         self._age_s = 0.0

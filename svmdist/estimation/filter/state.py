@@ -58,13 +58,13 @@ class ErrorState:
         robot = robot.shifted(self.correction.time_offset_s)
         self._robot, self._nominal, self._linked = robot, self.model.nominal(robot), None
 
-    def start(self) -> Array:
-        """Start from the nominal kinematics, with the covariance that the profile states: gives that."""
+    def start(self) -> tuple[Array, dict[str, Array]]:
+        """Start from nominal kinematics with the covariance that the profile states; gives that, and with constants."""
         self.anchor_m = self.model.anchor_m(self.robot)
         self.correction = self.model.no_correction()
-        prior = self.model.prior(self.robot)
-        self.reset_bias_states(prior, self.model.prior_with_constants(self.robot))
-        return prior
+        prior, with_constants = self.model.prior(self.robot), self.model.prior_with_constants(self.robot)
+        self.reset_bias_states(prior, with_constants)
+        return prior, with_constants
 
     def retracted(self, x: Array) -> ErrorState:
         """The state after a step of error state and biases, shape (n,); the covariance stays."""
