@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from svmdist.cli.console import require_output
 from svmdist.cli.options import RowFormat
-from svmdist.cli.outputs import FileFormat, command_line, require_report, row_format
+from svmdist.cli.outputs import FileFormat, command_line, require_parquet, require_report, row_format
 from svmdist.cli.plots import require_plot
 from svmdist.cli.progress import progress_bar
 from svmdist.errors import UsageError
@@ -57,11 +57,7 @@ class EstimateTargets:
         require_report(self.report)
         require_plot("estimate", None, self.plot, files)
         if self.form is RowFormat.PARQUET:
-            from svmdist.report.parquet import require_pyarrow
-
-            if self.output is None:
-                raise UsageError("--format parquet is no text: give a file with -o FILE.parquet")
-            require_pyarrow()
+            require_parquet(self.output)
         if self.drawn and count > 1:
             raise UsageError(f"{self.drawn[0]}: holds one recording, and {count} are given")
 

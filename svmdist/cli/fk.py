@@ -23,7 +23,7 @@ from svmdist.cli.options import (
     TopicOption,
     topics_of,
 )
-from svmdist.cli.outputs import by_ending
+from svmdist.cli.outputs import by_ending, require_parquet
 from svmdist.cli.progress import progress_bar, tracked
 from svmdist.cli.recordings import local_logs, named_logs, open_log, open_recordings, window_of
 from svmdist.errors import UsageError
@@ -156,11 +156,7 @@ def pose_format(given: PoseFormat | None, output: Path | None) -> PoseFormat:
     endings = {f".{form}": form for form in PoseFormat}
     chosen = by_ending(endings, PoseFormat.CSV, output, "CSV") if given is None else given
     if chosen is PoseFormat.PARQUET:
-        from svmdist.report.parquet import require_pyarrow
-
-        if output is None:
-            raise UsageError("--format parquet is no text: give a file with -o FILE.parquet")
-        require_pyarrow()
+        require_parquet(output)
     return chosen
 
 

@@ -63,12 +63,17 @@ def summary_format(given: SummaryFormat | None, output: Path | None) -> SummaryF
     """The format of a summary: the given one, else that of the file's ending, else a table; raises UsageError."""
     chosen = by_ending(SUMMARY_ENDINGS, SummaryFormat.TABLE, output) if given is None else given
     if chosen is SummaryFormat.PARQUET:
-        from svmdist.report.parquet import require_pyarrow
-
-        if output is None:
-            raise UsageError("--format parquet is no text: give a file with -o FILE.parquet")
-        require_pyarrow()
+        require_parquet(output)
     return chosen
+
+
+def require_parquet(output: Path | None) -> None:
+    """Fail before the work where Parquet cannot be written; UsageError without a file, OutputError without pyarrow."""
+    from svmdist.report.parquet import require_pyarrow
+
+    if output is None:
+        raise UsageError("--format parquet is no text: give a file with -o FILE.parquet")
+    require_pyarrow()
 
 
 def table_format(given: TableFormat | None, output: Path | None) -> TableFormat:

@@ -8,14 +8,11 @@ its noise first and says where the stream stands then, so that the next task can
 from __future__ import annotations
 
 import multiprocessing
-import signal
-import sys
 import traceback
 from collections.abc import Generator, Iterator
-from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field
+from contextlib import closing, suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 
 import cv2
 
@@ -26,6 +23,7 @@ from svmdist.simulation.plan import Block, Plan
 from svmdist.simulation.sensor import NoiseState
 from svmdist.simulation.simulate import Simulator
 from svmdist.workflows.ahead import one_opencv_thread
+from svmdist.workflows.workers import END_S, Worker, begin_worker, close_inherited, end_workers, how_ended
 
 Encoded = list[tuple[str, EncodedSample]]
 
@@ -33,8 +31,6 @@ FRAMES_PER_WORKER = 8
 """What a worker's start costs, 0.3 s, is what so many images take: below this, one worker less is faster."""
 TASKS_AHEAD = 3
 """Tasks, for each worker, that may be at work or done while an earlier one is not: bounds the memory."""
-END_S = 5.0
-"""A worker that has not ended so long after it was told to is killed."""
 
 
 class WorkerDiedError(SimulationError):
@@ -100,20 +96,12 @@ def _tasks(plan: Plan) -> list[tuple[Block, ...]]:
     return [tuple(blocks[begin : begin + size]) for begin in range(0, len(blocks), size)]
 
 
-@dataclass
-class _Worker:
-    process: BaseProcess
-    connection: Connection
-    task: int | None = field(default=None)
-    """The number of the task it is at."""
-
-
 class _Pool:
     """Processes that work through a plan's tasks; `close` ends them."""
 
     def __init__(self, plan: Plan, count: int, jpeg_quality: int | None, method: str | None = None) -> None:
         self._tasks = _tasks(plan)
-        self._workers: list[_Worker] = []
+        self._workers: list[Worker[int]] = []
         self._noise_states: tuple[NoiseState, ...] | None = None
         self._has_noise = plan.noise > 0.0
         # A fork costs 10 ms, a new interpreter with all imports 0.5 s. Nothing that minds a fork is alive here:
@@ -122,19 +110,8 @@ class _Pool:
         context = multiprocessing.get_context(method or ("fork" if forks else "spawn"))
         try:
             for _ in range(count):
-                ours, theirs = context.Pipe()
-                inherited = [worker.connection for worker in self._workers] + [ours]
-                arguments = (
-                    theirs,
-                    plan,
-                    jpeg_quality,
-                    inherited if context.get_start_method() == "fork" else [],
-                )
-                process = context.Process(target=_work, args=arguments, daemon=True)  # type: ignore[attr-defined]
-                with _no_interrupts():
-                    process.start()
-                theirs.close()
-                self._workers.append(_Worker(process, ours))
+                arguments = (plan, jpeg_quality)
+                self._workers.append(begin_worker(context, _work, arguments, self._workers, daemon=True))
         except BaseException:
             self.close()
             raise
@@ -163,14 +140,14 @@ class _Pool:
                             raise message.error
             yield done.pop(wanted)
 
-    def _give(self, worker: _Worker, number: int) -> None:
+    def _give(self, worker: Worker[int], number: int) -> None:
         worker.task = number
         try:
             worker.connection.send(_Task(number, self._tasks[number], self._noise_states))
         except OSError:
             raise _last_words(worker) or _died(worker) from None
 
-    def _messages(self) -> Iterator[tuple[_Worker, object]]:
+    def _messages(self) -> Iterator[tuple[Worker[int], object]]:
         """Wait for workers, and give what they say."""
         by_connection = {worker.connection: worker for worker in self._workers}
         for connection in wait(list(by_connection)):
@@ -183,19 +160,11 @@ class _Pool:
 
     def close(self) -> None:
         """End all workers, whatever they are doing."""
-        for worker in self._workers:
-            worker.process.terminate()
-            worker.connection.close()
-        for worker in self._workers:
-            worker.process.join(END_S)
-            if worker.process.is_alive():
-                worker.process.kill()
-                worker.process.join()
-            worker.process.close()
+        end_workers(self._workers)
         self._workers.clear()
 
 
-def _last_words(worker: _Worker) -> Exception | None:
+def _last_words(worker: Worker[int]) -> Exception | None:
     """What a worker that is no longer there said went wrong; None where it said nothing."""
     with suppress(EOFError, OSError):
         while worker.connection.poll():
@@ -205,30 +174,15 @@ def _last_words(worker: _Worker) -> Exception | None:
     return None
 
 
-def _died(worker: _Worker) -> WorkerDiedError:
+def _died(worker: Worker[int]) -> WorkerDiedError:
     worker.process.join(END_S)
-    code = worker.process.exitcode
-    how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
+    how = how_ended(worker.process.exitcode)
     return WorkerDiedError(f"a process that draws images {how}, perhaps for want of memory: try fewer --jobs")
 
 
-@contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """Hold interrupts back: a process that begins meanwhile never gets any; the one that begins it ends it."""
-    if sys.platform == "win32":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _work(connection: Connection, plan: Plan, jpeg_quality: int | None, inherited: list[Connection]) -> None:
+def _work(connection: Connection, inherited: list[Connection], plan: Plan, jpeg_quality: int | None) -> None:
     """Do tasks until there is nobody to give them."""
-    for other in inherited:  # else this process would keep the pipes of others open when their owner is gone
-        other.close()
+    close_inherited(inherited)
     cv2.setNumThreads(1)
     with suppress(EOFError, OSError):  # nobody is there any more
         try:

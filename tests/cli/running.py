@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -36,6 +37,26 @@ def ended(
         check=False,
         **streams,
     )
+
+
+def started(*arguments: str) -> subprocess.Popen[str]:
+    """Begin `svmdist` in a session of its own, where it hears an interrupt; its stderr is kept."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # children shall hear it
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-m", "svmdist", *arguments],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def require_no_traceback(err: str) -> None:
+    """Of svmdist: an interrupt may find Python itself still starting, which prints where it was."""
+    assert "Traceback" not in err or "/svmdist/" not in err, err
 
 
 def _text(argument: object) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 
 from svmdist.profile import load_profile
 from svmdist.recording.reader import open_recording
+from tests.cli.running import require_no_traceback, started
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs signals as POSIX has them")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
@@ -30,22 +30,11 @@ def end_one(folder: Path, number: signal.Signals, after_s: float, jobs: int) -> 
     """Start a recorder, end it after a while, and see what it left; tells how far it was."""
     path = folder / "log.mcap"
     command = ["record", "--duration", "1.2", "--rate", "10", "-j", str(jobs), "--force", "-o", str(path)]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # children shall hear it
-    try:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "svmdist", *command],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-    finally:
-        signal.signal(signal.SIGINT, before)
+    process = started(*command)
     time.sleep(after_s)
     process.send_signal(number)
     _, err = process.communicate(timeout=120)
-    # An interrupt may find Python itself still starting, which prints where it was: none of svmdist is there then.
-    assert "Traceback" not in err or "/svmdist/" not in err, err
+    require_no_traceback(err)
     left = {file.name for file in folder.iterdir()}
     assert left <= {"log.mcap", "log.mcap.part"}, left
     if path.exists():

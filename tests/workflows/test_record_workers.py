@@ -23,6 +23,7 @@ pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.plan import Plan, make_plan
 from svmdist.workflows import record_workers
 from svmdist.workflows.record import record
+from svmdist.workflows.workers import Worker
 
 EVERYTHING = Extras(True, True, 1.0, (("smoke", 2), ("noise", 1)), 2, 0.0003)
 PRESSED = Extras(True, perturbations=parse_perturbations("dent=2,interlace=1,breathing=1,shadow=1,rolling=5"))
@@ -151,7 +152,7 @@ def test_what_a_worker_said_before_it_ended_is_told_when_it_gets_no_task(small: 
     """A worker may fail, and be gone, before it is given anything: its reason counts, not that it is gone."""
     ours, theirs = multiprocessing.Pipe()
     process = multiprocessing.get_context("spawn").Process()
-    worker = record_workers._Worker(process, ours)
+    worker = Worker(process, ours)
     theirs.send(record_workers._Failed(SimulationError("no such thing")))
     theirs.close()
     pool = object.__new__(record_workers._Pool)

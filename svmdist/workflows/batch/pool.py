@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import multiprocessing
-import signal
-import sys
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field
+from contextlib import closing, suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from svmdist.errors import SvmdistError
 from svmdist.workflows.ahead import keep_freed_memory, one_opencv_thread
 from svmdist.workflows.batch.task import LogFile, LogJob, Stored, failed, measure_log
+from svmdist.workflows.workers import (
+    Worker,
+    begin_worker,
+    close_inherited,
+    end_workers,
+    how_ended,
+    put_away,
+)
 
 ATTEMPTS = 2
 """A log whose process is killed is measured once more: it may have been another that took the memory."""
-END_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -48,13 +51,6 @@ class _Raised:
     error: BaseException
 
 
-@dataclass
-class _Worker:
-    process: BaseProcess
-    connection: Connection
-    task: Task | None = field(default=None)
-
-
 def measured_in_processes(
     work: Work, tasks: Sequence[Task], workers: int, threads: int, *, forks: bool
 ) -> Generator[tuple[Task, Stored]]:
@@ -73,7 +69,7 @@ class _Pool:
         self._count = count
         # A fork costs 10 ms, a new interpreter with all imports 1 s. Connections to stores do not survive one.
         self._method = "fork" if forks and "fork" in multiprocessing.get_all_start_methods() else "spawn"
-        self._workers: list[_Worker] = []
+        self._workers: list[Worker[Task]] = []
 
     def outcomes(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Stored]]:
         waiting = deque(tasks)
@@ -94,13 +90,14 @@ class _Pool:
                     said = worker.connection.recv()
                 except (EOFError, OSError):
                     self._workers.remove(worker)
-                    how = _end(worker)
+                    code = put_away(worker)
                     if task is not None:
                         kills[task.number] += 1
                         if kills[task.number] < ATTEMPTS:
                             waiting.appendleft(task)
                         else:
-                            yield task, failed(f"its process {how}, {ATTEMPTS} times")
+                            why = ", perhaps for want of memory" if code < 0 else ""
+                            yield task, failed(f"its process {how_ended(code)}{why}, {ATTEMPTS} times")
                     continue
                 if isinstance(said, _Raised):
                     raise said.error
@@ -111,66 +108,25 @@ class _Pool:
     def _busy(self) -> int:
         return sum(worker.task is not None for worker in self._workers)
 
-    def _begin(self) -> _Worker:
+    def _begin(self) -> Worker[Task]:
         context = multiprocessing.get_context(self._method)
-        ours, theirs = context.Pipe()
-        inherited = [worker.connection for worker in self._workers] + [ours] if self._method == "fork" else []
-        process = context.Process(  # type: ignore[attr-defined]
-            target=_work, args=(theirs, self._function, self._threads, inherited)
-        )
-        with no_interrupts():
-            process.start()
-        theirs.close()
-        return _Worker(process, ours)
+        return begin_worker(context, _work, (self._function, self._threads), self._workers)
 
     def close(self) -> None:
         """End all workers, whatever they are doing."""
-        for worker in self._workers:
-            worker.process.terminate()
-        for worker in self._workers:
-            _end(worker)
+        end_workers(self._workers)
         self._workers.clear()
 
 
-def _end(worker: _Worker) -> str:
-    """Put a process away; how it ended."""
-    worker.connection.close()
-    worker.process.join(END_S)
-    if worker.process.is_alive():
-        worker.process.kill()
-        worker.process.join()
-    code = worker.process.exitcode or 0
-    worker.process.close()
-    if code < 0:
-        return f"was killed by signal {-code}, perhaps for want of memory"
-    return f"ended with code {code}"
-
-
-@contextmanager
-def no_interrupts() -> Iterator[None]:
-    """Hold interrupts back: a process that begins meanwhile never gets any; the one that begins it ends it."""
-    if sys.platform == "win32":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _work(connection: Connection, function: Work, threads: int, inherited: list[Connection]) -> None:
+def _work(connection: Connection, inherited: list[Connection], function: Work, threads: int) -> None:
     """Do tasks until there is nobody to give them."""
-    for other in inherited:  # else this process would keep the pipes of others open when their owner is gone
-        other.close()
+    close_inherited(inherited)
     keep_freed_memory()
     with suppress(EOFError, OSError), one_opencv_thread():  # nobody is there any more
         while True:
             task: Task = connection.recv()
             try:
                 said: Stored | _Raised = function(task, threads)
-            except SvmdistError as problem:
-                said = _Raised(problem)
             except Exception as problem:
                 said = _Raised(problem)
             connection.send(said)

@@ -18,6 +18,7 @@ import pytest
 from svmdist.profile import load_profile
 from svmdist.recording.reader import open_recording
 from svmdist.workflows.batch.store import SCHEMA, stored_rows
+from tests.cli.running import require_no_traceback, started
 from tests.synthetic import write_log
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs signals as POSIX has them")
@@ -26,25 +27,14 @@ SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 
 def run(arguments: list[str], number: signal.Signals | None = None, after_s: float = 0.0) -> tuple[int, str]:
     """Run svmdist, and end it after a while where a signal is given; its exit code and what it said."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # children shall hear it
-    try:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "svmdist", *arguments],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-    finally:
-        signal.signal(signal.SIGINT, before)
+    process = started(*arguments)
     try:
         _, err = process.communicate(timeout=None if number is None else after_s)
     except subprocess.TimeoutExpired:
         assert number is not None
         process.send_signal(number)
         _, err = process.communicate(timeout=120)
-    # An interrupt may find Python itself still starting, which prints where it was: none of svmdist is there then.
-    assert "Traceback" not in err or "/svmdist/" not in err, err
+    require_no_traceback(err)
     return process.returncode, err
 
 
