@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from svmdist.profile_hand_eye import FORMAT, HandEyeFile, Source
+from svmdist.profile.hand_eye import FORMAT, HandEyeFile, Source
 from svmdist.recording.reader import Recording
 from svmdist.report.table import Cell
 from svmdist.transforms import quaternion_xyzw_from_rotation
