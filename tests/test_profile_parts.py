@@ -18,8 +18,9 @@ from svmdist.profile.segmentation import (
     HsvSegmentation,
     OnnxSegmentation,
 )
-from svmdist.profile.toml import MIB, Angle, NeighbourFile, Size, StrictModel, parse_toml
+from svmdist.profile.toml import Angle, NeighbourFile, Size, StrictModel, parse_toml
 
+MIB = 1 << 20
 NETWORK: dict[str, Any] = {
     "method": "onnx",
     "model": "net.onnx",

@@ -45,7 +45,7 @@ from svmdist.profile.segmentation import (
     ColourRegion,
 )
 from svmdist.profile.settings import Settings, StereoSettings
-from svmdist.profile.toml import MIB, Byte, Size, StrictModel, parse_toml
+from svmdist.profile.toml import Byte, Size, StrictModel, parse_toml
 
 
 class Topics(StrictModel):
@@ -77,25 +77,25 @@ class Frames(StrictModel):
 class Limits(StrictModel):
     """What a log may ask of the reader, checked before memory is allocated; what asks for more is a loss."""
 
-    record_bytes: Size = 256 * MIB
+    record_bytes: Size = 256 << 20
     """One record of the file; it may never reach beyond the file either."""
-    chunk_bytes: Size = 256 * MIB
+    chunk_bytes: Size = 256 << 20
     """One chunk after expansion; it must have exactly the size that it declares."""
     chunk_records: int = Field(default=1_000_000, ge=1)
     """Records inside one chunk."""
-    window_bytes: Size = 128 * MIB
+    window_bytes: Size = 128 << 20
     """Memory that a zstd frame may claim for its window, beside the expanded chunk."""
-    definition_bytes: Size = 32 * MIB
+    definition_bytes: Size = 32 << 20
     """Schemas and channels of a whole file, which stay in memory while it is read."""
-    metadata_bytes: Size = 1 * MIB
+    metadata_bytes: Size = 1 << 20
     """One metadata or statistics record."""
     image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)
     """One image, by the dimensions in its header, before it is decoded; OpenCV itself is held to 2^26."""
-    image_bytes: Size = 32 * MIB
+    image_bytes: Size = 32 << 20
     """One compressed image."""
-    message_bytes: Size = 1 * MIB
+    message_bytes: Size = 1 << 20
     """One message that is no image: joints, transforms and the like hold a few kilobytes."""
-    json_bytes: Size = 16 * MIB
+    json_bytes: Size = 16 << 20
     """One JSON message; parsing can take thirty times its size in memory."""
     pair_tolerance_s: float = Field(default=5e-4, ge=0.0, le=0.5)
     """How far the stamps of the left and the right image of a pair may be apart. Cameras that are triggered together
