@@ -18,10 +18,10 @@ settings.load_profile("repeatable")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> None:
-    """Run one file's tests, benchmarks and what is debugged in this process: without others, and to be seen."""
+    """Run one file's tests and what is debugged in this process: without others, and to be seen."""
     files = {name.partition("::")[0] for name in config.args}
     is_one_file = len(files) == 1 and files.pop().endswith(".py")
-    if is_one_file or config.option.benchmark_enable or config.option.usepdb:
+    if is_one_file or config.option.usepdb:
         config.option.numprocesses = 0
 
 

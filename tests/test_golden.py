@@ -9,6 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.docs_3d import LOGS as LOGS_3D
+from benchmarks.docs_3d import REAL_LOGS
+from benchmarks.golden_tables import BEGIN, END, LOGS, results_table, score_logs
 from svmdist.estimation.lag import estimate_lag
 from svmdist.estimation.planar.calibration import load_calibration
 from svmdist.profile import load_profile, profile_path
@@ -23,9 +26,6 @@ from svmdist.workflows.scoring.truth import Reference, tool_track
 from svmdist.workflows.setup import Setup, prepare
 from svmdist.workflows.validate import Validation
 from tests.conftest import REPOSITORY
-from tools.docs_3d import LOGS as LOGS_3D
-from tools.docs_3d import REAL_LOGS
-from tools.make_docs import BEGIN, END, LOGS, results_table, score_logs
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.docs_3d import REAL_LOGS
 from svmdist.recording.reader import open_recording
 from svmdist.results import FrameResult
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.setup import prepare
-from tools.docs_3d import REAL_LOGS
 
 FRAMES = 32
 """4 s of each log: the start, and what comes after it."""

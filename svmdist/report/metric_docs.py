@@ -16,7 +16,7 @@ CSV and JSON. Values are in SI units. A column without a prefix is about the pla
 A baseline (`svmdist validate --write-baseline`) stores the metrics that have a tolerance here. A later run is worse
 where one of them lost more than the tolerance: an amount, or a share of the stored value where that is more.
 
-This page is generated from `svmdist/workflows/scoring/metric_table.py` by `uv run python -m tools.make_metrics_page`.
+This page is generated from `svmdist/workflows/scoring/metric_table.py` by `uv run python -m benchmarks.make_metrics_page`.
 """
 HEADER = "| columns | unit | better | tolerance | told by | meaning |\n|---|---|---|---|---|---|\n"
 COMMANDS = {Output.SCORES: "`validate`", Output.FIGURES: "`compare`, `blur-bench --grid`"}

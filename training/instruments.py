@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.segmentation_net.backgrounds import tissue_colour
-from tools.segmentation_net.materials import DISTAL_WEIGHTS, SHAFT_WEIGHTS, Material, material
-from tools.segmentation_net.noise import Canvas, Size
+from training.backgrounds import tissue_colour
+from training.materials import DISTAL_WEIGHTS, SHAFT_WEIGHTS, Material, material
+from training.noise import Canvas, Size
 
 OTHER, TISSUE, DISTAL, SHAFT = range(4)
 """Classes of the network: border, paper and cloth; tissue; wrists and jaws; shafts."""

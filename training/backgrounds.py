@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.segmentation_net.noise import Canvas, Field, Size, fractal, lobules, shading, smooth
+from training.noise import Canvas, Field, Size, fractal, lobules, shading, smooth
 
 # Red level, and green and blue over red, as (least, most) of each: what tissue looks like in a white light.
 TISSUE_COLOURS = (

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.segmentation_net.noise import Canvas, Size, fractal
+from training.noise import Canvas, Size, fractal
 
 BORDERS = ("none", "circle", "octagon", "rectangle", "cut circle")
 

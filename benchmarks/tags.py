@@ -1,4 +1,4 @@
-"""Tags in photographs against the corners that a public set gives: `uv run python -m tools.tag_bench FOLDER`.
+"""Tags in photographs against the corners that a public set gives: `uv run python -m benchmarks.tags FOLDER`.
 
 FOLDER holds the pictures `*.jpg` and beside each a file `*.txt` with a line per tag, `id, (x y), (x y), (x y), (x y)`,
 as `test/data` of the public repository AprilRobotics/apriltag does: three photographs with 47 tags of 12 to 50 px.

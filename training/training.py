@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from tools.segmentation_net.dataset import Pictures, augmented, halved
-from tools.segmentation_net.instruments import DISTAL
-from tools.segmentation_net.network import InstrumentNet
-from tools.segmentation_net.scene import HEIGHT, MIDDLE, WIDTH
+from training.dataset import Pictures, augmented, halved
+from training.instruments import DISTAL
+from training.network import InstrumentNet
+from training.scene import HEIGHT, MIDDLE, WIDTH
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,18 @@ import cv2
 import numpy as np
 from scipy.io import loadmat
 
+from benchmarks.real_sets.figures import (
+    CHI_5_STD,
+    CHI_95,
+    SetFigures,
+    after_rigid_fit,
+    draw_overlays,
+    measured,
+    normalised,
+    number,
+    share,
+)
+from benchmarks.real_sets.making import make_hand_eye, make_log, make_profile, run
 from svmdist.estimation.hand_eye import rigid_fit
 from svmdist.importing.cameras import CalibrationOptions
 from svmdist.kinematics.chain import chain_of
@@ -29,18 +41,6 @@ from svmdist.transforms import (
 )
 from svmdist.workflows.import_log import ImportOptions
 from svmdist.workflows.import_views import ViewOptions
-from tools.real_sets.figures import (
-    CHI_5_STD,
-    CHI_95,
-    SetFigures,
-    after_rigid_fit,
-    draw_overlays,
-    measured,
-    normalised,
-    number,
-    share,
-)
-from tools.real_sets.making import make_hand_eye, make_log, make_profile, run
 
 NAME, KEY, REPOSITORY = "thrust", "thrust", "fdheenmo/thrust"
 IMAGES = Path("thrust", "annotated_50_images_15-Nov-17-59-04")

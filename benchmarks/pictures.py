@@ -1,6 +1,6 @@
 """Remake the pictures of the documentation, each by the command that its page shows beside it.
 
-Run `uv run python -m tools.pictures` for all, or with names such as `overlay` for some.
+Run `uv run python -m benchmarks.pictures` for all, or with names such as `overlay` for some.
 """
 
 from __future__ import annotations

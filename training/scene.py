@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.segmentation_net.backgrounds import background
-from tools.segmentation_net.camera import BORDERS, film, light_and_colour, picture_area
-from tools.segmentation_net.instruments import (
+from training.backgrounds import background
+from training.camera import BORDERS, film, light_and_colour, picture_area
+from training.instruments import (
     OTHER,
     TISSUE,
     Labels,
@@ -20,7 +20,7 @@ from tools.segmentation_net.instruments import (
     instrument,
     silhouette,
 )
-from tools.segmentation_net.noise import Canvas, Size, fractal
+from training.noise import Canvas, Size, fractal
 
 WIDTH, HEIGHT = 256, 192
 """The network's input in px. Pictures of any aspect are stretched to it, as `method = "onnx"` does."""

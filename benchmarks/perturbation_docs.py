@@ -1,6 +1,6 @@
 """The table of perturbations in docs/simulation.md, made from the declared ones.
 
-Run `uv run python -m tools.perturbation_docs` after a change of them; a test holds the page against the code.
+Run `uv run python -m benchmarks.perturbation_docs` after a change of them; a test holds the page against the code.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.segmentation_net.instruments import DISTAL, Labels
+from training.instruments import DISTAL, Labels
 
 
 def iou(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:

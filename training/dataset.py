@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.segmentation_net.instruments import Labels
-from tools.segmentation_net.scene import HEIGHT, WIDTH, render
+from training.instruments import Labels
+from training.scene import HEIGHT, WIDTH, render
 
 VALIDATION_SEED = 10_000_000
 """Seeds from here on are never trained on."""

@@ -1,6 +1,6 @@
 """Whole commands against each other, in turn, as ratios of one run: what docs/performance.md shows.
 
-`python -m tests.benchmarks.processes FOLDER [NAME ...]` makes the logs that it needs in a folder, runs each comparison
+`python -m benchmarks.processes FOLDER [NAME ...]` makes the logs that it needs in a folder, runs each comparison
 A B A B … and prints the medians of the wall time and their ratio, pair by pair. Machines are noisy: look at the ratio.
 """
 

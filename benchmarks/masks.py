@@ -1,7 +1,7 @@
 """IoU of instruments on public images with masks: `auto` and a network side by side.
 
-`uv run python -m tools.segmentation_bench FOLDER [--network FILE] [--renders N] [--out DIR]` runs on whatever of the
-sets is in FOLDER (`git clone` of the repositories in `tools/segmentation_net/masked_sets.py`), and on N pictures that
+`uv run python -m benchmarks.masks FOLDER [--network FILE] [--renders N] [--out DIR]` runs on whatever of the
+sets is in FOLDER (`git clone` of the repositories in `benchmarks/masked_sets.py`), and on N pictures that
 are drawn as those of the training are, with other seeds. It prints a table in Markdown. DIR gets overlays: yellow what
 a method found, green the mask.
 """
@@ -19,17 +19,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.masked_sets import SETS, MaskedImage
+from benchmarks.overlap import iou
 from svmdist.samples import Image
 from svmdist.settings.auto import AutoSettings
 from svmdist.vision.segmentation.auto import AutoSegmenter
 from svmdist.vision.segmentation.network import OnnxSegmenter
 from svmdist.vision.segmentation.segmenter import Segmenter
-from tools.segmentation_net.dataset import VALIDATION_SEED
-from tools.segmentation_net.instruments import DISTAL
-from tools.segmentation_net.layout import network_rules
-from tools.segmentation_net.masked_sets import SETS, MaskedImage
-from tools.segmentation_net.overlap import iou
-from tools.segmentation_net.scene import render
+from training.dataset import VALIDATION_SEED
+from training.instruments import DISTAL
+from training.layout import network_rules
+from training.scene import render
 
 Mask = NDArray[np.bool_]
 Method = Callable[[Sequence[Image]], Segmenter]
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure the sets that are there and print their table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--network", type=Path, help="an ONNX file of tools.train_segmentation")
+    parser.add_argument("--network", type=Path, help="an ONNX file of training.train")
     parser.add_argument("--renders", type=int, default=0, help="how many drawn pictures to measure on")
     parser.add_argument("--out", type=Path, help="folder for overlays")
     given = parser.parse_args(arguments)

@@ -1,6 +1,6 @@
 """Remake what the documentation shows of the golden logs: the README's tables, docs/results.md and the pictures.
 
-Run `uv run python -m tools.make_docs` after a change that moves figures, with `planar`, `3d`, `real` or `pictures` for
+Run `uv run python -m benchmarks.golden_tables` after a change that moves figures, with `planar`, `3d`, `real` or `pictures` for
 a part; tests hold the README's tables against what is measured.
 """
 
@@ -11,13 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from svmdist.recording.reader import open_recording
-from svmdist.workflows.blur_bench import blur_bench
-from svmdist.workflows.scoring.score import Score
-from svmdist.workflows.scoring.truth import Reference
-from svmdist.workflows.setup import Setup, prepare
-from svmdist.workflows.validate import Validation, validate
-from tools.docs_3d import (
+from benchmarks.docs_3d import (
     REAL_LOGS,
     make_results_3d,
     make_results_real,
@@ -26,7 +20,13 @@ from tools.docs_3d import (
     score_between,
     table_of_all,
 )
-from tools.pictures import IMAGES, PICTURES, make_picture
+from benchmarks.pictures import IMAGES, PICTURES, make_picture
+from svmdist.recording.reader import open_recording
+from svmdist.workflows.blur_bench import blur_bench
+from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.truth import Reference
+from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.validate import Validation, validate
 
 ROOT = Path(__file__).resolve().parent.parent
 LOGS = ("calibration", "sweep", "approach", "contact", "occlusion", "random")

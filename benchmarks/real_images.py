@@ -1,6 +1,6 @@
 """docs/real-data.md: what each method measures on public images of real instruments, fetched beforehand to a folder.
 
-`uv run python -m tools.real_bench FOLDER [--out DIR] [--write] [--methods shaft,stereo,fused]` runs on whatever of the
+`uv run python -m benchmarks.real_images FOLDER [--out DIR] [--write] [--methods shaft,stereo,fused]` runs on whatever of the
 sets is in FOLDER: thrust (fdheenmo/thrust), Surgical_Tool_Tracking (ambareeshsrja16/Surgical_Tool_Tracking, SuPer Deep)
 and ReCoDE-HandEyeCalibration (ImperialCollegeLondon/ReCoDE-HandEyeCalibration). Logs are made by the program's own
 import, profiles by its `profile new`, the camera-to-base transform by its `hand-eye`. DIR gets logs, profiles and
@@ -14,8 +14,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tools.real_sets import recode, super_deep, thrust
-from tools.real_sets.figures import SetFigures
+from benchmarks.real_sets import recode, super_deep, thrust
+from benchmarks.real_sets.figures import SetFigures
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "real-data.md"
 BEGIN, END = "<!-- real-bench:begin -->", "<!-- real-bench:end -->"

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.real_sets.figures import SetFigures, draw_overlays, measured, number
+from benchmarks.real_sets.making import make_log, make_profile, run
 from svmdist.importing.cameras import CalibrationOptions
 from svmdist.recording.reader import open_recording
 from svmdist.workflows.import_log import ImportOptions
 from svmdist.workflows.import_views import ViewOptions
-from tools.real_sets.figures import SetFigures, draw_overlays, measured, number
-from tools.real_sets.making import make_log, make_profile, run
 
 NAME, KEY, REPOSITORY = "ReCoDE", "recode", "ImperialCollegeLondon/ReCoDE-HandEyeCalibration"
 INPUT = Path("ReCoDE-HandEyeCalibration", "input")

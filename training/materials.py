@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.segmentation_net.noise import Field
+from training.noise import Field
 
 KINDS = ("dark", "grey", "steel", "white", "coloured")
 SHAFT_WEIGHTS = (0.42, 0.18, 0.22, 0.06, 0.12)

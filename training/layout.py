@@ -9,7 +9,7 @@ from svmdist.profile import OnnxSegmentation
 
 
 def network_rules(model: Path, *, from_border: bool = True) -> OnnxSegmentation:
-    """The profile's rules for a file of `tools.train_segmentation`: those of the network that ships."""
+    """The profile's rules for a file of `training.train`: those of the network that ships."""
     return OnnxSegmentation.model_validate(
         {**INSTRUMENTS, "method": "onnx", "model": model, "from_border": from_border}
     )

@@ -1,6 +1,6 @@
 """docs/robustness.md: what worlds that are not as log and profile say do to each method, made from logs of one's own.
 
-`uv run python -m tools.robustness LOG.mcap [LOG.mcap ...]` measures each log as it is and in every world of WORLDS, at
+`uv run python -m benchmarks.robustness LOG.mcap [LOG.mcap ...]` measures each log as it is and in every world of WORLDS, at
 replay. Logs of `record --world real` are measured as they are, in a row of their own.
 """
 
@@ -40,7 +40,7 @@ measured frames which are off by more than five stated deviations; shares in %. 
 methods made of such worlds before November 2026 is kept [beside this page](robustness-before.md); [the limits of
 `fused`](method/fused.md#limits) are what no log can show.
 
-This page is made by `tools/robustness.py` from logs of {frames} frames:
+This page is made by `benchmarks/robustness.py` from logs of {frames} frames:
 
 {logs}
 """
@@ -127,7 +127,7 @@ def _described(recording: Recording) -> str:
 def main(paths: Sequence[str]) -> None:
     """Measure and write the page."""
     if not paths:
-        sys.exit("usage: python -m tools.robustness LOG.mcap [LOG.mcap ...]")
+        sys.exit("usage: python -m benchmarks.robustness LOG.mcap [LOG.mcap ...]")
     profile = prepare(method=METHODS[0]).profile
     PAGE.write_text(robustness_page(measure([open_recording(path, profile) for path in paths])), "utf-8")
 

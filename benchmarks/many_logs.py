@@ -1,4 +1,4 @@
-"""Measure what many logs take: `uv run python -m tools.batch_bench FOLDER`, figures of docs/scale.md.
+"""Measure what many logs take: `uv run python -m benchmarks.many_logs FOLDER`, figures of docs/scale.md.
 
 The folder's logs are linked a number of times, and estimated with one process and with several. Beside the time by the
 clock, which a busy machine makes longer, stands the processor time of each process: the busiest one bounds how fast a

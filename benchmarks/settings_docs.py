@@ -1,6 +1,6 @@
 """docs/settings.md, made from the settings themselves: every field with its default, its bounds and its meaning.
 
-Run `uv run python -m tools.settings_docs` after a change of a setting; a test holds the page against the code.
+Run `uv run python -m benchmarks.settings_docs` after a change of a setting; a test holds the page against the code.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ max_position_std_m = 0.006
 ```
 
 A value outside its bounds, or a name that is not there, is told when the profile is read. Suffixes are units: `_m`,
-`_px`, `_rad`, `_s`; what has none is a ratio or a count. This page is made by `tools/settings_docs.py`.
+`_px`, `_rad`, `_s`; what has none is a ratio or a count. This page is made by `benchmarks/settings_docs.py`.
 """
 BOUNDS = {"Gt": ("gt", ">"), "Ge": ("ge", "≥"), "Lt": ("lt", "<"), "Le": ("le", "≤")}
 

@@ -1,4 +1,4 @@
-"""Remake docs/metrics.md after a change of the declared metrics: `uv run python -m tools.make_metrics_page`."""
+"""Remake docs/metrics.md after a change of the declared metrics: `uv run python -m benchmarks.make_metrics_page`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Train the small segmentation network on pictures that are drawn here, and write it as ONNX.
 
-`uv run --with torch==2.13.0 --with onnx python -m tools.train_segmentation net.onnx` takes about an hour on two cores
-and needs no picture from elsewhere: `tools/segmentation_net` draws them. PyTorch is no dependency of svmdist; any
+`uv run --with torch==2.13.0 --with onnx python -m training.train net.onnx` takes about an hour on two cores
+and needs no picture from elsewhere: `training` draws them. PyTorch is no dependency of svmdist; any
 environment with torch, onnx and svmdist serves. The same seed and versions give the same network on the same machine.
 """
 
@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from benchmarks.overlap import union_ious
 from svmdist.vision.segmentation.network import network_input
-from tools.segmentation_net.dataset import VALIDATION_SEED, Pictures, rendered
-from tools.segmentation_net.layout import network_rules
-from tools.segmentation_net.overlap import union_ious
+from training.dataset import VALIDATION_SEED, Pictures, rendered
+from training.layout import network_rules
 
 if TYPE_CHECKING:
-    from tools.segmentation_net.network import InstrumentNet
+    from training.network import InstrumentNet
 
 MOST_BYTES = 4 << 20
 MOST_DIFFERENCE = 1e-3
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cache", type=Path, default=Path(gettempdir(), "svmdist-segmentation-pictures"))
     given = parser.parse_args(arguments)
     try:
-        from tools.segmentation_net.training import STAGES, export, predicted, train
+        from training.training import STAGES, export, predicted, train
     except ModuleNotFoundError as missing:
         print(
             f"{missing.name} is not installed; training needs it: pip install torch==2.13.0 onnx, in an environment"
@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _checked(net: InstrumentNet, model: Path, held_out: Pictures) -> int:
     """Whether OpenCV's scores are PyTorch's, and the file is small enough."""
-    from tools.segmentation_net.training import scores_of
+    from training.training import scores_of
 
     difference = 0.0
     opencv = cv2.dnn.readNetFromONNX(str(model))
