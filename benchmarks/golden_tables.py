@@ -1,7 +1,7 @@
 """Remake what the documentation shows of the golden logs: the README's tables, docs/results.md and the pictures.
 
-Run `uv run python -m benchmarks.golden_tables` after a change that moves figures, with `planar`, `3d`, `real` or `pictures` for
-a part; tests hold the README's tables against what is measured.
+Run `uv run python -m benchmarks.golden_tables` after a change that moves figures, with
+`planar`, `3d`, `real` or `pictures` for a part; tests hold the README's tables against what is measured.
 """
 
 from __future__ import annotations

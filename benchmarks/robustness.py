@@ -1,7 +1,7 @@
 """docs/robustness.md: what worlds that are not as log and profile say do to each method, made from logs of one's own.
 
-`uv run python -m benchmarks.robustness LOG.mcap [LOG.mcap ...]` measures each log as it is and in every world of WORLDS, at
-replay. Logs of `record --world real` are measured as they are, in a row of their own.
+`uv run python -m benchmarks.robustness LOG.mcap [LOG.mcap ...]` measures each log as it is and in every world of
+WORLDS, at replay. Logs of `record --world real` are measured as they are, in a row of their own.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import numpy as np
 from svmdist.errors import OutputError
 from svmdist.output_file import atomic_file
 from svmdist.pyav import import_av
-from svmdist.report.frame_picture import draw_on
+from svmdist.report.panels import draw_on
 from svmdist.samples import Image
 from svmdist.workflows.annotate import DrawnFrame
 

@@ -30,8 +30,8 @@ SHORT = {
 NOT_RUN = {
     "pytest": "it is this run",
     "python -m benchmarks.processes logs": "compares programs for minutes",
-    "python -m benchmarks.golden_tables": "measures all golden logs again for minutes; tests hold its parts to the documents",
-    "python -m benchmarks.real_images sets --out real-bench --write": "needs the image sets that the lines above it clone",
+    "python -m benchmarks.golden_tables": "measures all golden logs for minutes",
+    "python -m benchmarks.real_images sets --out real-bench --write": "needs the sets that the lines above clone",
     "python -m benchmarks.masks sets --network svmdist/models/instruments.onnx --renders 400 --out masks": (
         "needs the image sets that the line above it clones"
     ),

@@ -113,7 +113,7 @@ def test_training_without_pytorch_is_one_line(
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "training.training", raising=False)
     monkeypatch.delitem(sys.modules, "training.network", raising=False)
-    assert train_segmentation.main([str(tmp_path / "net.onnx"), "--cache", str(tmp_path / "cache")]) == 1
+    assert train.main([str(tmp_path / "net.onnx"), "--cache", str(tmp_path / "cache")]) == 1
     said = capsys.readouterr()
     assert "torch is not installed; training needs it: pip install torch" in said.err
     assert said.err.count("\n") == 1

@@ -11,12 +11,20 @@ import pytest
 
 from svmdist.alarm_metrics import alarm_statistics
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.report.comparison import compare_keys, compare_row, compare_tables
-from svmdist.report.degradation_grid import grid_keys, grid_row, grid_table
 from svmdist.report.metric_docs import metrics_table
-from svmdist.report.table import csv_lines, render
-from svmdist.report.validation import score_keys, score_row, validation_document
-from svmdist.report.validation_tables import validation_tables
+from svmdist.report.scores import (
+    compare_keys,
+    compare_row,
+    compare_tables,
+    grid_keys,
+    grid_row,
+    grid_table,
+    score_keys,
+    score_row,
+    validation_document,
+    validation_tables,
+)
+from svmdist.report.tables import csv_lines, render
 from svmdist.workflows.baseline import Baseline, find_regressions, make_baseline
 from svmdist.workflows.compare import Group, MethodScore
 from svmdist.workflows.conditions import CLEAN
