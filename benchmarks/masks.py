@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from benchmarks.masked_sets import SETS, MaskedImage
 from benchmarks.overlap import iou
+from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.settings.auto import AutoSettings
 from svmdist.vision.segmentation.auto import AutoSegmenter
 from svmdist.vision.segmentation.network import OnnxSegmenter
 from svmdist.vision.segmentation.segmenter import Segmenter

@@ -27,8 +27,7 @@ from benchmarks.real_sets.figures import (
 from benchmarks.real_sets.making import make_hand_eye, make_log, make_profile, run
 from svmdist.estimation.hand_eye import rigid_fit
 from svmdist.importing.cameras import CalibrationOptions
-from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import DHChain, forward_kinematics
+from svmdist.kinematics.dh import DHChain, chain_of, forward_kinematics
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.reader import open_recording
 from svmdist.recording.stills import decode_file

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.polygon import polygon_centroid
+from svmdist.profile.settings import OutlineSettings
 from svmdist.robust import huber_weights, median, scale_of
-from svmdist.settings.outline import OutlineSettings
 from svmdist.transforms import Array
 
 DEFAULT = OutlineSettings()

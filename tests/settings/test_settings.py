@@ -8,8 +8,7 @@ from pydantic import ValidationError
 from benchmarks.settings_docs import PAGE, meanings, settings_page
 from svmdist.errors import ProfileError
 from svmdist.profile import DEFAULT_PROFILE, load_profile, profile_path
-from svmdist.settings import Settings
-from svmdist.settings.base import MethodSettings
+from svmdist.profile.settings import MethodSettings, Settings
 
 GROUPS = dict(Settings.model_fields)
 FIELDS = [(name, key) for name in GROUPS for key in type(getattr(Settings(), name)).model_fields]
