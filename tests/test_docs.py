@@ -42,7 +42,7 @@ def _tables(text: str) -> dict[str, list[list[str]]]:
 @pytest.mark.parametrize("folder", ["3d", "real"])
 def test_tables_in_3d_agree_with_each_other_and_with_the_baseline(folder: str) -> None:
     """The README shows the first table of docs/results.md; there, the rows of `fused` are what the baseline stores."""
-    from svmdist.workflows.baseline import load_baseline
+    from svmdist.workflows.scoring.baseline import load_baseline
     from tools.docs_3d import HEADER, LOGS, REAL_LOGS
     from tools.make_docs import MARKS_3D, MARKS_REAL
 

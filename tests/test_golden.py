@@ -14,10 +14,10 @@ from svmdist.estimation.planar.calibration import load_calibration
 from svmdist.profile import load_profile, profile_path
 from svmdist.recording.reader import Recording, open_recording
 from svmdist.results import FrameResult
-from svmdist.workflows.baseline import find_regressions, load_baseline
 from svmdist.workflows.calibrate import calibrate
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.lag import predictor
+from svmdist.workflows.scoring.baseline import find_regressions, load_baseline
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference, tool_track
 from svmdist.workflows.setup import Setup, prepare

@@ -15,8 +15,8 @@ from svmdist.estimation.association.associate import Association
 from svmdist.estimation.detection.scene import Scene
 from svmdist.recording.reader import Recording, open_recording
 from svmdist.samples import Rejection
-from svmdist.workflows.baseline import load_baseline
 from svmdist.workflows.replay import MultiInstrumentEstimator
+from svmdist.workflows.scoring.baseline import load_baseline
 from svmdist.workflows.setup import Setup, prepare
 from tests.measuring import flat
 from tests.shipped import EXACT_PROFILE

@@ -6,8 +6,7 @@ from itertools import groupby
 
 from svmdist.report.table import Cell, Column, metric_column
 from svmdist.workflows.runs import Figures
-from svmdist.workflows.scoring.metric import Output, cells, row_keys, within
-from svmdist.workflows.scoring.metric_table import figure_metrics
+from svmdist.workflows.scoring.metric_table import Output, cells, figure_metrics, row_keys, within
 
 GROUP_TITLES = {"": "", "planar": "planar", "spatial": "spatial", "clearance": "clear."}
 

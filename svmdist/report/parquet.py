@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from svmdist.errors import OutputError
-from svmdist.output_file import atomic_file
+from svmdist.files import atomic_file
 from svmdist.report.table import Row, json_value
 
 PIECE = 1 << 14

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from svmdist.errors import OutputError
-from svmdist.output_file import atomic_file
+from svmdist.files import atomic_file
 from svmdist.report.canvas import Canvas
 from svmdist.report.masks_panel import masks_panel
 from svmdist.report.text import printable

@@ -12,7 +12,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from svmdist.errors import OutputError
-from svmdist.output_file import atomic_file
+from svmdist.files import atomic_file
 from svmdist.report.text import printable
 
 COLUMN_IN, PAGE_IN, PANEL_IN = 3.5, 7.16, 2.2

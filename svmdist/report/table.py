@@ -16,7 +16,7 @@ from svmdist.report.text import csv_text, printable
 if TYPE_CHECKING:  # rows that are written as they come need no layout, and start sooner without it
     from rich.table import Table as RichTable
 
-    from svmdist.workflows.scoring.metric import Metric
+    from svmdist.workflows.scoring.metric_table import Metric
 
 SURROGATES = re.compile("[\ud800-\udfff]")
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from svmdist.report.table import Cell, json_value
-from svmdist.workflows.scoring.metric import Output, cells, row_keys, within
-from svmdist.workflows.scoring.metric_table import score_metrics
+from svmdist.workflows.scoring.metric_table import Output, cells, row_keys, score_metrics, within
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 

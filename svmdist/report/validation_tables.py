@@ -13,8 +13,14 @@ from svmdist.report.table import Column, Row, metric_column, number, rich_table
 from svmdist.report.text import printable
 from svmdist.report.validation import PAPER_NOTE, score_row
 from svmdist.workflows.scoring.distances import DistanceScore
-from svmdist.workflows.scoring.metric import Metric, Output, cells, within
-from svmdist.workflows.scoring.metric_table import distance_metrics, score_metrics
+from svmdist.workflows.scoring.metric_table import (
+    Metric,
+    Output,
+    cells,
+    distance_metrics,
+    score_metrics,
+    within,
+)
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import Validation
 

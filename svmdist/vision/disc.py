@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from svmdist.robust import huber_weights, median, scale_of
+from svmdist.least_squares import huber_weights, median, scale_of
 from svmdist.samples import Image
 from svmdist.settings.distal_marker import DistalMarkerSettings
 from svmdist.transforms import Array

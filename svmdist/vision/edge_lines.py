@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.robust import median, scale_of
+from svmdist.least_squares import median, scale_of
 from svmdist.samples import Image
 from svmdist.settings.shaft import ShaftSettings
 from svmdist.settings.silhouette import SilhouetteSettings

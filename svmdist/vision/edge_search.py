@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.robust import median
+from svmdist.least_squares import median
 from svmdist.samples import Image
 from svmdist.settings.silhouette import SilhouetteSettings
 from svmdist.transforms import Array

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.robust import median, scale_of
+from svmdist.least_squares import median, scale_of
 from svmdist.samples import Image
 from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array

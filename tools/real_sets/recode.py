@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from svmdist.importing.cameras import CalibrationOptions
+from svmdist.importing.calibration import CalibrationOptions
 from svmdist.recording.reader import open_recording
-from svmdist.workflows.import_log import ImportOptions
-from svmdist.workflows.import_views import ViewOptions
+from svmdist.workflows.import_log import ImportOptions, ViewOptions
 from tools.real_sets.figures import SetFigures, draw_overlays, measured, number
 from tools.real_sets.making import make_log, make_profile, run
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from svmdist.estimation.hand_eye import rigid_fit
-from svmdist.importing.cameras import CalibrationOptions
+from svmdist.importing.calibration import CalibrationOptions
 from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import DHChain, forward_kinematics
 from svmdist.profile import Limits, load_profile
@@ -27,8 +27,7 @@ from svmdist.transforms import (
     rotation_of,
     rotation_vector,
 )
-from svmdist.workflows.import_log import ImportOptions
-from svmdist.workflows.import_views import ViewOptions
+from svmdist.workflows.import_log import ImportOptions, ViewOptions
 from tools.real_sets.figures import (
     CHI_5_STD,
     CHI_95,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.robust import median
+from svmdist.least_squares import median
 from svmdist.settings.stereo import StereoSettings
 
 

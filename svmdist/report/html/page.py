@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from svmdist.errors import OutputError
-from svmdist.output_file import write_atomically
+from svmdist.files import write_atomically
 from svmdist.report.html.figures import (
     HtmlFigure,
     bland_altman,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from svmdist.robust import huber_weights
+from svmdist.least_squares import huber_weights
 from svmdist.samples import Image
 from svmdist.settings.tag import TagSettings
 from svmdist.transforms import Array
