@@ -13,8 +13,8 @@ from svmdist.image_input import bgr_image
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile
 from svmdist.recording.reader import Recording
 from svmdist.recording.reader import open_recording as _open
-from svmdist.report.estimates import ESTIMATE_KEYS, estimate_row
-from svmdist.report.table import Row
+from svmdist.report.rows import ESTIMATE_KEYS, estimate_row
+from svmdist.report.tables import Row
 from svmdist.results import FrameResult
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare

@@ -230,10 +230,8 @@ def _named_in(document: str) -> set[str]:
 
 def test_every_column_and_status_is_explained() -> None:
     """docs/output.md names each column of rows, scores and figures, and each reason, and no other reason."""
-    from svmdist.report.comparison import compare_keys
-    from svmdist.report.degradation_grid import grid_keys
-    from svmdist.report.estimates import ESTIMATE_KEYS
-    from svmdist.report.validation import score_keys
+    from svmdist.report.rows import ESTIMATE_KEYS
+    from svmdist.report.scores import compare_keys, grid_keys, score_keys
     from svmdist.samples import Status
 
     named = _named_in("output.md")

@@ -94,8 +94,8 @@ def hand_eye_command(
     from svmdist.profile_hand_eye import save_hand_eye
     from svmdist.recording.reader import open_recording
     from svmdist.recording.reading import Reading
-    from svmdist.report.hand_eye import HAND_EYE_KEYS, hand_eye_file, hand_eye_lines, hand_eye_row
-    from svmdist.report.table import csv_lines, json_text
+    from svmdist.report.info import HAND_EYE_KEYS, hand_eye_file, hand_eye_lines, hand_eye_row
+    from svmdist.report.tables import csv_lines, json_text
     from svmdist.results import Failure
     from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
     from svmdist.workflows.setup import prepare

@@ -57,7 +57,7 @@ def info_command(
     """
     from svmdist.profile import load_profile
     from svmdist.report.info import TOPIC_KEYS, info_document, info_lines, topic_row
-    from svmdist.report.table import csv_lines, json_text
+    from svmdist.report.tables import csv_lines, json_text
 
     logs = named_logs(files)
     require_output(output, local_logs(logs))
@@ -97,7 +97,7 @@ def _inspect(
 
 def _info_of_logs(many: Many, job: InfoJob, form: TableFormat, output: Any) -> None:
     from svmdist.report.info import LOG_COLUMNS, LOG_KEYS, TOPIC_KEYS, log_row
-    from svmdist.report.table import rich_table
+    from svmdist.report.tables import rich_table
 
     with many.measured(job, "inspecting") as outcomes:
         found = [(one.log.name, result.document) for one, result in outcomes.measured]

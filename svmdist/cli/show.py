@@ -97,7 +97,7 @@ def show_command(
         )
     from svmdist.profile import load_profile
     from svmdist.recording.reader import open_recording
-    from svmdist.report.pictures import write_picture
+    from svmdist.report.panels import write_picture
     from svmdist.workflows.setup import Setup, prepare
     from svmdist.workflows.show import image_stamps_ns, spread
 
@@ -152,7 +152,7 @@ def _is_one_picture(output: Path, count: int) -> bool:
 
 
 def _masks(recording: Recording, setup: Setup, numbers: set[int]) -> Iterator[Picture]:
-    from svmdist.report.pictures import picture_of
+    from svmdist.report.panels import picture_of
     from svmdist.workflows.show import shown_frames
 
     for shown in shown_frames(recording, setup, lambda number, _: number in numbers, max(numbers)):
@@ -160,7 +160,7 @@ def _masks(recording: Recording, setup: Setup, numbers: set[int]) -> Iterator[Pi
 
 
 def _phases(recording: Recording, setup: Setup, numbers: set[int], jobs: int | None) -> Iterator[Picture]:
-    from svmdist.report.phases import phases_picture
+    from svmdist.report.panels import phases_picture
     from svmdist.workflows.annotate import drawn_frames
     from svmdist.workflows.progress import Steps
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from svmdist.errors import OutputError, optional_package
 from svmdist.files import atomic_file
-from svmdist.report.frame_picture import draw_on
+from svmdist.report.panels import draw_on
 from svmdist.samples import Image
 from svmdist.workflows.annotate import DrawnFrame
 

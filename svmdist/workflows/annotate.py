@@ -23,8 +23,7 @@ from svmdist.recording.topics import Role
 from svmdist.recording.writer import RecordingWriter
 from svmdist.results import Distance, FrameResult
 from svmdist.samples import Sample
-from svmdist.workflows.drawing.distances import interval_m
-from svmdist.workflows.drawing.frame import frame_drawing
+from svmdist.workflows.frame_drawing import frame_drawing, interval_m
 from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.setup import Setup
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from svmdist.report.html.page import page
+from svmdist.report.html import page
 from svmdist.workflows.series import Series
 from tests.report.html.test_report_page import flickering, make_report, make_series
 

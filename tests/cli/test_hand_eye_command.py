@@ -26,7 +26,7 @@ EXACT = REPOSITORY / "recordings" / "sweep.mcap"
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A hand-eye file of the log, by its tag."""
     from svmdist.profile_hand_eye import save_hand_eye
-    from svmdist.report.hand_eye import hand_eye_file
+    from svmdist.report.info import hand_eye_file
     from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
     from svmdist.workflows.setup import prepare
 

@@ -106,7 +106,7 @@ def test_while_rows_are_written_to_a_file(
     before: str | None,
 ) -> None:
     """The file is what it was before, or is not there; no part of one is left."""
-    from svmdist.report import estimates
+    from svmdist.report import rows as estimates
 
     output = tmp_path / "rows.csv"
     if before is not None:

@@ -20,7 +20,7 @@ from svmdist.cli.validate_logs import validation_of
 from svmdist.errors import OutputError, RecordingError, UsageError
 from svmdist.profile import load_profile
 from svmdist.recording.reading import Window
-from svmdist.report.log_figures import LogFigures
+from svmdist.report.scores import LogFigures
 from svmdist.vision.blur import Blur
 from svmdist.workflows.batch.identity import fingerprint
 from svmdist.workflows.batch.plain import from_plain, to_plain

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 
-from svmdist.report.comparison import compare_keys
 from svmdist.report.metric_docs import metrics_page, metrics_table
-from svmdist.report.validation import score_keys
+from svmdist.report.scores import compare_keys, score_keys
 from tests.conftest import REPOSITORY
 
 LABELS = {"recording", "method", "equations", "reference", "instrument", "group", "scenario", "degradation"}

@@ -14,7 +14,7 @@ from svmdist.errors import RecordingError
 from svmdist.profile import Profile, load_profile
 from svmdist.recording.inspect import inspect_recording
 from svmdist.recording.writer import RecordingWriter
-from svmdist.report.profile_text import profile_lines
+from svmdist.report.profile_template import profile_lines
 from svmdist.samples import CameraSample, ImageSample, PoseSample
 from svmdist.vision.distinct_colour import find_distinct_colour
 from svmdist.vision.stereo_plane import fit_plane

@@ -12,9 +12,8 @@ import pytest
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.recording.reader import Recording, open_recording
-from svmdist.report.table import render
-from svmdist.report.validation import score_keys, score_row, validation_document
-from svmdist.report.validation_tables import validation_tables
+from svmdist.report.scores import score_keys, score_row, validation_document, validation_tables
+from svmdist.report.tables import render
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import DistanceSample, Sample, Status
 from svmdist.workflows.scoring.baseline import find_regressions, make_baseline, require_same_alarms

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from svmdist.estimation.hand_eye import rigid_fit
 from svmdist.recording.reader import Recording
-from svmdist.report.canvas import Canvas
+from svmdist.report.panels import Canvas
 from svmdist.results import FrameResult
 from svmdist.samples import ImageSample
 from svmdist.transforms import Array, transform_points

@@ -9,8 +9,8 @@ from svmdist.errors import SvmdistError
 from svmdist.profile import Profile, load_profile
 from svmdist.profile_hand_eye import save_hand_eye
 from svmdist.recording.reader import open_recording
-from svmdist.report.hand_eye import hand_eye_file
-from svmdist.report.profile_text import profile_lines
+from svmdist.report.info import hand_eye_file
+from svmdist.report.profile_template import profile_lines
 from svmdist.results import Failure, FrameResult
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.hand_eye import HandEyeResult, hand_eye

@@ -16,10 +16,10 @@ from svmdist.estimation.alarms import AlarmState
 from svmdist.recording.messages.annotations import image_annotations, scene_update
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
-from svmdist.workflows.drawing.detections import place_shapes
-from svmdist.workflows.drawing.distances import (
+from svmdist.workflows.frame_drawing import (
     distance_shapes,
     in_words,
+    place_shapes,
     segments,
     shown_distance,
     status_line,

@@ -11,12 +11,20 @@ import pytest
 
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import alarm_statistics
-from svmdist.report.comparison import compare_keys, compare_row, compare_tables
-from svmdist.report.degradation_grid import grid_keys, grid_row, grid_table
 from svmdist.report.metric_docs import metrics_table
-from svmdist.report.table import csv_lines, render
-from svmdist.report.validation import score_keys, score_row, validation_document
-from svmdist.report.validation_tables import validation_tables
+from svmdist.report.scores import (
+    compare_keys,
+    compare_row,
+    compare_tables,
+    grid_keys,
+    grid_row,
+    grid_table,
+    score_keys,
+    score_row,
+    validation_document,
+    validation_tables,
+)
+from svmdist.report.tables import csv_lines, render
 from svmdist.workflows.compare import Group, MethodScore
 from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.degradation_grid import GridCell

@@ -1,4 +1,4 @@
-"""A table as data, and the four ways it is written: for a person, as CSV, JSON or JSON lines."""
+"""Tables as data, and the ways they are written: for a person, CSV, JSON, Parquet, LaTeX and Markdown."""
 
 from __future__ import annotations
 
@@ -7,16 +7,47 @@ import io
 import json
 import math
 import re
+import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from svmdist.report.text import csv_text, printable
+from rich.table import Table
 
-if TYPE_CHECKING:  # rows that are written as they come need no layout, and start sooner without it
+from svmdist.errors import OutputError
+from svmdist.files import atomic_file
+
+if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
     from svmdist.workflows.scoring.metric_table import Metric
+
+
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
+
+
+def printable(text: str) -> str:
+    """Replace control, format and surrogate characters, which could drive a terminal, by U+FFFD."""
+    return "".join("\N{REPLACEMENT CHARACTER}" if _is_unsafe(character) else character for character in text)
+
+
+def counted(count: int, noun: str) -> str:
+    """A count with its noun: `1 recording`, `2 recordings`."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def csv_text(text: str) -> str:
+    """Make a text cell that no spreadsheet takes for a formula."""
+    text = printable(text)
+    return f"'{text}" if text.startswith(FORMULA_STARTS) else text
+
+
+def _is_unsafe(character: str) -> bool:
+    # Cc: control, such as ESC; Cf: format, such as the bidirectional overrides; Zl, Zp: line breaks.
+    return unicodedata.category(character) in {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}
+
 
 SURROGATES = re.compile("[\ud800-\udfff]")
 
@@ -234,3 +265,141 @@ def _take(buffer: io.StringIO) -> str:
     buffer.seek(0)
     buffer.truncate()
     return text
+
+
+LATEX_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "²": r"\textsuperscript{2}",
+    "σ": r"$\sigma$",
+    "≥": r"$\geq$",
+    "±": r"$\pm$",
+    "–": "--",
+    "−": "$-$",
+    "×": r"$\times$",
+}
+
+
+def latex(tables: Sequence[Table], notes: Sequence[str]) -> Iterator[str]:
+    """Each table as a `table` of the package booktabs, its title as the caption; notes as comments."""
+    for table in tables:
+        yield "\\begin{table}\n\\centering\n"
+        if table.title:
+            yield f"\\caption{{{latex_text(str(table.title))}}}\n"
+        sides = "".join("r" if column.justify == "right" else "l" for column in table.columns)
+        yield f"\\begin{{tabular}}{{{sides}}}\n\\toprule\n"
+        yield _row(_headings(table), latex_text, " & ", " \\\\\n")
+        yield "\\midrule\n"
+        for row, cells in zip(table.rows, _cells(table), strict=True):
+            yield _row(cells, latex_text, " & ", " \\\\\n")
+            if row.end_section:
+                yield "\\midrule\n"
+        yield "\\bottomrule\n\\end{tabular}\n\\end{table}\n"
+    for note in notes:
+        yield f"% {printable(note)}\n"
+
+
+def markdown(tables: Sequence[Table], notes: Sequence[str]) -> Iterator[str]:
+    """Each table with pipes, its title above it; notes below."""
+    for table in tables:
+        if table.title:
+            yield f"**{markdown_text(str(table.title))}**\n\n"
+        yield "| " + _row(_headings(table), markdown_text, " | ", " |\n")
+        sides = ("---:" if column.justify == "right" else "---" for column in table.columns)
+        yield "|" + "|".join(sides) + "|\n"
+        for cells in _cells(table):
+            yield "| " + _row(cells, markdown_text, " | ", " |\n")
+        yield "\n"
+    for note in notes:
+        yield f"{markdown_text(note)}\n\n"
+
+
+def latex_text(text: str) -> str:
+    """Text with LaTeX's special characters escaped."""
+    return "".join(LATEX_SPECIAL.get(letter, letter) for letter in printable(text))
+
+
+def markdown_text(text: str) -> str:
+    """Text that is no markup and ends no cell."""
+    plain = printable(text)
+    for letter in ("\\", "|", "*", "_", "`", "<"):
+        plain = plain.replace(letter, f"\\{letter}")
+    return plain
+
+
+def _headings(table: Table) -> list[str]:
+    return [" ".join(str(column.header).split()) for column in table.columns]
+
+
+def _cells(table: Table) -> Iterator[tuple[str, ...]]:
+    columns = [[str(cell) for cell in column.cells] for column in table.columns]
+    return zip(*columns, strict=True)
+
+
+def _row(cells: Sequence[str], escape: Callable[[str], str], between: str, end: str) -> str:
+    return between.join(escape(cell) for cell in cells) + end
+
+
+PIECE = 1 << 14
+"""Rows that are held at once."""
+
+
+def require_pyarrow() -> Any:
+    """pyarrow; raises OutputError where it is not installed."""
+    try:
+        import pyarrow
+    except ImportError:
+        raise OutputError(
+            "Parquet needs the package pyarrow, which is not installed: pip install 'svmdist[parquet]'"
+        ) from None
+    return pyarrow
+
+
+def write_parquet(
+    path: Path, keys: Sequence[str], rows: Iterable[Row], types: Mapping[str, str] | None = None
+) -> None:
+    """Write rows atomically; a value that does not exist is null.
+
+    `types` are those of the columns: string, int64 or float64. Without them all rows are held, and tell the types.
+    """
+    pyarrow = require_pyarrow()
+    from pyarrow.parquet import ParquetWriter
+
+    if types is None:
+        rows = list(rows)
+        types = {key: _type_of([row.get(key) for row in rows]) for key in keys}
+    schema = pyarrow.schema([(key, types[key]) for key in keys])
+    left = iter(rows)
+    with atomic_file(path) as target, ParquetWriter(target, schema, compression="zstd") as writer:
+        while piece := list(islice(left, PIECE)):
+            columns = [
+                pyarrow.array([_cell(row.get(key), types[key]) for row in piece], types[key]) for key in keys
+            ]
+            writer.write_table(pyarrow.Table.from_arrays(columns, schema=schema))
+
+
+def _cell(value: Any, kind: str) -> Any:
+    value = json_value(value)
+    if value is None:
+        return None
+    match kind:
+        case "string":
+            return str(value).encode("utf-8", "replace").decode("utf-8")
+        case "float64":
+            return float(value)
+    return int(value)
+
+
+def _type_of(values: Sequence[Any]) -> str:
+    known = [value for value in values if value is not None]
+    if any(isinstance(value, str) for value in known):
+        return "string"
+    return "int64" if known and all(isinstance(value, int) for value in known) else "float64"
