@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from tests.golden import RECORDINGS, GoldenRuns
 from tests.synthetic import write_log
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -54,4 +56,11 @@ def synthetic_calibration(synthetic_log: Path) -> Path:
 @pytest.fixture(scope="session")
 def golden() -> Path:
     """The folder of golden logs."""
-    return REPOSITORY / "recordings"
+    return RECORDINGS
+
+
+@pytest.fixture(scope="session")
+def golden_rows(tmp_path_factory: pytest.TempPathFactory) -> GoldenRuns:
+    """Rows of methods on golden logs: `golden_rows("3d/contact", "fused")`, measured once in the whole run."""
+    base = tmp_path_factory.getbasetemp()
+    return GoldenRuns(base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base)
