@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.settings.auto import AutoSettings
 from svmdist.vision.segmentation.auto import AutoSegmenter
 from svmdist.vision.segmentation.network import OnnxSegmenter
 from svmdist.vision.segmentation.segmenter import Segmenter

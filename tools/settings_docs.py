@@ -11,8 +11,7 @@ import textwrap
 from itertools import pairwise
 from pathlib import Path
 
-from svmdist.settings import Settings
-from svmdist.settings.base import MethodSettings
+from svmdist.profile.settings import MethodSettings, Settings
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "settings.md"
 HEAD = """# Settings

@@ -91,7 +91,7 @@ def hand_eye_command(
     """
     from svmdist.cli.lag import told_lag
     from svmdist.profile import load_profile
-    from svmdist.profile_hand_eye import save_hand_eye
+    from svmdist.profile.hand_eye import save_hand_eye
     from svmdist.recording.reader import open_recording
     from svmdist.recording.reading import Reading
     from svmdist.report.info import HAND_EYE_KEYS, hand_eye_file, hand_eye_lines, hand_eye_row

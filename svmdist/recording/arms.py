@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from svmdist.profile import Frames, Profile
-from svmdist.profile_instruments import ARM_TOPICS
+from svmdist.profile.robot import ARM_TOPICS
 from svmdist.recording.sources import Source
 from svmdist.recording.topics import TopicChoice
 from svmdist.transforms import Array

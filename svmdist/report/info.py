@@ -9,7 +9,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.profile import Profile
-from svmdist.profile_hand_eye import FORMAT, HandEyeFile, Source
+from svmdist.profile.hand_eye import FORMAT, HandEyeFile, Source
 from svmdist.recording.inspect import RecordingSummary, TopicSummary
 from svmdist.recording.reader import Recording
 from svmdist.report.tables import Cell, Column, number, printable, render, rich_table

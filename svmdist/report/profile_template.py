@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 
-from svmdist.profile_robot import Joint, Robot
+from svmdist.profile.robot import Joint, Robot
 from svmdist.vision.distinct_colour import DistinctColour
 from svmdist.workflows.new_profile import InstrumentDraft, ProfileDraft, shipped_robot
 

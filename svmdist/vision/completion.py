@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.least_squares import huber_weights, median, scale_of
-from svmdist.settings.outline import OutlineSettings
+from svmdist.profile.settings import OutlineSettings
 from svmdist.transforms import Array, polygon_centroid
 
 DEFAULT = OutlineSettings()

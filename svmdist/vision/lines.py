@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.least_squares import huber_weights, scale_of
-from svmdist.settings.shaft import ShaftSettings
+from svmdist.profile.settings import ShaftSettings
 from svmdist.transforms import Array
 
 DEFAULT = ShaftSettings()

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from svmdist.least_squares import median, scale_of
+from svmdist.profile.settings import StereoSettings
 from svmdist.samples import Image
-from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array
 
 DEFAULT = StereoSettings()

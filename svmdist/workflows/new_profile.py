@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from svmdist.profile import Profile, Robot, load_profile
-from svmdist.profile_log import Topics
-from svmdist.profile_segmentation import ColourRegion, HsvSegmentation
+from svmdist.profile.profile import Topics
+from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
 from svmdist.recording.inspect import RecordingSummary, inspect_recording
 from svmdist.recording.reader import Recording, open_recording
 from svmdist.samples import Image, Observation, Rejection

@@ -19,6 +19,7 @@ import pytest
 from svmdist.errors import ProfileError, SvmdistError
 from svmdist.geometry.mesh_files import read_closed_mesh
 from svmdist.profile import Limits, Profile, load_profile
+from svmdist.profile.toml import find_excess
 from svmdist.recording.inspect import inspect_recording
 from svmdist.recording.messages.checks import DecodeError
 from svmdist.recording.messages.decoding import SCHEMAS, Decoder
@@ -28,7 +29,6 @@ from svmdist.recording.rosbag.bag2_metadata import MetadataError, parse_metadata
 from svmdist.recording.sources import RawMessage
 from svmdist.remote_file import _blocks
 from svmdist.samples import Sample
-from svmdist.toml_limits import find_excess
 
 from .faults import mutate_body
 

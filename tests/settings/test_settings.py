@@ -7,8 +7,7 @@ from pydantic import ValidationError
 
 from svmdist.errors import ProfileError
 from svmdist.profile import DEFAULT_PROFILE, load_profile, profile_path
-from svmdist.settings import Settings
-from svmdist.settings.base import MethodSettings
+from svmdist.profile.settings import MethodSettings, Settings
 from tools.settings_docs import PAGE, meanings, settings_page
 
 GROUPS = dict(Settings.model_fields)

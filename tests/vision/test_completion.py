@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.settings.outline import OutlineSettings
+from svmdist.profile.settings import OutlineSettings
 from svmdist.transforms import polygon_centroid
 from svmdist.vision.completion import _any_of, _centroid, _circle, complete_outline
 

@@ -9,7 +9,7 @@ import pytest
 
 from svmdist.estimation.methods import METHODS
 from svmdist.profile import Profile, load_profile
-from svmdist.profile_instruments import ArmFrames, ArmTopics, OtherInstrument
+from svmdist.profile.robot import ArmFrames, ArmTopics, OtherInstrument
 from svmdist.recording.health import Health
 from svmdist.recording.inspect import RecordingSummary, TopicSummary
 from svmdist.recording.reader import open_recording

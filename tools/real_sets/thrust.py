@@ -15,8 +15,7 @@ from scipy.io import loadmat
 
 from svmdist.estimation.hand_eye import rigid_fit
 from svmdist.importing.calibration import CalibrationOptions
-from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import DHChain, forward_kinematics
+from svmdist.kinematics.dh import DHChain, chain_of, forward_kinematics
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.reader import open_recording
 from svmdist.recording.stills import decode_file

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.least_squares import median
-from svmdist.settings.stereo import StereoSettings
+from svmdist.profile.settings import StereoSettings
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.least_squares import NormalEquations, huber_weights, scale_of
-from svmdist.settings.tag import TagSettings
+from svmdist.profile.settings import TagSettings
 from svmdist.transforms import Array
 from svmdist.vision.tag.pattern import TagPattern
 

@@ -12,9 +12,23 @@ from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from svmdist.errors import ProfileError
 from svmdist.files import write_atomically
-from svmdist.profile_robot import KinematicError, Rotation, require_rotation
-from svmdist.toml_model import StrictModel, parse_toml
+from svmdist.profile.robot import KinematicError, Rotation, require_rotation
+from svmdist.profile.toml import StrictModel, parse_toml
 from svmdist.transforms import Array, make_transform, skew
+
+FOCAL_LENGTH, PRINCIPAL_POINT, BASELINE = "focal length", "principal point", "baseline"
+SHAFT_RADIUS, TAG_SIZE, TIME_OFFSET = "shaft radius", "tag size", "time offset"
+
+
+def offset_of(joint: str) -> str:
+    """The name of a joint's constant offset."""
+    return f"offset of {joint}"
+
+
+def length_of(index: int) -> str:
+    """The name of a chain's length, counted from 0 in the order of its rows."""
+    return f"length {index + 1}"
+
 
 FORMAT: Literal["svmdist.hand-eye/1"] = "svmdist.hand-eye/1"
 Six = tuple[float, float, float, float, float, float]

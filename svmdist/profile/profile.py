@@ -1,8 +1,6 @@
-"""The scene profile (TOML): what a recording shows and how to measure it, checked when it is read.
+"""The scene profile (TOML): a log's topics, frames and limits, what its images show, and the robot.
 
-A profile names the topics and frames of a log and the limits of what it may ask, the colours of tissue and
-instrument, the marker and the feature matching, and the robot's chain. Everything that depends on a scene
-stands here, so that another scene needs another profile and no other code.
+Everything that depends on a scene stands here, so that another scene needs another profile and no other code.
 """
 
 from __future__ import annotations
@@ -13,82 +11,100 @@ from pathlib import Path
 from pydantic import Field, model_validator
 
 from svmdist.errors import ProfileError, UsageError, did_you_mean
-from svmdist.profile_hand_eye import HandEye, NamedHandEye, load_hand_eye, with_hand_eye
-from svmdist.profile_instruments import (
+from svmdist.profile.hand_eye import (
+    BASELINE,
+    FOCAL_LENGTH,
+    PRINCIPAL_POINT,
+    SHAFT_RADIUS,
+    TAG_SIZE,
+    TIME_OFFSET,
+    HandEye,
+    NamedHandEye,
+    length_of,
+    load_hand_eye,
+    offset_of,
+    with_hand_eye,
+)
+from svmdist.profile.robot import (
     ARM_TOPICS,
     ArmFrames,
-    ArmTopics,
-    EntrySide,
-    OtherInstrument,
-    Placement,
-)
-from svmdist.profile_log import Frames, Limits, Topics
-from svmdist.profile_robot import (
     CameraError,
-    Dome,
+    EntrySide,
     Fiducial,
     Instrument,
-    Joint,
     KinematicError,
+    OtherInstrument,
     Robot,
-    Rotation,
     Simulation,
     Tissue,
     require_tag,
 )
-from svmdist.profile_segmentation import (
+from svmdist.profile.segmentation import (
     AnySegmentation,
-    AreaGate,
     AutoSegmentation,
-    ClassRegion,
     ColourRegion,
-    HsvSegmentation,
-    OnnxSegmentation,
-    Segmentation,
 )
-from svmdist.settings import Settings
-from svmdist.settings.stereo import StereoSettings
-from svmdist.stated_deviations import stated_deviations
-from svmdist.toml_model import Byte, StrictModel, parse_toml
+from svmdist.profile.settings import Settings, StereoSettings
+from svmdist.profile.toml import MIB, Byte, Size, StrictModel, parse_toml
 
-__all__ = [
-    "DEFAULT_PROFILE",
-    "AreaGate",
-    "ArmFrames",
-    "ArmTopics",
-    "AutoSegmentation",
-    "CameraError",
-    "ClassRegion",
-    "ColourRegion",
-    "Dome",
-    "EntrySide",
-    "Features",
-    "Fiducial",
-    "Frames",
-    "HsvSegmentation",
-    "Instrument",
-    "Joint",
-    "KinematicError",
-    "Limits",
-    "Marker",
-    "OnnxSegmentation",
-    "OtherInstrument",
-    "Placement",
-    "Profile",
-    "Robot",
-    "Rotation",
-    "Segmentation",
-    "Simulation",
-    "Tissue",
-    "Topics",
-    "load_profile",
-    "profile_path",
-    "shipped_profiles",
-]
+
+class Topics(StrictModel):
+    """Topic names of a log; None means: the one topic whose schema fits.
+
+    The right camera's topics and the true transforms must be named: their schemas fit others as well.
+    """
+
+    image: str | None = None
+    camera_info: str | None = None
+    right_image: str | None = None
+    right_camera_info: str | None = None
+    joints: str | None = None
+    pose: str | None = None
+    tf: str | None = None
+    ground_truth_tf: str | None = None
+    ground_truth_distance: str | None = None
+
+
+class Frames(StrictModel):
+    """Frame names of a log's transforms."""
+
+    camera: str = "camera"
+    base: str = "base"
+    tool: str = "tool"
+    tissue: str = "tissue"
+
+
+class Limits(StrictModel):
+    """What a log may ask of the reader, checked before memory is allocated; what asks for more is a loss."""
+
+    record_bytes: Size = 256 * MIB
+    """One record of the file; it may never reach beyond the file either."""
+    chunk_bytes: Size = 256 * MIB
+    """One chunk after expansion; it must have exactly the size that it declares."""
+    chunk_records: int = Field(default=1_000_000, ge=1)
+    """Records inside one chunk."""
+    window_bytes: Size = 128 * MIB
+    """Memory that a zstd frame may claim for its window, beside the expanded chunk."""
+    definition_bytes: Size = 32 * MIB
+    """Schemas and channels of a whole file, which stay in memory while it is read."""
+    metadata_bytes: Size = 1 * MIB
+    """One metadata or statistics record."""
+    image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)
+    """One image, by the dimensions in its header, before it is decoded; OpenCV itself is held to 2^26."""
+    image_bytes: Size = 32 * MIB
+    """One compressed image."""
+    message_bytes: Size = 1 * MIB
+    """One message that is no image: joints, transforms and the like hold a few kilobytes."""
+    json_bytes: Size = 16 * MIB
+    """One JSON message; parsing can take thirty times its size in memory."""
+    pair_tolerance_s: float = Field(default=5e-4, ge=0.0, le=0.5)
+    """How far the stamps of the left and the right image of a pair may be apart. Cameras that are triggered together
+    differ by less than half a millisecond, which is less than any exposure; others by up to half a frame."""
+
 
 BEHIND_PLANE = 1.5
 """The range of stereo reaches so far, over the distance of the plane that the tissue lies on."""
-SHIPPED = Path(__file__).with_name("profiles")
+SHIPPED = Path(__file__).parent.with_name("profiles")
 DEFAULT_PROFILE = "psm13"
 
 
@@ -326,3 +342,25 @@ def profile_path(name_or_path: str | Path) -> Path:
             f"no profile named {text}: {did_you_mean(text, shipped_profiles())}; or give a path to a .toml"
         )
     return path
+
+
+def stated_deviations(profile: Profile) -> dict[str, float]:
+    """Deviations in m, rad, s, px, or fractions of the constant itself."""
+    camera, kinematic = profile.camera_error, profile.kinematic_error
+    found = {
+        FOCAL_LENGTH: camera.focal_std_fraction,
+        PRINCIPAL_POINT: camera.centre_std_px,
+        BASELINE: camera.baseline_std_fraction,
+        TIME_OFFSET: kinematic.time_offset_std_s,
+    }
+    if profile.instrument is not None:
+        found[SHAFT_RADIUS] = profile.instrument.shaft_radius_std_fraction
+    if profile.fiducial is not None:
+        found[TAG_SIZE] = profile.fiducial.size_std_fraction
+    joints = () if profile.robot is None else profile.robot.joints
+    for index, joint in enumerate(joints):
+        slides = joint.type == "prismatic"
+        found[offset_of(joint.name)] = kinematic.joint_std_m if slides else kinematic.joint_std_rad
+        # A row has two lengths at most.
+        found |= {length_of(place): kinematic.length_std_m for place in (2 * index, 2 * index + 1)}
+    return found

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator
 
 from svmdist.errors import did_you_mean
 from svmdist.models import PREFIX, SHIPPED, shipped_file
-from svmdist.toml_model import Byte, Hue, NeighbourFile, StrictModel
+from svmdist.profile.toml import Byte, Hue, NeighbourFile, StrictModel
 
 
 class AreaGate(StrictModel):
