@@ -2,7 +2,7 @@
 
 `uv run python -m benchmarks.real_images FOLDER [--out DIR] [--write] [--methods shaft,stereo,fused]` runs on whatever
 of the sets is in FOLDER: thrust (fdheenmo/thrust), Surgical_Tool_Tracking (ambareeshsrja16/Surgical_Tool_Tracking,
-SuPer Deep) and ReCoDE-HandEyeCalibration (ImperialCollegeLondon/ReCoDE-HandEyeCalibration). Logs are made by the program's own
+SuPer Deep) and ReCoDE-HandEyeCalibration (ImperialCollegeLondon/ReCoDE-HandEyeCalibration). Logs are made by its own
 import, profiles by its `profile new`, the camera-to-base transform by its `hand-eye`. DIR gets logs, profiles and
 overlays; `--write` writes the page.
 """

@@ -44,7 +44,7 @@ def test_tables_in_3d_agree_with_each_other_and_with_the_baseline(folder: str) -
     """The README shows the first table of docs/results.md; there, the rows of `fused` are what the baseline stores."""
     from benchmarks.docs_3d import HEADER, LOGS, REAL_LOGS
     from benchmarks.golden_tables import MARKS_3D, MARKS_REAL
-    from svmdist.workflows.baseline import load_baseline
+    from svmdist.workflows.scoring.baseline import load_baseline
 
     (begin, end), logs_of = (MARKS_3D, LOGS) if folder == "3d" else (MARKS_REAL, REAL_LOGS)
     in_readme, in_results = (

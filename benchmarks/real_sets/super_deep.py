@@ -13,12 +13,11 @@ import numpy as np
 
 from benchmarks.real_sets.figures import SetFigures, draw_overlays, measured, number
 from benchmarks.real_sets.making import make_log, make_profile, run
-from svmdist.importing.cameras import CalibrationOptions
+from svmdist.importing.calibration import CalibrationOptions
 from svmdist.importing.images import list_images
 from svmdist.recording.reader import open_recording
 from svmdist.transforms import Array
-from svmdist.workflows.import_log import ImportOptions
-from svmdist.workflows.import_views import ViewOptions
+from svmdist.workflows.import_log import ImportOptions, ViewOptions
 
 NAME, KEY, REPOSITORY = "SuPer Deep", "superdeep", "ambareeshsrja16/Surgical_Tool_Tracking"
 IMAGES = Path(

@@ -26,7 +26,7 @@ from benchmarks.real_sets.figures import (
 )
 from benchmarks.real_sets.making import make_hand_eye, make_log, make_profile, run
 from svmdist.estimation.hand_eye import rigid_fit
-from svmdist.importing.cameras import CalibrationOptions
+from svmdist.importing.calibration import CalibrationOptions
 from svmdist.kinematics.dh import DHChain, chain_of, forward_kinematics
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.reader import open_recording
@@ -38,8 +38,7 @@ from svmdist.transforms import (
     rotation_of,
     rotation_vector,
 )
-from svmdist.workflows.import_log import ImportOptions
-from svmdist.workflows.import_views import ViewOptions
+from svmdist.workflows.import_log import ImportOptions, ViewOptions
 
 NAME, KEY, REPOSITORY = "thrust", "thrust", "fdheenmo/thrust"
 IMAGES = Path("thrust", "annotated_50_images_15-Nov-17-59-04")

@@ -99,7 +99,7 @@ def estimate_command(
     are measured all the same.
     """
     from svmdist.estimation.methods import PLANAR_METHODS
-    from svmdist.workflows.scoring.alarms import require_clearance
+    from svmdist.workflows.scoring.score import require_clearance
     from svmdist.workflows.setup import prepare
 
     logs = named_logs(files)

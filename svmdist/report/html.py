@@ -22,7 +22,7 @@ from rich.table import Table
 
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.output_file import write_atomically
+from svmdist.files import write_atomically
 from svmdist.recording.reader import Recording
 from svmdist.report.panels import draw_on
 from svmdist.report.plots import LEVELS, distance_name, held_shares, pooled, rejected_spans

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from svmdist.workflows.scoring.metric import Metric, Output, Tolerance
-from svmdist.workflows.scoring.metric_table import figure_metrics, score_metrics
+from svmdist.workflows.scoring.metric_table import Metric, Output, Tolerance, figure_metrics, score_metrics
 
 INTRODUCTION = """# Metrics
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from svmdist.drawing import ALARM_COLOUR, COLOURS, Form, FrameDrawing, Part, Rgb, Shape
 from svmdist.errors import OutputError
-from svmdist.output_file import atomic_file
+from svmdist.files import atomic_file
 from svmdist.report.tables import printable
 from svmdist.samples import Image
 from svmdist.transforms import Array

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from svmdist.least_squares import median, scale_of
 from svmdist.profile.settings import ShaftSettings, SilhouetteSettings
-from svmdist.robust import median, scale_of
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edge_search import BLOCK, points_near, profiles_across, straightest

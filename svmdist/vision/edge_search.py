@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.least_squares import median
 from svmdist.profile.settings import SilhouetteSettings
-from svmdist.robust import median
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edges import STEP_PX, slope_filter

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from svmdist.least_squares import median, scale_of
 from svmdist.profile.settings import StereoSettings
-from svmdist.robust import median, scale_of
 from svmdist.samples import Image
 from svmdist.transforms import Array
 

@@ -19,7 +19,7 @@ from svmdist.vision.distinct_colour import DistinctColour, find_distinct_colour
 from svmdist.vision.segmentation.auto import AutoSegmenter
 from svmdist.vision.stereo_plane import StereoPlane, fit_plane
 from svmdist.vision.undistortion import as_pinholes
-from svmdist.workflows.log_roles import InstrumentTopics, LogRoles, find_roles
+from svmdist.workflows.capabilities import InstrumentTopics, LogRoles, find_roles
 
 CHAIN_PROFILES = ("dvrk-psm", "psm13")
 """Profiles that ship whose chains a log's joints may be of."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from svmdist.least_squares import median
 from svmdist.profile.settings import StereoSettings
-from svmdist.robust import median
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,9 +17,9 @@ from svmdist.estimation.filter.linearisation import Linearised
 from svmdist.estimation.tissue.dome import DomeModel
 from svmdist.estimation.tissue.pose import ray_on_plane_biases
 from svmdist.geometry.surfaces import Plane
+from svmdist.least_squares import median
 from svmdist.profile import Tissue
 from svmdist.profile.settings import StereoSettings, TissueTrackingSettings
-from svmdist.robust import median
 from svmdist.samples import RightView
 from svmdist.transforms import Array, inverse
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from svmdist.errors import RecordingError
+from svmdist.errors import RecordingError, optional_package
 from svmdist.profile import Limits
-from svmdist.pyav import import_av
 from svmdist.recording.messages.images import ImageError, check_dimensions
 from svmdist.recording.names import cut
 from svmdist.samples import Image
@@ -55,7 +54,7 @@ class VideoDecoder:
         return image
 
     def _decode(self, data: bytes) -> Image:
-        av = import_av(RecordingError, NEEDED_FOR)
+        av = optional_package("av", "video", NEEDED_FOR, RecordingError)
         packet = av.Packet(data)
         packet.pts = self._count
         packet.time_base = Fraction(1, 1000)
@@ -70,7 +69,7 @@ class VideoDecoder:
         return np.asarray(frames[0].to_ndarray(format="bgr24"), np.uint8)
 
     def _open(self) -> Any:
-        av = import_av(RecordingError, NEEDED_FOR)
+        av = optional_package("av", "video", NEEDED_FOR, RecordingError)
         codec = av.CodecContext.create("h264", "r")
         codec.thread_count = 1  # threads hold frames back
         codec.flags |= av.codec.context.Flags.low_delay

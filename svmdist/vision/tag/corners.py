@@ -10,8 +10,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from svmdist.least_squares import huber_weights
 from svmdist.profile.settings import TagSettings
-from svmdist.robust import huber_weights
 from svmdist.samples import Image
 from svmdist.transforms import Array
 

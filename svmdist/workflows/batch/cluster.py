@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from svmdist.errors import SvmdistError, UsageError
-from svmdist.output_file import atomic_file
+from svmdist.files import atomic_file
 from svmdist.workflows.ahead import one_opencv_thread
 from svmdist.workflows.batch.identity import code_version
 from svmdist.workflows.batch.pool import ATTEMPTS, Task

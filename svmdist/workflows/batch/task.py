@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from svmdist.errors import OutputError, ProfileError, SvmdistError, UsageError
+from svmdist.files import FALLBACK, atomic_file
 from svmdist.input_file import LogPath, why
-from svmdist.output_file import FALLBACK, atomic_file
 from svmdist.recording.health import Health, Loss, LossKind
 
 Result = TypeVar("Result")

@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from svmdist.errors import RecordingError
-from svmdist.workflows.baseline import (
+from svmdist.workflows.scoring.baseline import (
     Baseline,
     StoredScore,
     Tolerance,

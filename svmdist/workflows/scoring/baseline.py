@@ -12,10 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
+from svmdist.files import write_atomically
 from svmdist.input_file import read_regular, why
-from svmdist.output_file import write_atomically
-from svmdist.workflows.scoring.metric import Better, Metric, Tolerance, cells
-from svmdist.workflows.scoring.metric_table import stored_metrics
+from svmdist.workflows.scoring.metric_table import Better, Metric, Tolerance, cells, stored_metrics
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import Validation
 
