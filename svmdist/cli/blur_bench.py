@@ -45,7 +45,7 @@ from svmdist.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from svmdist.recording.reader import Recording
-    from svmdist.vision.blur import Blur
+    from svmdist.vision.degradations import Blur
     from svmdist.workflows.blur_bench import BlurTally
     from svmdist.workflows.setup import Setup
 
@@ -172,7 +172,7 @@ def _blur_summary(tallies: Sequence[Mapping[Blur, BlurTally]], kernels_px: Mappi
 
 def _kernels(options: list[str]) -> dict[Blur, int]:
     """Parse BLUR=PX over the default kernels; raises UsageError that says what was expected."""
-    from svmdist.vision.blur import Blur
+    from svmdist.vision.degradations import Blur
     from svmdist.workflows.blur_bench import DEFAULT_KERNELS_PX
 
     kernels_px = dict(DEFAULT_KERNELS_PX)

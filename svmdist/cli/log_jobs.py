@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from svmdist.workflows.scoring.truth import TruthRules
     from svmdist.workflows.setup import Setup
 
-from svmdist.vision.blur import Blur
+from svmdist.vision.degradations import Blur
 from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
 
 

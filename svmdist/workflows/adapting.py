@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from svmdist.recording.encoded import EncodedObservation, Needs
 from svmdist.recording.reader import Recording
 from svmdist.samples import Image, Observation, Rejection
-from svmdist.vision.segmentation.auto import AutoSegmenter
-from svmdist.vision.segmentation.segmenter import Segmenter
+from svmdist.vision.segmentation import AutoSegmenter, Segmenter
 from svmdist.workflows.conditions import ReplayCondition
 
 

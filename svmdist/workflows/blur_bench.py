@@ -14,10 +14,9 @@ from svmdist.recording.reader import Recording
 from svmdist.results import FrameResult
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.blur import Blur
+from svmdist.vision.degradations import Blur
 from svmdist.vision.frame_context import to_grey
-from svmdist.vision.marker.features import EDGE_MARGIN_PX, detect_orb
-from svmdist.vision.marker.pattern import paste_marker
+from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
 from svmdist.vision.regions import find_region
 from svmdist.workflows.conditions import BlurCondition
 from svmdist.workflows.progress import Progress, Steps, image_total

@@ -11,8 +11,14 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError
 from svmdist.estimation.methods import PLANAR_METHODS
-from svmdist.estimation.planar.calibration import Calibration, CalibrationSamples, SourceFile, fit_calibration
-from svmdist.estimation.planar.equations import PlaneMapping, Quadratic
+from svmdist.estimation.plane_mapping import (
+    Calibration,
+    CalibrationSamples,
+    PlaneMapping,
+    Quadratic,
+    SourceFile,
+    fit_calibration,
+)
 from svmdist.geometry.rays import pixel_rays
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording

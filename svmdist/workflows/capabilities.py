@@ -18,7 +18,7 @@ from svmdist.recording.names import sanitize, sanitize_list
 from svmdist.recording.reader import Recording
 from svmdist.recording.topics import Role
 from svmdist.samples import Rejection
-from svmdist.vision.tag.detection import find_tags
+from svmdist.vision.tags import find_tags
 
 OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*|MTML|MTMR)(/|$)")
 """Arms of a da Vinci that carry no instrument."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from svmdist.errors import RecordingError
-from svmdist.estimation.detection.lazy import Clock
+from svmdist.estimation.scene import Clock
 from svmdist.recording.reader import Recording
 from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
 from svmdist.workflows.conditions import CLEAN, Condition

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
-from svmdist.estimation.detection.lazy import Clock
+from svmdist.estimation.scene import Clock
 from svmdist.metrics import coverage
 from svmdist.profile import Profile
 from svmdist.recording.health import Health

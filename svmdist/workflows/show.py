@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from svmdist.errors import UsageError
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.detection.scene import Scene
 from svmdist.estimation.frame import Frame, frames_of
+from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile import AutoSegmentation
 from svmdist.recording.reader import Recording
 from svmdist.recording.topics import Role
@@ -48,7 +47,7 @@ def shown_frames(
     arms = [Arm(setup.profile.for_instrument(name)) for name in recording.instruments]
     association = None
     if len(arms) > 1 or isinstance(setup.profile.segmentation, AutoSegmentation):
-        from svmdist.estimation.association.associate import Association
+        from svmdist.estimation.association import Association
 
         association = Association(arms)
     first_ns: int | None = None

@@ -21,7 +21,7 @@ from svmdist.errors import OutputError, RecordingError, UsageError
 from svmdist.profile import load_profile
 from svmdist.recording.reading import Window
 from svmdist.report.scores import LogFigures
-from svmdist.vision.blur import Blur
+from svmdist.vision.degradations import Blur
 from svmdist.workflows.batch.identity import fingerprint
 from svmdist.workflows.batch.plain import from_plain, to_plain
 from svmdist.workflows.batch.task import LogFile, Note, Outcome

@@ -14,7 +14,7 @@ from svmdist.errors import ProfileError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
-from svmdist.estimation.planar.equations import Equations
+from svmdist.estimation.plane_mapping import Equations
 from svmdist.metrics import (
     AlarmStatistics,
     ErrorStatistics,

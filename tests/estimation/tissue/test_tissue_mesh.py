@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.tissue.pose import require_tissue, tissue_frame
+from svmdist.estimation.tissue import require_tissue, tissue_frame
 from svmdist.profile import DEFAULT_PROFILE, Profile, Tissue, load_profile, profile_path
 from svmdist.recording.reader import open_recording
 from svmdist.samples import Observation
