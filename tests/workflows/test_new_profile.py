@@ -12,7 +12,7 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.inspect import inspect_recording
+from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.report.profile_template import profile_lines
 from svmdist.samples import CameraSample, ImageSample, PoseSample
