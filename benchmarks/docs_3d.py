@@ -9,7 +9,7 @@ import numpy as np
 
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.methods import SPATIAL_METHODS
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.runs import Figures, Run, measure_runs, pooled_figures

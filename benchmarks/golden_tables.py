@@ -21,7 +21,7 @@ from benchmarks.docs_3d import (
     table_of_all,
 )
 from benchmarks.pictures import IMAGES, PICTURES, make_picture
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.workflows.blur_bench import blur_bench
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from svmdist.perturbations.chosen import parse_perturbations
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.workflows.compare import group_of
 from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.runs import Run, measure_runs

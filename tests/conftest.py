@@ -44,7 +44,7 @@ def synthetic_calibration(synthetic_log: Path) -> Path:
     """A calibration fitted on the synthetic log."""
     from svmdist.estimation.plane_mapping import save_calibration
     from svmdist.profile import load_profile
-    from svmdist.recording.reader import open_recording
+    from svmdist.recording.log import open_recording
     from svmdist.workflows.calibrate import calibrate
 
     profile = load_profile()

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from svmdist.vision.segmentation.network import network_input
 
 from benchmarks.overlap import union_ious
+from svmdist.vision.network import network_input
 from training.dataset import VALIDATION_SEED, Pictures, rendered
 from training.layout import network_rules
 

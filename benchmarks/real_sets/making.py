@@ -8,7 +8,7 @@ from pathlib import Path
 from svmdist.errors import SvmdistError
 from svmdist.profile import Profile, load_profile
 from svmdist.profile.hand_eye import save_hand_eye
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.report.info import hand_eye_file
 from svmdist.report.profile_template import profile_lines
 from svmdist.results import Failure, FrameResult

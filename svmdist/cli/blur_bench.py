@@ -44,7 +44,7 @@ from svmdist.cli.recordings import (
 from svmdist.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.vision.degradations import Blur
     from svmdist.workflows.blur_bench import BlurTally
     from svmdist.workflows.setup import Setup

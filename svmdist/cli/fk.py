@@ -30,8 +30,7 @@ from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
-    from svmdist.recording.reader import Recording
-    from svmdist.recording.reading import Window
+    from svmdist.recording.log import Recording, Window
     from svmdist.report.tables import Row
     from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
     from svmdist.workflows.fk import PoseErrors

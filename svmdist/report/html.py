@@ -23,7 +23,7 @@ from rich.table import Table
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import write_atomically
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.report.panels import draw_on
 from svmdist.report.plots import LEVELS, distance_name, held_shares, pooled, rejected_spans
 from svmdist.report.scores import remarks, validation_tables

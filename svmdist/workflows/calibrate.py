@@ -21,7 +21,7 @@ from svmdist.estimation.plane_mapping import (
 )
 from svmdist.geometry.rays import pixel_rays
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.progress import Progress, Steps, image_total
 from svmdist.workflows.setup import Setup

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 
 Progress = Callable[[int, int | None], None]
 """Is told how much is done, and how much there is where that is known."""

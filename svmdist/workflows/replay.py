@@ -21,9 +21,9 @@ from svmdist.estimation.frame import Frame, Needs, frames_of, prefetch, prefetch
 from svmdist.estimation.methods import Estimator
 from svmdist.estimation.scene import Arm, Clock, CostLedger, Scene
 from svmdist.profile import AutoSegmentation
-from svmdist.recording.encoded import Decoded, EncodedObservation
-from svmdist.recording.encoded import Needs as ReadNeeds
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.observations import Decoded, EncodedObservation
+from svmdist.recording.observations import Needs as ReadNeeds
 from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection
 from svmdist.vision.frame_context import seen_through

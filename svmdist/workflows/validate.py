@@ -10,7 +10,7 @@ from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.methods import PLANAR_METHODS
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.lag import Lag, recording_lag, with_lag

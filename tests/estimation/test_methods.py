@@ -16,7 +16,7 @@ from svmdist.estimation.one_view import FiducialEstimator, KinematicEstimator, S
 from svmdist.estimation.planar import CentroidEstimator, OverlayEstimator
 from svmdist.estimation.scene import Arm, Scene, detected
 from svmdist.estimation.stereo import StereoEstimator
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE

@@ -19,7 +19,7 @@ from svmdist.profile.settings import (
     Settings,
     TissueTrackingSettings,
 )
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.vision.colour import colour_mask
 from svmdist.vision.frame_context import to_hsv
 from svmdist.vision.marker import is_plausible

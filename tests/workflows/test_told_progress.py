@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
-from svmdist.recording.reading import Reading, Window
+from svmdist.recording.log import Reading, Window, open_recording
 from svmdist.workflows.progress import Steps, image_total
 
 

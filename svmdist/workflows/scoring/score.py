@@ -26,7 +26,7 @@ from svmdist.metrics import (
     pooled_alarms,
 )
 from svmdist.profile import Profile
-from svmdist.recording.reader import KnownLag, Recording
+from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.workflows.scoring.distances import (

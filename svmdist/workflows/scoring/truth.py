@@ -14,7 +14,7 @@ from svmdist.estimation.plane_mapping import Equations
 from svmdist.kinematics import paper
 from svmdist.kinematics.dh import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.tracks import MAX_GAP_NS, PoseTrack, Sampled, SampledDistances, TransformTrack
 
 KINEMATICS_PRINTED_NOTE = (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svmdist.profile import AutoSegmentation
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample
 from svmdist.vision.segmentation import AutoSegmenter, InstrumentMasks
 from svmdist.vision.silhouette import WristShape, find_silhouette

@@ -10,7 +10,7 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.drawing import Form, FrameDrawing, Part
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.report.panels import draw_on
 from svmdist.results import FrameResult
 from svmdist.samples import Status

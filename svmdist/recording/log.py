@@ -2,33 +2,45 @@
 
 from __future__ import annotations
 
+import math
+import os
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError, did_you_mean
-from svmdist.input_file import LogPath, open_regular
+from svmdist.input_file import LogPath, open_regular, why
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
 from svmdist.perturbations.clock import later_ns
 from svmdist.perturbations.replayed import ReplayedWorld
 from svmdist.profile import Limits, Profile
-from svmdist.recording.arms import FixedTransform, LoggedArm, find_arms
-from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
-from svmdist.recording.encoded import EVERYTHING, Decoded, EncodedObservation, Needs
-from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.names import sanitize, sanitize_list
-from svmdist.recording.observing import Observer
-from svmdist.recording.opening import open_source
-from svmdist.recording.reading import Reading
-from svmdist.recording.sources import RawMessage, Source, TopicInfo
-from svmdist.recording.topics import Role
-from svmdist.recording.transform_tree import TransformTree
+from svmdist.recording.mcap_file.framing import MAGIC as MCAP_MAGIC
+from svmdist.recording.mcap_file.source import McapSource
+from svmdist.recording.observations import EVERYTHING, Decoded, EncodedObservation, Needs
+from svmdist.recording.observing import OTHER_JOINTS, DecodedMessages, Observer
+from svmdist.recording.rosbag import METADATA_FILE
+from svmdist.recording.source import (
+    ZSTD_MAGIC,
+    Health,
+    Loss,
+    LossKind,
+    RawMessage,
+    Source,
+    TopicInfo,
+    is_message_compressed,
+    sanitize,
+    sanitize_list,
+)
+from svmdist.recording.tf_tree import TransformTree
+from svmdist.recording.topics import FixedTransform, LoggedArm, Role, find_arms
 from svmdist.remote_file import RemoteFile, is_url
 from svmdist.samples import (
     CameraSample,
@@ -42,6 +54,164 @@ from svmdist.samples import (
 )
 from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack, sort_stamps
 from svmdist.transforms import inverse
+
+
+class HasStamp(Protocol):
+    """An image, in whatever form."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Its stamp."""
+
+
+Stamped = TypeVar("Stamped", bound=HasStamp)
+OUT_OF_ORDER_S = 1.0
+"""Images may stand so much out of order in a file: reading goes on this long after the end of a window."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Images from `start_s` to `end_s` after the first one, both included, and of these every `every`-th one."""
+
+    start_s: float = 0.0
+    end_s: float = math.inf
+    every: int = 1
+
+    def of(self, images: Iterable[Stamped]) -> Iterator[Stamped]:
+        """The images inside."""
+        first_ns: int | None = None
+        count = 0
+        for image in images:
+            first_ns = image.stamp_ns if first_ns is None else first_ns
+            # In whole nanoseconds: an image at exactly 0.1 s is inside of a window that begins at 0.1 s.
+            at_ns = image.stamp_ns - first_ns
+            if at_ns > (self.end_s + OUT_OF_ORDER_S) * 1e9:
+                return
+            if not round(self.start_s * 1e9) <= at_ns <= self.end_s * 1e9 + 0.5:
+                continue
+            if count % self.every == 0:
+                yield image
+            count += 1
+
+    def count_of(self, image_count: int) -> int | None:
+        """How many of so many images are inside; None where that depends on their stamps."""
+        if self.start_s > 0.0 or self.end_s < math.inf:
+            return None
+        return -(-image_count // self.every)
+
+    def places(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+        """Which of rising stamps, shape (n,), are inside, counted from the first one."""
+        if len(stamps_ns) == 0:
+            return np.zeros(0, np.intp)
+        at_ns = stamps_ns - stamps_ns[0]
+        inside = (at_ns >= round(self.start_s * 1e9)) & (at_ns <= self.end_s * 1e9 + 0.5)
+        return np.flatnonzero(inside)[:: self.every]
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """The name that a recording goes by, None for its file's, and its window, None for all images."""
+
+    name: str | None = None
+    window: Window | None = None
+
+
+def unique_names(paths: Sequence[LogPath]) -> list[str]:
+    """A name for each recording: the file's without its ending, with as many folders before it as tell it from others.
+
+    >>> unique_names([Path("logs/a/contact.mcap"), Path("logs/b/contact.mcap"), Path("sweep.mcap")])
+    ['a/contact', 'b/contact', 'sweep']
+    """
+    parts = [(*_folders(path), path.stem) for path in paths]
+    depths = dict.fromkeys(parts, 1)
+    while True:
+        sharing: dict[str, list[tuple[str, ...]]] = {}
+        for part, depth in depths.items():
+            sharing.setdefault("/".join(part[-depth:]), []).append(part)
+        clashing = [part for of in sharing.values() if len(of) > 1 for part in of if depths[part] < len(part)]
+        if not clashing:
+            return ["/".join(part[-depths[part] :]) for part in parts]
+        for part in clashing:
+            depths[part] += 1
+
+
+def _folders(path: LogPath) -> tuple[str, ...]:
+    if isinstance(path, RemoteFile):
+        return path.folders
+    return Path(os.path.abspath(path)).parent.parts[1:]
+
+
+ROSBAG_MAGIC = b"#ROSBAG V2.0\n"
+SQLITE_MAGIC = b"SQLite format 3\x00"
+
+LOOKS_LIKE = {
+    b"#ROSBAG V1": "a ROS bag of version 1, from before 2010",
+    b"\x1f\x8b": "gzip-compressed",
+    ZSTD_MAGIC: "zstd-compressed",
+    b"\x04\x22\x4d\x18": "lz4-compressed",
+    b"BZh": "bzip2-compressed",
+    b"\xfd7zXZ": "xz-compressed",
+    b"PK\x03\x04": "a zip archive",
+    b"\x89HDF": "an HDF5 file",
+    b"\x89PNG": "a PNG image",
+    b"\xff\xd8\xff": "a JPEG image",
+    b"version https://git-lfs": "a Git LFS pointer, whose file has not been fetched",
+}
+
+
+# The modules of other formats are imported when a file of theirs is opened: MCAP starts sooner without them.
+WHAT_IS_EXPECTED = "an MCAP file, a ROS 1 bag or a rosbag2 folder"
+
+
+def open_source(path: LogPath, limits: Limits) -> Source:
+    """Open a recording; RecordingError says in one line why a path cannot be one."""
+    try:
+        if not isinstance(path, RemoteFile) and path.is_dir():
+            if (path / METADATA_FILE).is_file():
+                from svmdist.recording.rosbag.bag2_source import Rosbag2Source
+
+                return Rosbag2Source(path, limits)
+            detail = f"a directory without {METADATA_FILE}"
+            raise RecordingError(f"{path}: is {detail}; expected {WHAT_IS_EXPECTED}")
+        with open_regular(path) as file:
+            start = file.read(64)
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: no such file") from None
+    except (OSError, ValueError) as problem:
+        raise RecordingError(f"{path}: cannot read: {why(problem)}") from None
+    source = _open_file(path, start, limits)
+    if is_message_compressed(source):
+        raise RecordingError(
+            f"{path}: a rosbag2 file whose messages are compressed one by one;"
+            f" open the folder that holds it and its {METADATA_FILE}"
+        )
+    return source
+
+
+def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
+    if not start:
+        raise RecordingError(f"{path}: is empty; expected {WHAT_IS_EXPECTED}")
+    if start.startswith(MCAP_MAGIC):
+        return McapSource(path, limits)
+    if start.startswith(ROSBAG_MAGIC):
+        from svmdist.recording.rosbag.bag1_source import Rosbag1Source
+
+        return Rosbag1Source(path, limits)
+    if start.startswith(SQLITE_MAGIC):
+        if isinstance(path, RemoteFile):
+            raise RecordingError(
+                f"{path}: a rosbag2 database is read from a disk only; copy it to this machine"
+            )
+        from svmdist.recording.rosbag.sqlite_source import SqliteSource
+
+        return SqliteSource(path, limits)
+    if MCAP_MAGIC.startswith(start):
+        raise RecordingError(
+            f"{path}: truncated at byte {len(start)}, inside the first bytes of an MCAP file"
+        )
+    found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), None)
+    raise RecordingError(f"{path}: is {found or 'no recording'}; expected {WHAT_IS_EXPECTED}")
+
 
 AS_IT_IS = Reading()
 

@@ -1,13 +1,44 @@
-"""What was lost while a recording was read: every loss once, with its place and its reason."""
+"""What every kind of recording file gives: topics, raw messages in file order, and what was lost."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import count
+from typing import Protocol
 
-from svmdist.recording.names import cut, sanitize
+from svmdist.input_file import LogPath
+
+MAX_NAME_LENGTH = 300
+MAX_LISTED_NAMES = 40
+MAX_NAME_BYTES = 4096
+"""Of a topic, a frame, a joint, a schema: longer ones are no names."""
+
+
+def cut(text: str) -> str:
+    """The beginning of a text that may be endless, to be kept or shown."""
+    return text if len(text) <= MAX_NAME_LENGTH else f"{text[:MAX_NAME_LENGTH]}..."
+
+
+def sanitize(name: str) -> str:
+    r"""Write a name with its control characters escaped, shortened where it is endless.
+
+    >>> sanitize("/left\x1b[31m")
+    '/left\\x1b[31m'
+    """
+    shown = cut(name)
+    if shown.isprintable():
+        return shown
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in shown)
+
+
+def sanitize_list(names: Iterable[str]) -> str:
+    """List names, the first forty of them."""
+    listed = [sanitize(name) for name in names]
+    more = [f"and {len(listed) - MAX_LISTED_NAMES} more"] if len(listed) > MAX_LISTED_NAMES else []
+    return ", ".join(listed[:MAX_LISTED_NAMES] + more)
+
 
 MAX_LISTED_LOSSES = 1000
 """A file with a million broken chunks must not fill the memory with reports about them."""
@@ -102,3 +133,74 @@ class Health:
             more = f"{max(hidden, 0)} more" if not self.unlisted_count else "many more"
             lines = [*lines[:max_lines], f"and {more} losses"]
         return tuple(lines)
+
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+METADATA_NAME = "svmdist"
+"""The metadata record that says what a recording came from."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """A topic of a recording; `message_count` is None where the file does not say and was not read."""
+
+    topic: str
+    schema: str
+    message_encoding: str
+    message_count: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    """A message as it stands in the file; `data` may be a view that must be copied to be kept.
+
+    `losses_before` counts what this pass has lost so far: where it grows, messages may be missing.
+    """
+
+    topic: str
+    schema: str
+    message_encoding: str
+    log_time_ns: int
+    data: bytes | memoryview
+    offset: int | None = None
+    losses_before: int = 0
+
+
+class Source(Protocol):
+    """One recording file or folder of one format."""
+
+    @property
+    def path(self) -> LogPath:
+        """The file or folder."""
+
+    health: Health
+
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """List the topics, sorted by name."""
+
+    def metadata(self) -> dict[str, str]:
+        """Read the metadata of the record `svmdist`, empty where there is none."""
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield the messages of some topics, or of all, in file order; nothing is kept in memory."""
+
+
+def merge_topics(infos: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
+    """Join channels that share topic, schema and encoding: several publishers of one topic."""
+    merged: dict[tuple[str, str, str], int | None] = {}
+    for info in infos:
+        key = (info.topic, info.schema, info.message_encoding)
+        known = merged.get(key, 0)
+        both = known is not None and info.message_count is not None
+        merged[key] = (known or 0) + (info.message_count or 0) if both else None
+    return tuple(TopicInfo(*key, count) for key, count in sorted(merged.items()))
+
+
+def is_message_compressed(source: Source) -> bool:
+    """Tell whether the messages of a single file were compressed one by one, as only the folder of a bag knows."""
+    topics = {info.topic for info in source.topics() if info.message_encoding == "cdr"}
+    if not topics:
+        return False
+    first = next(iter(source.messages(topics)), None)
+    # CDR begins with a zero byte, so these four cannot be a message.
+    return first is not None and bytes(first.data[:4]) == ZSTD_MAGIC

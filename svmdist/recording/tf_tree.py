@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from svmdist.errors import RecordingError, did_you_mean
-from svmdist.recording.names import sanitize, sanitize_list
+from svmdist.recording.source import sanitize, sanitize_list
 from svmdist.samples import TransformSample
 from svmdist.tracks import MAX_GAP_NS, TransformTrack, sort_stamps
 from svmdist.transforms import Array, inverse

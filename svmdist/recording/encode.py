@@ -22,8 +22,8 @@ from google.protobuf.message import Message
 from svmdist.camera import Camera
 from svmdist.image_input import require_bgr
 from svmdist.profile import Limits
-from svmdist.recording.messages.ground_truth_distance_pb2 import GroundTruthDistance
-from svmdist.recording.messages.images import still_format, still_size
+from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
+from svmdist.recording.images import still_format, still_size
 from svmdist.samples import (
     CameraSample,
     DistanceSample,

@@ -1,20 +1,23 @@
-"""What is in a recording: statistics of every topic, in one pass."""
+"""What is in a recording: statistics of every topic in one pass, and a copy of what svmdist understands."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 from svmdist.camera import Camera
 from svmdist.input_file import LogPath
 from svmdist.profile import Limits, Profile
-from svmdist.recording.health import Health
-from svmdist.recording.messages.checks import DecodeError
+from svmdist.recording.encode import EncodedSample
+from svmdist.recording.images import ImageError
+from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.messages.checks import DecodeError, EncodedImage, RawTransforms
 from svmdist.recording.messages.decoding import Decoder, kind_of
-from svmdist.recording.reader import open_recording
-from svmdist.recording.sources import RawMessage
+from svmdist.recording.messages.foxglove import MESSAGES
+from svmdist.recording.source import Health, RawMessage
 from svmdist.recording.topics import Role
-from svmdist.samples import CameraSample, JointSample, TransformsSample
+from svmdist.samples import CameraSample, ImageSample, JointSample, Sample, TransformsSample
 
 GAP_FACTOR = 3.0
 """A gap is a distance of stamps above three mean periods: one or two lost messages are jitter."""
@@ -166,3 +169,52 @@ def inspect_recording(
         joint_names,
         recording.health,
     )
+
+
+TRUE_SUFFIX = "_ground_truth"
+"""Goes to the names of true frames in a copy. A frame has one parent in a viewer, and `tool` has the robot's."""
+
+
+def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | EncodedSample]]:
+    """Yield (topic, message) of every topic that svmdist understands, in file order.
+
+    Foxglove's messages in protobuf are copied as they are; others, those of ROS for instance, are written as
+    Foxglove's. Images that were compressed by ROS or stand in JSON become PNG. The child frames of the true transforms
+    are renamed, see `TRUE_SUFFIX`. What cannot be decoded is left out; `Recording.health` counts it in the pass that
+    measures.
+    """
+    limits = recording.limits
+    decoder = Decoder(limits)
+    truth = recording.topic_of(Role.GROUND_TRUTH_TF)
+    for raw in recording.raw_messages():
+        if kind_of(raw.schema, raw.message_encoding) is None:
+            continue
+        try:
+            copied = _renamed(decoder, raw) if raw.topic == truth else _copied(decoder, raw)
+        except (DecodeError, ImageError):
+            continue
+        yield raw.topic, copied
+
+
+def _copied(decoder: Decoder, raw: RawMessage) -> Sample | EncodedSample:
+    known: Any = MESSAGES.get(raw.schema) if raw.message_encoding == "protobuf" else None
+    if known is not None:
+        return EncodedSample(raw.log_time_ns, known, bytes(raw.data))
+    return _sample(decoder, raw)
+
+
+def _renamed(decoder: Decoder, raw: RawMessage) -> Sample:
+    sample = _sample(decoder, raw)
+    if not isinstance(sample, TransformsSample):
+        return sample
+    transforms = tuple(replace(one, child=one.child + TRUE_SUFFIX) for one in sample.transforms)
+    return replace(sample, transforms=transforms)
+
+
+def _sample(decoder: Decoder, raw: RawMessage) -> Sample:
+    message = decoder.read(raw)
+    if isinstance(message, RawTransforms):
+        return message.to_sample()
+    if isinstance(message, EncodedImage):
+        return ImageSample(message.stamp_ns, message.frame_id, message.decode())
+    return message

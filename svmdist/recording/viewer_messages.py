@@ -30,8 +30,8 @@ from svmdist.drawing import (
     Segment,
     Shape,
 )
-from svmdist.recording.messages.distance_estimate_pb2 import DistanceEstimate
-from svmdist.recording.messages.encoding import EncodedSample
+from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
+from svmdist.recording.encode import EncodedSample
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 FORMS = {
