@@ -21,10 +21,11 @@ from svmdist.vision.segmentation import InstrumentMasks, Masks, Segmenter
 if TYPE_CHECKING:
     from svmdist.estimation.instrument.measurement import Deviations
     from svmdist.estimation.instrument.model import InstrumentModel
-    from svmdist.estimation.surface import RectifiedPair, StereoSurface
+    from svmdist.estimation.surface import StereoSurface
     from svmdist.estimation.tissue import TissueDetection
     from svmdist.kinematics.dh import DHChain, ShaftAxis
     from svmdist.kinematics.robot_state import RobotState
+    from svmdist.vision.stereo import RectifiedPair
     from svmdist.vision.tag_overlay import TagPattern
 
 
@@ -236,7 +237,7 @@ class Scene:
     @detected
     def stereo_pair(self) -> RectifiedPair | Failure:
         """The geometry of both views, where they are a rectified pair."""
-        from svmdist.estimation.surface import rectified_pair
+        from svmdist.vision.stereo import rectified_pair
 
         right = self.observation.right
         return Failure("no right view") if right is None else rectified_pair(self.observation.camera, right)

@@ -15,13 +15,14 @@ from svmdist.estimation.instrument.shaft_model import Landmarks, shaft_model
 from svmdist.estimation.instrument.stereo_fit import fit_two_views
 from svmdist.estimation.instrument.two_views import DisparityWatch, StereoMatch, TwoViews, match_distal_marker
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.surface import RectifiedPair, StereoSurface
+from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import require_tissue
 from svmdist.estimation.tissue_tracking import depth_biases
 from svmdist.geometry.surfaces import Cloud
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Rejection, RightView, Status
 from svmdist.transforms import inverse
+from svmdist.vision.stereo import RectifiedPair
 
 
 def with_calibration(

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.estimation.surface import RectifiedPair, match_region
 from svmdist.least_squares import median, scale_of
 from svmdist.profile.settings import StereoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
+from svmdist.vision.stereo import RectifiedPair, match_region
 
 DEFAULT = StereoSettings()
 DEGREE = 3

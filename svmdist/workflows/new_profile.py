@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from svmdist.estimation.surface import StereoPlane, fit_plane
 from svmdist.profile import Profile, Robot, load_profile
 from svmdist.profile.profile import Topics
 from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
@@ -19,6 +18,7 @@ from svmdist.samples import Image, Observation, Rejection
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.segmentation import AutoSegmenter
+from svmdist.vision.stereo import StereoPlane, fit_plane
 from svmdist.workflows.capabilities import InstrumentTopics, LogRoles, find_roles
 
 CHAIN_PROFILES = ("dvrk-psm", "psm13")

@@ -9,7 +9,6 @@ from itertools import islice
 
 import numpy as np
 
-from svmdist.estimation.surface import RowOffset, agreed_offset, rectified_pair, row_differences
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Needs
@@ -17,6 +16,7 @@ from svmdist.results import Failure
 from svmdist.samples import Observation, Rejection
 from svmdist.transforms import Array
 from svmdist.vision.frame_context import as_pinholes, to_grey, with_first_fields
+from svmdist.vision.stereo import RowOffset, agreed_offset, rectified_pair, row_differences
 
 
 def row_offset(recording: Recording, profile: Profile) -> RowOffset | None:

@@ -10,9 +10,9 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.shaft_detection import DistalMarker
 from svmdist.estimation.instrument.two_views import StereoMatch, match_distal_marker
-from svmdist.estimation.surface import RectifiedPair
 from svmdist.profile import load_profile
 from svmdist.samples import Observation, RightView, Status
+from svmdist.vision.stereo import RectifiedPair
 from tests.measuring import Measuring
 from tests.synthetic import make_scene
 

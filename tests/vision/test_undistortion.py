@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.surface import RectifiedPair, rectified_pair
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.frame_context import as_pinholes, seen_through
+from svmdist.vision.stereo import RectifiedPair, rectified_pair
 
 IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 LENSES = {

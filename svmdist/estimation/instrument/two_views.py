@@ -22,13 +22,13 @@ from svmdist.estimation.instrument.shaft_model import (
     marker_residuals,
     rim_residual,
 )
-from svmdist.estimation.surface import RectifiedPair
 from svmdist.least_squares import median
 from svmdist.profile.hand_eye import BASELINE
 from svmdist.profile.settings import ShaftSettings, StereoSettings
 from svmdist.results import Failure
 from svmdist.transforms import Array, skew
 from svmdist.vision.lines import apparent_radius_px
+from svmdist.vision.stereo import RectifiedPair
 
 DEFAULT = StereoSettings()
 ASIDE_RAD = 0.056

@@ -21,13 +21,13 @@ from svmdist.estimation.instrument.two_views import (
     measurements,
 )
 from svmdist.estimation.stereo import nominal_orientation_pose
-from svmdist.estimation.surface import RectifiedPair
 from svmdist.profile import CameraError
 from svmdist.profile.settings import ShaftSettings, StereoSettings
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse, make_transform, rotation_of
 from svmdist.vision.edges import Disc
 from svmdist.vision.lines import TangentPlane, apparent_radius_px, tangent_normal
+from svmdist.vision.stereo import RectifiedPair
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 BASELINE_M, RADIUS_M, NECK_M, WRIST_M, KNUCKLE_M = 0.005, 0.004, 0.006, 0.0091, 0.00175
