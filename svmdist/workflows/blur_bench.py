@@ -20,7 +20,7 @@ from svmdist.vision.marker.features import EDGE_MARGIN_PX, detect_orb
 from svmdist.vision.marker.pattern import paste_marker
 from svmdist.vision.regions import find_region
 from svmdist.workflows.conditions import BlurCondition
-from svmdist.workflows.progress import Progress, Steps, image_total
+from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.truth import Reference, distance_truth
 from svmdist.workflows.setup import Setup

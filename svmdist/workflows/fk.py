@@ -17,7 +17,7 @@ from svmdist.recording.reader import Recording
 from svmdist.recording.reading import Window
 from svmdist.tracks import MAX_GAP_NS, PoseTrack
 from svmdist.transforms import Array, inverse, rotation_angle
-from svmdist.workflows.progress import Progress, Steps
+from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.stamped_rows import BLOCK, StampedRows
 
 

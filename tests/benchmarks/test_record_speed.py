@@ -27,7 +27,7 @@ from svmdist.simulation.drawn_world import DrawnWorld
 from svmdist.simulation.plan import Plan, make_plan
 from svmdist.simulation.renderer import Renderer
 from svmdist.simulation.simulate import Simulator
-from svmdist.workflows.ahead import usable_cores
+from svmdist.workflows.parallel import usable_cores
 from svmdist.workflows.record import record
 
 FRAMES = 32

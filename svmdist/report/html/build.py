@@ -17,7 +17,7 @@ from svmdist.report.frame_picture import draw_on
 from svmdist.report.html.page import Report, ReportFrame, ReportTable
 from svmdist.report.validation_tables import remarks, validation_tables
 from svmdist.workflows.annotate import drawn_frames
-from svmdist.workflows.progress import Progress, Steps
+from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.scoring.truth import TruthRules
 from svmdist.workflows.series import Series, WorstFrame, make_series, worst_frames
 from svmdist.workflows.setup import Setup
