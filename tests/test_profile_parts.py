@@ -9,16 +9,16 @@ import pytest
 from pydantic import ValidationError
 
 from svmdist.errors import ProfileError
-from svmdist.profile_instruments import ARM_TOPICS, ArmTopics, OtherInstrument
-from svmdist.profile_log import Frames, Limits, Topics
-from svmdist.profile_segmentation import (
+from svmdist.profile.profile import Frames, Limits, Topics
+from svmdist.profile.robot import ARM_TOPICS, ArmTopics, OtherInstrument
+from svmdist.profile.segmentation import (
     AreaGate,
     ClassRegion,
     ColourRegion,
     HsvSegmentation,
     OnnxSegmentation,
 )
-from svmdist.toml_model import MIB, Angle, NeighbourFile, Size, StrictModel, parse_toml
+from svmdist.profile.toml import MIB, Angle, NeighbourFile, Size, StrictModel, parse_toml
 
 NETWORK: dict[str, Any] = {
     "method": "onnx",

@@ -44,7 +44,7 @@ from svmdist.cli.recordings import (
 from svmdist.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.vision.blur import Blur
     from svmdist.workflows.blur_bench import BlurTally
     from svmdist.workflows.setup import Setup
@@ -160,9 +160,8 @@ def _table_one(
 
 
 def _blur_summary(tallies: Sequence[Mapping[Blur, BlurTally]], kernels_px: Mapping[Blur, int]) -> Summary:
-    from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, BLUR_NOTE, blur_row
-    from svmdist.report.table import rich_table
-    from svmdist.report.text import counted
+    from svmdist.report.scores import BLUR_COLUMNS, BLUR_KEYS, BLUR_NOTE, blur_row
+    from svmdist.report.tables import counted, rich_table
     from svmdist.workflows.blur_bench import blur_rows
 
     measured = blur_rows(tallies, kernels_px)

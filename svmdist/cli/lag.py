@@ -9,7 +9,7 @@ from svmdist.cli.console import say
 from svmdist.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.workflows.lag import Lag
     from svmdist.workflows.setup import Setup
 

@@ -16,7 +16,7 @@ from svmdist.cli.progress import progress_bar
 from svmdist.errors import RecordingError, UsageError
 
 if TYPE_CHECKING:
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.workflows.batch.task import LogFile, LogJob, Measurement, Note, Outcome
 
 Result = TypeVar("Result")

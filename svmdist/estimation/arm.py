@@ -13,9 +13,8 @@ from svmdist.samples import Observation
 if TYPE_CHECKING:  # a method imports what it uses of an arm, and starts sooner
     from svmdist.estimation.filter.constants import Deviations
     from svmdist.estimation.instrument.model import InstrumentModel
-    from svmdist.kinematics.dh import DHChain
+    from svmdist.kinematics.dh import DHChain, ShaftAxis
     from svmdist.kinematics.robot_state import RobotState
-    from svmdist.kinematics.shaft_axis import ShaftAxis
     from svmdist.vision.tag.pattern import TagPattern
 
 
@@ -28,7 +27,7 @@ class Arm:
     @cached_property
     def chain(self) -> DHChain | None:
         """The robot's chain; None where the profile has none."""
-        from svmdist.kinematics.chain import chain_of
+        from svmdist.kinematics.dh import chain_of
 
         return chain_of(self.profile.robot) if self.profile.robot else None
 
@@ -56,7 +55,7 @@ class Arm:
     @cached_property
     def shaft_axis(self) -> ShaftAxis | None:
         """Which link carries the shaft, and where its axis is there; None without such a chain."""
-        from svmdist.kinematics.shaft_axis import shaft_of
+        from svmdist.kinematics.dh import shaft_of
 
         return shaft_of(self.chain) if self.chain else None
 

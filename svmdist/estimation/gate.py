@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
-from svmdist.settings.filter import FilterSettings
+from svmdist.profile.settings import FilterSettings
 
 GATE_Z = FilterSettings().gate_z
 

@@ -19,8 +19,8 @@ from svmdist.estimation.filter.measurements import (
 )
 from svmdist.estimation.frame import Frame
 from svmdist.kinematics.robot_state import RobotState
+from svmdist.profile.settings import Settings
 from svmdist.results import ToolPose
-from svmdist.settings import Settings
 from svmdist.transforms import inverse
 from svmdist.vision.disc import Disc
 from svmdist.vision.regions import Region

@@ -10,14 +10,104 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.dh_row import Convention, DHRow, JointType, twist
-from svmdist.kinematics.frame_columns import CHUNK, last_frame
+from svmdist.profile import Robot
 from svmdist.transforms import Array
+
+JointType = Literal["revolute", "prismatic", "fixed"]
+Convention = Literal["standard", "modified"]
+
+
+@dataclass(frozen=True, slots=True)
+class DHRow:
+    """One row of a DH table: lengths in m, angles in rad, limits in the joint's own unit.
+
+    The joint variable adds to `theta_rad` (revolute) or to `d_m` (prismatic), so that the value in a published
+    table is the offset at joint value zero.
+    """
+
+    name: str
+    joint: JointType
+    a_m: float = 0.0
+    alpha_rad: float = 0.0
+    d_m: float = 0.0
+    theta_rad: float = 0.0
+    lower: float = -np.pi
+    upper: float = np.pi
+    aliases: tuple[str, ...] = ()
+
+
+def twist(row: DHRow) -> tuple[float, float]:
+    """Cosine and sine of the row's α; that of a quarter turn is exact, where floating point gives 6e-17."""
+    cosine, sine = float(np.cos(row.alpha_rad)), float(np.sin(row.alpha_rad))
+    return _snap(cosine), _snap(sine)
+
+
+def _snap(value: float) -> float:
+    nearest = float(np.round(value))
+    return nearest if abs(value - nearest) < 1e-15 else value
+
+
+CHUNK = 2048
+"""Joint vectors that are worked on together, so that their columns stay in the processor's second-level cache."""
+X, Y, Z, ORIGIN = np.vstack([np.eye(3), np.zeros(3)])[:, :, None]
+"""Of the base frame, shape (3, 1) each."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameColumns:
+    """Many frames in the base frame, by columns: axes x, y, z and origin p, shape (3, n), or (3, 1) where all agree."""
+
+    x: Array
+    y: Array
+    z: Array
+    p: Array
+
+    def write(self, T: Array) -> None:
+        """Into transforms, shape (n, 4, 4), whose last rows are filled already."""
+        for column, values in enumerate((self.x, self.y, self.z, self.p)):
+            T[:, :3, column] = values.T
+
+    def twisted(self, row: DHRow) -> FrameColumns:
+        """Behind Trans_x(a) Rot_x(α) of a row."""
+        p = self.p if row.a_m == 0.0 else self.p + row.a_m * self.x
+        cosine, sine = twist(row)
+        if sine == 0.0 and cosine == 1.0:
+            return FrameColumns(self.x, self.y, self.z, p)
+        if cosine == 0.0:
+            return FrameColumns(self.x, sine * self.z, -sine * self.y, p)
+        return FrameColumns(self.x, cosine * self.y + sine * self.z, cosine * self.z - sine * self.y, p)
+
+    def turned(self, row: DHRow, value: Array | float) -> FrameColumns:
+        """Behind Rot_z(θ) Trans_z(d) of a row at joint values, shape (n,)."""
+        x, y, p = self.x, self.y, self.p
+        theta = row.theta_rad + value if row.joint == "revolute" else row.theta_rad
+        d = row.d_m + value if row.joint == "prismatic" else row.d_m
+        if row.joint == "prismatic" or row.d_m != 0.0:
+            p = p + d * self.z
+        if row.joint == "revolute" or row.theta_rad != 0.0:
+            c, s = np.cos(theta), np.sin(theta)
+            x, y = c * x + s * y, c * y - s * x
+        return FrameColumns(x, y, self.z, p)
+
+
+def last_frame(rows: tuple[DHRow, ...], convention: Convention, q: Array) -> FrameColumns:
+    """The frame of the last row for joints of shape (n, n_joints)."""
+    frame = FrameColumns(X, Y, Z, ORIGIN)
+    joints = iter(np.ascontiguousarray(q.T))
+    for row in rows:
+        value = 0.0 if row.joint == "fixed" else next(joints)
+        if convention == "standard":
+            frame = frame.turned(row, value).twisted(row)
+        else:
+            frame = frame.twisted(row).turned(row, value)
+    return frame
+
 
 __all__ = [
     "Convention",
@@ -225,3 +315,122 @@ def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:
     if q.ndim == 0 or q.shape[-1] != count:
         raise KinematicsError(f"expected {count} joint values on the last axis, found shape {q.shape}")
     return q
+
+
+def pose_jacobian(chain: DHChain, q: ArrayLike, row: str | None = None) -> Array:
+    """Derivative of a frame's pose in the base frame by the joints, shape (..., 6, n_joints), at `q` (..., n_joints).
+
+    Rows are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with
+    R' = exp([δθ]) R, both in the base frame, per joint unit. The frame is that of the DH row `row`, or the
+    tool. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a joint behind the
+    frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
+    """
+    return jacobian_of_frames(chain, frame_transforms(chain, q), row)
+
+
+def jacobian_of_frames(chain: DHChain, frames: Array, row: str | None = None) -> Array:
+    """The same from the poses of all row frames, shape (..., n_rows, 4, 4)."""
+    last = len(chain.rows) - 1 if row is None else row_index(chain, row)
+    T_base_frame = frames[..., last, :, :] @ chain.T_last_tool if row is None else frames[..., last, :, :]
+    moving = [index for index, joint in enumerate(chain.rows) if joint.joint != "fixed"]
+    axes = [joint_axis(chain, frames, index) for index in moving]
+    shape = (*frames.shape[:-3], 3)
+    z = np.stack([np.broadcast_to(axis, shape) for axis, _ in axes], -1)
+    arm = T_base_frame[..., :3, 3, None] - np.stack([np.broadcast_to(at, shape) for _, at in axes], -1)
+    revolute = np.array([chain.rows[index].joint == "revolute" for index in moving])
+    before = np.array([index <= last for index in moving])
+    zx, zy, zz = z[..., 0, :], z[..., 1, :], z[..., 2, :]
+    x, y, h = arm[..., 0, :], arm[..., 1, :], arm[..., 2, :]
+    swing = np.stack([zy * h - zz * y, zz * x - zx * h, zx * y - zy * x], -2)
+    return np.concatenate([np.where(revolute, swing, z) * before, z * (revolute & before)], -2)
+
+
+def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:
+    """The axis that the joint of row `index` moves about or along: direction and a point, shapes (..., 3).
+
+    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames. Standard DH moves about the z of
+    the frame before, modified DH about the z of its own frame.
+    """
+    axis_index = index - 1 if chain.convention == "standard" else index
+    if axis_index < 0:
+        return np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    return frames[..., axis_index, :3, 2], frames[..., axis_index, :3, 3]
+
+
+def row_index(chain: DHChain, name: str) -> int:
+    """Place of a row in the table; raises ValueError for a name it lacks."""
+    if name not in chain.row_indices:
+        raise ValueError(f"the chain has no row {name}; it has {', '.join(chain.row_indices)}")
+    return chain.row_indices[name]
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftAxis:
+    """The instrument's shaft on the chain: a point in m and the direction to the tip, (3,), in the row's frame."""
+
+    link: str
+    p_axis_m: Array
+    axis: Array
+
+
+def shaft_of(chain: DHChain) -> ShaftAxis | None:
+    """The shaft of a chain; None for a chain in which nothing slides."""
+    prismatic = [row for row in chain.rows if row.joint == "prismatic"]
+    if not prismatic:
+        return None
+    row = prismatic[-1]
+    if chain.convention == "modified":
+        return ShaftAxis(row.name, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    # The row's frame is Trans_x(a) Rot_x(α) away from the axis.
+    axis = np.array([0.0, np.sin(row.alpha_rad), np.cos(row.alpha_rad)])
+    return ShaftAxis(row.name, np.array([-row.a_m, 0.0, 0.0]), axis)
+
+
+@dataclass(frozen=True, slots=True)
+class WristRows:
+    """Indices of the rows that turn the shaft about itself and bend the wrist; `jaw` is None without one."""
+
+    roll: int
+    pitch: int
+    yaw: int
+    jaw: int | None
+
+
+def wrist_rows(chain: DHChain) -> WristRows | None:
+    """The revolute rows behind the last one that slides: roll, wrist pitch, wrist yaw, and a jaw where it is there.
+
+    That is the wrist of the da Vinci's instruments. None for a chain that slides nowhere, or has fewer behind it.
+    """
+    turns = rows_behind_insertion(chain)
+    if len(turns) < 3:
+        return None
+    roll, pitch, yaw = turns[:3]
+    return WristRows(roll, pitch, yaw, turns[3] if len(turns) > 3 else None)
+
+
+def rows_behind_insertion(chain: DHChain) -> list[int]:
+    """Indices of the revolute rows behind the last one that slides, the shaft's roll first; none if none slides."""
+    slides = [index for index, row in enumerate(chain.rows) if row.joint == "prismatic"]
+    if not slides:
+        return []
+    return [index for index, row in enumerate(chain.rows) if row.joint == "revolute" and index > slides[-1]]
+
+
+def chain_of(robot: Robot) -> DHChain:
+    """Build the chain from base to tool; the profile has been checked when it was read."""
+    rows = tuple(
+        DHRow(
+            joint.name,
+            joint.type,
+            joint.a_m,
+            joint.alpha_rad,
+            joint.d_m,
+            joint.theta_rad,
+            joint.lower,
+            joint.upper,
+            joint.aliases,
+        )
+        for joint in robot.joints
+    )
+    tolerance = (robot.limit_tolerance_rad, robot.limit_tolerance_m)
+    return DHChain(rows, robot.convention, robot.T_last_tool, *tolerance)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.dh import DHChain, frame_transforms
-from svmdist.kinematics.jacobian import jacobian_of_frames
+from svmdist.kinematics.dh import DHChain, frame_transforms, jacobian_of_frames
 from svmdist.transforms import Array
 
 

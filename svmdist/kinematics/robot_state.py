@@ -8,8 +8,14 @@ from functools import cached_property
 import numpy as np
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.dh import DHChain, frame_transforms, select_joints
-from svmdist.kinematics.jacobian import jacobian_of_frames, joint_axis, row_index
+from svmdist.kinematics.dh import (
+    DHChain,
+    frame_transforms,
+    jacobian_of_frames,
+    joint_axis,
+    row_index,
+    select_joints,
+)
 from svmdist.results import Failure
 from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack

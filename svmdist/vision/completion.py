@@ -18,10 +18,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.polygon import polygon_centroid
-from svmdist.robust import huber_weights, median, scale_of
-from svmdist.settings.outline import OutlineSettings
-from svmdist.transforms import Array
+from svmdist.least_squares import huber_weights, median, scale_of
+from svmdist.profile.settings import OutlineSettings
+from svmdist.transforms import Array, polygon_centroid
 
 DEFAULT = OutlineSettings()
 CURVE_POINTS = 360

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from svmdist.robust import huber_weights, median, scale_of
+from svmdist.least_squares import huber_weights, median, scale_of
+from svmdist.profile.settings import DistalMarkerSettings
 from svmdist.samples import Image
-from svmdist.settings.distal_marker import DistalMarkerSettings
 from svmdist.transforms import Array
 
 DEFAULT = DistalMarkerSettings()

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.robust import median, scale_of
+from svmdist.least_squares import median, scale_of
+from svmdist.profile.settings import ShaftSettings, SilhouetteSettings
 from svmdist.samples import Image
-from svmdist.settings.shaft import ShaftSettings
-from svmdist.settings.silhouette import SilhouetteSettings
 from svmdist.transforms import Array
 from svmdist.vision.edge_search import BLOCK, points_near, profiles_across, straightest
 

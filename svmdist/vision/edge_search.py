@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.robust import median
+from svmdist.least_squares import median
+from svmdist.profile.settings import SilhouetteSettings
 from svmdist.samples import Image
-from svmdist.settings.silhouette import SilhouetteSettings
 from svmdist.transforms import Array
 from svmdist.vision.edges import STEP_PX, slope_filter
 

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.profile.settings import ShaftSettings
 from svmdist.samples import Image
-from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
 
 DEFAULT = ShaftSettings()

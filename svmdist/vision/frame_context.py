@@ -10,8 +10,8 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from svmdist.profile.settings import ExposureSettings
 from svmdist.samples import Image
-from svmdist.settings.exposure import ExposureSettings
 from svmdist.vision.segmentation.exposure import Exposure, apply_exposure, exposure_of
 from svmdist.vision.segmentation.segmenter import Masks, Segmenter
 

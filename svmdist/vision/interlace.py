@@ -12,8 +12,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from svmdist.profile.settings import InterlaceSettings
 from svmdist.samples import Image, Observation
-from svmdist.settings.interlace import InterlaceSettings
 
 DEFAULT = InterlaceSettings()
 COLUMNS = 640

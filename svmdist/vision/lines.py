@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.camera import Camera
-from svmdist.robust import huber_weights, scale_of
-from svmdist.settings.shaft import ShaftSettings
+from svmdist.least_squares import huber_weights, scale_of
+from svmdist.profile.settings import ShaftSettings
 from svmdist.transforms import Array
 
 DEFAULT = ShaftSettings()

@@ -9,11 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.polygon import polygon_centroid
 from svmdist.profile import AreaGate
+from svmdist.profile.settings import OutlineSettings
 from svmdist.samples import Image
-from svmdist.settings.outline import OutlineSettings
-from svmdist.transforms import Array
+from svmdist.transforms import Array, polygon_centroid
 from svmdist.vision.completion import complete_outline
 
 DEFAULT = OutlineSettings()

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from svmdist.robust import median, scale_of
+from svmdist.least_squares import median, scale_of
+from svmdist.profile.settings import StereoSettings
 from svmdist.samples import Image
-from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array
 
 DEFAULT = StereoSettings()

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.profile.settings import StereoSettings
 from svmdist.samples import Image
-from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array
 
 SPECKLE_PX2 = 100

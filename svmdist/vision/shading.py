@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from svmdist.profile.settings import ShaftSettings
 from svmdist.samples import Image
-from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
 from svmdist.vision.edges import STEP_PX, profiles_across, slope_filter, slope_sigma_px
 

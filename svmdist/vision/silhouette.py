@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from svmdist.profile.settings import ShaftSettings, SilhouetteSettings
 from svmdist.samples import Image
-from svmdist.settings.shaft import ShaftSettings
-from svmdist.settings.silhouette import SilhouetteSettings
 from svmdist.transforms import Array
 from svmdist.vision.edge_lines import EdgeLine, edge_line
 from svmdist.vision.instruments.seen import SeenInstrument

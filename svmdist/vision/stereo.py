@@ -18,9 +18,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.robust import median, scale_of
+from svmdist.least_squares import median, scale_of
+from svmdist.profile.settings import StereoSettings
 from svmdist.samples import Image
-from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array
 from svmdist.vision.semi_global import match_region
 

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.profile.settings import SilhouetteSettings
 from svmdist.samples import Image
-from svmdist.settings.silhouette import SilhouetteSettings
 from svmdist.transforms import Array
 
 DEFAULT = SilhouetteSettings()

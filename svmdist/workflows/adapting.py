@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from svmdist.recording.encoded import EncodedObservation, Needs
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.observations import EncodedObservation, Needs
 from svmdist.samples import Image, Observation, Rejection
 from svmdist.vision.segmentation.auto import AutoSegmenter
 from svmdist.vision.segmentation.segmenter import Segmenter

@@ -10,7 +10,7 @@ import numpy as np
 from svmdist.errors import RecordingError
 from svmdist.estimation.frame import Frame
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.samples import Image
 from svmdist.transforms import Array

@@ -15,7 +15,7 @@ from svmdist.estimation.planar.calibration import Calibration, CalibrationSample
 from svmdist.estimation.planar.equations import PlaneMapping, Quadratic
 from svmdist.geometry.rays import pixel_rays
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.setup import Setup

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from svmdist.errors import RecordingError
 from svmdist.estimation.detection.lazy import Clock
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.workflows.conditions import CLEAN, LogCondition
 from svmdist.workflows.parallel import Progress
 from svmdist.workflows.runs import Figures, RunNumbers, measure_runs, pooled_figures

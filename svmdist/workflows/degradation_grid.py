@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from svmdist.errors import RecordingError
 from svmdist.estimation.detection.lazy import Clock
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
 from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.parallel import Progress

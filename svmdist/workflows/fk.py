@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import RecordingError
-from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import MANY, DHChain, forward_kinematics, select_joints
+from svmdist.kinematics.dh import MANY, DHChain, chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording
-from svmdist.recording.reading import Window
+from svmdist.recording.log import Recording, Window
 from svmdist.tracks import MAX_GAP_NS, PoseTrack
 from svmdist.transforms import Array, inverse, rotation_angle
 from svmdist.workflows.parallel import Progress, Steps

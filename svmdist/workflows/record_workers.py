@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection, wait
 import cv2
 
 from svmdist.errors import SimulationError, SvmdistError
-from svmdist.recording.messages.encoding import EncodedSample, encode_all
+from svmdist.recording.encode import EncodedSample, encode_all
 from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.plan import Block, Plan
 from svmdist.simulation.sensor import NoiseState

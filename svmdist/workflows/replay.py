@@ -23,9 +23,9 @@ from svmdist.estimation.detection.scene import Scene
 from svmdist.estimation.frame import Frame, Needs, frames_of, prefetch, prefetch_masks
 from svmdist.estimation.methods import Estimator
 from svmdist.profile import AutoSegmentation
-from svmdist.recording.encoded import Decoded, EncodedObservation
-from svmdist.recording.encoded import Needs as ReadNeeds
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.observations import Decoded, EncodedObservation
+from svmdist.recording.observations import Needs as ReadNeeds
 from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection
 from svmdist.vision.undistortion import seen_through

@@ -10,8 +10,8 @@ from itertools import islice
 import numpy as np
 
 from svmdist.profile import Profile
-from svmdist.recording.encoded import Needs
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.observations import Needs
 from svmdist.results import Failure
 from svmdist.samples import Observation, Rejection
 from svmdist.transforms import Array

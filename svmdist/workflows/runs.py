@@ -10,8 +10,8 @@ from itertools import product
 from svmdist.estimation.detection.lazy import Clock
 from svmdist.metrics import coverage
 from svmdist.profile import Profile
-from svmdist.recording.health import Health
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.source import Health
 from svmdist.recording.topics import Role
 from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.parallel import (

@@ -18,7 +18,7 @@ from svmdist.estimation.tissue.pose import require_tissue
 from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.shape import stated_profile
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
-from svmdist.recording.reader import KnownLag, Recording
+from svmdist.recording.log import KnownLag, Recording
 from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
 from svmdist.workflows.own_method import OwnEstimator, OwnMethod, name_of
 

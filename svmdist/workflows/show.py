@@ -10,7 +10,7 @@ from svmdist.estimation.arm import Arm
 from svmdist.estimation.detection.scene import Scene
 from svmdist.estimation.frame import Frame, frames_of
 from svmdist.profile import AutoSegmentation
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.recording.topics import Role
 from svmdist.samples import Rejection
 from svmdist.workflows.adapting import adapted_segmenters
@@ -75,7 +75,7 @@ def shown_frames(
 
 def image_stamps_ns(recording: Recording) -> list[int]:
     """The stamp of every image of a log, in file order; raises UsageError for a log without one."""
-    from svmdist.recording.encoded import LEFT_IMAGES
+    from svmdist.recording.observations import LEFT_IMAGES
 
     stamps = [one.stamp_ns for one in recording.encoded_observations(recording.instruments[:1], LEFT_IMAGES)]
     if not stamps:

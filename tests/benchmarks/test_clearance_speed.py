@@ -15,7 +15,7 @@ from svmdist.estimation.tissue.pose import tissue_frame
 from svmdist.geometry.closest import segment_to_triangle
 from svmdist.geometry.separation import capsule_separation, separation
 from svmdist.geometry.surfaces import Capsules, Cloud, Plane
-from svmdist.kinematics.chain import chain_of
+from svmdist.kinematics.dh import chain_of
 from svmdist.profile import Dome, load_profile
 from svmdist.results import ToolPose
 from svmdist.samples import JointSample

@@ -13,7 +13,7 @@ import pytest
 
 from svmdist.cli.options import EquationsChoice, Method, PlanarMethod
 from svmdist.cli.record import Renderer, ScenarioName
-from svmdist.report.estimates import ESTIMATE_KEYS
+from svmdist.report.rows import ESTIMATE_KEYS
 from tests.cli.conftest import Cli
 from tests.synthetic import write_log
 

@@ -11,8 +11,7 @@ from svmdist.errors import ProfileError
 from svmdist.estimation.detection.tag import find_tag_pose
 from svmdist.estimation.filter.constants import Deviations
 from svmdist.estimation.instrument.tool_from_tag import tool_from_tag
-from svmdist.kinematics.dh import forward_kinematics, frame_transforms
-from svmdist.kinematics.jacobian import row_index
+from svmdist.kinematics.dh import forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import CameraError, KinematicError
 from svmdist.samples import JointSample, Observation, Status

@@ -15,7 +15,7 @@ from svmdist.estimation.detection.scene import Scene
 from svmdist.estimation.frame import Needs
 from svmdist.estimation.methods import METHODS
 from svmdist.kinematics import robot_state
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.vision import frame_context
 from svmdist.workflows.replay import MultiInstrumentEstimator

@@ -12,8 +12,8 @@ from svmdist.estimation.arm import Arm
 from svmdist.estimation.filter.measurements import LinkMeasurement
 from svmdist.estimation.frame import Frame, frame_of
 from svmdist.estimation.measurements import measurements
+from svmdist.kinematics.dh import shaft_of
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.results import ToolPose
 from svmdist.samples import Image, JointSample, Observation, RightView
 from svmdist.transforms import Array, inverse, make_transform

@@ -22,7 +22,7 @@ from svmdist.estimation.planar.centroid import CentroidEstimator
 from svmdist.estimation.planar.overlay import OverlayEstimator
 from svmdist.estimation.shaft import ShaftEstimator
 from svmdist.estimation.stereo import StereoEstimator
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.vision.segmentation.segmenter import make_segmenter
 from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE

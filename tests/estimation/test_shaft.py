@@ -14,8 +14,7 @@ from svmdist.estimation.detection.shaft import ShaftDetection
 from svmdist.estimation.frame import frame_of
 from svmdist.estimation.shaft_pose.fit import ShaftFit, fit_shaft
 from svmdist.estimation.shaft_pose.model import shaft_frames, shaft_model
-from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import forward_kinematics
+from svmdist.kinematics.dh import chain_of, forward_kinematics
 from svmdist.profile import AutoSegmentation, ColourRegion, Profile, load_profile
 from svmdist.results import Failure
 from svmdist.samples import Observation

@@ -15,7 +15,7 @@ from svmdist.estimation.tissue.tracking import TissueTracker
 from svmdist.geometry.separation import separation
 from svmdist.geometry.surfaces import Capsules, Mesh, Plane
 from svmdist.profile import Dome
-from svmdist.settings.stereo import StereoSettings
+from svmdist.profile.settings import StereoSettings
 from svmdist.transforms import Array, transform_points
 
 RULE = Dome(height_m=0.008, gauge_exponent=2.3, height_exponent=0.62, height_std_m=1.5e-4, apex_std_m=2e-3)

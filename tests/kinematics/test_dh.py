@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.chain import chain_of
 from svmdist.kinematics.dh import (
     DHChain,
     DHRow,
+    chain_of,
     forward_kinematics,
     frame_transforms,
     link_transforms,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import forward_kinematics, select_joints
+from svmdist.kinematics.dh import chain_of, forward_kinematics, select_joints
 from svmdist.profile import load_profile
 
 

@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from svmdist.kinematics import dh
-from svmdist.kinematics.dh import Convention, DHChain, DHRow, forward_kinematics, frame_transforms
-from svmdist.kinematics.dh_row import twist
-from svmdist.kinematics.frame_columns import CHUNK
+from svmdist.kinematics.dh import (
+    CHUNK,
+    Convention,
+    DHChain,
+    DHRow,
+    forward_kinematics,
+    frame_transforms,
+    twist,
+)
 from svmdist.transforms import make_transform, rotation_x
 from tests.shipped import CHAIN
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics
+from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, pose_jacobian
 from svmdist.kinematics.inverse import solve_position
-from svmdist.kinematics.jacobian import pose_jacobian
 from tests.shipped import CHAIN, POSTURE
 
 FREE = ("yaw", "pitch", "insertion")

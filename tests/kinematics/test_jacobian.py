@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.kinematics.dh import Convention, DHChain, DHRow, forward_kinematics, frame_transforms
-from svmdist.kinematics.jacobian import pose_jacobian, row_index
+from svmdist.kinematics.dh import (
+    Convention,
+    DHChain,
+    DHRow,
+    forward_kinematics,
+    frame_transforms,
+    pose_jacobian,
+    row_index,
+)
 from svmdist.transforms import Array, rotation_x
 
 STEP = 1e-6

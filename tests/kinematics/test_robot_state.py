@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, frame_transforms
-from svmdist.kinematics.jacobian import joint_axis, pose_jacobian, row_index
+from svmdist.kinematics.dh import (
+    DHChain,
+    DHRow,
+    forward_kinematics,
+    frame_transforms,
+    joint_axis,
+    pose_jacobian,
+    row_index,
+)
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure
 from svmdist.samples import JointSample

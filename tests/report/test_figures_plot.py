@@ -15,8 +15,7 @@ from matplotlib.axes import Axes
 
 from svmdist.cli.plots import PLOTS, PlotKind, require_plot
 from svmdist.errors import OutputError, UsageError
-from svmdist.report.figures_plot import draw_blur, draw_compare
-from svmdist.report.plot_style import PAGE_IN
+from svmdist.report.plots import PAGE_IN, draw_blur, draw_compare
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import ALL, Group, MethodScore
 from svmdist.workflows.conditions import CLEAN, Condition

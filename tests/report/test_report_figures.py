@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.report.figures import GROUP_TITLES, figure_cells, figure_columns, figure_keys
+from svmdist.report.scores import GROUP_TITLES, figure_cells, figure_columns, figure_keys
 from svmdist.workflows.runs import Figures
 from svmdist.workflows.scoring.distances import Pairs, score_pairs
 

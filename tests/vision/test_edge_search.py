@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.settings.silhouette import SilhouetteSettings
+from svmdist.profile.settings import SilhouetteSettings
 from svmdist.vision.edge_search import points_near, profiles_across, straightest
 
 SETTINGS = SilhouetteSettings()

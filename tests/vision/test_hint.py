@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.settings.auto import AutoSettings
+from svmdist.profile.settings import AutoSettings
 from svmdist.vision.instruments.working import WorkingImage
 from svmdist.vision.segmentation.auto import AutoSegmenter
 from svmdist.vision.segmentation.hint import MOST_RATIO, network_hint

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.settings.stereo import StereoSettings
+from svmdist.profile.settings import StereoSettings
 from svmdist.vision.semi_global import match_region
 
 SETTINGS = StereoSettings()

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.settings.stereo import StereoSettings
+from svmdist.profile.settings import StereoSettings
 from svmdist.vision.stereo import fit_surface
 
 HEIGHT, WIDTH = 240, 320

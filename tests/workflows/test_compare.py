@@ -12,10 +12,10 @@ import pytest
 
 from svmdist.metrics import interval_coverage
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
-from svmdist.report.comparison import compare_keys, compare_row, compare_tables
-from svmdist.report.table import render
+from svmdist.report.scores import compare_keys, compare_row, compare_tables
+from svmdist.report.tables import render
 from svmdist.samples import ImageSample
 from svmdist.simulation.extras import Extras
 from svmdist.vision.degradations import Degradation

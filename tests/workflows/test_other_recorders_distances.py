@@ -11,7 +11,7 @@ from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.estimation.planar.calibration import save_calibration
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.results import FrameResult
 from svmdist.samples import Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, rotation_z

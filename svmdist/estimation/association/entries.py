@@ -15,7 +15,7 @@ import numpy as np
 
 from svmdist.estimation.association.tracker import assignments
 from svmdist.profile import EntrySide
-from svmdist.settings.association import AssociationSettings
+from svmdist.profile.settings import AssociationSettings
 from svmdist.transforms import Array
 from svmdist.vision.instruments.seen import SeenInstrument
 

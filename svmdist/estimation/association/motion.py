@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.settings.association import AssociationSettings
+from svmdist.profile.settings import AssociationSettings
 from svmdist.transforms import Array
 
 DEFAULT = AssociationSettings()

@@ -14,8 +14,8 @@ from svmdist.estimation.filter.nominal import nominal_tool
 from svmdist.estimation.instrument.model import NECK_PER_RADIUS, WRIST_LENGTH_PER_RADIUS
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Instrument
+from svmdist.profile.settings import AssociationSettings
 from svmdist.results import Failure, ToolPose
-from svmdist.settings.association import AssociationSettings
 from svmdist.transforms import Array
 
 DEFAULT = AssociationSettings()

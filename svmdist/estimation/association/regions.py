@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from svmdist.estimation.association.tracker import Blob
 from svmdist.profile import AreaGate
+from svmdist.profile.settings import AssociationSettings
 from svmdist.samples import Image
-from svmdist.settings.association import AssociationSettings
 from svmdist.transforms import Array
 from svmdist.vision.field_of_view import field_of_view
 

@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from svmdist.estimation.association.motion import Gaussian, NominalMotion, NominalPlace, SteadyMotion
-from svmdist.settings.association import AssociationSettings
+from svmdist.profile.settings import AssociationSettings
 from svmdist.transforms import Array
 
 DEFAULT = AssociationSettings()

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.profile.settings import DistalMarkerSettings
 from svmdist.samples import Image
-from svmdist.settings.distal_marker import DistalMarkerSettings
 from svmdist.transforms import Array
 from svmdist.vision.disc import Disc, fit_disc
 from svmdist.vision.regions import Region

@@ -8,9 +8,9 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation.detection.distal_marker import DistalMarker
-from svmdist.robust import median, scale_of
+from svmdist.least_squares import median, scale_of
+from svmdist.profile.settings import ShaftSettings
 from svmdist.samples import Image
-from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
 from svmdist.vision.cylinder import TangentPlane, tangent_plane
 from svmdist.vision.edge_lines import EdgeLine

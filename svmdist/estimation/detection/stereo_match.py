@@ -11,8 +11,8 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation.detection.distal_marker import DistalMarker
+from svmdist.profile.settings import StereoSettings
 from svmdist.results import Failure
-from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array
 from svmdist.vision.rectified import RectifiedPair
 from svmdist.vision.sphere import apparent_radius_px

@@ -7,8 +7,8 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.geometry.rays import pixel_rays
+from svmdist.profile.settings import TagSettings
 from svmdist.samples import Image
-from svmdist.settings.tag import TagSettings
 from svmdist.transforms import Array, make_transform, rotation_angle
 from svmdist.vision.tag.detection import pose_candidates
 from svmdist.vision.tag.overlay import LaidPattern, TagPixels

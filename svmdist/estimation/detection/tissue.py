@@ -10,8 +10,8 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation.tissue.pose import TissuePose, require_tissue, tissue_pose
 from svmdist.profile import AreaGate, Profile
+from svmdist.profile.settings import OutlineSettings
 from svmdist.samples import Image
-from svmdist.settings.outline import OutlineSettings
 from svmdist.vision.completion import CompletedOutline, complete_outline
 from svmdist.vision.regions import Region, find_region
 from svmdist.vision.segmentation.segmenter import Masks

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from svmdist.estimation.gate import GatingResult
-from svmdist.settings.filter import FilterSettings
+from svmdist.profile.settings import FilterSettings
 
 CODED = "tag"
 """The source that nothing else can be taken for."""

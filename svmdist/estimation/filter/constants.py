@@ -14,7 +14,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.profile import CameraError, Profile
-from svmdist.stated_deviations import BASELINE, FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS, TAG_SIZE
+from svmdist.profile.hand_eye import BASELINE, FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS, TAG_SIZE
 from svmdist.transforms import Array, cross, skew
 
 FOR_EVER_S = np.inf

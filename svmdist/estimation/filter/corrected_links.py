@@ -9,8 +9,7 @@ import numpy as np
 
 from svmdist.estimation.filter.correction import Correction
 from svmdist.estimation.filter.moving_joints import MovingJoints
-from svmdist.kinematics.dh import link_transforms, running_product
-from svmdist.kinematics.jacobian import row_index
+from svmdist.kinematics.dh import link_transforms, row_index, running_product
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.transforms import Array, skew
 

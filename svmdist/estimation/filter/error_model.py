@@ -13,7 +13,7 @@ from svmdist.estimation.filter.moving_joints import MovingJoints
 from svmdist.kinematics.dh import DHChain
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
-from svmdist.profile_hand_eye import HandEyeError
+from svmdist.profile.hand_eye import HandEyeError
 from svmdist.transforms import Array, skew
 
 

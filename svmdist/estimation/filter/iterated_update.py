@@ -14,7 +14,7 @@ from svmdist.estimation.filter.linearisation import Linearised, block_diagonal
 from svmdist.estimation.filter.measurement import LinkMeasurement
 from svmdist.estimation.filter.state import ErrorState
 from svmdist.estimation.gate import chi_square_bound
-from svmdist.settings.filter import FilterSettings
+from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array
 
 SETTLED, NEARLY_SETTLED = 1e-3, 0.1

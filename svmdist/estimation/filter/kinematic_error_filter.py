@@ -23,12 +23,11 @@ from svmdist.estimation.filter.measurement import LinkMeasurement
 from svmdist.estimation.filter.state import ErrorState
 from svmdist.estimation.filter.window import MeasurementsAt, Window
 from svmdist.estimation.gate import GatingResult, chi_square_bound
-from svmdist.kinematics.dh import DHChain
+from svmdist.kinematics.dh import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import KinematicError
+from svmdist.profile.settings import FilterSettings
 from svmdist.results import ToolPose, across_std_rad
-from svmdist.settings.filter import FilterSettings
 from svmdist.transforms import Array
 
 DEFAULT = FilterSettings()

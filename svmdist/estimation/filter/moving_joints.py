@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.kinematics.dh import DHChain
-from svmdist.stated_deviations import TIME_OFFSET, length_of, offset_of
+from svmdist.profile.hand_eye import TIME_OFFSET, length_of, offset_of
 from svmdist.transforms import Array
 
 

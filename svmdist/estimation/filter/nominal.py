@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from svmdist.estimation.filter.error_model import ErrorModel
-from svmdist.kinematics.dh import DHChain
+from svmdist.kinematics.dh import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import KinematicError
 from svmdist.results import ToolPose
 

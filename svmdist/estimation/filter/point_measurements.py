@@ -11,7 +11,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation.filter.constants import AHEAD_M, EXACT, MIN_DEPTH_M, Deviations, SharedBias
 from svmdist.estimation.filter.measurement import ConstantBias, PoseResidual
-from svmdist.settings.filter import FilterSettings
+from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array, skew
 from svmdist.vision.sphere import apparent_radius_px
 

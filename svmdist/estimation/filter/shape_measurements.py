@@ -10,7 +10,7 @@ import numpy as np
 
 from svmdist.estimation.filter.constants import EXACT, Deviations, SharedBias, edge_by_radius
 from svmdist.estimation.filter.measurement import ConstantBias, PoseResidual
-from svmdist.settings.filter import FilterSettings
+from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array, cross, inverse_right_jacobian, rotation_vector, skew
 
 EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s

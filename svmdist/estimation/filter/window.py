@@ -18,7 +18,7 @@ from svmdist.estimation.filter.stacks import MeasurementStack, stack
 from svmdist.estimation.gate import chi_square_bound
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.least_squares import Minimum, NormalEquations, Steps, minimise
-from svmdist.settings.filter import FilterSettings
+from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array, skew
 
 FIRST_DAMPING = 1e-4

@@ -8,9 +8,7 @@ import numpy as np
 
 from svmdist.estimation.instrument.wrist import Jaw, Wrist, WristKinematics, jaws_of, joints_of
 from svmdist.geometry.surfaces import Capsules, join
-from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import DHChain, frame_transforms
-from svmdist.kinematics.jacobian import row_index
+from svmdist.kinematics.dh import DHChain, chain_of, frame_transforms, row_index
 from svmdist.profile import Fiducial, Instrument, Profile
 from svmdist.results import ToolPose
 from svmdist.samples import JointSample

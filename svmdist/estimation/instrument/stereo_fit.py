@@ -41,9 +41,8 @@ from svmdist.estimation.shaft_pose.solution import (
 )
 from svmdist.estimation.shaft_pose.start import first_shaft
 from svmdist.least_squares import Steps, minimise
+from svmdist.profile.settings import ShaftSettings, StereoSettings
 from svmdist.results import Failure, ToolPose, across_std_rad
-from svmdist.settings.shaft import ShaftSettings
-from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array, inverse, make_transform
 
 STEPS = Steps(max_steps=20, settled=1e-5, damping=1e-6)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.robust import median
-from svmdist.settings.stereo import StereoSettings
+from svmdist.least_squares import median
+from svmdist.profile.settings import StereoSettings
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import numpy as np
 
 from svmdist.estimation.filter.constants import EXACT, Deviations
 from svmdist.estimation.instrument.wrist import wrist_in_tool
-from svmdist.kinematics.jacobian import row_index
+from svmdist.kinematics.dh import row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Fiducial, KinematicError
 from svmdist.results import ToolPose

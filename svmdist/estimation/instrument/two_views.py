@@ -27,8 +27,8 @@ from svmdist.estimation.shaft_pose.residuals import (
     marker_residuals,
     rim_residual,
 )
-from svmdist.settings.shaft import ShaftSettings
-from svmdist.stated_deviations import BASELINE
+from svmdist.profile.hand_eye import BASELINE
+from svmdist.profile.settings import ShaftSettings
 from svmdist.transforms import Array, skew
 from svmdist.vision.rectified import RectifiedPair
 

@@ -12,9 +12,7 @@ import numpy as np
 
 from svmdist.errors import KinematicsError
 from svmdist.geometry.closest import cross
-from svmdist.kinematics.dh import DHChain, frame_transforms, select_joints
-from svmdist.kinematics.jacobian import joint_axis
-from svmdist.kinematics.wrist import WristRows, wrist_rows
+from svmdist.kinematics.dh import DHChain, WristRows, frame_transforms, joint_axis, select_joints, wrist_rows
 from svmdist.samples import JointSample
 from svmdist.transforms import Array
 

@@ -13,8 +13,8 @@ from pydantic import Field
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError
 from svmdist.estimation.planar.equations import PlaneMapping, Quadratic, screen_cm_corrected
-from svmdist.output_file import write_atomically
-from svmdist.toml_model import MIN_NUMBER, StrictModel, parse_toml
+from svmdist.files import write_atomically
+from svmdist.profile.toml import MIN_NUMBER, StrictModel, parse_toml
 from svmdist.transforms import Array
 
 MIN_SAMPLE_COUNT = 12

@@ -9,8 +9,8 @@ import numpy as np
 
 from svmdist.profile import Features as FeatureRules
 from svmdist.profile import Marker
+from svmdist.profile.settings import MarkerSettings
 from svmdist.samples import Image, Status
-from svmdist.settings.marker import MarkerSettings
 from svmdist.transforms import Array
 from svmdist.vision.frame_context import to_grey, to_hsv
 from svmdist.vision.marker.features import EDGE_MARGIN_PX, Features, detect_orb, match_features

@@ -30,8 +30,8 @@ from svmdist.estimation.shaft_pose.residuals import (
 from svmdist.estimation.shaft_pose.solution import normal_equations, normalised_square, retracted
 from svmdist.estimation.shaft_pose.start import first_shaft
 from svmdist.least_squares import Steps, minimise
+from svmdist.profile.settings import ShaftSettings
 from svmdist.results import Failure, ToolPose, across_std_rad
-from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
 from svmdist.vision.sphere import apparent_radius_px
 

@@ -8,13 +8,11 @@ import numpy as np
 
 from svmdist.errors import ProfileError
 from svmdist.estimation.instrument.model import NECK_PER_RADIUS
-from svmdist.kinematics.dh import DHChain, frame_transforms
-from svmdist.kinematics.jacobian import joint_axis
+from svmdist.kinematics.dh import DHChain, frame_transforms, joint_axis, rows_behind_insertion
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.kinematics.wrist import rows_behind_insertion
 from svmdist.profile import Instrument, KinematicError
+from svmdist.profile.settings import ShaftSettings
 from svmdist.results import Failure
-from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array, inverse, make_transform
 from svmdist.vision.wrist_outline import WristShape
 

@@ -15,7 +15,7 @@ from svmdist.estimation.detection.distal_marker import DistalMarker
 from svmdist.estimation.detection.shaft import Contour, Rim, ShaftDetection
 from svmdist.estimation.filter.constants import EXACT, Deviations, SharedBias, edge_by_radius
 from svmdist.estimation.shaft_pose.model import ShaftModel
-from svmdist.settings.shaft import ShaftSettings
+from svmdist.profile.settings import ShaftSettings
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, skew
 from svmdist.vision.cylinder import tangent_normal_with_derivatives
 from svmdist.vision.sphere import apparent_radius_px

@@ -6,8 +6,8 @@ import numpy as np
 
 from svmdist.estimation.detection.stereo_surface import StereoSurface
 from svmdist.estimation.tissue.dome import SHAPE_SIZE, DomeModel
-from svmdist.robust import median, scale_of
-from svmdist.settings.stereo import StereoSettings
+from svmdist.least_squares import median, scale_of
+from svmdist.profile.settings import StereoSettings
 from svmdist.vision.stereo import DEGREE
 
 DEFAULT = StereoSettings()

@@ -17,11 +17,10 @@ from svmdist.estimation.filter.linearisation import Linearised
 from svmdist.estimation.tissue.dome import DomeModel
 from svmdist.estimation.tissue.pose import ray_on_plane_biases
 from svmdist.geometry.surfaces import Plane
+from svmdist.least_squares import median
 from svmdist.profile import Tissue
-from svmdist.robust import median
+from svmdist.profile.settings import StereoSettings, TissueTrackingSettings
 from svmdist.samples import RightView
-from svmdist.settings.stereo import StereoSettings
-from svmdist.settings.tissue import TissueTrackingSettings
 from svmdist.transforms import Array, inverse
 
 MIN_POINTS = 50

@@ -18,7 +18,7 @@ from svmdist.geometry.mesh_files import read_closed_mesh
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Mesh, Plane, Surface
 from svmdist.profile import CameraError, Profile, Tissue
-from svmdist.stated_deviations import FOCAL_LENGTH, PRINCIPAL_POINT
+from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.completion import CompletedOutline
 

@@ -9,7 +9,7 @@ import numpy as np
 from svmdist.estimation.gate import chi_square_bound
 from svmdist.estimation.tissue.dome import SHAPE_SIZE, DomeModel
 from svmdist.estimation.tissue.pose import TissuePose
-from svmdist.settings.tissue import TissueTrackingSettings
+from svmdist.profile.settings import TissueTrackingSettings
 from svmdist.transforms import Array
 
 DEFAULT = TissueTrackingSettings()

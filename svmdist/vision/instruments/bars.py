@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.settings.auto import AutoSettings
 from svmdist.transforms import Array
 from svmdist.vision.instruments.working import SQUARE_5, WorkingImage
 

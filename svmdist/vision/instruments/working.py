@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.settings.auto import AutoSettings
 from svmdist.vision.field_of_view import field_of_view
 
 Floats = NDArray[np.float32]

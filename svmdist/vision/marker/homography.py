@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.least_squares import NormalEquations, Steps, minimise
-from svmdist.settings.marker import MarkerSettings
+from svmdist.profile.settings import MarkerSettings
 from svmdist.transforms import Array
 from svmdist.vision.marker.features import Matches
 

@@ -8,8 +8,8 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.settings.auto import AutoSettings
 from svmdist.vision.instruments.appearance import Appearance
 from svmdist.vision.instruments.find import find_instruments, learnt_appearance, search_bars
 from svmdist.vision.instruments.seen import SeenInstrument, seen_instrument

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from svmdist.profile.settings import ExposureSettings
 from svmdist.samples import Image
-from svmdist.settings.exposure import ExposureSettings
 from svmdist.vision.field_of_view import field_of_view
 
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from svmdist.profile import AutoSegmentation, HsvSegmentation, Segmentation
+from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.settings.auto import AutoSettings
 from svmdist.vision.instruments.seen import SeenInstrument
 from svmdist.vision.segmentation.auto import AutoSegmenter
 from svmdist.vision.segmentation.colour import HsvSegmenter

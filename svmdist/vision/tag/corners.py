@@ -10,9 +10,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from svmdist.robust import huber_weights
+from svmdist.least_squares import huber_weights
+from svmdist.profile.settings import TagSettings
 from svmdist.samples import Image
-from svmdist.settings.tag import TagSettings
 from svmdist.transforms import Array
 
 DEFAULT = TagSettings()

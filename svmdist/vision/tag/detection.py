@@ -9,8 +9,8 @@ from threading import get_ident
 import cv2
 import numpy as np
 
+from svmdist.profile.settings import TagSettings
 from svmdist.samples import Image
-from svmdist.settings.tag import TagSettings
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.tag.corners import refine_corners
 

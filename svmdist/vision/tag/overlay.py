@@ -9,9 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.least_squares import NormalEquations
-from svmdist.robust import huber_weights, scale_of
-from svmdist.settings.tag import TagSettings
+from svmdist.least_squares import NormalEquations, huber_weights, scale_of
+from svmdist.profile.settings import TagSettings
 from svmdist.transforms import Array
 from svmdist.vision.tag.pattern import TagPattern
 

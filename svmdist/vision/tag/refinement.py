@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from svmdist.least_squares import Steps, minimise
-from svmdist.settings.tag import TagSettings
+from svmdist.profile.settings import TagSettings
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.tag.overlay import GREY, LaidPattern, Loss, Overlay, TagPixels, lay_pattern, start_overlay
 from svmdist.vision.tag.pattern import TagPattern

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from svmdist.errors import SvmdistError, UsageError
-from svmdist.output_file import atomic_file
+from svmdist.files import atomic_file
 from svmdist.workflows.batch.identity import code_version
 from svmdist.workflows.batch.pool import ATTEMPTS, Task
 from svmdist.workflows.batch.task import LogFile, LogJob, Stored, failed, measure_log

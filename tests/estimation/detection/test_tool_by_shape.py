@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svmdist.profile import AutoSegmentation
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample
 from svmdist.vision.segmentation.auto import AutoSegmenter
 from svmdist.vision.segmentation.segmenter import InstrumentMasks

@@ -7,7 +7,7 @@ import pytest
 
 from svmdist.estimation.filter.consistency import Consistency
 from svmdist.estimation.gate import GatingResult
-from svmdist.settings.filter import FilterSettings
+from svmdist.profile.settings import FilterSettings
 
 SETTINGS = FilterSettings()
 STEP_NS = 100_000_000

@@ -9,8 +9,7 @@ import pytest
 
 from svmdist.estimation.filter.correction import Correction
 from svmdist.estimation.filter.error_model import ErrorModel
-from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, frame_transforms
-from svmdist.kinematics.jacobian import row_index
+from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
 from svmdist.tracks import JointTrack

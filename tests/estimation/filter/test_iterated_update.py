@@ -10,7 +10,7 @@ from svmdist.estimation.filter.iterated_update import most_probable
 from svmdist.estimation.filter.measurements import LinkMeasurement, PointsMeasurement, SizeMeasurement
 from svmdist.estimation.filter.state import ErrorState
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.settings.filter import FilterSettings
+from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array, inverse, make_transform, rotation_of
 from tests.shipped import CHAIN, POSTURE, PROFILE
 

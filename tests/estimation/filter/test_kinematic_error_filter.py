@@ -13,11 +13,9 @@ from scipy.interpolate import CubicSpline
 from svmdist.camera import Camera
 from svmdist.estimation.filter.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.filter.measurements import ContourMeasurement, LinkMeasurement, PointsMeasurement
-from svmdist.kinematics.dh import forward_kinematics, frame_transforms
+from svmdist.kinematics.dh import forward_kinematics, frame_transforms, row_index, shaft_of
 from svmdist.kinematics.inverse import solve_position
-from svmdist.kinematics.jacobian import row_index
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import KinematicError
 from svmdist.simulation.nominal import draw_nominal_kinematics
 from svmdist.tracks import JointTrack

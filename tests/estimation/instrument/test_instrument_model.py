@@ -9,9 +9,7 @@ from svmdist.errors import KinematicsError
 from svmdist.estimation.instrument.model import InstrumentModel, Rods
 from svmdist.estimation.instrument.wrist import wrist_in_tool
 from svmdist.geometry.surfaces import Capsules
-from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import DHChain, forward_kinematics
-from svmdist.kinematics.wrist import wrist_rows
+from svmdist.kinematics.dh import DHChain, chain_of, forward_kinematics, wrist_rows
 from svmdist.profile import load_profile
 from svmdist.results import ToolPose
 from svmdist.samples import JointSample

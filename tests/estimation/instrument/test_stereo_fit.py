@@ -19,9 +19,8 @@ from svmdist.estimation.instrument.two_views import DISPARITY, TwoViews, measure
 from svmdist.estimation.shaft_pose.model import ShaftModel
 from svmdist.estimation.shaft_pose.residuals import Landmarks, ShaftState
 from svmdist.profile import CameraError
+from svmdist.profile.settings import ShaftSettings, StereoSettings
 from svmdist.results import Failure, ToolPose
-from svmdist.settings.shaft import ShaftSettings
-from svmdist.settings.stereo import StereoSettings
 from svmdist.transforms import Array, inverse, make_transform, rotation_of
 from svmdist.vision.cylinder import TangentPlane, tangent_normal
 from svmdist.vision.disc import Disc

@@ -22,7 +22,7 @@ from svmdist.estimation.shaft_pose.residuals import (
     rim_residual,
     tip_residual,
 )
-from svmdist.settings.shaft import ShaftSettings
+from svmdist.profile.settings import ShaftSettings
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector
 from svmdist.vision.cylinder import TangentPlane, tangent_normal
 from svmdist.vision.wrist_outline import WristPoint

@@ -13,7 +13,7 @@ from svmdist.estimation.frame import Frame, frame_of
 from svmdist.estimation.tissue.following import FollowedTissue
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.vision.segmentation.segmenter import make_segmenter
 

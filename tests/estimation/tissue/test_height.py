@@ -16,8 +16,8 @@ from svmdist.estimation.tissue.pose import tissue_frame
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Plane
 from svmdist.profile import CameraError, Dome, Tissue
+from svmdist.profile.settings import Settings
 from svmdist.samples import RightView
-from svmdist.settings import Settings
 from svmdist.transforms import Array, make_transform, rotation_of, transform_points
 from svmdist.vision.rectified import rectified_pair
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.settings.auto import AutoSettings
 from svmdist.vision.instruments.find import find_instruments, learnt_appearance, search_bars
 from svmdist.vision.instruments.seen import outline_geometry
 from svmdist.vision.instruments.working import WorkingImage, picture_of

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.settings.auto import AutoSettings
+from svmdist.profile.settings import AutoSettings
 from svmdist.vision.instruments.appearance import MOST_RATIO, Example, learnt_from
 from svmdist.vision.instruments.bars import bars_in, best_bar
 from svmdist.vision.instruments.belonging import belonging, with_missed_parts

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.settings.tag import TagSettings
+from svmdist.profile.settings import TagSettings
 from svmdist.transforms import Array
 from svmdist.vision.tag.corners import refine_corners
 from svmdist.vision.tag.detection import DICTIONARIES, find_every_tag, find_tags, tag_plate

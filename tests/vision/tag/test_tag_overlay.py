@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.settings.tag import TagSettings
+from svmdist.profile.settings import TagSettings
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.tag.overlay import GREY, LaidPattern, Loss, Overlay, TagPixels, lay_pattern, start_overlay
 from svmdist.vision.tag.pattern import TagPattern
