@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import cv2
 
 from svmdist.errors import SvmdistError
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
