@@ -151,7 +151,7 @@ def _table_one(
     recordings: list[Recording], setup: Setup, kernels_px: Mapping[Blur, int], jobs: int | None
 ) -> Summary:
     from svmdist.workflows.blur_bench import blur_tallies
-    from svmdist.workflows.progress import Steps, image_total
+    from svmdist.workflows.parallel import Steps, image_total
 
     with progress_bar("Table I", "images") as advance:
         steps = Steps(advance, image_total(recordings))

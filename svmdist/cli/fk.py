@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from svmdist.report.tables import Row
     from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
     from svmdist.workflows.fk import PoseErrors
-    from svmdist.workflows.progress import Progress
+    from svmdist.workflows.parallel import Progress
 
 
 class PoseFormat(StrEnum):

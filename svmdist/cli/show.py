@@ -162,7 +162,7 @@ def _masks(recording: Recording, setup: Setup, numbers: set[int]) -> Iterator[Pi
 def _phases(recording: Recording, setup: Setup, numbers: set[int], jobs: int | None) -> Iterator[Picture]:
     from svmdist.report.panels import phases_picture
     from svmdist.workflows.annotate import drawn_frames
-    from svmdist.workflows.progress import Steps
+    from svmdist.workflows.parallel import Steps
 
     with progress_bar(f"drawing {recording.name}", "images") as advance:
         steps = Steps(advance, max(numbers) + 1)

@@ -31,7 +31,7 @@ from svmdist.report.tables import printable
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.workflows.annotate import drawn_frames
-from svmdist.workflows.progress import Progress, Steps
+from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.scoring.truth import TruthRules
 from svmdist.workflows.series import Series, WorstFrame, make_series, worst_frames
 from svmdist.workflows.setup import Setup

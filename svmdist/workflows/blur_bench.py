@@ -19,7 +19,7 @@ from svmdist.vision.frame_context import to_grey
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
 from svmdist.vision.regions import find_region
 from svmdist.workflows.conditions import BlurCondition
-from svmdist.workflows.progress import Progress, Steps, image_total
+from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.truth import Reference, distance_truth
 from svmdist.workflows.setup import Setup

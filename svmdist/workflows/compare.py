@@ -9,7 +9,7 @@ from svmdist.errors import RecordingError
 from svmdist.estimation.scene import Clock
 from svmdist.recording.log import Recording
 from svmdist.workflows.conditions import CLEAN, LogCondition
-from svmdist.workflows.progress import Progress
+from svmdist.workflows.parallel import Progress
 from svmdist.workflows.runs import Figures, RunNumbers, measure_runs, pooled_figures
 from svmdist.workflows.setup import Setup
 

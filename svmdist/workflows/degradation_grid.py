@@ -10,7 +10,7 @@ from svmdist.estimation.scene import Clock
 from svmdist.recording.log import Recording
 from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
 from svmdist.workflows.conditions import CLEAN, Condition
-from svmdist.workflows.progress import Progress
+from svmdist.workflows.parallel import Progress
 from svmdist.workflows.runs import Figures, RunNumbers, measure_runs, pooled_figures
 from svmdist.workflows.setup import Setup
 

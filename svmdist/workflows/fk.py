@@ -15,7 +15,7 @@ from svmdist.profile import Profile
 from svmdist.recording.log import Recording, Window
 from svmdist.tracks import MAX_GAP_NS, PoseTrack
 from svmdist.transforms import Array, inverse, rotation_angle
-from svmdist.workflows.progress import Progress, Steps
+from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.stamped_rows import BLOCK, StampedRows
 
 

@@ -28,8 +28,8 @@ from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection
 from svmdist.vision.frame_context import seen_through
 from svmdist.workflows.adapting import adapted_segmenters
-from svmdist.workflows.ahead import in_order, keep_freed_memory, one_opencv_thread, usable_cores
 from svmdist.workflows.conditions import CLEAN, ReplayCondition
+from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
 from svmdist.workflows.row_alignment import row_offset_to_remove_px
 from svmdist.workflows.setup import Setup
 
@@ -182,7 +182,6 @@ class _Replay:
         robot, right = self._needs.robot or several, self._needs.right_view
         logged = ReadNeeds(joints=robot, transforms=robot, right=right)
         numbered = enumerate(self._recording.encoded_observations(self._recording.instruments, logged))
-        keep_freed_memory()
         with one_opencv_thread():
             for prepared in in_order(self._prepare, numbered, jobs):
                 yield tuple(self._measure(prepared))

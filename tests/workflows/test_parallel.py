@@ -1,20 +1,32 @@
-"""Work that runs ahead: the items' order for any number of threads, few items at a time, and a clean end."""
+"""Threads and processes: results do not depend on their number, few items are held, and none is left behind."""
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
+from svmdist.recording.reading import Reading, Window
 
-from svmdist.workflows.ahead import (
+from svmdist.errors import RecordingError
+from svmdist.profile import load_profile
+from svmdist.recording.log import open_recording
+from svmdist.workflows.parallel import (
     LOOK_AHEAD,
+    Steps,
+    WorkerDiedError,
+    each_in_processes,
+    image_total,
     in_order,
-    keep_freed_memory,
     one_opencv_thread,
+    process_pool,
+    step,
     usable_cores,
 )
 
@@ -133,8 +145,66 @@ def test_there_is_a_core() -> None:
     assert usable_cores() >= 1
 
 
-def test_freed_memory_is_kept_where_the_c_library_lets_it() -> None:
-    """Nothing but time depends on it: asking twice, or where the C library knows no such thing, does no harm."""
-    keep_freed_memory()
-    keep_freed_memory()
-    assert np.ones((480, 640, 3)).sum() == 480 * 640 * 3
+def steps(part: int) -> tuple[int, int]:
+    """So many steps; the longest part comes first."""
+    for _ in range(part):
+        step()
+    time.sleep(0.01 * part)
+    return part, os.getpid()
+
+
+def one_fails(part: int) -> None:
+    if part == 0:
+        raise RecordingError("broken")
+    time.sleep(60)
+
+
+def one_is_killed(part: int) -> int:
+    if part == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return part
+
+
+def test_processes_give_every_part_once() -> None:
+    """From other processes, no more of them than asked for; every step is counted once."""
+    counted: list[int] = []
+    parts = [8, 2, 0, 5, 1]
+    results = dict(each_in_processes(steps, parts, 2, on_step=lambda: counted.append(1)))
+    assert [results[place][0] for place in range(len(parts))] == parts
+    assert len(counted) == sum(parts)
+    assert 1 <= len({process for _, process in results.values()} - {os.getpid()}) <= 2
+    with process_pool(2) as pool:
+        assert [part for part, _ in in_order(steps, parts, 2, pool)] == parts
+
+
+def test_an_error_ends_all_processes_at_once() -> None:
+    start_s = time.monotonic()
+    with pytest.raises(RecordingError, match="broken"):
+        list(each_in_processes(one_fails, [1, 0], 2))
+    assert time.monotonic() - start_s < 30
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system kills otherwise")
+def test_a_killed_process_takes_only_its_own_item() -> None:
+    assert dict(each_in_processes(one_is_killed, [1, 0, 2, 3], 2, attempts=2, died=-1)) == dict(
+        enumerate([1, -1, 2, 3])
+    )
+    with pytest.raises(WorkerDiedError, match=r"was killed.*--jobs"), process_pool(2) as pool:
+        list(in_order(one_is_killed, [1, 0, 2, 3], 2, pool))
+    assert not multiprocessing.active_children()
+
+
+def test_steps_go_on_from_one_pass_to_the_next(golden: Path) -> None:
+    """The total is known where it is known of every log."""
+    reported: list[tuple[int, int | None]] = []
+    counter = Steps(lambda done, total: reported.append((done, total)), 4)
+    assert list(counter.of("ab")) == ["a", "b"]
+    counter.advance()
+    assert list(counter.of("c")) == ["c"]
+    assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    recording = open_recording(golden / "sweep.mcap", load_profile())
+    assert image_total([recording], lambda one: 3 * len(one.instruments)) == 240
+    fewer = recording.read_as(Reading(window=Window(every=3)))
+    assert image_total([recording, fewer]) == 80 + 27
+    assert image_total([recording, recording.read_as(Reading(window=Window(1.0)))]) is None
