@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.errors import OutputError
-from svmdist.output_file import BusyError, atomic_file, lock, locked_file, write_atomically
+from svmdist.files import BusyError, atomic_file, lock, locked_file, write_atomically
 
 
 def _cut_short(error: BaseException) -> Iterator[str]:

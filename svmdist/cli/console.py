@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Protocol, TextIO
 
 from svmdist.cli.options import SummaryFormat
 from svmdist.errors import OutputError, UsageError
+from svmdist.files import FALLBACK, write_atomically
 from svmdist.input_file import LogPath, why
-from svmdist.output_file import FALLBACK, write_atomically
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from svmdist.recording.health import Health
+    from svmdist.recording.source import Health
     from svmdist.report.tables import Row
 
 

@@ -53,7 +53,7 @@ from svmdist.cli.recordings import (
 )
 
 if TYPE_CHECKING:
-    from svmdist.workflows.baseline import Baseline
+    from svmdist.workflows.scoring.baseline import Baseline
     from svmdist.workflows.scoring.truth import TruthRules
     from svmdist.workflows.setup import Setup
     from svmdist.workflows.validate import Measured, Validation
@@ -154,7 +154,12 @@ def validate_command(
     """
     from svmdist.cli.log_jobs import ValidateJob
     from svmdist.cli.validate_logs import score_logs
-    from svmdist.workflows.baseline import load_baseline, make_baseline, require_same_alarms, save_baseline
+    from svmdist.workflows.scoring.baseline import (
+        load_baseline,
+        make_baseline,
+        require_same_alarms,
+        save_baseline,
+    )
     from svmdist.workflows.scoring.truth import Reference, truth_rules
     from svmdist.workflows.setup import prepare
 
@@ -199,7 +204,7 @@ def validate_command(
 
 def _is_worse(result: Validation, stored: Baseline, path: Path | None, *, complete: bool) -> bool:
     """Say which figures are worse than those stored."""
-    from svmdist.workflows.baseline import find_regressions
+    from svmdist.workflows.scoring.baseline import find_regressions
 
     regressions = find_regressions(result, stored, complete=complete)
     for regression in regressions:

@@ -11,7 +11,7 @@ import tomli_w
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from svmdist.errors import ProfileError
-from svmdist.output_file import write_atomically
+from svmdist.files import write_atomically
 from svmdist.profile.robot import KinematicError, Rotation, Vector, require_rotation
 from svmdist.profile.toml import StrictModel, parse_toml
 from svmdist.transforms import Array, make_transform, skew

@@ -19,8 +19,8 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
+from svmdist.files import atomic_file
 from svmdist.metrics import deviations_at, interval_coverage
-from svmdist.output_file import atomic_file
 from svmdist.report.tables import counted, printable
 from svmdist.transforms import Array
 from svmdist.workflows.compare import ALL, Group, MethodScore

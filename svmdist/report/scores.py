@@ -31,8 +31,16 @@ from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.degradation_grid import GridCell
 from svmdist.workflows.runs import Figures
 from svmdist.workflows.scoring.distances import DistanceScore
-from svmdist.workflows.scoring.metric import Metric, Output, cells, row_keys, within
-from svmdist.workflows.scoring.metric_table import distance_metrics, figure_metrics, score_metrics
+from svmdist.workflows.scoring.metric_table import (
+    Metric,
+    Output,
+    cells,
+    distance_metrics,
+    figure_metrics,
+    row_keys,
+    score_metrics,
+    within,
+)
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any, Literal
 from rich.table import Table
 
 from svmdist.errors import OutputError
-from svmdist.output_file import atomic_file
+from svmdist.files import atomic_file
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-    from svmdist.workflows.scoring.metric import Metric
+    from svmdist.workflows.scoring.metric_table import Metric
 
 
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")

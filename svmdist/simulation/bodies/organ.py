@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.polygon import polygon_centroid
 from svmdist.simulation.bodies.meshes import DrawnMesh, smooth_normals
 from svmdist.simulation.bodies.relief import Relief
 from svmdist.simulation.bodies.textures import TEXTURE_SPAN_M
 from svmdist.simulation.bodies.tissue_shape import TissueShape
-from svmdist.transforms import Array
+from svmdist.transforms import Array, polygon_centroid
 
 SEMI_AXES_M = (0.028, 0.022)
 HEIGHT_M = 0.008

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from svmdist.errors import OutputError
+from svmdist.files import is_held, write_atomically
 from svmdist.input_file import open_regular, why
-from svmdist.output_file import is_held, write_atomically
 from svmdist.workflows.batch.identity import code_version, fingerprint, log_identity
 from svmdist.workflows.batch.plain import from_plain, to_plain
 from svmdist.workflows.batch.task import LogFile, LogJob, Outcome, Stored

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svmdist.alarm_metrics import alarm_statistics
 from svmdist.estimation.alarms import AlarmRules
+from svmdist.metrics import alarm_statistics
 from svmdist.report.metric_docs import metrics_table
 from svmdist.report.scores import (
     compare_keys,
@@ -25,15 +25,25 @@ from svmdist.report.scores import (
     validation_tables,
 )
 from svmdist.report.tables import csv_lines, render
-from svmdist.workflows.baseline import Baseline, find_regressions, make_baseline
 from svmdist.workflows.compare import Group, MethodScore
 from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.degradation_grid import GridCell
 from svmdist.workflows.runs import Figures
 from svmdist.workflows.scoring import metric_table
+from svmdist.workflows.scoring.baseline import Baseline, find_regressions, make_baseline
 from svmdist.workflows.scoring.distances import DistanceScore, Pairs, score_pairs
-from svmdist.workflows.scoring.metric import Better, Metric, Output, Tolerance, of_part
-from svmdist.workflows.scoring.metric_table import EVERYWHERE, IN_3D, LENGTH, figure_metrics, score_metrics
+from svmdist.workflows.scoring.metric_table import (
+    EVERYWHERE,
+    IN_3D,
+    LENGTH,
+    Better,
+    Metric,
+    Output,
+    Tolerance,
+    figure_metrics,
+    of_part,
+    score_metrics,
+)
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
