@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from svmdist.estimation.lag import LagEstimate
 from svmdist.metrics import AlarmStatistics, ErrorStatistics, Interval
-from svmdist.workflows.runs import Figures
+from svmdist.workflows.compare import Figures
 from svmdist.workflows.scoring.distances import DistanceScore
 from svmdist.workflows.scoring.score import Score
 

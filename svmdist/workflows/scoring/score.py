@@ -29,6 +29,7 @@ from svmdist.profile import Profile
 from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
+from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.distances import (
     DISTANCES,
     PLANAR,
@@ -40,7 +41,6 @@ from svmdist.workflows.scoring.distances import (
     score_pairs,
 )
 from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth, truth_follows_images
-from svmdist.workflows.setup import Setup
 
 
 def require_clearance(method: str, profile: Profile | None = None) -> None:
