@@ -17,7 +17,7 @@ from svmdist.recording.reader import Recording, open_recording
 from svmdist.workflows.compare import group_of
 from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.runs import Run, measure_runs
-from svmdist.workflows.scoring.distances import Pairs, pooled
+from svmdist.workflows.scoring.score import Pairs, pooled
 from svmdist.workflows.setup import Setup, prepare
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "robustness.md"

@@ -17,7 +17,7 @@ from svmdist.recording.reader import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.transforms import Array
 from svmdist.workflows.replay import replay
-from svmdist.workflows.scoring.distances import Readings
+from svmdist.workflows.scoring.score import Readings
 from svmdist.workflows.scoring.truth import PoseAt, Reference, TruthRules, tool_track
 from svmdist.workflows.setup import Setup
 

@@ -19,7 +19,7 @@ from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.processes import in_processes
 from svmdist.workflows.progress import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
-from svmdist.workflows.scoring.distances import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
+from svmdist.workflows.scoring.score import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 from svmdist.workflows.scoring.truth import truth_follows_images
 from svmdist.workflows.setup import Setup
 
