@@ -11,8 +11,8 @@ from svmdist.errors import SvmdistError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.image_input import bgr_image
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile
-from svmdist.recording.reader import Recording
-from svmdist.recording.reader import open_recording as _open
+from svmdist.recording.log import Recording
+from svmdist.recording.log import open_recording as _open
 from svmdist.report.rows import ESTIMATE_KEYS, estimate_row
 from svmdist.report.tables import Row
 from svmdist.results import FrameResult

@@ -20,10 +20,10 @@ settings.load_profile("repeatable")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> None:
-    """Run one file's tests, benchmarks and what is debugged in this process: without others, and to be seen."""
+    """Run one file's tests and what is debugged in this process: without others, and to be seen."""
     files = {name.partition("::")[0] for name in config.args}
     is_one_file = len(files) == 1 and files.pop().endswith(".py")
-    if is_one_file or config.option.benchmark_enable or config.option.usepdb:
+    if is_one_file or config.option.usepdb:
         config.option.numprocesses = 0
 
 
@@ -42,9 +42,9 @@ def synthetic_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def synthetic_calibration(synthetic_log: Path) -> Path:
     """A calibration fitted on the synthetic log."""
-    from svmdist.estimation.planar.calibration import save_calibration
+    from svmdist.estimation.plane_mapping import save_calibration
     from svmdist.profile import load_profile
-    from svmdist.recording.reader import open_recording
+    from svmdist.recording.log import open_recording
     from svmdist.workflows.calibrate import calibrate
 
     profile = load_profile()

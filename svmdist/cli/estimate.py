@@ -54,7 +54,7 @@ from svmdist.errors import UsageError
 if TYPE_CHECKING:
     from svmdist.cli.estimate_logs import EstimateJob
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.report.tables import Row
     from svmdist.results import FrameResult
     from svmdist.workflows.lag import Lag

@@ -23,7 +23,7 @@ from rich.table import Table
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import write_atomically
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.report.panels import draw_on
 from svmdist.report.plots import LEVELS, distance_name, held_shares, pooled, rejected_spans
 from svmdist.report.scores import remarks, validation_tables
@@ -31,7 +31,7 @@ from svmdist.report.tables import printable
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.workflows.annotate import drawn_frames
-from svmdist.workflows.progress import Progress, Steps
+from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.scoring.truth import TruthRules
 from svmdist.workflows.series import Series, WorstFrame, make_series, worst_frames
 from svmdist.workflows.setup import Setup

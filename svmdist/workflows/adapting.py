@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from svmdist.recording.encoded import EncodedObservation, Needs
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.observations import EncodedObservation, Needs
 from svmdist.samples import Image, Observation, Rejection
-from svmdist.vision.segmentation.auto import AutoSegmenter
-from svmdist.vision.segmentation.segmenter import Segmenter
+from svmdist.vision.segmentation import AutoSegmenter, Segmenter
 from svmdist.workflows.conditions import ReplayCondition
 
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.lag import LagEstimate, Predict, estimate_lag
-from svmdist.estimation.planar.equations import PUBLISHED_MAPPING
+from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
 from svmdist.profile import Profile
-from svmdist.recording.reader import KnownLag, Recording
+from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.transforms import Array
 from svmdist.workflows.replay import replay

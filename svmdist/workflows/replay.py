@@ -17,26 +17,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.detection.lazy import Clock, CostLedger
-from svmdist.estimation.detection.scene import Scene
 from svmdist.estimation.frame import Frame, Needs, frames_of, prefetch, prefetch_masks
 from svmdist.estimation.methods import Estimator
+from svmdist.estimation.scene import Arm, Clock, CostLedger, Scene
 from svmdist.profile import AutoSegmentation
-from svmdist.recording.encoded import Decoded, EncodedObservation
-from svmdist.recording.encoded import Needs as ReadNeeds
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.observations import Decoded, EncodedObservation
+from svmdist.recording.observations import Needs as ReadNeeds
 from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection
-from svmdist.vision.undistortion import seen_through
+from svmdist.vision.frame_context import seen_through
 from svmdist.workflows.adapting import adapted_segmenters
-from svmdist.workflows.ahead import in_order, keep_freed_memory, one_opencv_thread, usable_cores
 from svmdist.workflows.conditions import CLEAN, ReplayCondition
+from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
 from svmdist.workflows.row_alignment import row_offset_to_remove_px
 from svmdist.workflows.setup import Setup
 
 if TYPE_CHECKING:  # a log of one instrument needs none
-    from svmdist.estimation.association.associate import Association
+    from svmdist.estimation.association import Association
 
 
 @dataclass(frozen=True)
@@ -101,7 +99,7 @@ class MultiInstrumentEstimator:
             named = replace(_through_lens(result, frame), instrument=arm.profile.instrument_name)
             results.append(named.doubted(frame.doubt) if frame.doubt else named)
         if len(results) > 1:
-            from svmdist.estimation.between_instruments import with_clearance_between
+            from svmdist.estimation.distances import with_clearance_between
 
             results = with_clearance_between(results, [arm.body for arm in self._arms])
         return Replayed(tuple(results), tuple(seconds), tuple(frames))
@@ -175,7 +173,7 @@ class _Replay:
         is_alone = len(self._arms) == 1 and not isinstance(self._setup.profile.segmentation, AutoSegmentation)
         if is_alone:
             return None
-        from svmdist.estimation.association.associate import Association
+        from svmdist.estimation.association import Association
 
         return Association(self._arms)
 
@@ -184,7 +182,6 @@ class _Replay:
         robot, right = self._needs.robot or several, self._needs.right_view
         logged = ReadNeeds(joints=robot, transforms=robot, right=right)
         numbered = enumerate(self._recording.encoded_observations(self._recording.instruments, logged))
-        keep_freed_memory()
         with one_opencv_thread():
             for prepared in in_order(self._prepare, numbered, jobs):
                 yield tuple(self._measure(prepared))

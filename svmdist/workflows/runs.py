@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
-from svmdist.estimation.detection.lazy import Clock
+from svmdist.estimation.scene import Clock
 from svmdist.metrics import coverage
 from svmdist.profile import Profile
-from svmdist.recording.health import Health
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.source import Health
 from svmdist.recording.topics import Role
-from svmdist.workflows.ahead import usable_cores
 from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
-from svmdist.workflows.processes import in_processes
-from svmdist.workflows.progress import Progress, Steps, image_total
+from svmdist.workflows.parallel import (
+    Progress,
+    Steps,
+    each_in_processes,
+    image_total,
+    is_worker,
+    step,
+    usable_cores,
+)
 from svmdist.workflows.replay import replay
 from svmdist.workflows.scoring.score import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 from svmdist.workflows.scoring.truth import truth_follows_images
@@ -122,7 +127,7 @@ def measure_runs(
     for recording in recordings:  # what has no truth is told before the work
         for name in _with_truth(recording):
             recording.for_instrument(name).distance_track()
-    may_fork = jobs > 1 and multiprocessing.parent_process() is None
+    may_fork = jobs > 1 and not is_worker()
     if may_fork and clock is None and all(recording.origin for recording in recordings):
         parts = _parts(recordings, setups, conditions, jobs)
         if len(parts) > 1:
@@ -234,9 +239,9 @@ class _Part:
     places: tuple[int, ...]
     jobs: int
 
-    def measure(self, advance: Callable[[], None]) -> tuple[list[Run], Health]:
+    def measure(self) -> tuple[list[Run], Health]:
         """The runs, and what was lost in reading."""
-        runs = _runs(self.recording, self.setups, self.conditions, self.jobs, None, advance)
+        runs = _runs(self.recording, self.setups, self.conditions, self.jobs, None, step)
         return runs, self.recording.health
 
     def order(self, run_count: int) -> list[tuple[int, ...]]:
@@ -280,7 +285,8 @@ def _parts(
 def _in_processes(
     parts: Sequence[_Part], recordings: Sequence[Recording], jobs: int, advance: Callable[[], None]
 ) -> Iterator[Run]:
-    measured = in_processes(_Part.measure, parts, jobs, advance)
+    found = dict(each_in_processes(_Part.measure, parts, jobs, on_step=advance))
+    measured = [found[place] for place in range(len(parts))]
     # Methods that need both views lose what others lose, and right images: their list has all in the file's order.
     for part, (_, health) in sorted(zip(parts, measured, strict=True), key=lambda of: -len(of[1][1].losses)):
         recordings[part.number].health.join(health)

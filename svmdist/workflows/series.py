@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.lag import LagEstimate
 from svmdist.metrics import deviations_at
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array

@@ -10,16 +10,22 @@ from typing import Any
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError, did_you_mean
-from svmdist.estimation.arm import Arm
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
-from svmdist.estimation.planar.calibration import Calibration, load_calibration
-from svmdist.estimation.planar.equations import PUBLISHED_MAPPING, Equations, PlaneMapping, degeneracies
-from svmdist.estimation.tissue.pose import require_tissue
+from svmdist.estimation.plane_mapping import (
+    PUBLISHED_MAPPING,
+    Calibration,
+    Equations,
+    PlaneMapping,
+    degeneracies,
+    load_calibration,
+)
+from svmdist.estimation.scene import Arm
+from svmdist.estimation.tissue import require_tissue
 from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.shape import stated_profile
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
-from svmdist.recording.reader import KnownLag, Recording
-from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter
+from svmdist.recording.log import KnownLag, Recording
+from svmdist.vision.segmentation import Segmenter, make_segmenter
 from svmdist.workflows.own_method import OwnEstimator, OwnMethod, name_of
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from svmdist.profile import load_profile
 from svmdist.profile.hand_eye import load_hand_eye
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.transforms import rotation_vector
 from tests.cli.conftest import Cli
 from tests.conftest import REPOSITORY

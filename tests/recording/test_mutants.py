@@ -20,13 +20,13 @@ from svmdist.errors import ProfileError, SvmdistError
 from svmdist.geometry.mesh_files import read_closed_mesh
 from svmdist.profile import Limits, Profile, load_profile
 from svmdist.profile.toml import find_excess
-from svmdist.recording.inspect import inspect_recording
+from svmdist.recording.images import ImageError, decode_still
+from svmdist.recording.log import open_recording
 from svmdist.recording.messages.checks import DecodeError
 from svmdist.recording.messages.decoding import SCHEMAS, Decoder
-from svmdist.recording.messages.images import ImageError, decode_still
-from svmdist.recording.reader import open_recording
 from svmdist.recording.rosbag.bag2_metadata import MetadataError, parse_metadata
-from svmdist.recording.sources import RawMessage
+from svmdist.recording.source import RawMessage
+from svmdist.recording.summary import inspect_recording
 from svmdist.remote_file import _blocks
 from svmdist.samples import Sample
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.report.tables import Column, latex, markdown, rich_table
 from svmdist.transforms import rotation_from_quaternion_xyzw
 from svmdist.workflows.estimate import estimate

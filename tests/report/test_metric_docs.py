@@ -12,7 +12,7 @@ LABELS = {"recording", "method", "equations", "reference", "instrument", "group"
 
 
 def test_the_page_is_made_from_the_declarations() -> None:
-    """After a change of the metrics, `uv run python -m tools.make_metrics_page` writes it anew."""
+    """After a change of the metrics, `uv run python -m benchmarks.make_metrics_page` writes it anew."""
     assert (REPOSITORY / "docs" / "metrics.md").read_text("utf-8") == metrics_page()
 
 

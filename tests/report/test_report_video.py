@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svmdist.drawing import Part
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.report.panels import draw_on
 from svmdist.report.video import write_video
 from svmdist.workflows.annotate import drawn_frames

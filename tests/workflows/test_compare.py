@@ -12,7 +12,7 @@ import pytest
 
 from svmdist.metrics import interval_coverage
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.report.scores import compare_keys, compare_row, compare_tables
 from svmdist.report.tables import render

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError, UsageError
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.samples import DistanceSample, Observation, RightView, Sample
 from svmdist.vision.degradations import Degradation, degrade
 from svmdist.workflows.conditions import CLEAN, Condition

@@ -10,8 +10,8 @@ import pytest
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 
-from svmdist.estimation.planar.calibration import save_calibration
-from svmdist.recording.reader import open_recording
+from svmdist.estimation.plane_mapping import save_calibration
+from svmdist.recording.log import open_recording
 from svmdist.results import FrameResult
 from svmdist.samples import Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, rotation_z

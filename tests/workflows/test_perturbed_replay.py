@@ -10,7 +10,7 @@ import pytest
 from svmdist.errors import UsageError
 from svmdist.perturbations.chosen import Perturbations, parse_perturbations
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import Observation, RightView
 from svmdist.vision.degradations import Degradation

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError
-from svmdist.estimation.arm import Arm
 from svmdist.estimation.methods import METHODS
-from svmdist.recording.reader import open_recording
+from svmdist.estimation.scene import Arm
+from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.conditions import CLEAN, Condition

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.detection.scene import Scene
+from svmdist.estimation.scene import Scene
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, ImageSample
 from svmdist.workflows import replay

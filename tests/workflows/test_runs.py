@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError
-from svmdist.recording.messages.encoding import encode_all
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.encode import encode_all
+from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, DistanceSample, ImageSample, Sample
 from svmdist.vision.degradations import Degradation

@@ -13,7 +13,7 @@ import pytest
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.workflows.compare import compare
 from svmdist.workflows.estimate import estimate

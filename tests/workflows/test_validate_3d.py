@@ -11,7 +11,7 @@ import pytest
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.report.scores import score_keys, score_row, validation_document, validation_tables
 from svmdist.report.tables import render
 from svmdist.results import Distance, Distances, FrameResult
