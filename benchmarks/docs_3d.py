@@ -14,8 +14,7 @@ from svmdist.workflows.compare import Figures, Run, measure_runs, pooled_figures
 from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.request import prepare
-from svmdist.workflows.scoring.distances import Distance, DistanceScore, Readings, score_pairs
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.score import Distance, DistanceScore, Readings, Score, score_pairs
 from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.validate import Validation, validate
 

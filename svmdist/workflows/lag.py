@@ -18,7 +18,7 @@ from svmdist.results import FrameResult
 from svmdist.transforms import Array
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Setup
-from svmdist.workflows.scoring.distances import Readings
+from svmdist.workflows.scoring.score import Readings
 from svmdist.workflows.scoring.truth import PoseAt, Reference, TruthRules, tool_track
 
 Lag = float | Literal["auto"]

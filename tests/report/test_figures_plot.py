@@ -20,7 +20,7 @@ from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
 from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.degradation_grid import GridCell
-from svmdist.workflows.scoring.distances import DistanceScore, Pairs, score_pairs
+from svmdist.workflows.scoring.score import DistanceScore, Pairs, score_pairs
 from tests.cli.conftest import Cli, cli
 
 __all__ = ["cli"]

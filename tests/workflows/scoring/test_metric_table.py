@@ -30,7 +30,6 @@ from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.degradation_grid import GridCell
 from svmdist.workflows.scoring import metric_table
 from svmdist.workflows.scoring.baseline import Baseline, find_regressions, make_baseline
-from svmdist.workflows.scoring.distances import DistanceScore, Pairs, score_pairs
 from svmdist.workflows.scoring.metric_table import (
     EVERYWHERE,
     IN_3D,
@@ -43,7 +42,7 @@ from svmdist.workflows.scoring.metric_table import (
     of_part,
     score_metrics,
 )
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.score import DistanceScore, Pairs, Score, score_pairs
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
 
