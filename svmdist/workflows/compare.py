@@ -26,7 +26,7 @@ from svmdist.workflows.parallel import (
 )
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Setup
-from svmdist.workflows.scoring.distances import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
+from svmdist.workflows.scoring.score import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 from svmdist.workflows.scoring.truth import truth_follows_images
 
 CHUNKS_PER_PROCESS = 2
