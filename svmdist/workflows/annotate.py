@@ -103,10 +103,7 @@ class _Copies:
     """The copied messages of a recording, up to a stamp at a time. They are read in a pass of their own."""
 
     def __init__(self, recording: Recording) -> None:
-        origin = recording.origin
-        if origin is None:
-            raise TypeError("only a recording as it was opened can be copied")
-        path, profile, limits, topics = origin
+        path, profile, limits, topics = recording.origin
         # Opened anew, so that what is lost is counted once.
         self._messages = copied_messages(open_recording(path, profile, limits=limits, topics=topics))
         self._ahead = next(self._messages, None)

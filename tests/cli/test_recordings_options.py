@@ -14,7 +14,8 @@ from svmdist.cli.options import RowFormat, SummaryFormat
 from svmdist.cli.outputs import FileFormat, row_format, summary_format
 from svmdist.cli.recordings import logs_in, window_of
 from svmdist.errors import UsageError
-from svmdist.recording.log import Window, unique_names
+from svmdist.input_file import unique_names
+from svmdist.recording.observations import Window
 from tests.cli.conftest import Cli
 
 
