@@ -201,7 +201,7 @@ def alarm_table(validation: Validation) -> RichTable:
     return _table(title, [_NAME, *map(metric_column, metrics)], rows, overall)
 
 
-def _distance_rows(scores: Iterable[Score], metrics: list[Metric[DistanceScore]]) -> Iterator[Row]:
+def _distance_rows(scores: Iterable[Score], metrics: list[Metric]) -> Iterator[Row]:
     for score in scores:
         for distance in ("planar", "spatial", "clearance"):
             part: DistanceScore | None = getattr(score, distance)

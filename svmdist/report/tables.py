@@ -82,7 +82,7 @@ def percent(digits: int) -> Callable[[Cell], str]:
     return number(digits, 100.0)
 
 
-def metric_column(metric: Metric[Any], heading: str = "") -> Column:
+def metric_column(metric: Metric, heading: str = "") -> Column:
     """The column of a metric for a person, in the unit that a person is shown; a heading replaces its own."""
     unit, heading = metric.unit, heading or metric.title
     if unit.digits is None:
