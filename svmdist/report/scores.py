@@ -27,9 +27,8 @@ from svmdist.report.tables import (
     rich_table,
 )
 from svmdist.workflows.blur_bench import BlurRow
-from svmdist.workflows.compare import MethodScore
+from svmdist.workflows.compare import Figures, MethodScore
 from svmdist.workflows.degradation_grid import GridCell
-from svmdist.workflows.runs import Figures
 from svmdist.workflows.scoring.metric_table import (
     Metric,
     Output,

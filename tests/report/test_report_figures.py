@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.report.scores import GROUP_TITLES, figure_cells, figure_columns, figure_keys
-from svmdist.workflows.runs import Figures
+from svmdist.workflows.compare import Figures
 from svmdist.workflows.scoring.score import Pairs, score_pairs
 
 TRUTH_M = np.linspace(0.01, 0.02, 10)

@@ -26,10 +26,9 @@ from svmdist.report.scores import (
     validation_tables,
 )
 from svmdist.report.tables import csv_lines, render
-from svmdist.workflows.compare import Group, MethodScore
+from svmdist.workflows.compare import Figures, Group, MethodScore
 from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.degradation_grid import GridCell
-from svmdist.workflows.runs import Figures
 from svmdist.workflows.scoring import metric_table
 from svmdist.workflows.scoring.baseline import Baseline, find_regressions, make_baseline
 from svmdist.workflows.scoring.metric_table import (
