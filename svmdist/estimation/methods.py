@@ -30,13 +30,23 @@ class Estimator(Protocol):
         """Measure one frame. A frame that cannot be measured is an outcome, not an exception."""
 
 
+METHODS: dict[str, tuple[str, ...]] = {
+    "overlay": ("calibration",),
+    "centroid": ("calibration",),
+    "fiducial": ("joints", "fiducial", "tissue", "tag"),
+    "shaft": ("segmentation.shaft", "instrument", "robot", "tissue"),
+    "stereo": ("right_image", "right_camera_info", "robot", "tissue"),
+    "kinematic": ("joints", "camera_to_base", "tissue"),
+    "fused": ("joints", "camera_to_base", "tissue"),
+}
+"""What each method needs beside images: topics by role, tables of the profile, `camera_to_base` from either, and a
+visible tag."""
+
 PLANAR_METHODS = ("overlay", "centroid")
 """Methods of the paper's plane: they need the mapping from pixels to it."""
 
-SPATIAL_METHODS = ("fiducial", "shaft", "stereo", "kinematic", "fused")
+SPATIAL_METHODS = tuple(method for method in METHODS if method not in PLANAR_METHODS)
 """Methods that measure in 3D."""
-
-METHODS = (*PLANAR_METHODS, *SPATIAL_METHODS)
 
 
 def make_estimator(method: str, arm: Arm, mapping: PlaneMapping | None = None) -> Estimator:
