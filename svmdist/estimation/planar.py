@@ -36,7 +36,7 @@ from svmdist.vision.regions import Region, find_region
 
 def locate(frame: Frame) -> tuple[FrameResult, Region | None, Region | None]:
     """Tissue and instrument by their colours as recorded, and the result so far; rejected if one is missing."""
-    tissue, instrument = frame.tool.regions_as_recorded
+    tissue, instrument = frame.left.regions_as_recorded
     status = Status.OK
     if tissue is None or instrument is None:
         status = Status.NO_TISSUE if tissue is None else Status.NO_INSTRUMENT
@@ -157,7 +157,7 @@ class OverlayEstimator:
     """`--method overlay`: the paper's three phases. Keeps no state between frames."""
 
     name = "overlay"
-    needs = Needs(tool=("regions_as_recorded",), robot=False)
+    needs = Needs(frame=("left.regions_as_recorded",), robot=False)
     keeps_state = False
 
     def __init__(self, profile: Profile, mapping: PlaneMapping) -> None:
@@ -193,7 +193,7 @@ class CentroidEstimator:
     """`--method centroid`: the instrument's centroid is the tool's position. Keeps no state between frames."""
 
     name = "centroid"
-    needs = Needs(tool=("regions_as_recorded",), robot=False)
+    needs = Needs(frame=("left.regions_as_recorded",), robot=False)
     keeps_state = False
 
     def __init__(self, mapping: PlaneMapping) -> None:

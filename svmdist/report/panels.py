@@ -332,7 +332,7 @@ def _segmentation(frame: DrawnFrame) -> Image:
     """Masks as tints on the image that was segmented, which has no distortion."""
     first = frame.replayed.frames[0]
     pixels = np.array(first.scene.observation.image_bgr)
-    recorded = "regions_as_recorded" in first.tool.found
+    recorded = "regions_as_recorded" in first.left.found
     tissue = first.left.masks_as_recorded.tissue if recorded else first.left.masks.tissue
     parts = [(Part.TISSUE, tissue)]
     for one in frame.replayed.frames:
