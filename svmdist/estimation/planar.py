@@ -10,8 +10,9 @@ import numpy as np
 
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.plane_mapping import PlaneMapping, planar_distance_m
+from svmdist.estimation.scene import Arm
 from svmdist.profile import Features as FeatureRules
-from svmdist.profile import Marker, Profile
+from svmdist.profile import Marker
 from svmdist.profile.settings import MarkerSettings
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings, as_pixel
 from svmdist.samples import Image, Status
@@ -160,7 +161,8 @@ class OverlayEstimator:
     needs = Needs(frame=("left.regions_as_recorded",), robot=False)
     keeps_state = False
 
-    def __init__(self, profile: Profile, mapping: PlaneMapping) -> None:
+    def __init__(self, arm: Arm, mapping: PlaneMapping) -> None:
+        profile = arm.profile
         self._marker = profile.marker
         self._rules = profile.features
         self._settings = profile.settings.marker
@@ -196,7 +198,7 @@ class CentroidEstimator:
     needs = Needs(frame=("left.regions_as_recorded",), robot=False)
     keeps_state = False
 
-    def __init__(self, mapping: PlaneMapping) -> None:
+    def __init__(self, _: Arm, mapping: PlaneMapping) -> None:
         self._mapping = mapping
 
     def estimate(self, frame: Frame) -> FrameResult:

@@ -11,6 +11,7 @@ import numpy as np
 
 from svmdist.drawing import ALARM_COLOUR, COLOURS, Form, FrameDrawing, Part, Rgb, Shape
 from svmdist.errors import OutputError
+from svmdist.estimation.methods import REGISTRY, Phase
 from svmdist.files import atomic_file
 from svmdist.report.tables import printable
 from svmdist.samples import Image
@@ -315,7 +316,7 @@ def phases_picture(frame: DrawnFrame, method: str, title: str) -> Image:
 
 def phases_of(method: str) -> Sequence[str]:
     """The names of a method's phases, in order."""
-    return METHOD_PHASES[method]
+    return REGISTRY[method].draws
 
 
 def _image(frame: DrawnFrame) -> Image:
@@ -417,7 +418,7 @@ def _result(frame: DrawnFrame) -> Image:
     return draw_on(_image(frame), frame.drawing, parts=parts, lines=False)
 
 
-_PHASES: dict[str, Callable[[DrawnFrame], Image]] = {
+_PHASES: dict[Phase, Callable[[DrawnFrame], Image]] = {
     "segmentation": _segmentation,
     "contours": _only(Part.TISSUE, Part.INSTRUMENT),
     "marker": _marker,
@@ -428,15 +429,6 @@ _PHASES: dict[str, Callable[[DrawnFrame], Image]] = {
     "tag": _only(Part.TAG),
     "surface": _surface,
     "distance": _result,
-}
-METHOD_PHASES: dict[str, tuple[str, ...]] = {
-    "overlay": ("segmentation", "contours", "marker", "matches", "outline and distance"),
-    "centroid": ("segmentation", "contours", "distance"),
-    "fiducial": ("segmentation", "tag", "distance"),
-    "shaft": ("segmentation", "edges", "tip", "distance"),
-    "stereo": ("segmentation", "tip", "surface", "distance"),
-    "kinematic": ("segmentation", "distance"),
-    "fused": ("segmentation", "edges", "tip", "tag", "surface", "distance"),
 }
 
 

@@ -33,12 +33,12 @@ def picture(camera: Camera, side: str, **kwargs: object) -> ShaftImage:
 
 def shaft_of(observation: Observation) -> ShaftDetection:
     """The shaft's edges and end."""
-    return frame_of(observation, Arm(PROFILE), make_segmenter(PROFILE.segmentation)).tool.shaft
+    return frame_of(observation, Arm(PROFILE), make_segmenter(PROFILE.segmentation)).left.shaft
 
 
 def find_tool(observation: Observation, profile: Profile = PROFILE) -> ShaftFit | Failure:
     """The tool's pose by the shaft alone."""
-    return frame_of(observation, Arm(profile), make_segmenter(profile.segmentation)).tool.shaft_fit
+    return frame_of(observation, Arm(profile), make_segmenter(profile.segmentation)).shaft_fit
 
 
 def measured(drawn: ShaftImage, parts: int = 2) -> ShaftFit:
