@@ -22,8 +22,6 @@ JointType = Literal["revolute", "prismatic", "fixed"]
 Convention = Literal["standard", "modified"]
 CHUNK = 2048
 """Joint vectors that are worked on together: more links at once leave the processor's cache."""
-PUBLISHED_TISSUE_M = (0.099, 0.043)
-"""The numbers of eqs. (33) and (34): they can only be the tissue's x and y in m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,51 +205,43 @@ def running_product(links: Array) -> Array:
 def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) -> Array:
     """Bring positions, shape (..., len(names)), into the chain's order; joints it lacks are dropped.
 
-    A joint is found by its name or by an alias. Raises KinematicsError that names the joints the log does
-    not have.
+    A joint is found by its name or by an alias. Raises KinematicsError that names the joints that `names` lacks.
     """
-    order, missing = [], []
-    for row in chain.rows:
-        if row.joint == "fixed":
-            continue
-        found = next((name for name in (row.name, *row.aliases) if name in names), None)
-        if found is None:
-            missing.append(row.name)
-        else:
-            order.append(names.index(found))
+    rows = [chain.rows[index] for index in chain.moving_rows]
+    found = {
+        row.name: next((name for name in (row.name, *row.aliases) if name in names), None) for row in rows
+    }
+    missing = [name for name, logged in found.items() if logged is None]
     if missing:
         raise KinematicsError(
             f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
         )
-    return np.asarray(positions, np.float64)[..., order]
-
-
-def pose_jacobian(chain: DHChain, q: ArrayLike, row: str | None = None) -> Array:
-    """Derivative of a frame's pose in the base frame by the joints, shape (..., 6, n_joints), at `q` (..., n_joints).
-
-    Rows are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with
-    R' = exp([δθ]) R, both in the base frame, per joint unit. The frame is that of the DH row `row`, or the
-    tool. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a joint behind the
-    frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
-    """
-    return jacobian_of_frames(chain, frame_transforms(chain, q), row)
+    return np.asarray(positions, np.float64)[
+        ..., [names.index(logged) for logged in found.values() if logged]
+    ]
 
 
 def jacobian_of_frames(chain: DHChain, frames: Array, row: str | None = None) -> Array:
-    """The same from the poses of all row frames, shape (..., n_rows, 4, 4)."""
+    """Derivative of a frame's pose in the base frame by the joints, shape (..., 6, n_joints).
+
+    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames; `row` names one of them, None is the tool.
+    Rows are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with R' = exp([δθ]) R, both in
+    the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a
+    joint behind the frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
+    """
     last = len(chain.rows) - 1 if row is None else row_index(chain, row)
     T_base_frame = frames[..., last, :, :] @ chain.T_last_tool if row is None else frames[..., last, :, :]
-    moving = [index for index, joint in enumerate(chain.rows) if joint.joint != "fixed"]
-    axes = [joint_axis(chain, frames, index) for index in moving]
+    axes = [joint_axis(chain, frames, index) for index in chain.moving_rows]
     shape = (*frames.shape[:-3], 3)
     z = np.stack([np.broadcast_to(axis, shape) for axis, _ in axes], -1)
     arm = T_base_frame[..., :3, 3, None] - np.stack([np.broadcast_to(at, shape) for _, at in axes], -1)
-    revolute = np.array([chain.rows[index].joint == "revolute" for index in moving])
-    before = np.array([index <= last for index in moving])
+    before = chain.moving_rows <= last
     zx, zy, zz = z[..., 0, :], z[..., 1, :], z[..., 2, :]
     x, y, h = arm[..., 0, :], arm[..., 1, :], arm[..., 2, :]
     swing = np.stack([zy * h - zz * y, zz * x - zx * h, zx * y - zy * x], -2)
-    return np.concatenate([np.where(revolute, swing, z) * before, z * (revolute & before)], -2)
+    return np.concatenate(
+        [np.where(chain.is_revolute, swing, z) * before, z * (chain.is_revolute & before)], -2
+    )
 
 
 def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:
@@ -297,7 +287,7 @@ def shaft_of(chain: DHChain) -> ShaftAxis | None:
 
 @dataclass(frozen=True, slots=True)
 class WristRows:
-    """Indices of the rows that turn the shaft about itself and bend the wrist; `jaw` is None without one."""
+    """Indices of the rows that turn the shaft about itself, bend the wrist, and open the jaw, where there is one."""
 
     roll: int
     pitch: int
@@ -306,38 +296,19 @@ class WristRows:
 
 
 def wrist_rows(chain: DHChain) -> WristRows | None:
-    """The revolute rows behind the last one that slides: roll, wrist pitch, wrist yaw, and a jaw where it is there.
-
-    That is the wrist of the da Vinci's instruments. None for a chain that slides nowhere, or has fewer behind it.
-    """
+    """The wrist of the da Vinci's instruments; None for a chain with fewer than three rows behind the insertion."""
     turns = rows_behind_insertion(chain)
     if len(turns) < 3:
         return None
-    roll, pitch, yaw = turns[:3]
-    return WristRows(roll, pitch, yaw, turns[3] if len(turns) > 3 else None)
+    roll, pitch, yaw, *jaw = turns
+    return WristRows(roll, pitch, yaw, jaw[0] if jaw else None)
 
 
 def rows_behind_insertion(chain: DHChain) -> list[int]:
-    """Indices of the revolute rows behind the last one that slides, the shaft's roll first; none if none slides."""
+    """Indices of the revolute rows behind the last prismatic one, the shaft's roll first; none without one."""
     slides = [index for index, row in enumerate(chain.rows) if row.joint == "prismatic"]
-    if not slides:
-        return []
-    return [index for index, row in enumerate(chain.rows) if row.joint == "revolute" and index > slides[-1]]
-
-
-def displacement_cm_as_published(p_m: Array) -> Array:
-    """eqs. (33), (34) as published, shape (..., 2): metres divided by 100, called cm, 10^4 too small."""
-    return (np.array(PUBLISHED_TISSUE_M) - p_m[..., :2]) / 100.0
-
-
-def displacement_cm_corrected(p_m: Array, tissue_m: Array) -> Array:
-    """eqs. (33), (34) corrected, shape (..., 2) in cm: tissue from the recording, metres times 100."""
-    return np.asarray((tissue_m[..., :2] - p_m[..., :2]) * 100.0)
-
-
-def planar_distance_cm(displacement_cm: Array) -> Array:
-    """eq. (35), shape (...), in cm: distance in the camera's xy plane; z is not in it."""
-    return np.hypot(displacement_cm[..., 0], displacement_cm[..., 1])
+    behind = range(slides[-1] + 1, len(chain.rows)) if slides else ()
+    return [index for index in behind if chain.rows[index].joint == "revolute"]
 
 
 def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:
