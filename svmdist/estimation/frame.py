@@ -215,7 +215,7 @@ class Frame:
     def tag(self) -> TagPose | None:
         """The tag's pose by the left view, its ambiguity decided by nominal kinematics where the image does not."""
         fiducial, R_camera_tag = self.arm.profile.fiducial, None
-        if fiducial is not None and not isinstance(self.robot, Failure) and self.robot.has_camera:
+        if fiducial is not None and not isinstance(self.robot, Failure) and not self.robot.camera_failure:
             R_camera_tag = (self.robot.T_camera_link(fiducial.link) @ fiducial.T_link_tag)[:3, :3]
         return self.tag_near(R_camera_tag)
 
