@@ -79,7 +79,7 @@ def tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
     shaft = found.get("shaft")
     if shaft is not None:
         yield from _shaft(frame, shaft, found.get("shaft_region"), name)
-    corners_px = frame.left.tag_corners_px if "tags" in frame.scene.left.found else None
+    corners_px = frame.left.tag_corners_px if "tags" in vars(frame.scene.left) else None
     if corners_px is not None:
         yield Shape(Part.TAG, Form.LOOP, np.asarray(corners_px, np.float64), name)
 

@@ -87,6 +87,7 @@ def test_what_is_needed_is_used(method: str, seen: list[Observation]) -> None:
     for frame in frames(seen[:1]):
         result = estimator.estimate(frame)
         computed = {*vars(frame), *(f"left.{one}" for one in {**vars(frame.left), **vars(frame.scene.left)})}
+        computed |= {f"right.{one}" for one in vars(frame.right)}
         assert set(estimator.needs.scene) <= computed | set(frame.scene.found)
         assert result.stamp_ns == frame.stamp_ns
         assert result.measured == (method != "fiducial")

@@ -148,7 +148,7 @@ def test_a_stub_alone_is_no_measurement():
     """Short sides are found on anything dark at the border: without wrist and marker nothing contradicts them."""
     drawn = picture(SMALL, "left", background_bgr=RED_BGR)
     arm = Arm(PROFILE)
-    tool = frame_of(Observation(0, drawn.draw(2), SMALL), arm, make_segmenter(PROFILE.segmentation)).tool
+    tool = frame_of(Observation(0, drawn.draw(2), SMALL), arm, make_segmenter(PROFILE.segmentation)).left
     assert arm.chain is not None
     assert PROFILE.instrument is not None
     model = shaft_model(Failure(""), arm.chain, PROFILE.instrument, PROFILE.kinematic_error)
