@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from svmdist.estimation.methods import METHODS
+from svmdist.estimation.methods import REGISTRY
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import LEFT_IMAGES
@@ -24,7 +24,9 @@ COMMANDS = {
     "blur-bench": (*IMAGES, "ground_truth_distance"),
     "fk": ("joints",),
 }
-"""What each command beside `estimate` needs, as `METHODS` has it."""
+"""What each command but `estimate` needs: topics by role, and inputs as of a method."""
+PARTS = ("fiducial", "instrument", "robot", "tissue")
+"""Tables of a profile that methods need."""
 DEFAULT_METHOD = "overlay"
 """Of `estimate`."""
 TAG_IMAGES = 8
@@ -72,8 +74,8 @@ def method_capabilities(
     """What log and profile lack for each method of `estimate`; `tags` is what `look_for_tag` found."""
     profile = _seen_by_first(summary, profile)
     return tuple(
-        Capability(name, _missing((*IMAGES, *needs), summary, profile, tags))
-        for name, needs in METHODS.items()
+        Capability(method.name, _missing((*IMAGES, *method.inputs), summary, profile, tags))
+        for method in REGISTRY.values()
     )
 
 
@@ -135,29 +137,30 @@ def _missing(
 ) -> tuple[str, ...]:
     """What is missing of the needs of a command or a method, in words."""
     frames, of_profile = profile.frames, f"in profile {profile.name}"
-    has_camera = profile.camera_to_base or {frames.camera, frames.base} <= set(summary.frames)
-    no_tag = tags and tags.image_count and not tags.found_count
-    conditions = {
-        "camera_to_base": (has_camera, f"transforms from {frames.camera} to {frames.base}"),
-        "calibration": (profile.calibration, f"a calibration {of_profile} (--calibration)"),
-        "segmentation.shaft": (profile.segmentation.shaft, f"[segmentation.shaft] {of_profile}"),
-        "tag": (
-            not no_tag,
-            f"the tag {tags.name}: it is in none of {tags.image_count} images looked at" if tags else "",
+
+    def unless(condition: object, words: str) -> tuple[str, ...]:
+        return () if condition else (words,)
+
+    def topics(*roles: str) -> tuple[str, ...]:
+        return tuple(f"a topic for {role}" for role in roles if role not in summary.roles)
+
+    has_frames = {frames.camera, frames.base} <= set(summary.frames)
+    lacking = {
+        **{role: topics(role) for role in Role},
+        **{part: unless(getattr(profile, part), f"[{part}] {of_profile}") for part in PARTS},
+        "right_image": topics("right_image", "right_camera_info"),
+        "joints": topics("joints") + _missing_chain(summary, profile),
+        "reference": _missing_reference(summary, profile),
+        "calibration": unless(profile.calibration, f"a calibration {of_profile} (--calibration)"),
+        "camera_to_base": unless(
+            profile.camera_to_base or has_frames, f"transforms from {frames.camera} to {frames.base}"
         ),
+        "shaft": unless(profile.segmentation.shaft, f"[segmentation.shaft] {of_profile}"),
+        "tag": ()
+        if tags is None or tags.found_count or not tags.image_count
+        else (f"the tag {tags.name}: it is in none of {tags.image_count} images looked at",),
     }
-    missing: list[str] = []
-    for need in needs:
-        if need == "reference":
-            missing += _missing_reference(summary, profile)
-        elif need in list(Role):
-            missing += () if need in summary.roles else (f"a topic for {need}",)
-            missing += _missing_chain(summary, profile) if need == "joints" else ()
-        elif need in conditions:
-            missing += () if conditions[need][0] else (conditions[need][1],)
-        elif getattr(profile, need) is None:
-            missing.append(f"[{need}] {of_profile}")
-    return tuple(missing)
+    return tuple(words for need in needs for words in lacking[need])
 
 
 def _missing_reference(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:

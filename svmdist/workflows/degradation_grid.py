@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from svmdist.errors import RecordingError
-from svmdist.estimation.scene import Clock
+from svmdist.estimation.frame import Clock
 from svmdist.recording.log import Recording
 from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
 from svmdist.workflows.compare import Figures, RunNumbers, measure_runs, pooled_figures
