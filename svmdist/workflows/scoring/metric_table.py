@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, ConfigDict, Field
 
 from svmdist.estimation.lag import LagEstimate
-from svmdist.metrics import AlarmStatistics, ErrorStatistics, Interval
+from svmdist.metrics import COUNT, LENGTH, RATIO, SECONDS, SHARE, TEXT, AlarmStatistics, ErrorStatistics, Interval, Unit
 from svmdist.workflows.runs import Figures
 from svmdist.workflows.scoring.distances import DistanceScore
 from svmdist.workflows.scoring.score import Score
@@ -48,19 +48,6 @@ class Output(Flag):
 
 
 NOWHERE = Output(0)
-
-
-@dataclass(frozen=True, slots=True)
-class Unit:
-    """The unit of a value, the one a person is shown, and how: the value times `factor` with so many digits.
-
-    Without digits the value is shown as it is: a count or a text.
-    """
-
-    name: str = ""
-    shown: str = ""
-    factor: float = 1.0
-    digits: int | None = None
 
 
 class Tolerance(BaseModel):
@@ -149,12 +136,6 @@ def cells(metrics: Iterable[Metric[Whole]], of: Whole) -> dict[str, Value]:
     return {metric.key: metric.of(of) for metric in metrics}
 
 
-COUNT = Unit()
-RATIO = Unit("1", digits=4)
-SHARE = Unit("1", "%", factor=100.0, digits=1)
-LENGTH = Unit("m", "mm", 1e3, 2)
-SECONDS = Unit("s", "s", digits=2)
-
 LOWER, HIGHER = Better.LOWER, Better.HIGHER
 SCORES, FIGURES = Output.SCORES, Output.FIGURES
 SCORE_TABLE = SCORES | Output.SCORE_TABLE
@@ -239,7 +220,7 @@ R_SQUARED_BOUNDS: tuple[Metric[Interval], ...] = (
 MARKS: tuple[Metric[Score], ...] = (
     Metric("fitted_on", COUNT, lambda s: s.fitted_on,
            "Whether the calibration was fitted on this log, which is then left out of the overall score."),
-    Metric("rejected", COUNT, lambda s: " ".join(f"{reason}={count}" for reason, count in s.rejected.items()),
+    Metric("rejected", TEXT, lambda s: " ".join(f"{reason}={count}" for reason, count in s.rejected.items()),
            "The frames that could not be measured: a count for each status."),
 )
 LAG: tuple[Metric[LagEstimate], ...] = (
