@@ -20,9 +20,8 @@ from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.estimate import estimate as _estimate
 from svmdist.workflows.lag import Lag, with_lag
-from svmdist.workflows.own_method import OwnMethod
+from svmdist.workflows.request import OwnMethod, Setup, prepare
 from svmdist.workflows.scoring.truth import TruthRules
-from svmdist.workflows.setup import Setup, prepare
 from svmdist.workflows.validate import Validation
 from svmdist.workflows.validate import validate as _validate
 

@@ -16,7 +16,7 @@ from svmdist.workflows.estimate import estimate
 from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
 from svmdist.workflows.import_log import ImportOptions, import_log
 from svmdist.workflows.new_profile import draft_profile
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 
 
 def make_log(options: ImportOptions, path: Path) -> Path:

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.vision.degradations import Blur
     from svmdist.workflows.blur_bench import BlurTally
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
 
 KernelOption = Annotated[
     list[str] | None,
@@ -92,7 +92,7 @@ def blur_bench_command(
     This reproduces Table I of the paper. With --grid it gives the error and coverage of one method under every
     degradation and severity. Without FILE, every log in recordings/ is measured.
     """
-    from svmdist.workflows.setup import prepare
+    from svmdist.workflows.request import prepare
 
     logs = logs_or_golden(files)
     require_output(output, local_logs(logs))

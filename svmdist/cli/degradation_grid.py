@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.workflows.conditions import Condition
     from svmdist.workflows.degradation_grid import GridCell
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
 
 GridMethodOption = Annotated[
     Method | None,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.workflows.annotate import DrawnFrame
     from svmdist.workflows.lag import Lag
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
 
 Tally = Counter[tuple[str, str]]
 """How many frames ended with a status and a detail."""

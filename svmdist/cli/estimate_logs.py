@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from svmdist.recording.log import Window
     from svmdist.report.tables import Row
     from svmdist.workflows.lag import Lag
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
     from svmdist.workflows.validate import Measured
 
 MAX_REPORTED = 12

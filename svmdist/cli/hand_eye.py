@@ -97,7 +97,7 @@ def hand_eye_command(
     from svmdist.report.tables import csv_lines, json_text
     from svmdist.results import Failure
     from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
-    from svmdist.workflows.setup import prepare
+    from svmdist.workflows.request import prepare
 
     require_output(output, [file])
     if output is not None and output.exists() and not force:

@@ -11,7 +11,7 @@ from svmdist.cli.progress import progress_bar
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.workflows.lag import Lag
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
 
 
 def told_lag(

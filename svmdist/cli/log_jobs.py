@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from svmdist.profile import Profile
     from svmdist.recording.log import Window
     from svmdist.workflows.lag import Lag
+    from svmdist.workflows.request import Setup
     from svmdist.workflows.scoring.truth import TruthRules
-    from svmdist.workflows.setup import Setup
 
 from svmdist.vision.degradations import Blur
 from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter

@@ -24,7 +24,7 @@ from svmdist.errors import OutputError, UsageError
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.samples import Image
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
 
 DEFAULT_COUNT = 6
 """Pictures where none is asked for: enough to see a log from its beginning to its end."""
@@ -98,7 +98,7 @@ def show_command(
     from svmdist.profile import load_profile
     from svmdist.recording.log import open_recording
     from svmdist.report.panels import write_picture
-    from svmdist.workflows.setup import Setup, prepare
+    from svmdist.workflows.request import Setup, prepare
     from svmdist.workflows.show import image_stamps_ns, spread
 
     setup = (

@@ -32,9 +32,9 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.workflows.annotate import drawn_frames
 from svmdist.workflows.parallel import Progress, Steps
+from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.truth import TruthRules
 from svmdist.workflows.series import Series, WorstFrame, make_series, worst_frames
-from svmdist.workflows.setup import Setup
 from svmdist.workflows.validate import Measured, Validation
 
 BLUE, VERMILION, GREEN, ORANGE, SKY, PINK = "#3a86c8", "#d55e00", "#009e73", "#e69f00", "#56b4e9", "#cc79a7"

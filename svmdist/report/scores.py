@@ -15,8 +15,13 @@ from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit, coverage
 from svmdist.report.tables import Cell, Column, Row, Table, counted, finite, metric_column, row_of
 from svmdist.report.writers import Results
 from svmdist.workflows.blur_bench import BlurRow
+<<<<<<< HEAD
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.scoring.distances import DistanceScore
+=======
+from svmdist.workflows.compare import Figures, MethodScore
+from svmdist.workflows.degradation_grid import GridCell
+>>>>>>> main
 from svmdist.workflows.scoring.metric_table import (
     Metric,
     Output,
@@ -27,7 +32,7 @@ from svmdist.workflows.scoring.metric_table import (
     score_metrics,
     within,
 )
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.score import DistanceScore, Score
 from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 
 VALIDATION_SCHEMA = "svmdist.validation/1"

@@ -25,7 +25,7 @@ from svmdist.results import Distance, FrameResult
 from svmdist.samples import Sample
 from svmdist.workflows.frame_drawing import frame_drawing, interval_m
 from svmdist.workflows.replay import Replayed, replay
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 
 ANNOTATIONS = "annotations"
 """Below the image's topic: viewers that go by the names of topics lay it over the image."""

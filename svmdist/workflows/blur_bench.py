@@ -21,8 +21,8 @@ from svmdist.vision.regions import find_region
 from svmdist.workflows.conditions import BlurCondition
 from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
+from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.truth import Reference, distance_truth
-from svmdist.workflows.setup import Setup
 
 DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
     Blur.NONE: 1,

@@ -24,7 +24,7 @@ from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.parallel import Progress, Steps, image_total
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 
 PIXELS_AS_THEY_ARE = PlaneMapping("corrected", Quadratic(0.0, 1.0, 0.0), Quadratic(0.0, 1.0, 0.0))
 """The estimator needs a mapping; calibration reads its pixels only."""

@@ -45,7 +45,7 @@ from svmdist.vision.marker import (
 from svmdist.vision.regions import Region
 from svmdist.vision.shaft_segmentation import ShaftRegion
 from svmdist.workflows.replay import Replayed
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 
 CIRCLE_POINTS = 36
 MIN_CONTOUR_PX = 6

@@ -28,7 +28,7 @@ from svmdist.transforms import Array, inverse, rotation_angle
 from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
 from svmdist.workflows.reported_tool import Against, ReportedTool, default_reference, reported_tool
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 
 SEEING_METHODS = ("fiducial", "stereo", "shaft")
 """Methods whose tool is from the images alone, the surest first."""

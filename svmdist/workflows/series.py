@@ -16,10 +16,9 @@ from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array
 from svmdist.workflows.frame_drawing import LEVEL
-from svmdist.workflows.scoring.distances import CLEARANCE, PLANAR, SPATIAL, Distance
-from svmdist.workflows.scoring.score import truth_lag_ns
+from svmdist.workflows.request import Setup
+from svmdist.workflows.scoring.score import CLEARANCE, PLANAR, SPATIAL, Distance, truth_lag_ns
 from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth
-from svmdist.workflows.setup import Setup
 
 PREFERRED = (CLEARANCE, SPATIAL, PLANAR)
 """The distance that says most stands first."""

@@ -12,9 +12,9 @@ from svmdist.profile import AutoSegmentation
 from svmdist.recording.log import Recording
 from svmdist.recording.topics import Role
 from svmdist.samples import Rejection
-from svmdist.workflows.adapting import adapted_segmenters
 from svmdist.workflows.conditions import CLEAN
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.replay import adapted_segmenters
+from svmdist.workflows.request import Setup
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ from svmdist.workflows.batch.identity import fingerprint
 from svmdist.workflows.batch.plain import from_plain, to_plain
 from svmdist.workflows.batch.task import LogFile, Note, Outcome
 from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.request import prepare
 from svmdist.workflows.scoring.truth import TruthRules
-from svmdist.workflows.setup import prepare
 
 PROFILE = load_profile()
 SETUP = prepare(method="overlay")

@@ -18,7 +18,7 @@ from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.vision import frame_context
 from svmdist.workflows.replay import MultiInstrumentEstimator
-from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.request import Setup, prepare
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ from svmdist.vision.frame_context import to_hsv
 from svmdist.vision.marker import is_plausible
 from svmdist.vision.regions import find_region
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 from tests.shipped import EXACT_PROFILE
 
 

@@ -24,7 +24,7 @@ from svmdist.recording.summary import TRUE_SUFFIX
 from svmdist.results import FrameResult
 from svmdist.workflows.annotate import DrawnFrame, drawn_frames, write_annotated
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.request import Setup, prepare
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DUO = REPOSITORY / "recordings" / "3d" / "duo.mcap"

@@ -21,8 +21,8 @@ from svmdist.simulation.extras import Extras
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import Group, compare, group_of
 from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.request import prepare
 from svmdist.workflows.scoring.truth import Reference, TruthRules
-from svmdist.workflows.setup import prepare
 from svmdist.workflows.validate import validate
 from tests.synthetic import make_scene, samples
 

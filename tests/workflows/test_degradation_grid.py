@@ -14,7 +14,7 @@ from svmdist.samples import DistanceSample, Observation, RightView, Sample
 from svmdist.vision.degradations import Degradation, degrade
 from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.degradation_grid import degradation_grid, grid_conditions
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 from tests.measuring import Measuring
 from tests.synthetic import write_log
 

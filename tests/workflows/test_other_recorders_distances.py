@@ -17,8 +17,8 @@ from svmdist.samples import Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, rotation_z
 from svmdist.workflows.calibrate import calibrate
 from svmdist.workflows.estimate import estimate
+from svmdist.workflows.request import Setup, prepare
 from svmdist.workflows.scoring.truth import Reference, truth_rules
-from svmdist.workflows.setup import Setup, prepare
 from svmdist.workflows.validate import Validation, validate
 from tests.measuring import flat
 from tests.recording.builders import Entry

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import cv2
 import pytest
-from svmdist.recording.reading import Reading, Window
 
 from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
-from svmdist.recording.log import open_recording
+from svmdist.recording.log import Reading, Window, open_recording
 from svmdist.workflows.parallel import (
     LOOK_AHEAD,
     Steps,

@@ -23,7 +23,7 @@ from svmdist.vision.degradations import Degradation
 from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.replay import MultiInstrumentEstimator, Replayed, replay
-from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.request import Setup, prepare
 from tests.synthetic import START_NS, write_log
 
 FRAMES = 8

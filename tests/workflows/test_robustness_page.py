@@ -13,7 +13,7 @@ from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.workflows.conditions import PerturbedCondition
-from svmdist.workflows.scoring.distances import Pairs
+from svmdist.workflows.scoring.score import Pairs
 from tests.synthetic import make_scene, samples
 
 

@@ -16,8 +16,8 @@ from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, ImageSample
 from svmdist.workflows import replay
+from svmdist.workflows.request import prepare
 from svmdist.workflows.row_alignment import row_offset, row_offset_to_remove_px
-from svmdist.workflows.setup import prepare
 
 CAMERA = Camera.from_horizontal_fov(420, 280, np.pi / 3)
 BASELINE_M = 0.005

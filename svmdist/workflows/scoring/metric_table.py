@@ -12,10 +12,20 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, ConfigDict, Field
 
 from svmdist.estimation.lag import LagEstimate
-from svmdist.metrics import COUNT, LENGTH, RATIO, SECONDS, SHARE, TEXT, AlarmStatistics, ErrorStatistics, Interval, Unit
-from svmdist.workflows.runs import Figures
-from svmdist.workflows.scoring.distances import DistanceScore
-from svmdist.workflows.scoring.score import Score
+from svmdist.metrics import (
+    COUNT,
+    LENGTH,
+    RATIO,
+    SECONDS,
+    SHARE,
+    TEXT,
+    AlarmStatistics,
+    ErrorStatistics,
+    Interval,
+    Unit,
+)
+from svmdist.workflows.compare import Figures
+from svmdist.workflows.scoring.score import DistanceScore, Score
 
 Value = str | int | float | None
 Scored_contra = TypeVar("Scored_contra", contravariant=True)

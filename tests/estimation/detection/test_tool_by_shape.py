@@ -14,7 +14,7 @@ from svmdist.samples import ImageSample
 from svmdist.vision.segmentation import AutoSegmenter, InstrumentMasks
 from svmdist.vision.silhouette import WristShape, find_silhouette
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 from tests.shipped import PROFILE
 
 DUO = Path(__file__).parents[3] / "recordings" / "3d" / "duo.mcap"

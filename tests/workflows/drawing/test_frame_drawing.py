@@ -17,7 +17,7 @@ from svmdist.samples import Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.workflows.frame_drawing import _through_lens, frame_drawing, virtual_marker
 from svmdist.workflows.replay import Replayed, replay
-from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.request import Setup, prepare
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.errors import OutputError
-from svmdist.files import BusyError, atomic_file, lock, locked_file, write_atomically
+from svmdist.files import BusyError, atomic_file, lock, write_atomically
 
 
 def _cut_short(error: BaseException) -> Iterator[str]:
@@ -88,8 +88,9 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     stale, other, at_work = (tmp_path / name for name in names)
     for left in (stale, other, at_work):
         left.write_text("half")
-    with locked_file(at_work, "wb"):
-        write_atomically(path, ["whole\n"])
+    held = lock(at_work, "wb")
+    write_atomically(path, ["whole\n"])
+    os.close(held)
     assert not stale.exists()
     assert sorted(tmp_path.iterdir()) == sorted([path, other, at_work])
 
@@ -97,26 +98,28 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
 def test_a_lock_is_held_by_one(tmp_path: Path) -> None:
     """A second one is refused until the first has ended; then the file is emptied for it."""
     path = tmp_path / "log.part"
-    with locked_file(path, "xb") as number:
-        os.write(number, b"half")
-        with pytest.raises(BusyError), locked_file(path, "wb"):
-            pass
-        assert path.read_bytes() == b"half"
-    with pytest.raises(FileExistsError), locked_file(path, "xb"):
-        pass
-    with locked_file(path, "wb"):
-        assert path.read_bytes() == b""
+    number = lock(path, "xb")
+    os.write(number, b"half")
+    with pytest.raises(BusyError):
+        lock(path, "wb")
+    assert path.read_bytes() == b"half"
+    os.close(number)
+    with pytest.raises(FileExistsError):
+        lock(path, "xb")
+    os.close(lock(path, "wb"))
+    assert path.read_bytes() == b""
 
 
 def test_a_lock_is_that_of_the_file_under_the_name(tmp_path: Path) -> None:
-    """Who opens a name anew, when its file got a final one, makes a new file and does not write into that."""
+    """Opening a name anew after its file was renamed makes a new file and leaves the renamed one."""
     path, final = tmp_path / "log.part", tmp_path / "log"
     first = lock(path, "xb")
     os.write(first, b"whole")
     path.rename(final)
-    with locked_file(path, "wb") as second:
-        os.write(second, b"other")
+    second = lock(path, "wb")
+    os.write(second, b"other")
     os.close(first)
+    os.close(second)
     assert (final.read_bytes(), path.read_bytes()) == (b"whole", b"other")
 
 

@@ -1,15 +1,17 @@
-"""What a measurement is made with: profile, method, equations and calibration, resolved and checked once."""
+"""What is asked of logs: how they are read and measured, resolved and checked once."""
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError, did_you_mean
+from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.plane_mapping import (
     PUBLISHED_MAPPING,
@@ -25,8 +27,41 @@ from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.shape import stated_profile
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.log import KnownLag, Recording
+from svmdist.results import FrameResult
 from svmdist.vision.segmentation import Segmenter, make_segmenter
-from svmdist.workflows.own_method import OwnEstimator, OwnMethod, name_of
+
+
+@runtime_checkable
+class OwnMethod(Protocol):
+    """Anything with `estimate(frame)`. A `name` is shown in results; the class's name stands in for it."""
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; one that cannot be measured is a result with a status that says why."""
+
+
+class OwnEstimator:
+    """An own method as the replay takes it: each instrument has a copy, and frames come in the order of the log."""
+
+    keeps_state = True
+    needs = Needs(right_view=True)
+
+    def __init__(self, method: OwnMethod) -> None:
+        self.name = name_of(method)
+        self._method = copy.deepcopy(method)
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; raises TypeError for what is no result."""
+        result = self._method.estimate(frame)
+        if not isinstance(result, FrameResult):
+            raise TypeError(
+                f"{self.name}.estimate(frame): expected a FrameResult, found {type(result).__name__}"
+            )
+        return result
+
+
+def name_of(method: OwnMethod) -> str:
+    """What an own method is called in results."""
+    return str(getattr(method, "name", type(method).__name__))
 
 
 @dataclass(frozen=True)
