@@ -7,7 +7,7 @@ import io
 import os
 import stat
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -21,6 +21,7 @@ from svmdist.input_file import LogPath, why
 
 if TYPE_CHECKING:
     from rich.console import Console
+
     from svmdist.recording.source import Health
     from svmdist.report.writers import Results, Writer
 

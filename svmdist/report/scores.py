@@ -15,13 +15,7 @@ from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit, coverage
 from svmdist.report.tables import Cell, Column, Row, Table, counted, finite, metric_column, row_of
 from svmdist.report.writers import Results
 from svmdist.workflows.blur_bench import BlurRow
-<<<<<<< HEAD
 from svmdist.workflows.compare import MethodScore
-from svmdist.workflows.scoring.distances import DistanceScore
-=======
-from svmdist.workflows.compare import Figures, MethodScore
-from svmdist.workflows.degradation_grid import GridCell
->>>>>>> main
 from svmdist.workflows.scoring.metric_table import (
     Metric,
     Output,

@@ -270,14 +270,9 @@ def _csv_cell(value: Cell) -> str:
     return "" if value is None else repr(float(value)) if isinstance(value, float) else repr(value)
 
 
-def require_pyarrow() -> Any:
-    """pyarrow; raises OutputError where it is not installed."""
-    return optional_package("pyarrow", "parquet", "Parquet", OutputError)
-
-
 def write_parquet(path: Path, columns: Sequence[Column], rows: Iterable[Row]) -> None:
     """Write rows atomically, in pieces; a value that does not exist is null."""
-    pyarrow = require_pyarrow()
+    pyarrow = optional_package("pyarrow", "parquet", "Parquet", OutputError)
     from pyarrow.parquet import ParquetWriter
 
     stored = [column for column in columns if column.stored]

@@ -1,4 +1,7 @@
-"""The output formats, one table: their names, the endings of their files, what they hold and how they are written."""
+"""The output formats, one table: their names, the endings of their files, what they hold and how they are written.
+
+Light to import: `svmdist --help` reads the names.
+"""
 
 from __future__ import annotations
 
@@ -9,27 +12,12 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from svmdist.errors import OutputError, UsageError, optional_package
-from svmdist.report.tables import (
-    Column,
-    Row,
-    Table,
-    csv_lines,
-    json_array_lines,
-    json_lines,
-    json_text,
-    keys_of,
-    latex,
-    markdown,
-    render,
-    require_pyarrow,
-    text_lines,
-    write_parquet,
-)
+from svmdist.errors import OutputError, UsageError, did_you_mean, optional_package
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.report.html import Report
+    from svmdist.report.tables import Column, Row, Table
     from svmdist.workflows.annotate import DrawnFrame
     from svmdist.workflows.setup import Setup
 
@@ -71,7 +59,7 @@ class Results:
     @property
     def keys(self) -> tuple[str, ...]:
         """The columns for machines."""
-        return keys_of(self.columns)
+        return tuple(column.key for column in self.columns if column.stored)
 
 
 Lines = Callable[[Results, int | None, bool], Iterator[str]]
@@ -101,6 +89,8 @@ def require_report() -> None:
 
 
 def _table_lines(results: Results, width: int | None, colour: bool) -> Iterator[str]:
+    from svmdist.report.tables import render, text_lines
+
     if results.text is not None:
         yield from results.text(width)
         return
@@ -111,17 +101,48 @@ def _table_lines(results: Results, width: int | None, colour: bool) -> Iterator[
         yield from (f"{line}\n" for line in (wrap(note, width) if width else [note]))
 
 
+def _csv_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
+    from svmdist.report.tables import csv_lines
+
+    return csv_lines(results.keys, results.rows)
+
+
 def _json_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
-    if results.document is not None:
-        yield json_text(results.document, indent=1) + "\n"
-    else:
-        yield from json_array_lines(results.keys, results.rows)
+    from svmdist.report.tables import json_array_lines, json_text
+
+    if results.document is None:
+        return json_array_lines(results.keys, results.rows)
+    return iter([json_text(results.document, indent=1) + "\n"])
+
+
+def _jsonl_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
+    from svmdist.report.tables import json_lines
+
+    return json_lines(results.keys, results.rows)
 
 
 def _tum_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
     from svmdist.report.rows import tum_lines
 
     return tum_lines(results.keys, results.rows)
+
+
+def _latex_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
+    from svmdist.report.tables import latex
+
+    return latex(results.tables, results.notes)
+
+
+def _markdown_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
+    from svmdist.report.tables import markdown
+
+    return markdown(results.tables, results.notes)
+
+
+def _save_parquet(results: Results, output: Path) -> None:
+    from svmdist.report.tables import write_parquet
+
+    write_parquet(output, results.columns, results.rows)
 
 
 def _save_annotated(
@@ -151,14 +172,14 @@ def _package(name: str, extra: str, what: str) -> Callable[[], object]:
 # fmt: off
 WRITERS = (
     Writer("table", ("", ".txt", ".log", ".out"), Holds.ROWS | Holds.TABLES | Holds.FIGURES, _table_lines),
-    Writer("csv", (".csv",), ANY_ROWS, lambda results, *_: csv_lines(results.keys, results.rows)),
+    Writer("csv", (".csv",), ANY_ROWS, _csv_lines),
     Writer("json", (".json",), ANY_ROWS, _json_lines, is_json=True),
-    Writer("jsonl", (".jsonl",), Holds.ROWS, lambda results, *_: json_lines(results.keys, results.rows), is_json=True),
+    Writer("jsonl", (".jsonl",), Holds.ROWS, _jsonl_lines, is_json=True),
     Writer("tum", (".tum",), Holds.ROWS | Holds.POSES, _tum_lines),
-    Writer("latex", (".tex",), Holds.FIGURES, lambda results, *_: latex(results.tables, results.notes)),
-    Writer("markdown", (".md",), Holds.FIGURES, lambda results, *_: markdown(results.tables, results.notes)),
-    Writer("parquet", (".parquet",), Holds.ROWS | Holds.POSES | Holds.FIGURES, needs=require_pyarrow,
-           save=lambda results, output: write_parquet(output, results.columns, results.rows)),
+    Writer("latex", (".tex",), Holds.FIGURES, _latex_lines),
+    Writer("markdown", (".md",), Holds.FIGURES, _markdown_lines),
+    Writer("parquet", (".parquet",), Holds.ROWS | Holds.POSES | Holds.FIGURES,
+           save=_save_parquet, needs=_package("pyarrow", "parquet", "Parquet")),
     Writer("mcap", (".mcap",), Holds.FRAMES, save=_save_annotated),
     Writer("mp4", (".mp4",), Holds.FRAMES, save=_save_video, needs=_package("av", "video", "a video")),
     Writer("html", (".html", ".htm"), Holds.REPORT, save=_save_report, needs=require_report),
@@ -190,6 +211,9 @@ def choose_writer(given: str | None, output: Path | None, holds: Holds) -> Write
             raise UsageError(
                 f"--format {given}: {output} is written as {by_ending.name}; leave out one of them"
             )
+        names = names_of(holds & ANY_ROWS)
+        if given not in names:
+            raise UsageError(f"--format {given}: {did_you_mean(given, names)}")
         chosen = next(writer for writer in able if writer.name == given)
     elif by_ending is not None:
         chosen = by_ending
