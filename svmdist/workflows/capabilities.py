@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
-from svmdist.estimation.methods import METHODS
+from svmdist.estimation.methods import REGISTRY, Input
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import LEFT_IMAGES
@@ -276,21 +276,24 @@ def method_capabilities(
     """Tell for each method of `estimate` what log and profile lack; `tags` is what `look_for_tag` found."""
     profile = seen_by_first(summary, profile)
     images = _lacking(summary, "image", "camera_info")
-    joints = _lacking(summary, "joints") + _chain_lacking(summary, profile)
-    kinematics = joints + _camera_transform_lacking(summary, profile)
-    in_3d = _parts_lacking(profile, "robot", "tissue")
     shaft = () if profile.segmentation.shaft else (f"[segmentation.shaft] in profile {profile.name}",)
     calibration = () if profile.calibration else (f"a calibration in profile {profile.name} (--calibration)",)
-    needs = {
-        "overlay": calibration,
-        "centroid": calibration,
-        "fiducial": joints + _parts_lacking(profile, "fiducial", "tissue") + _tag_lacking(tags),
-        "shaft": shaft + _parts_lacking(profile, "instrument") + in_3d,
-        "stereo": _lacking(summary, "right_image", "right_camera_info") + in_3d,
-        "kinematic": kinematics + _parts_lacking(profile, "tissue"),
-        "fused": kinematics + _parts_lacking(profile, "tissue"),
+    lacking: dict[Input, tuple[str, ...]] = {
+        "calibration": calibration,
+        "camera_to_base": _camera_transform_lacking(summary, profile),
+        "fiducial": _parts_lacking(profile, "fiducial"),
+        "instrument": _parts_lacking(profile, "instrument"),
+        "joints": _lacking(summary, "joints") + _chain_lacking(summary, profile),
+        "right_image": _lacking(summary, "right_image", "right_camera_info"),
+        "robot": _parts_lacking(profile, "robot"),
+        "shaft": shaft,
+        "tag": _tag_lacking(tags),
+        "tissue": _parts_lacking(profile, "tissue"),
     }
-    return tuple(Capability(method, images + needs.get(method, ())) for method in METHODS)
+    return tuple(
+        Capability(method.name, sum((lacking[one] for one in method.inputs), images))
+        for method in REGISTRY.values()
+    )
 
 
 def _tag_lacking(tags: TagCheck | None) -> tuple[str, ...]:
