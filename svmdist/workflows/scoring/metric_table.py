@@ -13,6 +13,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from svmdist.metrics import COUNT, LENGTH, RATIO, SECONDS, SHARE, TEXT, Unit
+
 Value = str | int | float | None
 
 
@@ -41,19 +43,6 @@ class Output(Flag):
 
 
 NOWHERE = Output(0)
-
-
-@dataclass(frozen=True, slots=True)
-class Unit:
-    """The unit of a value, the one a person is shown, and how: the value times `factor` with so many digits.
-
-    Without digits the value is shown as it is: a count or a text.
-    """
-
-    name: str = ""
-    shown: str = ""
-    factor: float = 1.0
-    digits: int | None = None
 
 
 class Tolerance(BaseModel):
@@ -136,12 +125,6 @@ def cells(metrics: Iterable[Metric], of: object) -> dict[str, Value]:
     """The values of metrics by their keys."""
     return {metric.key: metric.of(of) for metric in metrics}
 
-
-COUNT = Unit()
-RATIO = Unit("1", digits=4)
-SHARE = Unit("1", "%", factor=100.0, digits=1)
-LENGTH = Unit("m", "mm", 1e3, 2)
-SECONDS = Unit("s", "s", digits=2)
 
 LOWER, HIGHER = Better.LOWER, Better.HIGHER
 SCORES, FIGURES = Output.SCORES, Output.FIGURES
@@ -227,7 +210,7 @@ R_SQUARED_BOUNDS = (
 MARKS = (
     Metric("fitted_on", COUNT, lambda s: s.fitted_on,
            "Whether the calibration was fitted on this log, which is then left out of the overall score."),
-    Metric("rejected", COUNT, lambda s: " ".join(f"{reason}={count}" for reason, count in s.rejected.items()),
+    Metric("rejected", TEXT, lambda s: " ".join(f"{reason}={count}" for reason, count in s.rejected.items()),
            "The frames that could not be measured: a count for each status."),
 )
 LAG = (

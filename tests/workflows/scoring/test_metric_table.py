@@ -12,23 +12,17 @@ import pytest
 
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import alarm_statistics
-from svmdist.report.metric_docs import metrics_table
+from svmdist.report.columns_page import columns_page
 from svmdist.report.scores import (
-    compare_keys,
-    compare_row,
-    compare_tables,
-    grid_keys,
-    grid_row,
-    grid_table,
-    score_keys,
-    score_row,
+    compare_columns,
+    compare_results,
+    score_columns,
     validation_document,
+    validation_results,
     validation_tables,
 )
-from svmdist.report.tables import csv_lines, render
+from svmdist.report.tables import csv_lines, keys_of, render
 from svmdist.workflows.compare import Figures, Group, MethodScore
-from svmdist.workflows.conditions import CLEAN
-from svmdist.workflows.degradation_grid import GridCell
 from svmdist.workflows.scoring import metric_table
 from svmdist.workflows.scoring.baseline import Baseline, find_regressions, make_baseline
 from svmdist.workflows.scoring.metric_table import (
@@ -92,10 +86,9 @@ def figures() -> Figures:
 
 def test_columns_stay() -> None:
     """The columns of version 0.1, in their order: a column is neither renamed nor moved nor removed."""
-    assert list(score_keys()) == SCORE_COLUMNS.split()
+    assert list(keys_of(score_columns())) == SCORE_COLUMNS.split()
     figure_columns = FIGURE_COLUMNS.split()
-    assert list(grid_keys()) == ["method", "degradation", "severity", *figure_columns]
-    assert list(compare_keys()) == [
+    assert list(keys_of(compare_columns())) == [
         "group",
         "method",
         *figure_columns,
@@ -141,10 +134,11 @@ def test_a_new_metric_is_declared_once(added: str) -> None:
     keys = [added, f"spatial_{added}", f"clearance_{added}"]
     expected = np.percentile(1e-3 * np.arange(20), 99)
     made = validation()
-    assert list(score_keys())[-4:] == ["instrument", *keys]
-    row = score_row(made.scores[0])
+    assert list(keys_of(score_columns()))[-4:] == ["instrument", *keys]
+    results = validation_results(made)
+    row = next(iter(results.rows))
     assert [row[key] for key in keys] == pytest.approx([expected] * 3)
-    header, cells = (line.split(",") for line in csv_lines(score_keys(), [row]))
+    header, cells = (line.split(",") for line in csv_lines(results.keys, [row]))
     assert header[-1].strip() == keys[-1]
     assert float(cells[-1]) == pytest.approx(expected)
     document = json.loads(json.dumps(validation_document(made)))
@@ -153,19 +147,15 @@ def test_a_new_metric_is_declared_once(added: str) -> None:
     for shown in (planar, in_3d):
         assert "p99" in shown
         assert f"{expected * 1e3:.2f}" in shown
-    assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | m | lower | 1e-05 m |" in metrics_table()
+    assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | m | lower | 1e-05 m |" in columns_page()
 
 
 def test_a_new_metric_stands_in_replays(added: str) -> None:
-    """`compare` and the grid show it for each distance."""
-    compared = MethodScore(Group("sweep"), "fused", figures())
-    cell = GridCell("fused", CLEAN, figures())
-    assert compare_keys()[-4:] == ("instrument", added, f"spatial_{added}", f"clearance_{added}")
-    assert grid_keys()[-1] == f"clearance_{added}"
-    assert {*compare_keys()} == {*compare_row(compared)}
-    assert {*grid_keys()} == {*grid_row(cell)}
-    for shown in (render(compare_tables([compared])[0]), render(grid_table("grid", [cell]))):
-        assert shown.count("p99") == 3
+    """`compare` shows it for each distance."""
+    results = compare_results([MethodScore(Group("sweep"), "fused", figures())])
+    assert results.keys[-4:] == ("instrument", added, f"spatial_{added}", f"clearance_{added}")
+    assert [{*row} for row in results.rows] == [{*results.keys}]
+    assert render(results.tables[0]).count("p99") == 3
 
 
 def test_a_new_metric_is_in_baselines(added: str) -> None:
