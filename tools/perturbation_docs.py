@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from svmdist.perturbations.perturbation import Perturbation
+from svmdist.perturbations.table import Perturbation
 from svmdist.perturbations.table import TABLE
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "simulation.md"

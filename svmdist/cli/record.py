@@ -205,8 +205,8 @@ def record_command(
     """
     from svmdist.perturbations.chosen import World, draw_world
     from svmdist.profile import load_profile
-    from svmdist.simulation.extras import Extras
-    from svmdist.simulation.motion.scenarios import Scenario
+    from svmdist.simulation.scenarios import Scenario
+    from svmdist.simulation.scene import Extras
     from svmdist.workflows.record import record
 
     relief_m = 0.0 if relief is None else parse_length_m("--relief", relief)

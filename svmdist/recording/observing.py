@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from svmdist.camera import Camera, stereo_transform
-from svmdist.perturbations.replayed import ReplayedJoints, ReplayedWorld
+from svmdist.perturbations.joints import ReplayedJoints, ReplayedWorld
 from svmdist.recording.arms import LoggedArm
 from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
 from svmdist.recording.encoded import (

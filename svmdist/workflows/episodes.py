@@ -13,8 +13,8 @@ from svmdist.output_file import is_held
 from svmdist.perturbations.chosen import Perturbations, draw_world
 from svmdist.profile import Profile
 from svmdist.recording.reader import open_recording
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.scene import Extras
 from svmdist.workflows.ahead import usable_cores
 from svmdist.workflows.batch.pool import Task, measured_in_processes
 from svmdist.workflows.batch.run import Progress, unheard

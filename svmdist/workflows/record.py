@@ -11,9 +11,9 @@ from pathlib import Path
 from svmdist.errors import UsageError
 from svmdist.profile import Profile
 from svmdist.recording.writer import RecordingWriter
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.plan import make_plan
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.scene import Extras
 from svmdist.workflows.ahead import keep_freed_memory, usable_cores
 from svmdist.workflows.record_workers import WorkerDiedError, encoded_samples
 

@@ -15,8 +15,8 @@ from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_
 from svmdist.estimation.planar.calibration import Calibration, load_calibration
 from svmdist.estimation.planar.equations import PUBLISHED_MAPPING, Equations, PlaneMapping, degeneracies
 from svmdist.estimation.tissue.pose import require_tissue
+from svmdist.perturbations.calibration import stated_profile
 from svmdist.perturbations.chosen import Perturbations
-from svmdist.perturbations.shape import stated_profile
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.reader import KnownLag, Recording
 from svmdist.vision.segmentation.segmenter import Segmenter, make_segmenter

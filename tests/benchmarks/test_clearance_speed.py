@@ -95,8 +95,8 @@ def test_other_surfaces(benchmark: BenchmarkFixture, kind: str) -> None:
 def test_true_clearances(benchmark: BenchmarkFixture, relief_m: float) -> None:
     """A second of motion above the organ, one sample after the other."""
     pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-    from svmdist.simulation.clearance.meters import ClearanceMeter
-    from svmdist.simulation.extras import Extras
+    from svmdist.simulation.clearance import ClearanceMeter
+    from svmdist.simulation.scene import Extras
 
     scene = make_scene(PROFILE, 1, Extras(relief_m=relief_m))
     poses: Array = np.linspace(scene.posture, scene.posture + 0.02, 100)

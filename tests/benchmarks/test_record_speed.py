@@ -16,16 +16,16 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from svmdist.profile import load_profile
 from svmdist.recording.messages.encoding import encode, encode_all
 from svmdist.samples import ImageSample, Sample
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import make_scene
-from svmdist.simulation.sensor import Sensor
+from svmdist.simulation.simulate import Sensor
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.clearance.meters import ClearanceMeter
-from svmdist.simulation.drawn_world import DrawnWorld
+from svmdist.simulation.clearance import ClearanceMeter
+from svmdist.simulation.render import DrawnWorld
 from svmdist.simulation.plan import Plan, make_plan
-from svmdist.simulation.renderer import Renderer
+from svmdist.simulation.render import Renderer
 from svmdist.simulation.simulate import Simulator
 from svmdist.workflows.ahead import usable_cores
 from svmdist.workflows.record import record

@@ -189,8 +189,8 @@ def test_blur_bench_rows(cli: Cli, tmp_path: Path, synthetic_calibration: Path) 
 def test_choices_on_the_command_line_are_the_choices_there_are() -> None:
     """The light enumerations of the command line agree with the heavy modules they stand for."""
     from svmdist.estimation.methods import METHODS, PLANAR_METHODS
-    from svmdist.simulation.motion.scenarios import SCENARIOS
-    from svmdist.simulation.renderer import RENDERERS
+    from svmdist.simulation.scenarios import SCENARIOS
+    from svmdist.simulation.render import RENDERERS
 
     assert [method.value for method in Method] == list(METHODS)
     assert [method.value for method in PlanarMethod] == list(PLANAR_METHODS)

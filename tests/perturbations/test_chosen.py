@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from svmdist.errors import UsageError
-from svmdist.perturbations.calibration_table import CALIBRATION
+from svmdist.perturbations.table import CALIBRATION
 from svmdist.perturbations.chosen import (
     UNPERTURBED,
     Perturbations,
@@ -17,10 +17,10 @@ from svmdist.perturbations.chosen import (
     draw_world,
     parse_perturbations,
 )
-from svmdist.perturbations.image_table import IMAGES
-from svmdist.perturbations.joint_table import CLOCK, JOINTS
-from svmdist.perturbations.laws import Always, Normal, Uniform
-from svmdist.perturbations.perturbation import Place
+from svmdist.perturbations.table import IMAGES
+from svmdist.perturbations.table import CLOCK, JOINTS
+from svmdist.perturbations.table import Always, Normal, Uniform
+from svmdist.perturbations.table import Place
 from svmdist.perturbations.table import TABLE, real_std
 
 SEEDS = range(1000)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.perturbations.laws import Uniform
-from svmdist.perturbations.shape import TURN_DEG_PER_MM
+from svmdist.perturbations.table import Uniform
+from svmdist.perturbations.calibration import TURN_DEG_PER_MM
 from svmdist.perturbations.table import TABLE, real_std
 from svmdist.profile import Profile, load_profile
 

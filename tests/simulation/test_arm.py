@@ -9,8 +9,8 @@ from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import Profile
 from svmdist.samples import JointSample, PoseSample
 from svmdist.simulation.arm import Arm, distances
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.plan import make_plan
 
 

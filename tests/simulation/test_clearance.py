@@ -13,7 +13,7 @@ from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import inverse, transform_points
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.clearance.meters import ClearanceMeter
+from svmdist.simulation.clearance import ClearanceMeter
 
 TOLERANCE_M = 2e-5
 

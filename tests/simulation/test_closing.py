@@ -2,7 +2,7 @@
 
 import pytest
 
-from svmdist.simulation.closing import Closing
+from svmdist.simulation.bullet import Closing
 
 
 class Counting(Closing):

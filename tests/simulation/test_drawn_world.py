@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from svmdist.simulation.scene import Scene
-from svmdist.simulation.views import PIXEL_SHIFT, projection_matrix, view_matrix
+from svmdist.simulation.effects import PIXEL_SHIFT, projection_matrix, view_matrix
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.drawn_world import DrawnWorld
+from svmdist.simulation.render import DrawnWorld
 
 
 def test_a_turn_settles_the_picture(scene: Scene) -> None:

@@ -14,16 +14,16 @@ from svmdist.kinematics.inverse import solve_position
 from svmdist.profile import Profile
 from svmdist.recording.reader import open_recording
 from svmdist.samples import CameraSample, ImageSample, JointSample, Sample, TransformsSample
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.nominal import draw_nominal_kinematics
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.arm import draw_nominal_kinematics
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, inverse, rotation_angle, transform_points
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.clearance.meters import ClearanceMeter
-from svmdist.simulation.renderer import Renderer
-from svmdist.simulation.sensor import Sensor
+from svmdist.simulation.clearance import ClearanceMeter
+from svmdist.simulation.render import Renderer
+from svmdist.simulation.simulate import Sensor
 from svmdist.simulation.simulate import simulate
 
 SHORT = Scenario("sweep", 1, 0.2, 10.0)

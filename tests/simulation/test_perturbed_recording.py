@@ -11,14 +11,14 @@ from svmdist.camera import stereo_transform
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, World, draw_world, parse_perturbations
 from svmdist.perturbations.images import perturbed_right_view
-from svmdist.perturbations.shape import plane_tilt, stated_profile
+from svmdist.perturbations.calibration import plane_tilt, stated_profile
 from svmdist.profile import Profile
 from svmdist.recording.reader import Recording, open_recording
 from svmdist.samples import CameraSample, ImageSample, Observation, RightView, Sample, TransformsSample
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.plan import Plan, make_plan
-from svmdist.simulation.reports import reported_joints
+from svmdist.simulation.arm import reported_joints
 from svmdist.transforms import inverse, transform_points
 from svmdist.workflows.record import record
 

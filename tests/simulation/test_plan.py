@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from svmdist.profile import Profile
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.plan import between_topic, make_plan, topic_names
 
 

@@ -11,16 +11,16 @@ from svmdist.geometry.surfaces import Mesh
 from svmdist.perturbations.chosen import UNPERTURBED, parse_perturbations
 from svmdist.profile import Profile
 from svmdist.simulation.clearance.relief_meter import PartSamples, ReliefMeter
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.room.surfaces import metric_depth_m
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.effects import metric_depth_m
 from svmdist.simulation.scene import Scene, risen
 from svmdist.transforms import Array, transform_points
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.plan import Moment, Plan, make_plan
 from svmdist.simulation.pressing import Pressing
-from svmdist.simulation.renderer import Renderer
+from svmdist.simulation.render import Renderer
 from svmdist.simulation.simulate import Simulator
 
 CONTACT = Scenario("contact", 3, 8.0, 5.0)

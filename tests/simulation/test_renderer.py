@@ -12,16 +12,16 @@ import pytest
 from svmdist.errors import SimulationError
 from svmdist.kinematics.inverse import solve_position
 from svmdist.profile import ColourRegion, Profile
-from svmdist.simulation.bodies.meshes import sphere
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.meshes import sphere
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import inverse, make_transform, transform_points
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation import renderer as renderer_module
-from svmdist.simulation.motion.trajectory import make_trajectory
-from svmdist.simulation.renderer import Renderer
+from svmdist.simulation import render as renderer_module
+from svmdist.simulation.motion import make_trajectory
+from svmdist.simulation.render import Renderer
 
 
 def colour_mask(image_bgr: np.ndarray, region: ColourRegion) -> np.ndarray:

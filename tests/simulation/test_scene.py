@@ -8,7 +8,7 @@ import pytest
 from svmdist.errors import SimulationError
 from svmdist.kinematics.dh import frame_transforms
 from svmdist.profile import Profile
-from svmdist.simulation.extras import Extras
+from svmdist.simulation.scene import Extras
 from svmdist.simulation.scene import TISSUE_SHIFT_M, Scene, make_floor, make_retractor, make_scene
 
 

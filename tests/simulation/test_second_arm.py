@@ -11,15 +11,15 @@ from svmdist.errors import SimulationError, UsageError
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import Profile
 from svmdist.samples import DistanceSample, ImageSample, JointSample, Sample, TransformsSample
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import SCENARIOS, Scenario
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import SCENARIOS, Scenario
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, transform_points
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.clearance.meters import BetweenMeter, ClearanceMeter
-from svmdist.simulation.motion.trajectory import make_trajectory
-from svmdist.simulation.second_arm import CLEARANCE_M, make_other_arms
+from svmdist.simulation.clearance import BetweenMeter, ClearanceMeter
+from svmdist.simulation.motion import make_trajectory
+from svmdist.simulation.motion import CLEARANCE_M, make_other_arms
 from svmdist.simulation.simulate import simulate
 
 SHORT = Scenario("sweep", 1, 0.1, 10.0)

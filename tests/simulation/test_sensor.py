@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.sensor import Sensor
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.simulate import Sensor
 
 WIDTH, HEIGHT = 64, 48
 

@@ -13,13 +13,13 @@ from svmdist.errors import UsageError
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import Profile
 from svmdist.samples import DistanceSample, ImageSample, JointSample, PoseSample, TransformsSample
-from svmdist.simulation.motion.paths import cubic_spline, smooth_step
-from svmdist.simulation.motion.scenarios import SCENARIOS, Scenario, Stage, plan_motion
+from svmdist.simulation.scenarios import cubic_spline, smooth_step
+from svmdist.simulation.scenarios import SCENARIOS, Scenario, Stage, plan_motion
 from svmdist.simulation.scene import make_scene
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.clearance.meters import ClearanceMeter
-from svmdist.simulation.motion.trajectory import make_trajectory
+from svmdist.simulation.clearance import ClearanceMeter
+from svmdist.simulation.motion import make_trajectory
 from svmdist.simulation.simulate import simulate
 
 WORKING_HEIGHT_M = 0.0245
@@ -28,7 +28,7 @@ SEEDS = range(6)
 DIGEST = """
 import hashlib
 from svmdist.profile import load_profile
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.simulate import simulate
 digest = hashlib.sha256()
 for topic, sample in simulate(Scenario("sweep", 3, 0.3, 10.0), load_profile(), noise=2.0):

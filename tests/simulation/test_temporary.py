@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from svmdist.errors import SimulationError
-from svmdist.simulation.temporary import writing_temporary_files
+from svmdist.simulation.bullet import writing_temporary_files
 
 
 def test_a_full_folder_is_told_with_the_variable_that_names_another() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.simulation.views import projection_matrix, view_matrix
+from svmdist.simulation.effects import projection_matrix, view_matrix
 from svmdist.transforms import inverse, make_transform, rotation_x, rotation_z, transform_points
 
 

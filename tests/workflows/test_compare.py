@@ -17,7 +17,7 @@ from svmdist.recording.writer import RecordingWriter
 from svmdist.report.comparison import compare_keys, compare_row, compare_tables
 from svmdist.report.table import render
 from svmdist.samples import ImageSample
-from svmdist.simulation.extras import Extras
+from svmdist.simulation.scene import Extras
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import Group, compare, group_of
 from svmdist.workflows.conditions import CLEAN, Condition

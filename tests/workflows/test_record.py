@@ -10,8 +10,8 @@ from mcap.reader import make_reader
 from svmdist.errors import UsageError
 from svmdist.profile import load_profile
 from svmdist.recording.reader import open_recording
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.workflows.compare import Group, group_of

@@ -15,8 +15,8 @@ import pytest
 from svmdist.errors import SimulationError, UsageError
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.profile import Profile, load_profile
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
 from tests.conftest import REPOSITORY
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
@@ -31,7 +31,7 @@ LONG = """
 import sys
 from pathlib import Path
 from svmdist.profile import load_profile
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scenarios import Scenario
 from svmdist.workflows.record import record
 record(Scenario("sweep", 1, 600.0, 10.0), load_profile(), Path(sys.argv[1]), jobs=2)
 """

@@ -24,8 +24,8 @@ from tests.cli.conftest import Cli, cli  # noqa: F401  (the fixture)
 from tests.measuring import Measuring, flat
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
 from svmdist.workflows.record import record
 
 NAMES = ("PSM1", "PSM2")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
-from svmdist.perturbations.clock import later_ns
+from svmdist.perturbations.joints import later_ns
 from svmdist.recording.messages.images import ImageError
 from svmdist.recording.names import MAX_NAME_BYTES, cut
 from svmdist.samples import Image, JointSample, TransformSample, TransformsSample, Vector

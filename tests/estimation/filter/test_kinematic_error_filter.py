@@ -19,7 +19,7 @@ from svmdist.kinematics.jacobian import row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.kinematics.shaft_axis import shaft_of
 from svmdist.profile import KinematicError
-from svmdist.simulation.nominal import draw_nominal_kinematics
+from svmdist.simulation.arm import draw_nominal_kinematics
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_z, transform_points
 from svmdist.vision.cylinder import tangent_normal

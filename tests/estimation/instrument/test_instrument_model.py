@@ -15,7 +15,7 @@ from svmdist.kinematics.wrist import wrist_rows
 from svmdist.profile import load_profile
 from svmdist.results import ToolPose
 from svmdist.samples import JointSample
-from svmdist.simulation.extras import Extras
+from svmdist.simulation.scene import Extras
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import inverse, transform_points
 

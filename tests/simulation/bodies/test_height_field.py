@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from svmdist.simulation.bodies.height_field import HeightField
-from svmdist.simulation.bodies.organ import Organ, make_organ
-from svmdist.simulation.bodies.tissue_shape import make_tissue_shape
+from svmdist.simulation.organ import HeightField
+from svmdist.simulation.organ import Organ, make_organ
+from svmdist.simulation.organ import make_tissue_shape
 
 
 @pytest.fixture(params=[False, True], ids=["dome", "lobes"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from svmdist.profile import Profile
-from svmdist.simulation.bodies.instrument import MARKER_RGBA, make_parts
+from svmdist.simulation.instrument import MARKER_RGBA, make_parts
 from svmdist.simulation.scene import Scene
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.simulation.bodies.organ import HEIGHT_M, make_organ, polygon_centroid
+from svmdist.simulation.organ import HEIGHT_M, make_organ, polygon_centroid
 from svmdist.simulation.bodies.relief import make_relief
 
 

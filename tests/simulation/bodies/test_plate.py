@@ -8,7 +8,7 @@ import pytest
 
 from svmdist.errors import SimulationError
 from svmdist.profile import Profile
-from svmdist.simulation.bodies.plate import BLACK, CELL_PX, THICKNESS_M, WHITE, make_plate
+from svmdist.simulation.instrument import BLACK, CELL_PX, THICKNESS_M, WHITE, make_plate
 
 
 def test_the_texture_is_the_tag(profile: Profile) -> None:

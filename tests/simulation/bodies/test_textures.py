@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.simulation.bodies.relief import make_relief
-from svmdist.simulation.bodies.textures import (
+from svmdist.simulation.textures import (
     TEXTURE_PX,
     fine_tissue_texture,
     floor_texture,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.simulation.bodies.tissue_shape import make_tissue_shape
+from svmdist.simulation.organ import make_tissue_shape
 
 
 def test_an_ellipsoid_and_the_dome_are_the_two_ends() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.simulation.bodies.organ import Organ, make_organ
-from svmdist.simulation.room.dent import LIMIT, REACH_M, YieldingOrgan, bump
+from svmdist.simulation.organ import Organ, make_organ
+from svmdist.simulation.organ import LIMIT, REACH_M, YieldingOrgan, bump
 from svmdist.transforms import Array
 
 BALL_M = 0.0015

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from svmdist.perturbations.chosen import World, draw_world, parse_perturbations
-from svmdist.perturbations.image_table import IMAGES
+from svmdist.perturbations.table import IMAGES
 from svmdist.profile import Profile
 from svmdist.recording.reader import open_recording
 from svmdist.samples import CameraSample, DistanceSample, ImageSample, JointSample
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.room.settings import IDEAL, Room
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.effects import IDEAL, Room
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.plan import make_plan

@@ -10,8 +10,8 @@ from svmdist.kinematics.inverse import solve_position
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.profile import Profile
 from svmdist.samples import Image, JointSample
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import inverse, transform_points
 from svmdist.vision.frame_context import to_hsv
@@ -19,7 +19,7 @@ from svmdist.vision.segmentation.colour import colour_mask
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.plan import make_plan
-from svmdist.simulation.renderer import Renderer
+from svmdist.simulation.render import Renderer
 from svmdist.simulation.simulate import Simulator
 
 TOOL_WORLD_M = np.array([0.012, 0.0, 0.0245])

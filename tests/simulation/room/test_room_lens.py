@@ -9,15 +9,15 @@ import pytest
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.profile import Profile
 from svmdist.samples import CameraSample, ImageSample
-from svmdist.simulation.bodies.meshes import sphere
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.room.lens import Lens, coefficients
+from svmdist.simulation.meshes import sphere
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.effects import Lens, coefficients
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, make_transform, transform_points
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.renderer import Renderer
+from svmdist.simulation.render import Renderer
 from svmdist.simulation.simulate import simulate
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from svmdist.simulation.room.jaw import OPENING_HZ, untold_opening_rad
-from svmdist.simulation.room.settings import Room
-from svmdist.simulation.room.tissue_motion import BREATHING_HZ, PULSE_HZ, tissue_rise_m
+from svmdist.simulation.effects import OPENING_HZ, untold_opening_rad
+from svmdist.simulation.effects import Room
+from svmdist.simulation.effects import BREATHING_HZ, PULSE_HZ, tissue_rise_m
 
 T_S = np.arange(0.0, 40.0, 0.01)
 

@@ -8,12 +8,12 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.profile import Profile
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.room.settings import Room
-from svmdist.simulation.room.shading import FULL_LIGHT_M, GAMMA, LAMP_M, Lamp, Shader, shadow
-from svmdist.simulation.room.surfaces import NO_PART, Surfaces, metric_depth_m
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.effects import Room
+from svmdist.simulation.effects import FULL_LIGHT_M, GAMMA, LAMP_M, Lamp, Shader, shadow
+from svmdist.simulation.effects import NO_PART, Surfaces, metric_depth_m
 from svmdist.simulation.scene import make_scene
-from svmdist.simulation.views import FAR_M, NEAR_M
+from svmdist.simulation.effects import FAR_M, NEAR_M
 from svmdist.transforms import Array, make_transform
 
 CAMERA = Camera.from_horizontal_fov(320, 240, np.pi / 3)
@@ -90,7 +90,7 @@ def test_a_highlight_is_where_a_mirror_shows_the_lamp(eye_m: float) -> None:
 
 def test_highlights_saturate_and_differ_between_the_eyes(profile: Profile) -> None:
     pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-    from svmdist.simulation.renderer import Renderer
+    from svmdist.simulation.render import Renderer
 
     scene = make_scene(profile, 1, Extras(perturbations=parse_perturbations("wet=1,light=1,shadow=1")))
     away = scene.posture.copy()

@@ -14,18 +14,18 @@ from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.polygon import polygon_centroid
 from svmdist.profile import Profile
 from svmdist.samples import DistanceSample, TransformsSample
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Scene, make_scene, risen
 from svmdist.transforms import Array, inverse, transform_points
 from svmdist.vision.frame_context import to_hsv
 from svmdist.vision.segmentation.colour import colour_mask
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.clearance.meters import ClearanceMeter
+from svmdist.simulation.clearance import ClearanceMeter
 from svmdist.simulation.clearance.relief_meter import ReliefMeter
 from svmdist.simulation.plan import Plan, make_plan
-from svmdist.simulation.renderer import Renderer
+from svmdist.simulation.render import Renderer
 from svmdist.simulation.simulate import simulate
 
 

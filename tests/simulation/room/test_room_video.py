@@ -8,16 +8,16 @@ import pytest
 
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.perturbations.images import perturbed_image
-from svmdist.perturbations.video import border_radius_px, dimmed, light_left, subsampled
+from svmdist.perturbations.images import border_radius_px, dimmed, light_left, subsampled
 from svmdist.profile import Profile
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.room.exposure import FIELD_NS, exposures, exposures_at_most
-from svmdist.simulation.room.settings import Room
+from svmdist.simulation.scene import Extras
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.effects import FIELD_NS, exposures, exposures_at_most
+from svmdist.simulation.effects import Room
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.plan import make_plan
-from svmdist.simulation.renderer import Renderer
+from svmdist.simulation.render import Renderer
 from svmdist.simulation.shutter import motion_px
 from svmdist.simulation.simulate import Simulator
 

@@ -1,7 +1,8 @@
 """The scenarios: what the instrument does, as a smooth path of the tool's origin and of the wrist.
 
-A path is a function of progress, 0 at the start of a recording and 1 at its end, so that every figure
-is complete whatever the duration. The seed varies phases, positions and frequencies.
+A path is a function of progress, 0 at the start of a recording and 1 at its end, so that every figure is complete
+whatever the duration. The seed varies phases, positions and frequencies. All curves are twice continuously
+differentiable.
 """
 
 from __future__ import annotations
@@ -13,8 +14,49 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.errors import UsageError, did_you_mean
-from svmdist.simulation.motion.paths import cubic_spline, smooth_pulse, smooth_step, wander
 from svmdist.transforms import Array
+
+
+def smooth_step(s: Array, start: float = 0.0, end: float = 1.0) -> Array:
+    """Rise from 0 to 1 between `start` and `end` with zero velocity and acceleration at both (quintic)."""
+    x = np.clip((s - start) / (end - start), 0.0, 1.0)
+    return np.asarray(x**3 * (10.0 - 15.0 * x + 6.0 * x * x))
+
+
+def smooth_pulse(s: Array, rise: tuple[float, float], fall: tuple[float, float]) -> Array:
+    """Rise from 0 to 1 over one span of progress, and fall back over another."""
+    return smooth_step(s, *rise) - smooth_step(s, *fall)
+
+
+def cubic_spline(knots: Array, s: Array) -> Array:
+    """Natural cubic spline through knots, shape (k, ...), evenly spaced over 0 to 1, at s, shape (n,)."""
+    count = len(knots)
+    h = 1.0 / (count - 1)
+    # Second derivatives m solve m[i-1] + 4 m[i] + m[i+1] = 6 (k[i-1] - 2 k[i] + k[i+1]) / h², zero at ends.
+    A = np.eye(count)
+    right = np.zeros_like(knots)
+    for index in range(1, count - 1):
+        A[index, index - 1 : index + 2] = 1.0, 4.0, 1.0
+        right[index] = 6.0 * (knots[index - 1] - 2.0 * knots[index] + knots[index + 1]) / h**2
+    m = np.linalg.solve(A, right.reshape(count, -1)).reshape(knots.shape)
+    left = np.clip((s / h).astype(int), 0, count - 2)
+    shape = (-1, *([1] * (knots.ndim - 1)))
+    b = (s / h - left).reshape(shape)
+    a = 1.0 - b
+    return np.asarray(
+        a * knots[left] + b * knots[left + 1] + ((a**3 - a) * m[left] + (b**3 - b) * m[left + 1]) * h**2 / 6.0
+    )
+
+
+def wander(rng: np.random.Generator, s: Array, cycles: float = 1.5) -> Array:
+    """A gentle wave between -1 and 1 with a random phase and frequencies about `cycles`, shape (n,)."""
+    phases = rng.uniform(0.0, 2.0 * np.pi, 2)
+    first = cycles * rng.uniform(0.85, 1.15)
+    return np.asarray(
+        0.65 * np.sin(2 * np.pi * first * s + phases[0])
+        + 0.35 * np.sin(2 * np.pi * 2.3 * first * s + phases[1])
+    )
+
 
 Progress = Array
 
@@ -93,7 +135,7 @@ def _calibration(rng: np.random.Generator, s: Progress, stage: Stage) -> Motion:
     y_m = FIELD_M[1] * np.sin(2 * np.pi * 4 * s + phases[1])
     # Heights run on their own frequency, so that they do not go with the position.
     z_m = stage.working_height_m + 0.002 * np.sin(2 * np.pi * 7.3 * s + phases[2])
-    return Motion(np.stack([x_m, y_m, z_m], -1), _wrist(rng, s))
+    return Motion(np.stack([x_m, y_m, z_m], -1), gentle_wrist(rng, s))
 
 
 def _sweep(rng: np.random.Generator, s: Progress, stage: Stage) -> Motion:
@@ -102,7 +144,7 @@ def _sweep(rng: np.random.Generator, s: Progress, stage: Stage) -> Motion:
     x_m = 0.034 * np.sin(2 * np.pi * cycles_x * s + phases[0])
     y_m = 0.024 * np.sin(2 * np.pi * cycles_y * s + phases[1])
     z_m = stage.working_height_m + 0.0015 * np.sin(2 * np.pi * 4.4 * s + phases[2])
-    return Motion(np.stack([x_m, y_m, z_m], -1), _wrist(rng, s))
+    return Motion(np.stack([x_m, y_m, z_m], -1), gentle_wrist(rng, s))
 
 
 def _approach(rng: np.random.Generator, s: Progress, stage: Stage) -> Motion:
@@ -127,7 +169,9 @@ def _descent(
     sag = 0.004 * np.sin(np.pi * there) ** 2 * rng.uniform(-1.0, 1.0)
     p_m = start + there[:, None] * (target - start)
     p_m[:, 1] += sag
-    wrist = _wrist(rng, s) * (1.0 - there[:, None])  # still at the lowest point, so that it is the lowest
+    wrist = gentle_wrist(rng, s) * (
+        1.0 - there[:, None]
+    )  # still at the lowest point, so that it is the lowest
     wrist[:, 2] -= 0.25 * there  # the jaws bend down to the tissue
     # The last millimetres come last: `there` cubed is still smooth, and late.
     return Motion(p_m, wrist, clearance_m=clearance_m, lowering=there**3, lowest_at=lowest_at)
@@ -147,7 +191,7 @@ def _occlusion(rng: np.random.Generator, s: Progress, stage: Stage) -> Motion:
     # The blade hangs at half the camera's distance: seen from there, it stands over the parked tool.
     tip_y_m = 0.032 - 0.029 * over
     retractor = np.stack([np.full_like(s, rng.uniform(0.0235, 0.0245)), tip_y_m], -1)
-    return Motion(np.column_stack([xy_m, z_m]), _wrist(rng, s), retractor_xy_m=retractor)
+    return Motion(np.column_stack([xy_m, z_m]), gentle_wrist(rng, s), retractor_xy_m=retractor)
 
 
 def _random(rng: np.random.Generator, s: Progress, stage: Stage) -> Motion:
@@ -161,12 +205,12 @@ def _random(rng: np.random.Generator, s: Progress, stage: Stage) -> Motion:
     whole = cubic_spline(waypoints, np.linspace(0.0, 1.0, 2001))
     low, high = whole.min(axis=0), whole.max(axis=0)
     unit = (cubic_spline(waypoints, s) - low) / (high - low) * 2.0 - 1.0
-    wrist = _wrist(rng, s)
+    wrist = gentle_wrist(rng, s)
     wrist[:, 2] += 0.1  # near the tissue at the bottom of the box: jaws up a little
     return Motion(centre_m + unit * half_m, wrist)
 
 
-def _wrist(rng: np.random.Generator, s: Progress) -> Array:
+def gentle_wrist(rng: np.random.Generator, s: Progress) -> Array:
     """Gentle motion of roll, wrist pitch, wrist yaw and jaw about the posture, shape (n, 4) in rad."""
     amplitudes = (0.15, 0.12, 0.08, 0.12)
     return np.stack([amplitude * wander(rng, s) for amplitude in amplitudes], -1)

@@ -1,4 +1,4 @@
-"""Triangle meshes with smooth normals: surfaces of revolution, lofted bars, domes, and OBJ files.
+"""Triangle meshes with smooth normals: surfaces of revolution and lofted bars.
 
 PyBullet draws its own cylinders and spheres as coarse prisms, up to 13 % too thin, which ruins metric
 vision. Every round part is therefore a mesh of at least 64 sides.
@@ -7,7 +7,6 @@ vision. Every round part is therefore a mesh of at least 64 sides.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,19 +35,6 @@ class DrawnMesh(Mesh):
             self.normals @ T_other_this[:3, :3].T,
             self.uv,
         )
-
-    def write_obj(self, path: Path, scale: float = 1.0) -> Path:
-        """Write a Wavefront OBJ with 17 digits, which no double loses; `scale` multiplies lengths."""
-        text = _lines("v %.17g %.17g %.17g\n", self.vertices_m * scale)
-        text += _lines("vt %.9g %.9g\n", self.uv) + _lines("vn %.9g %.9g %.9g\n", self.normals)
-        text += _lines("f %d/%d/%d %d/%d/%d %d/%d/%d\n", np.repeat(self.faces + 1, 3, 1))
-        path.write_text(text, "ascii")
-        return path
-
-
-def _lines(line: str, rows: NDArray[np.generic]) -> str:
-    """One line for each row, all formatted at once: number by number it took half of a renderer's start."""
-    return (line * len(rows)) % tuple(rows.ravel().tolist())
 
 
 def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -> DrawnMesh:

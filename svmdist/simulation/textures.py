@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 
 from svmdist.samples import Image
-from svmdist.simulation.bodies.relief import Relief
 from svmdist.transforms import Array
 
 TEXTURE_PX = 1024
@@ -23,26 +22,6 @@ def tissue_texture(rng: np.random.Generator) -> Image:
     vessels = _vessels(rng)[..., None]
     colour += vessels * np.array([-22.0, -34.0, -48.0])
     return _as_image(colour)
-
-
-def fine_tissue_texture(rng: np.random.Generator, coarse: Image, relief: Relief) -> Image:
-    """Add what shows on tissue with relief: blood in the raised vessels, fine vessels, and speckle.
-
-    The speckle is 0.8 to 1.6 mm wide, 4 to 8 px of the left image: smaller would alias. BGR, shape (1024, 1024, 3).
-    """
-    speckle = smooth_noise(rng, 45) + 0.8 * smooth_noise(rng, 90)
-    colour = coarse.astype(np.float64) + speckle[..., None] * np.array([11.0, 10.0, 15.0])
-    canvas = np.zeros((TEXTURE_PX, TEXTURE_PX), np.uint8)
-    for course_m in relief.vessels_m:
-        points_px = (0.5 + course_m / TEXTURE_SPAN_M * [1.0, -1.0]) * TEXTURE_PX
-        cv2.polylines(
-            canvas, [np.rint(points_px * 16).astype(np.int32)], False, 255, 12, cv2.LINE_AA, shift=4
-        )
-    for _ in range(14):
-        start_px = rng.uniform(0.15, 0.85, 2) * TEXTURE_PX
-        _grow_vessel(canvas, rng, start_px, rng.uniform(0.0, 2.0 * np.pi), width_px=5.0)
-    vessels = cv2.GaussianBlur(canvas, (0, 0), 2.5).astype(np.float64)[..., None] / 255.0
-    return _as_image(colour + vessels * np.array([-14.0, -22.0, -34.0]))
 
 
 def floor_texture(rng: np.random.Generator) -> Image:
