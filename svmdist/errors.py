@@ -7,6 +7,7 @@ that the command line can print it as it stands.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 
 class SvmdistError(Exception):
@@ -68,3 +69,18 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
     by_small_letters = {choice.casefold(): choice for choice in known}
     nearest = get_close_matches(name.casefold(), by_small_letters, n=1, cutoff=0.5)
     return f"did you mean {by_small_letters[nearest[0]]}? T{listed}" if nearest else f"t{listed}"
+
+
+def optional_package(name: str, extra: str, what: str, error: type[SvmdistError] = SvmdistError) -> Any:
+    """Import an optional package; raise `error`, which says that `what` needs it, where it is not installed."""
+    from importlib import import_module
+
+    try:
+        package = import_module(name)
+    except ImportError:
+        raise error(
+            f"{what} needs the package {name}, which is not installed: pip install 'svmdist[{extra}]'"
+        ) from None
+    if name == "av":
+        package.logging.set_level(package.logging.PANIC)  # svmdist reports decoding errors, once
+    return package

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from tests.golden import RECORDINGS, GoldenRuns
 from tests.synthetic import write_log
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -18,10 +20,10 @@ settings.load_profile("repeatable")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> None:
-    """Run one file's tests, benchmarks and what is debugged in this process: without others, and to be seen."""
+    """Run one file's tests and what is debugged in this process: without others, and to be seen."""
     files = {name.partition("::")[0] for name in config.args}
     is_one_file = len(files) == 1 and files.pop().endswith(".py")
-    if is_one_file or config.option.benchmark_enable or config.option.usepdb:
+    if is_one_file or config.option.usepdb:
         config.option.numprocesses = 0
 
 
@@ -40,9 +42,9 @@ def synthetic_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def synthetic_calibration(synthetic_log: Path) -> Path:
     """A calibration fitted on the synthetic log."""
-    from svmdist.estimation.planar.calibration import save_calibration
+    from svmdist.estimation.plane_mapping import save_calibration
     from svmdist.profile import load_profile
-    from svmdist.recording.reader import open_recording
+    from svmdist.recording.log import open_recording
     from svmdist.workflows.calibrate import calibrate
 
     profile = load_profile()
@@ -54,4 +56,11 @@ def synthetic_calibration(synthetic_log: Path) -> Path:
 @pytest.fixture(scope="session")
 def golden() -> Path:
     """The folder of golden logs."""
-    return REPOSITORY / "recordings"
+    return RECORDINGS
+
+
+@pytest.fixture(scope="session")
+def golden_rows(tmp_path_factory: pytest.TempPathFactory) -> GoldenRuns:
+    """Rows of methods on golden logs: `golden_rows("3d/contact", "fused")`, measured once in the whole run."""
+    base = tmp_path_factory.getbasetemp()
+    return GoldenRuns(base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from svmdist.kinematics.chain import chain_of
+from svmdist.kinematics.dh import chain_of
 from svmdist.profile import load_profile
-from svmdist.toml_model import StrictModel
+from svmdist.profile.toml import StrictModel
 
 PROFILE = load_profile()
 assert PROFILE.robot is not None

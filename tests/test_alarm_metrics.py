@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.alarm_metrics import alarm_statistics, pooled_alarms
+from svmdist.metrics import alarm_statistics, pooled_alarms
 
 TRUTH_M = np.array([9, 8, 6, 4, 3, 4, 6, 8, 9, 9]) / 1e3
 

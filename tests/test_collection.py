@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import subprocess
 import sys
@@ -18,7 +17,7 @@ import sys, time
 now, now_ns, shift_s = time.time, time.time_ns, int(sys.argv[1])
 time.time, time.time_ns = lambda: now() + shift_s, lambda: now_ns() + shift_s * 10**9
 import pytest
-options = ["-o", "addopts=", "-p", "no:cacheprovider", "--benchmark-disable", "--collect-only", "-q"]
+options = ["-o", "addopts=", "-p", "no:cacheprovider", "--collect-only", "-q"]
 sys.exit(pytest.main([*options, "tests"]))
 """
 
@@ -56,21 +55,3 @@ def test_ids_are_readable(ids: list[str]) -> None:
     r"""Printable ASCII. pytest writes other characters as \x.., \u.. or \n; `\\` is a backslash in an id."""
     assert [test for test in ids if not (test.isascii() and test.isprintable())] == []
     assert [test for test in ids if "\\" in test.replace("\\\\", "")] == []
-
-
-def test_every_module_has_a_test_that_imports_it() -> None:
-    """By the imports that stand in the tests; what nobody imports is tested by accident, or not at all."""
-    imported: set[str] = set()
-    for path in (REPOSITORY / "tests").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.Import):
-                imported |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                imported |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-    modules = {
-        ".".join(path.relative_to(REPOSITORY).with_suffix("").parts)
-        for path in (REPOSITORY / "svmdist").rglob("*.py")
-        if path.stem not in {"__init__", "__main__"}
-    }
-    assert len(modules) > 200
-    assert modules - imported == set()

@@ -42,9 +42,9 @@ def _tables(text: str) -> dict[str, list[list[str]]]:
 @pytest.mark.parametrize("folder", ["3d", "real"])
 def test_tables_in_3d_agree_with_each_other_and_with_the_baseline(folder: str) -> None:
     """The README shows the first table of docs/results.md; there, the rows of `fused` are what the baseline stores."""
-    from svmdist.workflows.baseline import load_baseline
-    from tools.docs_3d import HEADER, LOGS, REAL_LOGS
-    from tools.make_docs import MARKS_3D, MARKS_REAL
+    from benchmarks.docs_3d import HEADER, LOGS, REAL_LOGS
+    from benchmarks.golden_tables import MARKS_3D, MARKS_REAL
+    from svmdist.workflows.scoring.baseline import load_baseline
 
     (begin, end), logs_of = (MARKS_3D, LOGS) if folder == "3d" else (MARKS_REAL, REAL_LOGS)
     in_readme, in_results = (
@@ -99,7 +99,7 @@ def test_links_lead_somewhere(document: Path) -> None:
 
 def test_every_page_is_in_the_navigation_of_the_site() -> None:
     """mkdocs.yml names every page but the decisions, whose own page names each of them."""
-    from tools.site_pages import OUTSIDE
+    from benchmarks.site_pages import OUTSIDE
 
     pages = {path.relative_to(REPOSITORY / "docs").as_posix() for path in (REPOSITORY / "docs").rglob("*.md")}
     decisions = {page for page in pages if re.match(r"decisions/\d", page)}
@@ -116,7 +116,7 @@ def test_every_page_is_in_the_navigation_of_the_site() -> None:
 
 def test_links_of_the_site_lead_to_its_pages() -> None:
     """Links between documents follow them to their places on the site; a file that is no page stays as text."""
-    from tools.site_pages import site_links
+    from benchmarks.site_pages import site_links
 
     pages = {
         "index.md",
@@ -162,7 +162,7 @@ def test_figures_in_sentences_are_those_of_the_results() -> None:
 
 def test_pictures_are_made_by_the_commands_beside_them() -> None:
     """Each picture has its commands, and each page that shows it prints them; no picture is left over."""
-    from tools.pictures import IMAGES, PICTURES
+    from benchmarks.pictures import IMAGES, PICTURES
 
     assert {path.name for path in IMAGES.iterdir()} == {*PICTURES, "instrument.svg"}
     shown = set()
@@ -180,7 +180,7 @@ def test_a_picture_is_what_its_command_makes_now(tmp_path: Path) -> None:
     import cv2
     import numpy as np
 
-    from tools.pictures import IMAGES, make_picture
+    from benchmarks.pictures import IMAGES, make_picture
 
     make_picture("overlay.jpg", tmp_path)
     kept, made = (cv2.imread(str(folder / "overlay.jpg")) for folder in (IMAGES, tmp_path))
@@ -230,10 +230,8 @@ def _named_in(document: str) -> set[str]:
 
 def test_every_column_and_status_is_explained() -> None:
     """docs/output.md names each column of rows, scores and figures, and each reason, and no other reason."""
-    from svmdist.report.comparison import compare_keys
-    from svmdist.report.degradation_grid import grid_keys
-    from svmdist.report.estimates import ESTIMATE_KEYS
-    from svmdist.report.validation import score_keys
+    from svmdist.report.rows import ESTIMATE_KEYS
+    from svmdist.report.scores import compare_keys, grid_keys, score_keys
     from svmdist.samples import Status
 
     named = _named_in("output.md")

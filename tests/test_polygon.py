@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.polygon import polygon_centroid
+from svmdist.transforms import polygon_centroid
 
 TRIANGLE = np.array([[1.0, 2.0], [7.0, 3.0], [4.0, 10.0]])
 

@@ -20,7 +20,7 @@ from svmdist.profile import (
     profile_path,
     shipped_profiles,
 )
-from svmdist.profile_robot import TAG_COUNTS
+from svmdist.profile.robot import TAG_COUNTS
 
 TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")
 MINIMAL = """

@@ -7,16 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.profile import Profile, load_profile
-from svmdist.profile_hand_eye import (
+from svmdist.profile import Profile, load_profile, stated_deviations
+from svmdist.profile.hand_eye import (
+    SHAFT_RADIUS,
+    TIME_OFFSET,
     ConstantEffect,
     HandEye,
     HandEyeError,
     HandEyeFile,
     load_hand_eye,
+    offset_of,
     save_hand_eye,
 )
-from svmdist.stated_deviations import SHAFT_RADIUS, TIME_OFFSET, offset_of, stated_deviations
 from svmdist.transforms import skew
 
 NOISE = 1e-6 * np.diag([1.0, 2.0, 3.0, 0.4, 0.5, 0.6])
@@ -119,8 +121,8 @@ def test_a_profile_states_its_own_deviations(profile: Profile, hand_eye: HandEye
 
 def test_names_cover_what_chains_have(profile: Profile) -> None:
     """Every constant of the error state is one that a profile states."""
-    from svmdist.estimation.filter.error_model import ErrorModel
-    from svmdist.kinematics.chain import chain_of
+    from svmdist.estimation.instrument.error_model import ErrorModel
+    from svmdist.kinematics.dh import chain_of
 
     assert profile.robot is not None
     model = ErrorModel(chain_of(profile.robot), profile.kinematic_error)

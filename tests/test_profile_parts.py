@@ -9,17 +9,18 @@ import pytest
 from pydantic import ValidationError
 
 from svmdist.errors import ProfileError
-from svmdist.profile_instruments import ARM_TOPICS, ArmTopics, OtherInstrument
-from svmdist.profile_log import Frames, Limits, Topics
-from svmdist.profile_segmentation import (
+from svmdist.profile.profile import Frames, Limits, Topics
+from svmdist.profile.robot import ARM_TOPICS, ArmTopics, OtherInstrument
+from svmdist.profile.segmentation import (
     AreaGate,
     ClassRegion,
     ColourRegion,
     HsvSegmentation,
     OnnxSegmentation,
 )
-from svmdist.toml_model import MIB, Angle, NeighbourFile, Size, StrictModel, parse_toml
+from svmdist.profile.toml import Angle, NeighbourFile, Size, StrictModel, parse_toml
 
+MIB = 1 << 20
 NETWORK: dict[str, Any] = {
     "method": "onnx",
     "model": "net.onnx",
@@ -92,7 +93,7 @@ def test_an_instrument_is_known_by_its_topics() -> None:
     """Joints or pose, either is enough; a distance alone is nobody's."""
     for named in ({"joints": "/j"}, {"pose": "/p"}, {"joints": "/j", "pose": "/p"}):
         topics = ArmTopics(**named)
-        assert topics.named == named
+        assert topics.model_dump(exclude_none=True) == named
         assert topics.are_in({"/other", *list(named.values())[:1]})
         assert not topics.are_in({"/other"})
         assert not topics.are_in(set())

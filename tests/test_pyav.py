@@ -6,8 +6,7 @@ import sys
 
 import pytest
 
-from svmdist.errors import OutputError, SourceError
-from svmdist.pyav import import_av
+from svmdist.errors import OutputError, SourceError, optional_package
 
 
 def test_where_it_is_missing_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -15,9 +14,9 @@ def test_where_it_is_missing_the_extra_is_named(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "av", None)
     for error in (OutputError, SourceError):
         with pytest.raises(error, match=r"^a\.mp4 needs the package av, .*: pip install 'svmdist\[video\]'$"):
-            import_av(error, "a.mp4")
+            optional_package("av", "video", "a.mp4", error)
 
 
 def test_where_it_is_there_it_decodes() -> None:
     pytest.importorskip("av", reason="PyAV has no wheel for this platform")
-    assert "h264" in import_av(OutputError, "a video").codecs_available
+    assert "h264" in optional_package("av", "video", "a video", OutputError).codecs_available

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from svmdist.robust import huber_weights, median, scale_of
+from svmdist.least_squares import huber_weights, median, scale_of
 
 
 def test_weights_and_scale():

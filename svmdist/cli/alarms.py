@@ -45,7 +45,7 @@ def alarm_rules(below: str | None, confidence: float | None, method: str) -> Ala
             raise UsageError("--alarm-confidence is for --alarm-below LENGTH, as in --alarm-below 5mm")
         return None
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.workflows.scoring.alarms import require_clearance
+    from svmdist.workflows.scoring.score import require_clearance
 
     below_m = parse_length_m("--alarm-below", below)
     require_clearance(method)

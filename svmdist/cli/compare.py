@@ -94,12 +94,11 @@ def compare_command(
     and over all frames. Without FILE, every log in recordings/ is measured.
     """
     from svmdist.cli.lag import told_lag
-    from svmdist.report.comparison import compare_keys, compare_row, compare_tables
-    from svmdist.report.figures import FIGURE_NOTE
+    from svmdist.report.scores import FIGURE_NOTE, compare_keys, compare_row, compare_tables
     from svmdist.vision.degradations import require_degradation
     from svmdist.workflows.compare import compare, compared
     from svmdist.workflows.conditions import CLEAN, Condition, LogCondition, PerturbedCondition
-    from svmdist.workflows.setup import prepare
+    from svmdist.workflows.request import prepare
 
     logs = logs_or_golden(files)
     require_output(output, local_logs(logs))
@@ -144,7 +143,7 @@ def compare_command(
         output,
     )
     if save_plot and drawn:
-        from svmdist.report.figures_plot import save_compare_plot
+        from svmdist.report.plots import save_compare_plot
 
         save_compare_plot(scores, save_plot)
     raise typer.Exit(code())

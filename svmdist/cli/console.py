@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING, Protocol, TextIO
 
 from svmdist.cli.options import SummaryFormat
 from svmdist.errors import OutputError, UsageError
+from svmdist.files import FALLBACK, write_atomically
 from svmdist.input_file import LogPath, why
-from svmdist.output_file import FALLBACK, write_atomically
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from svmdist.recording.health import Health
-    from svmdist.report.table import Row
+    from svmdist.recording.source import Health
+    from svmdist.report.tables import Row
 
 
 class ExitCode(IntEnum):
@@ -94,7 +94,7 @@ def say(message: str, at: Verbosity = Verbosity.NORMAL) -> None:
         return
     if _Voice.verbosity < at:
         return
-    from svmdist.report.text import printable
+    from svmdist.report.tables import printable
 
     with suppress(OSError):  # where stderr is full, there is nobody left to tell
         print(printable(message), file=sys.stderr)
@@ -170,7 +170,7 @@ def adapt_streams() -> None:
 
 def write_tables(tables: Sequence[Table], notes: Sequence[str], output: Path | None) -> None:
     """Write tables for a person: as wide as the terminal, or as they need in a pipe or a file."""
-    from svmdist.report.table import render
+    from svmdist.report.tables import render
 
     width = terminal_width(output)
     colour = width is not None and "NO_COLOR" not in os.environ
@@ -191,7 +191,7 @@ class Summary:
 
 def write_summary(summary: Summary, form: SummaryFormat, output: Path | None) -> None:
     """Write tables, in markup too, CSV, or a JSON array of objects."""
-    from svmdist.report.table import csv_lines, json_text
+    from svmdist.report.tables import csv_lines, json_text
 
     match form:
         case SummaryFormat.TABLE:
@@ -203,7 +203,7 @@ def write_summary(summary: Summary, form: SummaryFormat, output: Path | None) ->
         case SummaryFormat.LATEX | SummaryFormat.MARKDOWN:
             write_marked_up(form, summary.tables, summary.notes, output)
         case SummaryFormat.PARQUET if output is not None:
-            from svmdist.report.parquet import write_parquet
+            from svmdist.report.tables import write_parquet
 
             write_parquet(output, summary.keys, summary.rows)
 
@@ -212,7 +212,7 @@ def write_marked_up(
     form: SummaryFormat, tables: Sequence[Table], notes: Sequence[str], output: Path | None
 ) -> None:
     """Write tables as LaTeX or Markdown."""
-    from svmdist.report.markup import latex, markdown
+    from svmdist.report.tables import latex, markdown
 
     write_lines((latex if form is SummaryFormat.LATEX else markdown)(tables, notes), output)
 

@@ -16,10 +16,10 @@ from svmdist.cli.progress import progress_bar
 if TYPE_CHECKING:
     from svmdist.cli.log_jobs import GridRuns
     from svmdist.cli.many import Outcomes
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.workflows.conditions import Condition
     from svmdist.workflows.degradation_grid import GridCell
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
 
 GridMethodOption = Annotated[
     Method | None,
@@ -93,12 +93,11 @@ def _summary(
     logs: list[tuple[str, Mapping[str, str]]],
     save_plot: Path | None,
 ) -> Summary:
-    from svmdist.report.degradation_grid import grid_keys, grid_row, grid_table, recorded_notes
-    from svmdist.report.figures import FIGURE_NOTE
-    from svmdist.report.text import counted
+    from svmdist.report.scores import FIGURE_NOTE, grid_keys, grid_row, grid_table, recorded_notes
+    from svmdist.report.tables import counted
 
     if save_plot:
-        from svmdist.report.figures_plot import save_blur_plot
+        from svmdist.report.plots import save_blur_plot
 
         save_blur_plot(cells, save_plot)
     title = f"{setup.method} on {cells[0].figures.frame_count} frames of {counted(len(logs), 'recording')}"

@@ -54,11 +54,11 @@ from svmdist.errors import UsageError
 if TYPE_CHECKING:
     from svmdist.cli.estimate_logs import EstimateJob
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.recording.reader import Recording
-    from svmdist.report.table import Row
+    from svmdist.recording.log import Recording
+    from svmdist.report.tables import Row
     from svmdist.results import FrameResult
     from svmdist.workflows.lag import Lag
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
     from svmdist.workflows.validate import Measured
 
 
@@ -99,8 +99,8 @@ def estimate_command(
     are measured all the same.
     """
     from svmdist.estimation.methods import PLANAR_METHODS
-    from svmdist.workflows.scoring.alarms import require_clearance
-    from svmdist.workflows.setup import prepare
+    from svmdist.workflows.request import prepare
+    from svmdist.workflows.scoring.score import require_clearance
 
     logs = named_logs(files)
     targets = EstimateTargets.of(form, output, report, save_plot)
@@ -163,7 +163,7 @@ def _estimate_many(many: Many, job: EstimateJob, targets: EstimateTargets, summa
         tally_of_logs,
     )
     from svmdist.estimation.methods import PLANAR_METHODS
-    from svmdist.report.log_figures import log_table
+    from svmdist.report.scores import log_table
 
     with many.measured(job, "measuring") as outcomes:
         tally = tally_of_logs(outcomes)
@@ -198,8 +198,8 @@ def _write_rows(
 ) -> None:
     form = targets.form or RowFormat.TABLE
     if form is RowFormat.PARQUET and targets.output is not None:
-        from svmdist.report.estimates import ESTIMATE_KEYS, ESTIMATE_TYPES
-        from svmdist.report.parquet import write_parquet
+        from svmdist.report.rows import ESTIMATE_KEYS, ESTIMATE_TYPES
+        from svmdist.report.tables import write_parquet
 
         write_parquet(targets.output, ESTIMATE_KEYS, rows, ESTIMATE_TYPES)
         return
@@ -241,7 +241,7 @@ def rows_of(
     from svmdist.cli.lag import told_lag
     from svmdist.estimation.alarms import AlarmWatch
     from svmdist.estimation.lag import LagEstimate
-    from svmdist.report.estimates import estimate_row
+    from svmdist.report.rows import estimate_row
     from svmdist.workflows.estimate import estimate
     from svmdist.workflows.validate import Measured
 
@@ -277,7 +277,7 @@ def _lines(
     width: int | None,
     planar: bool,
 ) -> Iterator[str]:
-    from svmdist.report.estimates import (
+    from svmdist.report.rows import (
         ALARM_COLUMNS,
         ESTIMATE_COLUMNS,
         ESTIMATE_KEYS,
@@ -285,7 +285,7 @@ def _lines(
         columns_within,
         tool_pose_lines,
     )
-    from svmdist.report.table import csv_lines, json_array_lines, json_lines, text_lines
+    from svmdist.report.tables import csv_lines, json_array_lines, json_lines, text_lines
 
     match form:
         case RowFormat.TABLE:

@@ -11,16 +11,16 @@ from svmdist.cli.console import hearing, say
 from svmdist.cli.drawn import Tally
 from svmdist.cli.many import Outcomes, group_name, heard_notes, measurement
 from svmdist.cli.recordings import open_log
-from svmdist.report.log_figures import LogFigures, pooled_log_figures, ranked
+from svmdist.report.scores import LogFigures, pooled_log_figures, ranked
 from svmdist.workflows.batch.store import stored_rows
 from svmdist.workflows.batch.task import LogFile, Measurement, Outcome, RowWriter
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.recording.reading import Window
-    from svmdist.report.table import Row
+    from svmdist.recording.log import Window
+    from svmdist.report.tables import Row
     from svmdist.workflows.lag import Lag
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
     from svmdist.workflows.validate import Measured
 
 MAX_REPORTED = 12

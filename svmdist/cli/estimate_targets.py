@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
     from svmdist.workflows.validate import Measured
 
 
@@ -76,7 +76,7 @@ class EstimateTargets:
     ) -> None:
         """Write the plot and the report, where they are asked for; `logs` is a table of all logs for the report."""
         if self.plot:
-            from svmdist.report.series_plot import SeriesPlot, save_series_plot
+            from svmdist.report.plots import SeriesPlot, save_series_plot
             from svmdist.workflows.series import make_series
 
             series = [
@@ -84,8 +84,7 @@ class EstimateTargets:
             ]
             save_series_plot(series, SeriesPlot.TIME, self.plot, rules.below_m if rules else None)
         if self.report:
-            from svmdist.report.html.build import estimate_report
-            from svmdist.report.html.page import write_report
+            from svmdist.report.html import estimate_report, write_report
 
             with progress_bar("drawing the worst frames", "images") as advance:
                 page = estimate_report(measured, setup, command_line(), rules, jobs, logs, advance)

@@ -30,12 +30,11 @@ from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
-    from svmdist.recording.reader import Recording
-    from svmdist.recording.reading import Window
-    from svmdist.report.table import Row
+    from svmdist.recording.log import Recording, Window
+    from svmdist.report.tables import Row
     from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
     from svmdist.workflows.fk import PoseErrors
-    from svmdist.workflows.progress import Progress
+    from svmdist.workflows.parallel import Progress
 
 
 class PoseFormat(StrEnum):
@@ -126,8 +125,8 @@ def fk_command(
 
 
 def _write(form: PoseFormat, rows: Iterator[Row], output: Path | None, *, several: bool) -> None:
-    from svmdist.report.poses import POSE_KEYS, tum_lines
-    from svmdist.report.table import csv_lines, json_array_lines
+    from svmdist.report.rows import POSE_KEYS, tum_lines
+    from svmdist.report.tables import csv_lines, json_array_lines
 
     keys = (*POSE_KEYS, "recording") if several else POSE_KEYS
     match form:
@@ -138,7 +137,7 @@ def _write(form: PoseFormat, rows: Iterator[Row], output: Path | None, *, severa
         case PoseFormat.TUM:
             write_lines(tum_lines(rows), output)
         case PoseFormat.PARQUET:
-            from svmdist.report.parquet import write_parquet
+            from svmdist.report.tables import write_parquet
 
             types = {key: "int64" if key == "stamp_ns" else "string" if key == "recording" else "float64"
                      for key in keys}  # fmt: skip
@@ -259,7 +258,7 @@ def pose_rows_of(
     recording: Recording, job: FkJob, sums: ErrorSums, on_progress: Progress | None = None
 ) -> Iterator[Row]:
     """The rows of one recording; `sums` gets their errors, and `on_progress` hears of joint states as they are read."""
-    from svmdist.report.poses import block_rows
+    from svmdist.report.rows import block_rows
     from svmdist.workflows.fk import fk_blocks
 
     profile = job.profile.for_instrument(recording.instruments[0])

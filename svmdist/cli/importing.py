@@ -190,9 +190,8 @@ def import_command(
     Views may be one, two, or two side by side. The calibration is a file's or given in numbers. Tables of poses and
     joints go into the log, too. PNG and JPEG files are stored as they are.
     """
-    from svmdist.importing.cameras import CalibrationOptions
-    from svmdist.workflows.import_log import ImportOptions, import_log
-    from svmdist.workflows.import_views import ViewOptions
+    from svmdist.importing.calibration import CalibrationOptions
+    from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
 
     if rate is not None and not 1e-3 <= rate <= 1e4:
         raise UsageError(f"--rate {rate:g}: expected images per second, from 0.001 to 10000")
@@ -253,7 +252,7 @@ def _intrinsics(option: str, text: str | None) -> tuple[float, ...] | None:
 
 
 def _start_ns(text: str) -> int:
-    from svmdist.importing.stamps import parse_stamp_ns
+    from svmdist.importing.tables import parse_stamp_ns
 
     try:
         return parse_stamp_ns(text, "s")

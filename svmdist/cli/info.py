@@ -34,7 +34,7 @@ from svmdist.errors import RecordingError
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
-    from svmdist.recording.inspect import RecordingSummary
+    from svmdist.recording.summary import RecordingSummary
     from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
     from svmdist.workflows.capabilities import TagCheck
 
@@ -57,7 +57,7 @@ def info_command(
     """
     from svmdist.profile import load_profile
     from svmdist.report.info import TOPIC_KEYS, info_document, info_lines, topic_row
-    from svmdist.report.table import csv_lines, json_text
+    from svmdist.report.tables import csv_lines, json_text
 
     logs = named_logs(files)
     require_output(output, local_logs(logs))
@@ -82,8 +82,8 @@ def _inspect(
     log: LogFile, profile: Profile, topics: dict[str, str], *, looks_for_tag: bool
 ) -> tuple[RecordingSummary, TagCheck | None]:
     """Read a whole log, and look for the profile's tag in some of its images."""
-    from svmdist.recording.inspect import inspect_recording
-    from svmdist.recording.reader import open_recording
+    from svmdist.recording.log import open_recording
+    from svmdist.recording.summary import inspect_recording
     from svmdist.workflows.capabilities import look_for_tag
 
     summary = inspect_recording(log.path, profile, topics=topics)
@@ -97,7 +97,7 @@ def _inspect(
 
 def _info_of_logs(many: Many, job: InfoJob, form: TableFormat, output: Any) -> None:
     from svmdist.report.info import LOG_COLUMNS, LOG_KEYS, TOPIC_KEYS, log_row
-    from svmdist.report.table import rich_table
+    from svmdist.report.tables import rich_table
 
     with many.measured(job, "inspecting") as outcomes:
         found = [(one.log.name, result.document) for one, result in outcomes.measured]

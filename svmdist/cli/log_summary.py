@@ -16,7 +16,7 @@ from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
     from svmdist.input_file import LogPath
-    from svmdist.report.log_figures import LogFigures
+    from svmdist.report.scores import LogFigures
 
 SummaryOption = Annotated[
     Path | None,
@@ -49,7 +49,7 @@ class LogSummary:
             return LogSummary(None, ())
         require_output(output, inputs)
         if output.suffix.lower() == ".parquet":
-            from svmdist.report.parquet import require_pyarrow
+            from svmdist.report.tables import require_pyarrow
 
             require_pyarrow()
         return LogSummary(output, keys)
@@ -61,7 +61,7 @@ class LogSummary:
 
     def write(self, each: Sequence[LogFigures], together: Sequence[LogFigures]) -> None:
         """Write the figures, where they are asked for."""
-        from svmdist.report.log_figures import LOG_KEYS, log_rows, log_table
+        from svmdist.report.scores import LOG_KEYS, log_rows, log_table
 
         if self.output is None:
             return

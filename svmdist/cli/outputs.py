@@ -69,7 +69,7 @@ def summary_format(given: SummaryFormat | None, output: Path | None) -> SummaryF
 
 def require_parquet(output: Path | None) -> None:
     """Fail before the work where Parquet cannot be written; UsageError without a file, OutputError without pyarrow."""
-    from svmdist.report.parquet import require_pyarrow
+    from svmdist.report.tables import require_pyarrow
 
     if output is None:
         raise UsageError("--format parquet is no text: give a file with -o FILE.parquet")
@@ -111,7 +111,7 @@ def require_report(report: Path | None) -> None:
         return
     if report.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--report {report}: a report is a page: give it the ending .html")
-    from svmdist.report.html.page import require_plotly
+    from svmdist.report.html import require_plotly
 
     require_plotly()
 

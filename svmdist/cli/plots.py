@@ -78,7 +78,7 @@ def require_plot(
         if kind is not None:
             raise UsageError(f"--plot {kind}: says what --save-plot FILE draws, which is not given")
         return None
-    from svmdist.report.plot_style import plot_format
+    from svmdist.report.plots import plot_format
 
     plot_format(path)
     require_output(path, inputs)

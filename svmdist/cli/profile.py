@@ -49,7 +49,7 @@ def new_command(
     colours where they are distinct, and the tissue's plane where two views show it. What it cannot know is marked.
     """
     from svmdist.profile import Profile
-    from svmdist.report.profile_text import profile_lines
+    from svmdist.report.profile_template import profile_lines
     from svmdist.workflows.new_profile import draft_profile
 
     require_output(output, [file])

@@ -53,9 +53,9 @@ from svmdist.cli.recordings import (
 )
 
 if TYPE_CHECKING:
-    from svmdist.workflows.baseline import Baseline
+    from svmdist.workflows.request import Setup
+    from svmdist.workflows.scoring.baseline import Baseline
     from svmdist.workflows.scoring.truth import TruthRules
-    from svmdist.workflows.setup import Setup
     from svmdist.workflows.validate import Measured, Validation
 
 
@@ -154,9 +154,14 @@ def validate_command(
     """
     from svmdist.cli.log_jobs import ValidateJob
     from svmdist.cli.validate_logs import score_logs
-    from svmdist.workflows.baseline import load_baseline, make_baseline, require_same_alarms, save_baseline
+    from svmdist.workflows.request import prepare
+    from svmdist.workflows.scoring.baseline import (
+        load_baseline,
+        make_baseline,
+        require_same_alarms,
+        save_baseline,
+    )
     from svmdist.workflows.scoring.truth import Reference, truth_rules
-    from svmdist.workflows.setup import prepare
 
     logs = logs_or_golden(files)
     for target in (output, write_baseline, report):
@@ -182,8 +187,7 @@ def validate_command(
     if save_plot and drawn:
         _save_plot(result, measured, setup, rules, drawn, save_plot)
     if report:
-        from svmdist.report.html.build import validation_report
-        from svmdist.report.html.page import write_report
+        from svmdist.report.html import validation_report, write_report
 
         with progress_bar("drawing the worst frames", "images") as advance:
             page = validation_report(
@@ -200,7 +204,7 @@ def validate_command(
 
 def _is_worse(result: Validation, stored: Baseline, path: Path | None, *, complete: bool) -> bool:
     """Say which figures are worse than those stored."""
-    from svmdist.workflows.baseline import find_regressions
+    from svmdist.workflows.scoring.baseline import find_regressions
 
     regressions = find_regressions(result, stored, complete=complete)
     for regression in regressions:
@@ -214,11 +218,11 @@ def _save_plot(
     result: Validation, measured: list[Measured], setup: Setup, rules: TruthRules, kind: PlotKind, path: Path
 ) -> None:
     if kind is PlotKind.FIG6:
-        from svmdist.report.plot import save_plot
+        from svmdist.report.plots import save_plot
 
         save_plot(result, path)
         return
-    from svmdist.report.series_plot import SeriesPlot, save_series_plot
+    from svmdist.report.plots import SeriesPlot, save_series_plot
     from svmdist.workflows.series import make_series
 
     reference = result.primary.reference if result.primary else result.scores[0].reference
@@ -232,9 +236,8 @@ def _save_plot(
 
 
 def _write(result: Validation, form: SummaryFormat, output: Path | None) -> None:
-    from svmdist.report.table import csv_lines, json_text
-    from svmdist.report.validation import score_keys, score_row, validation_document
-    from svmdist.report.validation_tables import remarks, validation_tables
+    from svmdist.report.scores import remarks, score_keys, score_row, validation_document, validation_tables
+    from svmdist.report.tables import csv_lines, json_text
 
     for note in result.notes:
         say(f"svmdist: note: {note}")
@@ -248,7 +251,7 @@ def _write(result: Validation, form: SummaryFormat, output: Path | None) -> None
             scores = (*result.scores, *result.groups, *result.overall)
             write_lines(csv_lines(score_keys(), (score_row(score) for score in scores)), output)
         case SummaryFormat.PARQUET if output is not None:
-            from svmdist.report.parquet import write_parquet
+            from svmdist.report.tables import write_parquet
 
             every = (*result.scores, *result.groups, *result.overall)
             write_parquet(output, score_keys(), [score_row(score) for score in every])

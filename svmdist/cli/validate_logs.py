@@ -13,7 +13,7 @@ from svmdist.cli.log_jobs import ValidateJob
 from svmdist.cli.many import Many, Outcomes, group_name
 from svmdist.cli.progress import progress_bar
 from svmdist.cli.recordings import open_log, open_recordings
-from svmdist.report.log_figures import LogFigures, log_table, pooled_log_figures, ranked
+from svmdist.report.scores import LogFigures, log_table, pooled_log_figures, ranked
 from svmdist.workflows.batch.task import LogFile, Outcome
 from svmdist.workflows.validate import (
     Measured,

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.profile.settings import HandEyeSettings
 from svmdist.results import Failure
-from svmdist.settings.hand_eye import HandEyeSettings
 from svmdist.transforms import Array, make_transform, rotation_of, skew
 
 MAX_STEPS = 50

@@ -1,28 +1,180 @@
-"""Tables of poses, joints and times: which columns tell what, in which unit."""
+"""Time stamps of imported images, in ns: from file names, from a table, or from a rate."""
 
 from __future__ import annotations
 
+import csv
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
 
 from svmdist.errors import SourceError
 from svmdist.importing.images import numbers_of
-from svmdist.importing.stamps import parse_stamp_ns
-from svmdist.importing.table_file import (
-    LENGTHS_M,
-    UNIT,
-    Table,
-    is_number,
-    numbers_in,
-    plain_name,
-    read_table,
-    unit_of,
-)
+from svmdist.input_file import read_regular, why
 from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
+
+DECIMAL_STAMP = re.compile(r"(?<!\d)(\d{9,11})[._](\d{3,9})(?!\d)")
+"""Seconds since 1970 and their fraction."""
+WHOLE_STAMP = re.compile(r"(?<!\d)(\d{13,19})(?!\d)")
+MAX_STAMP_NS = (1 << 63) - 1
+UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+
+
+def parse_stamp_ns(text: str, unit: str | None = None) -> int:
+    """A stamp in ns; without a unit (s, ms, us, ns) by its size, which tells them apart for times since 1970.
+
+    Raises ValueError for text that is no number, and for a stamp that is negative or beyond 64 bits.
+    """
+    try:
+        value = Decimal(text)
+    except InvalidOperation:
+        raise ValueError(f"expected a time, found {text[:40]!r}") from None
+    if not value.is_finite():
+        raise ValueError(f"expected a time, found {text[:40]!r}")
+    if unit is None:
+        unit = next(
+            (name for name, least in (("ns", 10**17), ("us", 10**14), ("ms", 10**11)) if value >= least), "s"
+        )
+    stamp_ns = round(value * UNITS_NS[unit])
+    if not 0 <= stamp_ns <= MAX_STAMP_NS:
+        raise ValueError(f"a time must not be negative or beyond 64 bits of ns, found {text[:40]}")
+    return stamp_ns
+
+
+def stamps_from_names(names: Sequence[str]) -> list[int] | None:
+    """The stamps in file names, `1479250744.250.png` in s or `1479250744250000000.png`; None where one has none."""
+    stamps = []
+    for name in names:
+        stem = name.rpartition(".")[0] or name
+        decimal = DECIMAL_STAMP.search(stem)
+        whole = WHOLE_STAMP.search(stem)
+        if decimal:
+            stamps.append(int(decimal[1]) * 10**9 + int(decimal[2].ljust(9, "0")))
+        elif whole:
+            stamps.append(parse_stamp_ns(whole[1]))
+        else:
+            return None
+    return stamps
+
+
+def stamps_at_rate(count: int, rate_hz: float, start_ns: int) -> list[int]:
+    """Stamps at a steady rate."""
+    return [start_ns + round(number * 1e9 / rate_hz) for number in range(count)]
+
+
+def require_rising(stamps_ns: Sequence[int], names: Sequence[str], what: str) -> None:
+    """Raise SourceError where a stamp is not after the one before it."""
+    for number in range(1, len(stamps_ns)):
+        if stamps_ns[number] <= stamps_ns[number - 1]:
+            raise SourceError(
+                f"{what}: the time of {names[number]} ({stamps_ns[number]} ns) is not after that of"
+                f" {names[number - 1]} ({stamps_ns[number - 1]} ns)"
+            )
+
+
+MAX_BYTES = 1 << 28
+UNIT = re.compile(r"\s*\[(.*)\]\s*$")
+"""A unit in brackets behind a name, as in `timestamp [ns]`."""
+LENGTHS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text cells; `names` of the columns, None where the file has none; `units` in brackets or suffixes."""
+
+    path: Path
+    names: tuple[str, ...] | None
+    rows: tuple[tuple[str, ...], ...]
+    first_line: int
+
+    def fail(self, row: int, reason: str) -> SourceError:
+        """The error for a row."""
+        return SourceError(f"{self.path}: line {row + self.first_line}: {reason}")
+
+
+def read_table(path: Path) -> Table:
+    """Read a table whose cells stand between commas, semicolons, tabs or blanks; SourceError in one line."""
+    try:
+        text = read_regular(path, MAX_BYTES).decode("utf-8-sig")
+    except OSError as problem:
+        raise SourceError(f"{path}: cannot read: {why(problem)}") from None
+    except UnicodeDecodeError as problem:
+        raise SourceError(f"{path}: not a table: byte {problem.start} is not UTF-8") from None
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    comments = [line.lstrip("# ") for _, line in lines if line.lstrip().startswith("#")]
+    lines = [(number, line) for number, line in lines if not line.lstrip().startswith("#")]
+    if not lines:
+        raise SourceError(f"{path}: an empty table")
+    split = _splitter(lines[0][1])
+    rows = [split(line) for _, line in lines]
+    names = None
+    if _looks_named(rows):
+        names, rows, lines = rows[0], rows[1:], lines[1:]
+    elif comments and len(split(comments[-1])) == len(rows[0]) and not is_number(split(comments[-1])[0]):
+        names = split(comments[-1])
+    if not rows:
+        raise SourceError(f"{path}: a table without rows")
+    width = len(names or rows[0])
+    for (number, _), row in zip(lines, rows, strict=True):
+        if len(row) != width:
+            raise SourceError(f"{path}: line {number}: expected {width} cells, found {len(row)}")
+    return Table(path, None if names is None else tuple(names), tuple(map(tuple, rows)), lines[0][0])
+
+
+def numbers_in(table: Table, columns: Sequence[int]) -> Array:
+    """Columns as numbers, shape (n, m)."""
+    numbers = np.empty((len(table.rows), len(columns)))
+    for row, cells in enumerate(table.rows):
+        for place, column in enumerate(columns):
+            if not is_number(cells[column]) or not math.isfinite(float(cells[column])):
+                raise table.fail(row, f"expected a number, found {cells[column][:40]!r}")
+            numbers[row, place] = float(cells[column])
+    return numbers
+
+
+def unit_of(name: str) -> str | None:
+    """The unit that a name of a column states, in brackets or behind its last underscore; None for none."""
+    found = UNIT.search(name)
+    if found:
+        return found[1].strip().lower()
+    suffix = name.strip().rpartition("_")[2].lower()
+    return suffix if suffix in LENGTHS_M and "_" in name else None
+
+
+def plain_name(name: str) -> str:
+    """A column's name without its unit in brackets, in small letters."""
+    return UNIT.sub("", name).strip().lower()
+
+
+def _splitter(line: str) -> Callable[[str], list[str]]:
+    """What cuts a line into cells, as the first line shows."""
+    mark = next((mark for mark in (",", ";", "\t") if mark in line), None)
+    if mark is None:
+        return str.split
+    return lambda text: [cell.strip() for cell in next(csv.reader([text], delimiter=mark))]
+
+
+def _looks_named(rows: Sequence[Sequence[str]]) -> bool:
+    """Whether the first row names columns: one of its cells is text where the next row has a number."""
+    if len(rows) == 1:
+        return not any(map(is_number, rows[0]))
+    return any(
+        not is_number(first) and is_number(second) for first, second in zip(rows[0], rows[1], strict=False)
+    )
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
 
 STAMP_NAMES = frozenset({"stamp", "timestamp", "time", "t", "stamps", "secs", "header.stamp"})
 IMAGE_NAMES = frozenset({"image", "frame", "file", "filename", "name", "image_name", "index"})

@@ -7,63 +7,83 @@ Both conventions are here because logs use both: *standard* (Denavit & Hartenber
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.dh_row import Convention, DHRow, JointType, twist
-from svmdist.kinematics.frame_columns import CHUNK, last_frame
+from svmdist.profile import Robot
 from svmdist.transforms import Array
 
-__all__ = [
-    "Convention",
-    "DHChain",
-    "DHRow",
-    "JointType",
-    "forward_kinematics",
-    "frame_transforms",
-    "link_transforms",
-    "running_product",
-    "select_joints",
-]
-MANY = 128
-"""From so many joint vectors on, arrays of one number of all of them are faster than stacks of matrices."""
+JointType = Literal["revolute", "prismatic", "fixed"]
+Convention = Literal["standard", "modified"]
+CHUNK = 2048
+"""Joint vectors that are worked on together: more links at once leave the processor's cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class DHRow:
+    """One row of a DH table: lengths in m, angles in rad, limits in the joint's own unit.
+
+    The joint variable adds to `theta_rad` (revolute) or to `d_m` (prismatic), so that the value in a published
+    table is the offset at joint value zero.
+    """
+
+    name: str
+    joint: JointType
+    a_m: float = 0.0
+    alpha_rad: float = 0.0
+    d_m: float = 0.0
+    theta_rad: float = 0.0
+    lower: float = -np.pi
+    upper: float = np.pi
+    aliases: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class DHChain:
-    """A serial chain from a base frame to a tool frame, with a constant transform behind the last row."""
+    """A serial chain from a base frame to a tool frame, with a constant transform behind the last row.
+
+    Joints may be reported beyond their limits by `limit_tolerance_rad` (revolute) or `limit_tolerance_m` (prismatic).
+    """
 
     rows: tuple[DHRow, ...]
     convention: Convention = "standard"
     T_last_tool: Array = field(default_factory=lambda: np.eye(4))
     limit_tolerance_rad: float = np.inf
-    """How far beyond its limits a joint that turns may be reported."""
     limit_tolerance_m: float = np.inf
-    """The same of a joint that slides."""
+
+    @cached_property
+    def moving_rows(self) -> NDArray[np.intp]:
+        """Indices of the rows with a joint, base first, shape (n_joints,)."""
+        return np.array([i for i, row in enumerate(self.rows) if row.joint != "fixed"], np.intp)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """The names of the joints that move, base first."""
-        return tuple(row.name for row in self.rows if row.joint != "fixed")
+        return tuple(self.rows[i].name for i in self.moving_rows)
 
     @cached_property
     def lower(self) -> Array:
         """Lower joint limits in rad or m, shape (n_joints,)."""
-        return _constant([row.lower for row in self.rows if row.joint != "fixed"])
+        return np.array([self.rows[i].lower for i in self.moving_rows])
 
     @cached_property
     def upper(self) -> Array:
         """Upper joint limits in rad or m, shape (n_joints,)."""
-        return _constant([row.upper for row in self.rows if row.joint != "fixed"])
+        return np.array([self.rows[i].upper for i in self.moving_rows])
+
+    @cached_property
+    def is_revolute(self) -> NDArray[np.bool_]:
+        """Which joints are revolute, shape (n_joints,); the others are prismatic."""
+        return np.array([self.rows[i].joint == "revolute" for i in self.moving_rows], np.bool_)
 
     @cached_property
     def limit_tolerance(self) -> Array:
-        """How far beyond its limits each joint may be reported, in rad or m, shape (n_joints,)."""
+        """The tolerance of each joint's limits in rad or m, shape (n_joints,)."""
         return np.where(self.is_revolute, self.limit_tolerance_rad, self.limit_tolerance_m)
 
     def are_within_limits(self, q: Array) -> NDArray[np.bool_]:
@@ -72,24 +92,22 @@ class DHChain:
         return np.asarray((q >= self.lower - tolerance) & (q <= self.upper + tolerance))
 
     @cached_property
-    def moving_rows(self) -> NDArray[np.intp]:
-        """Indices of the rows with a joint, base first, shape (n_joints,)."""
-        return np.array([i for i, row in enumerate(self.rows) if row.joint != "fixed"], np.intp)
-
-    @cached_property
-    def is_revolute(self) -> NDArray[np.bool_]:
-        """Which joints turn, shape (n_joints,); the others slide."""
-        return np.array([row.joint == "revolute" for row in self.rows if row.joint != "fixed"], np.bool_)
-
-    @cached_property
     def row_indices(self) -> dict[str, int]:
-        """The place of each row in the table by its name."""
+        """The index of each row by its name."""
         return {row.name: index for index, row in reversed(list(enumerate(self.rows)))}
 
     @cached_property
     def terms(self) -> LinkTerms:
         """What is constant in the rows' transforms."""
         return LinkTerms.of(self.rows, self.convention)
+
+
+def chain_of(robot: Robot) -> DHChain:
+    """The chain of a profile's robot, from base to tool."""
+    rows = tuple(DHRow(*dict(joint).values()) for joint in robot.joints)
+    return DHChain(
+        rows, robot.convention, robot.T_last_tool, robot.limit_tolerance_rad, robot.limit_tolerance_m
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +131,7 @@ class LinkTerms:
     def of(cls, rows: tuple[DHRow, ...], convention: Convention) -> LinkTerms:
         """Take the rows apart."""
         a = np.array([row.a_m for row in rows])
-        ca, sa = np.array([twist(row) for row in rows]).reshape(-1, 2).T
+        ca, sa = _cosine_and_sine(np.array([row.alpha_rad for row in rows]))
         constant, cosine, sine, shift = np.zeros((4, len(rows), 4, 4))
         constant[:, 3, 3] = 1.0
         if convention == "standard":
@@ -157,26 +175,19 @@ def forward_kinematics(chain: DHChain, q: ArrayLike) -> Array:
 
     eq. (31), as a matrix product. Raises KinematicsError for a wrong number of joints.
     """
-    q = _checked_joints(chain, q)
-    if math.prod(q.shape[:-1]) < MANY:
-        links = link_transforms(chain, q)
-        T = links[..., 0, :, :]
-        for index in range(1, len(chain.rows)):
-            T = T @ links[..., index, :, :]
-        return np.asarray(T @ chain.T_last_tool)
-    T = np.empty((*q.shape[:-1], 4, 4))
-    T[..., 3, :] = 0.0, 0.0, 0.0, 1.0
-    flat, joints = T.reshape(-1, 4, 4), q.reshape(-1, q.shape[-1])
-    for at in range(0, len(joints), CHUNK):
-        last_frame(chain.rows, chain.convention, joints[at : at + CHUNK]).write(flat[at : at + CHUNK])
-    return np.asarray((T.reshape(-1, 4) @ chain.T_last_tool).reshape(T.shape))
+    q = np.asarray(q, np.float64)
+    if q.ndim > 1 and len(q) > CHUNK:
+        parts = [forward_kinematics(chain, q[at : at + CHUNK]) for at in range(0, len(q), CHUNK)]
+        return np.concatenate(parts)
+    links = link_transforms(chain, q)
+    T = links[..., 0, :, :]
+    for index in range(1, len(chain.rows)):
+        T = T @ links[..., index, :, :]
+    return np.asarray(T @ chain.T_last_tool)
 
 
 def frame_transforms(chain: DHChain, q: ArrayLike) -> Array:
-    """Poses of all row frames in the base frame, shape (..., n_rows, 4, 4), for joints (..., n_joints).
-
-    Always products of matrices: recordings are made with them, and repeat bit for bit.
-    """
+    """Poses of all row frames in the base frame, shape (..., n_rows, 4, 4), for joints (..., n_joints)."""
     return running_product(link_transforms(chain, q))
 
 
@@ -194,29 +205,110 @@ def running_product(links: Array) -> Array:
 def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) -> Array:
     """Bring positions, shape (..., len(names)), into the chain's order; joints it lacks are dropped.
 
-    A joint is found by its name or by an alias. Raises KinematicsError that names the joints the log does
-    not have.
+    A joint is found by its name or by an alias. Raises KinematicsError that names the joints that `names` lacks.
     """
-    order, missing = [], []
-    for row in chain.rows:
-        if row.joint == "fixed":
-            continue
-        found = next((name for name in (row.name, *row.aliases) if name in names), None)
-        if found is None:
-            missing.append(row.name)
-        else:
-            order.append(names.index(found))
+    rows = [chain.rows[index] for index in chain.moving_rows]
+    found = {
+        row.name: next((name for name in (row.name, *row.aliases) if name in names), None) for row in rows
+    }
+    missing = [name for name, logged in found.items() if logged is None]
     if missing:
         raise KinematicsError(
             f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
         )
-    return np.asarray(positions, np.float64)[..., order]
+    return np.asarray(positions, np.float64)[
+        ..., [names.index(logged) for logged in found.values() if logged]
+    ]
 
 
-def _constant(values: list[float]) -> Array:
-    array = np.array(values)
-    array.setflags(write=False)
-    return array
+def jacobian_of_frames(chain: DHChain, frames: Array, row: str | None = None) -> Array:
+    """Derivative of a frame's pose in the base frame by the joints, shape (..., 6, n_joints).
+
+    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames; `row` names one of them, None is the tool.
+    Rows are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with R' = exp([δθ]) R, both in
+    the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a
+    joint behind the frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
+    """
+    last = len(chain.rows) - 1 if row is None else row_index(chain, row)
+    T_base_frame = frames[..., last, :, :] @ chain.T_last_tool if row is None else frames[..., last, :, :]
+    axes = [joint_axis(chain, frames, index) for index in chain.moving_rows]
+    shape = (*frames.shape[:-3], 3)
+    z = np.stack([np.broadcast_to(axis, shape) for axis, _ in axes], -1)
+    arm = T_base_frame[..., :3, 3, None] - np.stack([np.broadcast_to(at, shape) for _, at in axes], -1)
+    before = chain.moving_rows <= last
+    zx, zy, zz = z[..., 0, :], z[..., 1, :], z[..., 2, :]
+    x, y, h = arm[..., 0, :], arm[..., 1, :], arm[..., 2, :]
+    swing = np.stack([zy * h - zz * y, zz * x - zx * h, zx * y - zy * x], -2)
+    return np.concatenate(
+        [np.where(chain.is_revolute, swing, z) * before, z * (chain.is_revolute & before)], -2
+    )
+
+
+def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:
+    """The axis that the joint of row `index` moves about or along: direction and a point, shapes (..., 3).
+
+    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames. Standard DH moves about the z of
+    the frame before, modified DH about the z of its own frame.
+    """
+    axis_index = index - 1 if chain.convention == "standard" else index
+    if axis_index < 0:
+        return np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    return frames[..., axis_index, :3, 2], frames[..., axis_index, :3, 3]
+
+
+def row_index(chain: DHChain, name: str) -> int:
+    """Place of a row in the table; raises ValueError for a name it lacks."""
+    if name not in chain.row_indices:
+        raise ValueError(f"the chain has no row {name}; it has {', '.join(chain.row_indices)}")
+    return chain.row_indices[name]
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftAxis:
+    """The instrument's shaft on the chain: a point in m and the direction to the tip, (3,), in the row's frame."""
+
+    link: str
+    p_axis_m: Array
+    axis: Array
+
+
+def shaft_of(chain: DHChain) -> ShaftAxis | None:
+    """The shaft of a chain; None for a chain in which nothing slides."""
+    prismatic = [row for row in chain.rows if row.joint == "prismatic"]
+    if not prismatic:
+        return None
+    row = prismatic[-1]
+    if chain.convention == "modified":
+        return ShaftAxis(row.name, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    # The row's frame is Trans_x(a) Rot_x(α) away from the axis.
+    axis = np.array([0.0, np.sin(row.alpha_rad), np.cos(row.alpha_rad)])
+    return ShaftAxis(row.name, np.array([-row.a_m, 0.0, 0.0]), axis)
+
+
+@dataclass(frozen=True, slots=True)
+class WristRows:
+    """Indices of the rows that turn the shaft about itself, bend the wrist, and open the jaw, where there is one."""
+
+    roll: int
+    pitch: int
+    yaw: int
+    jaw: int | None
+
+
+def wrist_rows(chain: DHChain) -> WristRows | None:
+    """The wrist of the da Vinci's instruments; None for a chain with fewer than three rows behind the insertion."""
+    turns = rows_behind_insertion(chain)
+    if len(turns) < 3:
+        return None
+    roll, pitch, yaw, *jaw = turns
+    return WristRows(roll, pitch, yaw, jaw[0] if jaw else None)
+
+
+def rows_behind_insertion(chain: DHChain) -> list[int]:
+    """Indices of the revolute rows behind the last prismatic one, the shaft's roll first; none without one."""
+    slides = [index for index, row in enumerate(chain.rows) if row.joint == "prismatic"]
+    behind = range(slides[-1] + 1, len(chain.rows)) if slides else ()
+    return [index for index in behind if chain.rows[index].joint == "revolute"]
 
 
 def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:
@@ -225,3 +317,10 @@ def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:
     if q.ndim == 0 or q.shape[-1] != count:
         raise KinematicsError(f"expected {count} joint values on the last axis, found shape {q.shape}")
     return q
+
+
+def _cosine_and_sine(angles_rad: Array) -> Array:
+    """Shape (2, n); those of quarter turns are exact, where floating point gives 6e-17."""
+    values = np.stack([np.cos(angles_rad), np.sin(angles_rad)])
+    nearest = np.round(values)
+    return np.where(np.abs(values - nearest) < 1e-15, nearest, values)

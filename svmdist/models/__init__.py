@@ -19,7 +19,7 @@ INSTRUMENTS: dict[str, Any] = {
     "instrument": {"class_ids": (2,), "min_area_px": 50},
     "shaft": {"class_ids": (3,), "min_area_px": 200},
 }
-"""Made by tools/train_segmentation.py, of pictures that tools/segmentation_net draws (decision 33)."""
+"""Made by `training/train.py`, of pictures that are drawn there."""
 
 SHIPPED = {"instruments": INSTRUMENTS}
 

@@ -15,7 +15,7 @@ from svmdist.camera import Camera
 from svmdist.errors import UsageError
 from svmdist.perturbations.chosen import Perturbations, direction
 from svmdist.profile import Fiducial, Instrument, Profile, Robot, Tissue
-from svmdist.toml_model import StrictModel
+from svmdist.profile.toml import StrictModel
 from svmdist.transforms import Array, rotation_of
 
 TURN_DEG_PER_MM = 4.0

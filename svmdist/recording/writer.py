@@ -14,9 +14,9 @@ from typing import IO, Self
 from mcap.writer import CompressionType, Writer
 
 from svmdist.errors import OutputError, UsageError
-from svmdist.output_file import BusyError, is_held, lock
-from svmdist.recording.messages.encoding import EncodedSample, encode, message_type
-from svmdist.recording.sources import METADATA_NAME
+from svmdist.files import BusyError, is_held, lock
+from svmdist.recording.encode import EncodedSample, encode, message_type
+from svmdist.recording.source import METADATA_NAME
 from svmdist.samples import Sample
 
 CHUNK_BYTES = 240 * 1024

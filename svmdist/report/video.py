@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from svmdist.errors import OutputError
-from svmdist.output_file import atomic_file
-from svmdist.pyav import import_av
-from svmdist.report.frame_picture import draw_on
+from svmdist.errors import OutputError, optional_package
+from svmdist.files import atomic_file
+from svmdist.report.panels import draw_on
 from svmdist.samples import Image
 from svmdist.workflows.annotate import DrawnFrame
 
@@ -27,7 +26,7 @@ LARGEST_STEP_MS = 10_000
 
 def require_av() -> Any:
     """PyAV; raises OutputError where it is not installed."""
-    return import_av(OutputError, "a video")
+    return optional_package("av", "video", "a video", OutputError)
 
 
 def write_video(frames: Iterable[DrawnFrame], path: Path, size_px: tuple[int, int]) -> int:

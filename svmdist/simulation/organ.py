@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
-from svmdist.polygon import polygon_centroid
 from svmdist.simulation.meshes import DrawnMesh, smooth_normals
 from svmdist.simulation.textures import TEXTURE_SPAN_M
-from svmdist.transforms import Array
+from svmdist.transforms import Array, polygon_centroid
 
 SEMI_AXES_M = (0.028, 0.022)
 HEIGHT_M = 0.008

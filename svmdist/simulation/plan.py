@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import UsageError
-from svmdist.kinematics.chain import chain_of
+from svmdist.kinematics.dh import chain_of
 from svmdist.perturbations.calibration import built_profile
 from svmdist.profile import Profile
 from svmdist.simulation.arm import Arm, ArmTopicNames, draw_nominal_kinematics, reported_joints

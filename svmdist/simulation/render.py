@@ -94,6 +94,7 @@ class DrawnWorld(BulletWorld):
 
     def __init__(self, scenes: Sequence[Scene], *, still: bool, moving: bool) -> None:
         super().__init__()
+        self._files: list[int] = []
         self._turn = 0
         self._scene = scene = scenes[0]
         self._scenes = scenes if moving else []
@@ -205,7 +206,7 @@ class DrawnWorld(BulletWorld):
         return body
 
     def _add_mesh(self, mesh: DrawnMesh, colour_rgba: Rgba = _WHITE) -> int:
-        """Add a mesh out of view; its body's number."""
+        """Add a mesh at the origin; its body's number."""
         shape = self.call(
             "createVisualShape",
             self.pb.GEOM_MESH,
@@ -215,21 +216,26 @@ class DrawnWorld(BulletWorld):
             normals=mesh.normals.tolist(),
             rgbaColor=colour_rgba,
         )
-        body = int(self.call("createMultiBody", 0, -1, shape))
-        self.place(body, _AWAY)
-        return body
+        return int(self.call("createMultiBody", 0, -1, shape))
 
     def _paint(self, body: int, texture_bgr: Image) -> int:
-        """Put a texture onto a body; its number. PyBullet reads files only: this one is in memory and has no name."""
+        """Put a texture onto a body; its number.
+
+        PyBullet reads files only: this one is in memory. It stays open, since PyBullet knows textures by their path.
+        """
         file = os.memfd_create("svmdist")
-        try:
-            with open(file, "wb", closefd=False) as out:
-                out.write(cv2.imencode(".png", texture_bgr)[1].tobytes())
-            texture = int(self.call("loadTexture", f"/proc/self/fd/{file}"))
-        finally:
-            os.close(file)
+        self._files.append(file)
+        with open(file, "wb", closefd=False) as out:
+            out.write(cv2.imencode(".png", texture_bgr)[1].tobytes())
+        texture = int(self.call("loadTexture", f"/proc/self/fd/{file}"))
         self.call("changeVisualShape", body, -1, textureUniqueId=texture)
         return texture
+
+    def close(self) -> None:
+        """Leave the world; a second call does nothing."""
+        super().close()
+        while self._files:
+            os.close(self._files.pop())
 
 
 class Renderer:

@@ -64,6 +64,29 @@ class Sensor:
         return image
 
 
+class Sensors:
+    """The cameras of a plan. Only their noise has an order: `noise_states` are the random streams' states before it."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._camera = plan.scene.camera
+        cameras = range(2 if plan.options.stereo else 1)
+        self.each = tuple(Sensor(camera, plan.scene.seed, plan.noise, plan.options) for camera in cameras)
+
+    @property
+    def noise_states(self) -> NoiseStates:
+        """The state of each camera's random stream."""
+        return tuple(dict(sensor.rng.bit_generator.state) for sensor in self.each)
+
+    @noise_states.setter
+    def noise_states(self, states: NoiseStates) -> None:
+        for sensor, state in zip(self.each, states, strict=True):
+            sensor.rng.bit_generator.state = state
+
+    def draw_noise(self) -> Noise:
+        """Draw the noise of the next image of each camera."""
+        return tuple(sensor.draw_noise(self._camera.width_px, self._camera.height_px) for sensor in self.each)
+
+
 def simulate(
     scenario: Scenario, profile: Profile, *, noise: float = 0.0, options: Options | None = None
 ) -> Iterator[tuple[str, Sample]]:
@@ -74,41 +97,21 @@ def simulate(
     plan = make_plan(scenario, profile, noise=noise, options=options)
     with Simulator(plan) as simulator:
         for block in plan.blocks:
-            yield from simulator.samples(block, simulator.draw_noise())
+            yield from simulator.samples(block, simulator.sensors.draw_noise())
 
 
 class Simulator:
-    """Makes the samples of a plan, block by block in any order; a context manager with physics worlds of its own.
-
-    Only the noise has an order: `draw_noise` gives that of the next image, and `noise_states` are the states of the
-    random streams after it.
-    """
+    """Makes the samples of a plan, block by block in any order; a context manager with physics worlds of its own."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        cameras = range(2 if plan.options.stereo else 1)
-        self._sensors = tuple(Sensor(each, plan.scene.seed, plan.noise, plan.options) for each in cameras)
+        self.sensors = Sensors(plan)
         scene, *others = scenes = [arm.scene for arm in plan.arms]
         self._tissue = TissueClearance(scenes)
         with ExitStack() as stack:
             self._between = [stack.enter_context(InstrumentClearance(scene, other)) for other in others]
             self._view = stack.enter_context(Renderer(scenes))
             self._stack = stack.pop_all()
-
-    @property
-    def noise_states(self) -> NoiseStates:
-        """The state of each camera's random stream."""
-        return tuple(dict(sensor.rng.bit_generator.state) for sensor in self._sensors)
-
-    @noise_states.setter
-    def noise_states(self, states: NoiseStates) -> None:
-        for sensor, state in zip(self._sensors, states, strict=True):
-            sensor.rng.bit_generator.state = state
-
-    def draw_noise(self) -> Noise:
-        """Draw the noise of the next image of each camera."""
-        camera = self._plan.scene.camera
-        return tuple(sensor.draw_noise(camera.width_px, camera.height_px) for sensor in self._sensors)
 
     def samples(self, block: Block, noise: Noise) -> Iterator[tuple[str, Sample]]:
         """Yield (topic, sample) of a block, given the noise of its image."""
@@ -187,7 +190,7 @@ class Simulator:
         ]
         named = ((topics.image, scene.camera), (topics.right_image, scene.right_camera))
         for sensor, (topic, camera), its, fields in zip(
-            self._sensors, named, noise, zip(*drawn, strict=True), strict=False
+            self.sensors.each, named, noise, zip(*drawn, strict=True), strict=False
         ):
             image = sensor.expose(weave(fields), its, frame)
             yield topic, ImageSample(stamp_ns, camera.frame_id, image)
@@ -195,7 +198,7 @@ class Simulator:
     def _pictures(self, state: SceneState, number: int) -> list[Image]:
         """What each camera sees of a state, the picture number `number` of the recording."""
         self._view.pose(state, self._tissue.indented(state.q, state.offset_m))
-        count = len(self._sensors)
+        count = len(self.sensors.each)
         return [self._view.draw(camera, turn=number * count + camera) for camera in range(count)]
 
     def __enter__(self) -> Self:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.profile import AreaGate
+from svmdist.profile.settings import ShaftSettings
 from svmdist.samples import Image
-from svmdist.settings.shaft import ShaftSettings
 from svmdist.transforms import Array
-from svmdist.vision.field_of_view import field_of_view
+from svmdist.vision.colour import field_of_view
 
 DEFAULT = ShaftSettings()
 MAX_SAMPLES = 120

@@ -11,24 +11,24 @@ from numpy.typing import NDArray
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
-from svmdist.profile import Profile
-from svmdist.profile_hand_eye import ConstantEffect, HandEye
-from svmdist.recording.arms import FixedTransform
-from svmdist.recording.reader import Recording
-from svmdist.results import Failure, FrameResult, ToolPose
-from svmdist.stated_deviations import (
+from svmdist.profile import Profile, stated_deviations
+from svmdist.profile.hand_eye import (
     BASELINE,
     FOCAL_LENGTH,
     PRINCIPAL_POINT,
     SHAFT_RADIUS,
     TAG_SIZE,
-    stated_deviations,
+    ConstantEffect,
+    HandEye,
 )
+from svmdist.recording.log import Recording
+from svmdist.recording.topics import FixedTransform
+from svmdist.results import Failure, FrameResult, ToolPose
 from svmdist.transforms import Array, inverse, rotation_angle
-from svmdist.workflows.progress import Progress, Steps, image_total
+from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
 from svmdist.workflows.reported_tool import Against, ReportedTool, default_reference, reported_tool
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 
 SEEING_METHODS = ("fiducial", "stereo", "shaft")
 """Methods whose tool is from the images alone, the surest first."""

@@ -10,7 +10,7 @@ import pytest
 from svmdist.cli.options import parse_length_m
 from svmdist.errors import UsageError
 from svmdist.profile import DEFAULT_PROFILE, profile_path
-from svmdist.report.estimates import ESTIMATE_KEYS
+from svmdist.report.rows import ESTIMATE_KEYS
 from tests.cli.conftest import Cli
 
 

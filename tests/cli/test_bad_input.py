@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from svmdist.report.estimates import ESTIMATE_KEYS
+from svmdist.report.rows import ESTIMATE_KEYS
 from svmdist.samples import CameraSample, JointSample, Sample
 from tests.cli.conftest import Cli
 from tests.synthetic import make_scene, write_log

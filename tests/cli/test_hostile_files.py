@@ -126,7 +126,7 @@ def test_what_is_no_regular_file_is_not_waited_for(
 @pytest.mark.parametrize("kind", ["pipe", "zeros"])
 def test_a_baseline_is_a_regular_file(tmp_path: Path, kind: str) -> None:
     from svmdist.errors import RecordingError
-    from svmdist.workflows.baseline import load_baseline
+    from svmdist.workflows.scoring.baseline import load_baseline
 
     with pytest.raises(RecordingError, match="regular file"):
         load_baseline(named(tmp_path, kind, "baseline.json"))

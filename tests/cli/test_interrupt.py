@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import pytest
 
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample
 from tests.cli.conftest import Cli
 
@@ -54,14 +54,14 @@ def running(*arguments: object, **streams: Any) -> Iterator[subprocess.Popen[str
 @pytest.mark.parametrize(
     ("arguments", "busy"),
     [
-        (["info", "x.mcap"], "svmdist.recording.inspect.inspect_recording"),
-        (["estimate", "x.mcap"], "svmdist.recording.reader.open_recording"),
-        (["validate", "x.mcap"], "svmdist.recording.reader.open_recording"),
-        (["compare", "x.mcap"], "svmdist.recording.reader.open_recording"),
-        (["blur-bench", "x.mcap"], "svmdist.recording.reader.open_recording"),
-        (["blur-bench", "x.mcap", "--grid"], "svmdist.recording.reader.open_recording"),
-        (["calibrate", "x.mcap", "-o", "c.toml"], "svmdist.recording.reader.open_recording"),
-        (["fk", "x.mcap"], "svmdist.recording.reader.open_recording"),
+        (["info", "x.mcap"], "svmdist.recording.summary.inspect_recording"),
+        (["estimate", "x.mcap"], "svmdist.recording.log.open_recording"),
+        (["validate", "x.mcap"], "svmdist.recording.log.open_recording"),
+        (["compare", "x.mcap"], "svmdist.recording.log.open_recording"),
+        (["blur-bench", "x.mcap"], "svmdist.recording.log.open_recording"),
+        (["blur-bench", "x.mcap", "--grid"], "svmdist.recording.log.open_recording"),
+        (["calibrate", "x.mcap", "-o", "c.toml"], "svmdist.recording.log.open_recording"),
+        (["fk", "x.mcap"], "svmdist.recording.log.open_recording"),
         (["record", "-o", "r.mcap"], "svmdist.workflows.record.record"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -106,7 +106,7 @@ def test_while_rows_are_written_to_a_file(
     before: str | None,
 ) -> None:
     """The file is what it was before, or is not there; no part of one is left."""
-    from svmdist.report import estimates
+    from svmdist.report import rows as estimates
 
     output = tmp_path / "rows.csv"
     if before is not None:

@@ -29,11 +29,10 @@ SHORT = {
 """What is added to a command about golden logs, and to `record`, where it is to be quick. Later options win."""
 NOT_RUN = {
     "pytest": "it is this run",
-    "pytest tests/benchmarks --benchmark-enable": "the benchmarks; each is a test, which runs without its timing",
-    "python -m tests.benchmarks.processes logs": "compares programs for minutes; tests/benchmarks runs its parts",
-    "python -m tools.make_docs": "measures all golden logs again for minutes; tests hold its parts to the documents",
-    "python -m tools.real_bench sets --out real-bench --write": "needs the image sets that the lines above it clone",
-    "python -m tools.segmentation_bench sets --network svmdist/models/instruments.onnx --renders 400 --out masks": (
+    "python -m benchmarks.processes logs": "compares programs for minutes",
+    "python -m benchmarks.golden_tables": "measures all golden logs for minutes",
+    "python -m benchmarks.real_images sets --out real-bench --write": "needs the sets that the lines above clone",
+    "python -m benchmarks.masks sets --network svmdist/models/instruments.onnx --renders 400 --out masks": (
         "needs the image sets that the line above it clones"
     ),
     "--group docs mkdocs serve": "serves until it is stopped; .ci/run builds the site",

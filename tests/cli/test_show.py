@@ -8,11 +8,10 @@ import cv2
 import numpy as np
 
 from svmdist.drawing import COLOURS, Part
-from svmdist.recording.reader import open_recording
-from svmdist.report.frame_picture import bgr
-from svmdist.report.phases import METHOD_PHASES, phases_picture
+from svmdist.recording.log import open_recording
+from svmdist.report.panels import METHOD_PHASES, bgr, phases_picture
 from svmdist.workflows.annotate import drawn_frames
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 from tests.cli.conftest import Cli
 
 

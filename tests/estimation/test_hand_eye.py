@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye, rigid_fit
+from svmdist.profile.settings import HandEyeSettings
 from svmdist.results import Failure
-from svmdist.settings.hand_eye import HandEyeSettings
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, transform_points
 
 SETTINGS = HandEyeSettings()

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from svmdist.estimation.detection.stereo_surface import StereoSurface
-from svmdist.estimation.tissue.dome import DomeModel
-from svmdist.estimation.tissue.dome_fit import fit_dome
-from svmdist.estimation.tissue.pose import TissuePose, tissue_frame
-from svmdist.estimation.tissue.tracking import DEFAULT as TRACKING
-from svmdist.estimation.tissue.tracking import TissueTracker
+from svmdist.estimation.dome import DomeModel, fit_dome
+from svmdist.estimation.surface import StereoSurface
+from svmdist.estimation.tissue import TissuePose, tissue_frame
+from svmdist.estimation.tissue_tracking import DEFAULT as TRACKING
+from svmdist.estimation.tissue_tracking import TissueTracker
 from svmdist.geometry.separation import separation
 from svmdist.geometry.surfaces import Capsules, Mesh, Plane
 from svmdist.profile import Dome
-from svmdist.settings.stereo import StereoSettings
+from svmdist.profile.settings import StereoSettings
 from svmdist.transforms import Array, transform_points
 
 RULE = Dome(height_m=0.008, gauge_exponent=2.3, height_exponent=0.62, height_std_m=1.5e-4, apex_std_m=2e-3)

@@ -11,8 +11,7 @@ import pytest
 
 from svmdist.camera import stereo_transform
 from svmdist.errors import SourceError
-from svmdist.importing.calibration_files import read_calibration
-from svmdist.importing.cameras import CalibrationOptions, complete, stated_cameras
+from svmdist.importing.calibration import CalibrationOptions, complete, read_calibration, stated_cameras
 from svmdist.transforms import make_transform, rotation_of
 
 K = [572.2, 0.0, 378.8, 0.0, 571.0, 239.3, 0.0, 0.0, 1.0]

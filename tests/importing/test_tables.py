@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 
 from svmdist.errors import SourceError
-from svmdist.importing import table_file
-from svmdist.importing.stamps import parse_stamp_ns, stamps_at_rate, stamps_from_names
-from svmdist.importing.table_file import read_table
-from svmdist.importing.tables import ImageTimes, read_joints, read_poses, read_times
+from svmdist.importing import tables as table_file
+from svmdist.importing.tables import (
+    ImageTimes,
+    parse_stamp_ns,
+    read_joints,
+    read_poses,
+    read_table,
+    read_times,
+    stamps_at_rate,
+    stamps_from_names,
+)
 from svmdist.transforms import make_transform, rotation_of
 
 T = make_transform(rotation_of([0.3, -0.2, 0.5]), [0.01, -0.02, 0.15])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import SourceError
-from svmdist.importing.video import Video
+from svmdist.importing.images import Video
 
 av = pytest.importorskip("av")
 

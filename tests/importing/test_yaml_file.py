@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.errors import SourceError
-from svmdist.importing.yaml_file import MAX_BYTES, read_yaml
+from svmdist.importing.calibration import MAX_BYTES, read_yaml
 
 OPENCV = "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 1\n   cols: 2\n   dt: d\n   data: [ 1., 2. ]\n"
 

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from svmdist.errors import UsageError
-from svmdist.perturbations.table import CALIBRATION
 from svmdist.perturbations.chosen import (
     UNPERTURBED,
     Perturbations,
@@ -17,11 +16,18 @@ from svmdist.perturbations.chosen import (
     draw_world,
     parse_perturbations,
 )
-from svmdist.perturbations.table import IMAGES
-from svmdist.perturbations.table import CLOCK, JOINTS
-from svmdist.perturbations.table import Always, Normal, Uniform
-from svmdist.perturbations.table import Place
-from svmdist.perturbations.table import TABLE, real_std
+from svmdist.perturbations.table import (
+    CALIBRATION,
+    CLOCK,
+    IMAGES,
+    JOINTS,
+    TABLE,
+    Always,
+    Normal,
+    Place,
+    Uniform,
+    real_std,
+)
 
 SEEDS = range(1000)
 

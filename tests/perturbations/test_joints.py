@@ -12,10 +12,16 @@ from hypothesis.extra.numpy import arrays
 
 from svmdist.errors import ProfileError
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, parse_perturbations
-from svmdist.perturbations.joints import late_stamps_ns, later_ns, reported_late
-from svmdist.perturbations.joints import METRES_PER_DEG, JointPerturber, JointUnits
-from svmdist.perturbations.joints import Play
-from svmdist.perturbations.joints import ReplayedWorld
+from svmdist.perturbations.joints import (
+    METRES_PER_DEG,
+    JointPerturber,
+    JointUnits,
+    Play,
+    ReplayedWorld,
+    late_stamps_ns,
+    later_ns,
+    reported_late,
+)
 from svmdist.profile import Profile, load_profile
 from svmdist.samples import JointSample
 from svmdist.transforms import Array

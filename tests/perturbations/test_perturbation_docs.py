@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 
+from benchmarks.perturbation_docs import PAGE, page_with_table
 from svmdist.perturbations.table import TABLE
-from tools.perturbation_docs import PAGE, page_with_table
 
 
 def test_the_page_is_made_from_the_declarations() -> None:
-    """After a change of the table, `uv run python -m tools.perturbation_docs` writes it anew."""
+    """After a change of the table, `uv run python -m benchmarks.perturbation_docs` writes it anew."""
     page = PAGE.read_text("utf-8")
     assert page == page_with_table(page)
 

@@ -11,10 +11,18 @@ from hypothesis import strategies as st
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import UsageError
-from svmdist.perturbations.calibration import right_turn, stated_camera, stated_right_camera, zoomed_camera
+from svmdist.perturbations.calibration import (
+    TURN_DEG_PER_MM,
+    built_profile,
+    plane_tilt,
+    right_turn,
+    stated_camera,
+    stated_profile,
+    stated_right_camera,
+    zoomed_camera,
+)
 from svmdist.perturbations.chosen import UNPERTURBED, parse_perturbations
 from svmdist.perturbations.images import perturbed_image, perturbed_right_view, zoomed_image
-from svmdist.perturbations.calibration import TURN_DEG_PER_MM, built_profile, plane_tilt, stated_profile
 from svmdist.profile import Profile, load_profile
 from svmdist.samples import RightView
 from svmdist.transforms import rotation_angle, rotation_vector

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.perturbations.table import Uniform
 from svmdist.perturbations.calibration import TURN_DEG_PER_MM
-from svmdist.perturbations.table import TABLE, real_std
+from svmdist.perturbations.table import TABLE, Uniform, real_std
 from svmdist.profile import Profile, load_profile
 
 

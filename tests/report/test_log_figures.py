@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from svmdist.report.log_figures import LOG_KEYS, LogFigures, log_rows, pooled_log_figures, ranked
+from svmdist.report.scores import LOG_KEYS, LogFigures, log_rows, pooled_log_figures, ranked
 
 FINE = LogFigures("fine", statuses={"ok": 10}, group="a")
 LOST = LogFigures("lost", statuses={"ok": 4, "no_tool": 5, "no_tissue": 1}, group="b")

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import re
 
-from svmdist.report.comparison import compare_keys
 from svmdist.report.metric_docs import metrics_page, metrics_table
-from svmdist.report.validation import score_keys
+from svmdist.report.scores import compare_keys, score_keys
 from tests.conftest import REPOSITORY
 
 LABELS = {"recording", "method", "equations", "reference", "instrument", "group", "scenario", "degradation"}
 
 
 def test_the_page_is_made_from_the_declarations() -> None:
-    """After a change of the metrics, `uv run python -m tools.make_metrics_page` writes it anew."""
+    """After a change of the metrics, `uv run python -m benchmarks.make_metrics_page` writes it anew."""
     assert (REPOSITORY / "docs" / "metrics.md").read_text("utf-8") == metrics_page()
 
 

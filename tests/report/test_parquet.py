@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from svmdist.report.parquet import PIECE, require_pyarrow, write_parquet
+from svmdist.report.tables import PIECE, require_pyarrow, write_parquet
 
 pyarrow = pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.report.poses import POSE_KEYS, pose_rows, tum_lines
+from svmdist.report.rows import POSE_KEYS, pose_rows, tum_lines
 from svmdist.transforms import rotation_z
 from svmdist.workflows.fk import ForwardKinematics
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.report.estimates import (
+from svmdist.report.rows import (
     ALARM_COLUMNS,
     ESTIMATE_COLUMNS,
     ESTIMATE_KEYS,
@@ -20,19 +20,20 @@ from svmdist.report.estimates import (
     columns_within,
     estimate_row,
 )
-from svmdist.report.table import (
+from svmdist.report.tables import (
     Column,
     csv_lines,
+    csv_text,
     json_array_lines,
     json_lines,
     number,
     percent,
+    printable,
     render,
     rich_table,
     text_lines,
     text_width,
 )
-from svmdist.report.text import csv_text, printable
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 

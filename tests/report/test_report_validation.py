@@ -13,16 +13,21 @@ import pytest
 
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.report.blur import BLUR_COLUMNS, BLUR_KEYS, blur_row
-from svmdist.report.plot import draw, save_plot
-from svmdist.report.plot_style import PAGE_IN
-from svmdist.report.table import csv_lines, json_array_lines, render, rich_table
-from svmdist.report.validation import score_keys, score_row, validation_document
-from svmdist.report.validation_tables import remarks, validation_table
-from svmdist.vision.blur import Blur
+from svmdist.report.plots import PAGE_IN, draw, save_plot
+from svmdist.report.scores import (
+    BLUR_COLUMNS,
+    BLUR_KEYS,
+    blur_row,
+    remarks,
+    score_keys,
+    score_row,
+    validation_document,
+    validation_table,
+)
+from svmdist.report.tables import csv_lines, json_array_lines, render, rich_table
+from svmdist.vision.degradations import Blur
 from svmdist.workflows.blur_bench import BlurRow, PrintedRow
-from svmdist.workflows.scoring.distances import Pairs, score_pairs
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.score import Pairs, Score, score_pairs
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
 

@@ -12,9 +12,7 @@ from matplotlib.axes import Axes
 
 from svmdist.cli.estimate_targets import EstimateTargets
 from svmdist.errors import OutputError, UsageError
-from svmdist.report.plot_style import COLUMN_IN, PAGE_IN
-from svmdist.report.series_plot import SeriesPlot, draw_series
-from svmdist.report.series_values import LEVELS, pooled, rejected_spans
+from svmdist.report.plots import COLUMN_IN, LEVELS, PAGE_IN, SeriesPlot, draw_series, pooled, rejected_spans
 from tests.cli.conftest import Cli, cli
 from tests.report.html.test_report_page import make_series
 

@@ -10,16 +10,15 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.segmentation.network import OnnxSegmenter, network_input
+from benchmarks.masked_sets import OUTLINES, PANEL_SIZE, SETS, filled
+from benchmarks.overlap import iou, union_ious
+from svmdist.vision.network import OnnxSegmenter, network_input
 from tests.onnx_file import write_classifier
-from tools import train_segmentation
-from tools.segmentation_net import dataset
-from tools.segmentation_net.dataset import VALIDATION_SEED, augmented, halved, rendered
-from tools.segmentation_net.instruments import DISTAL, SHAFT, TISSUE
-from tools.segmentation_net.layout import network_rules
-from tools.segmentation_net.masked_sets import OUTLINES, PANEL_SIZE, SETS, filled
-from tools.segmentation_net.overlap import iou, union_ious
-from tools.segmentation_net.scene import HEIGHT, MIDDLE, WIDTH, render
+from training import dataset, train
+from training.dataset import VALIDATION_SEED, augmented, halved, rendered
+from training.instruments import DISTAL, SHAFT, TISSUE
+from training.layout import network_rules
+from training.scene import HEIGHT, MIDDLE, WIDTH, render
 
 
 def test_pictures_are_drawn_once_and_the_same_by_several_processes(
@@ -112,9 +111,9 @@ def test_training_without_pytorch_is_one_line(
 ) -> None:
     """PyTorch is no dependency: who lacks it is told what to install, and nothing is drawn or written."""
     monkeypatch.setitem(sys.modules, "torch", None)
-    monkeypatch.delitem(sys.modules, "tools.segmentation_net.training", raising=False)
-    monkeypatch.delitem(sys.modules, "tools.segmentation_net.network", raising=False)
-    assert train_segmentation.main([str(tmp_path / "net.onnx"), "--cache", str(tmp_path / "cache")]) == 1
+    monkeypatch.delitem(sys.modules, "training.training", raising=False)
+    monkeypatch.delitem(sys.modules, "training.network", raising=False)
+    assert train.main([str(tmp_path / "net.onnx"), "--cache", str(tmp_path / "cache")]) == 1
     said = capsys.readouterr()
     assert "torch is not installed; training needs it: pip install torch" in said.err
     assert said.err.count("\n") == 1

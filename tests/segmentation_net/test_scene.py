@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tools.segmentation_net.camera import BORDERS, film, picture_area
-from tools.segmentation_net.instruments import (
+from training.camera import BORDERS, film, picture_area
+from training.instruments import (
     DISTAL,
     OTHER,
     SHAFT,
@@ -16,8 +16,8 @@ from tools.segmentation_net.instruments import (
     instrument,
     silhouette,
 )
-from tools.segmentation_net.materials import Material
-from tools.segmentation_net.scene import HEIGHT, WIDTH, layers, render
+from training.materials import Material
+from training.scene import HEIGHT, WIDTH, layers, render
 
 SIZE = (150, 200)
 WHITE = Material(np.full(3, 255.0, np.float32), np.ones(4), np.ones(3), 1.0, (), (1.0, 0.5, 0.0))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
+from benchmarks.settings_docs import PAGE, meanings, settings_page
 from svmdist.errors import ProfileError
 from svmdist.profile import DEFAULT_PROFILE, load_profile, profile_path
-from svmdist.settings import Settings
-from svmdist.settings.base import MethodSettings
-from tools.settings_docs import PAGE, meanings, settings_page
+from svmdist.profile.settings import MethodSettings, Settings
 
 GROUPS = dict(Settings.model_fields)
 FIELDS = [(name, key) for name in GROUPS for key in type(getattr(Settings(), name)).model_fields]
@@ -53,5 +52,5 @@ def test_a_profile_sets_them(tmp_path) -> None:
 
 
 def test_the_page_is_made_from_the_settings() -> None:
-    """docs/settings.md is what `python -m tools.settings_docs` writes."""
+    """docs/settings.md is what `python -m benchmarks.settings_docs` writes."""
     assert PAGE.read_text("utf-8") == settings_page()

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.polygon import polygon_centroid
-from svmdist.settings.outline import OutlineSettings
-from svmdist.vision.completion import _any_of, _centroid, _circle, complete_outline
+from svmdist.profile.settings import OutlineSettings
+from svmdist.transforms import polygon_centroid
+from svmdist.vision.regions import _any_of, _centroid, _circle, complete_outline
 
 CENTRE = np.array([310.0, 236.0])
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.settings.shaft import ShaftSettings
+from svmdist.profile.settings import ShaftSettings
 from svmdist.transforms import Array
 from svmdist.vision.edges import edge_blur_px, edge_points
 from svmdist.vision.lines import fit_line, undistorted

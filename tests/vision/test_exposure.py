@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.settings.exposure import ExposureSettings
-from svmdist.vision.segmentation.exposure import apply_exposure, exposure_of, percentiles
+from svmdist.profile.settings import ExposureSettings
+from svmdist.vision.colour import apply_exposure, exposure_of, percentiles
 
 SETTINGS = ExposureSettings()
 

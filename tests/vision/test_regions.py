@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.profile import ColourRegion
-from svmdist.settings.outline import OutlineSettings
+from svmdist.profile.settings import OutlineSettings
 from svmdist.vision.regions import find_region
 
 

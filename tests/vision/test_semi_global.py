@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.settings.stereo import StereoSettings
-from svmdist.vision.semi_global import match_region
+from svmdist.profile.settings import StereoSettings
+from svmdist.vision.stereo import match_region
 
 SETTINGS = StereoSettings()
 TEXTURE = cv2.GaussianBlur(

@@ -8,16 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.masks import instruments_of
+from benchmarks.overlap import iou
 from svmdist.errors import ProfileError
 from svmdist.models import INSTRUMENTS, SHIPPED, shipped_file
 from svmdist.profile import OnnxSegmentation, load_profile
-from svmdist.vision.segmentation.from_border import LEAST_AREA, parts_from_border
-from svmdist.vision.segmentation.network import OnnxSegmenter, network_input
+from svmdist.vision.network import LEAST_AREA, OnnxSegmenter, network_input, parts_from_border
 from tests.surgery_images import surgery_image
-from tools.segmentation_bench import instruments_of
-from tools.segmentation_net.instruments import DISTAL, SHAFT, TISSUE
-from tools.segmentation_net.overlap import iou
-from tools.segmentation_net.scene import HEIGHT, MIDDLE, WIDTH, layers
+from training.instruments import DISTAL, SHAFT, TISSUE
+from training.scene import HEIGHT, MIDDLE, WIDTH, layers
 
 NAMED = '[segmentation]\nmethod = "onnx"\nmodel = "svmdist:{}"\n'
 

@@ -10,13 +10,12 @@ import pytest
 
 from svmdist.camera import stereo_transform
 from svmdist.errors import SourceError, UsageError
-from svmdist.importing.cameras import CalibrationOptions
+from svmdist.importing.calibration import CalibrationOptions
 from svmdist.profile import load_profile
+from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.messages.foxglove import parse_protobuf
-from svmdist.recording.reader import Recording, open_recording
 from svmdist.samples import Image, ImageSample, Observation
-from svmdist.workflows.import_log import ImportOptions, import_log
-from svmdist.workflows.import_views import ViewOptions
+from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
 
 CAMERA = (60.0, 61.0, 31.0, 23.0)
 PAIR = CalibrationOptions(intrinsics=(CAMERA, None), baseline_m=0.005)

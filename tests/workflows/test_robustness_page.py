@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.robustness import WORLDS, far_share, measure, robustness_page, robustness_table
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.workflows.conditions import PerturbedCondition
-from svmdist.workflows.scoring.distances import Pairs
+from svmdist.workflows.scoring.score import Pairs
 from tests.synthetic import make_scene, samples
-from tools.robustness import WORLDS, far_share, measure, robustness_page, robustness_table
 
 
 @pytest.mark.parametrize("world", WORLDS)
@@ -33,7 +33,7 @@ def test_far_frames_are_counted_by_their_own_deviation() -> None:
 def test_the_page_has_a_row_for_every_world_and_one_for_logs_of_real_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tools.robustness.WORLDS", ("plane=1", "lag=30"))
+    monkeypatch.setattr("benchmarks.robustness.WORLDS", ("plane=1", "lag=30"))
     paths = []
     for name, told in {"plain": {}, "real": {"world": "real", "perturb": "focal=1"}}.items():
         paths.append(tmp_path / f"{name}.mcap")

@@ -13,19 +13,19 @@ import pytest
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.workflows.compare import compare
 from svmdist.workflows.estimate import estimate
+from svmdist.workflows.request import prepare
 from svmdist.workflows.scoring.truth import Reference, TruthRules
-from svmdist.workflows.setup import prepare
 from svmdist.workflows.validate import validate
 from tests.cli.conftest import Cli, cli  # noqa: F401  (the fixture)
 from tests.measuring import Measuring, flat
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.scene import Extras
 from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.scene import Options
 from svmdist.workflows.record import record
 
 NAMES = ("PSM1", "PSM2")
@@ -36,7 +36,7 @@ BETWEEN = "/ground_truth/PSM1/PSM2/distance"
 def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four frames of two arms that hardly err."""
     path = tmp_path_factory.mktemp("two") / "two.mcap"
-    record(Scenario("sweep", 5, 0.4, 10.0), load_profile(), path, extras=Extras(arms=2))
+    record(Scenario("sweep", 5, 0.4, 10.0), load_profile(), path, options=Options(arms=2))
     return path
 
 

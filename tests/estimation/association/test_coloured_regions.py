@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.estimation.association.regions import ColouredRegions, DarkPixels, ShaftAxis
+from svmdist.estimation.coloured_regions import ColouredRegions, DarkPixels, ShaftAxis
 from svmdist.profile import AreaGate
+from svmdist.profile.settings import AssociationSettings
 from svmdist.samples import Image
-from svmdist.settings.association import AssociationSettings
 
 SETTINGS = AssociationSettings()
 GATE = AreaGate(min_area_px=100)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.estimation.filter.consistency import Consistency
-from svmdist.estimation.gate import GatingResult
-from svmdist.settings.filter import FilterSettings
+from svmdist.estimation.instrument.consistency import Consistency, GatingResult
+from svmdist.profile.settings import FilterSettings
 
 SETTINGS = FilterSettings()
 STEP_NS = 100_000_000

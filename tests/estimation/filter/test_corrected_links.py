@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svmdist.estimation.filter.correction import Correction
-from svmdist.estimation.filter.error_model import ErrorModel
-from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, frame_transforms
-from svmdist.kinematics.jacobian import row_index
+from svmdist.estimation.instrument.corrected_links import Correction
+from svmdist.estimation.instrument.error_model import ErrorModel
+from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
 from svmdist.tracks import JointTrack

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from svmdist.estimation.instrument.model import Rods
-from svmdist.estimation.instrument.wrist import Wrist, WristKinematics, joints_of, wrist_in_tool
-from svmdist.kinematics.chain import chain_of
-from svmdist.kinematics.dh import frame_transforms
+from svmdist.estimation.instrument.model import Rods, Wrist, WristKinematics, joints_of, wrist_in_tool
+from svmdist.kinematics.dh import chain_of, frame_transforms
 from svmdist.profile import load_profile
 from svmdist.samples import JointSample
 from svmdist.transforms import make_transform, rotation_x, rotation_z

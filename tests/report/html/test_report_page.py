@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from svmdist.report.html import build, figures
-from svmdist.report.html.page import Report, ReportFrame, ReportTable, page, write_report
-from svmdist.report.series_values import rejected_spans
+from svmdist.report import html as build
+from svmdist.report import html as figures
+from svmdist.report.html import Report, ReportFrame, ReportTable, page, write_report
+from svmdist.report.plots import rejected_spans
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.series import Series
 from tests.cli.conftest import Cli, cli

@@ -13,13 +13,13 @@ from svmdist.cli.drawn import DrawnJob
 from svmdist.cli.show import DEFAULT_COUNT, show_command
 from svmdist.drawing import Body, Form, FrameDrawing, Label, Part, SceneDrawing, Shape, StatusLine
 from svmdist.estimation.alarms import AlarmState
-from svmdist.recording.messages.annotations import image_annotations, scene_update
+from svmdist.recording.viewer_messages import image_annotations, scene_update
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
-from svmdist.workflows.drawing.detections import place_shapes
-from svmdist.workflows.drawing.distances import (
+from svmdist.workflows.frame_drawing import (
     distance_shapes,
     in_words,
+    place_shapes,
     segments,
     shown_distance,
     status_line,

@@ -9,24 +9,40 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svmdist.alarm_metrics import alarm_statistics
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.report.comparison import compare_keys, compare_row, compare_tables
-from svmdist.report.degradation_grid import grid_keys, grid_row, grid_table
+from svmdist.metrics import alarm_statistics
 from svmdist.report.metric_docs import metrics_table
-from svmdist.report.table import csv_lines, render
-from svmdist.report.validation import score_keys, score_row, validation_document
-from svmdist.report.validation_tables import validation_tables
-from svmdist.workflows.baseline import Baseline, find_regressions, make_baseline
-from svmdist.workflows.compare import Group, MethodScore
+from svmdist.report.scores import (
+    compare_keys,
+    compare_row,
+    compare_tables,
+    grid_keys,
+    grid_row,
+    grid_table,
+    score_keys,
+    score_row,
+    validation_document,
+    validation_tables,
+)
+from svmdist.report.tables import csv_lines, render
+from svmdist.workflows.compare import Figures, Group, MethodScore
 from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.degradation_grid import GridCell
-from svmdist.workflows.runs import Figures
 from svmdist.workflows.scoring import metric_table
-from svmdist.workflows.scoring.distances import DistanceScore, Pairs, score_pairs
-from svmdist.workflows.scoring.metric import Better, Metric, Output, Tolerance, of_part
-from svmdist.workflows.scoring.metric_table import EVERYWHERE, IN_3D, LENGTH, figure_metrics, score_metrics
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.baseline import Baseline, find_regressions, make_baseline
+from svmdist.workflows.scoring.metric_table import (
+    EVERYWHERE,
+    IN_3D,
+    LENGTH,
+    Better,
+    Metric,
+    Output,
+    Tolerance,
+    figure_metrics,
+    of_part,
+    score_metrics,
+)
+from svmdist.workflows.scoring.score import DistanceScore, Pairs, Score, score_pairs
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
 

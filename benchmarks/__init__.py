@@ -1,0 +1,1 @@
+"""Reproduces the figures that the documentation shows."""

@@ -1,0 +1,178 @@
+"""The hand-eye file (TOML): where robots' bases stand for the camera, how certain that is, what it was fitted on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tomli_w
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+
+from svmdist.errors import ProfileError
+from svmdist.files import write_atomically
+from svmdist.profile.robot import KinematicError, Rotation, Vector, require_rotation
+from svmdist.profile.toml import StrictModel, parse_toml
+from svmdist.transforms import Array, make_transform, skew
+
+FORMAT: Literal["svmdist.hand-eye/1"] = "svmdist.hand-eye/1"
+FOCAL_LENGTH, PRINCIPAL_POINT, BASELINE = "focal length", "principal point", "baseline"
+SHAFT_RADIUS, TAG_SIZE, TIME_OFFSET = "shaft radius", "tag size", "time offset"
+Six = tuple[float, float, float, float, float, float]
+
+
+def offset_of(joint: str) -> str:
+    """The name of a joint's constant offset."""
+    return f"offset of {joint}"
+
+
+def length_of(index: int) -> str:
+    """The name of a chain's length, counted from 0 in the order of its rows."""
+    return f"length {index + 1}"
+
+
+class ConstantEffect(StrictModel):
+    """The effect of a calibration parameter's error on a fitted transform: (δt, δφ), in m and rad, for one deviation.
+
+    A parameter of several numbers has one row for each. `deviation` is its standard deviation at the fit, in its own
+    unit: m, rad, s, px, or a fraction of itself.
+    """
+
+    constant: str = Field(min_length=1)
+    deviation: float = Field(gt=0.0)
+    effects: tuple[Six, ...] = Field(min_length=1)
+
+
+class HandEye(StrictModel):
+    """`T_camera_base` of one instrument, p_camera = R p_base + t, and the covariance of its error.
+
+    The error is (δt, δφ): t_true = t + δt in m, R_true = exp([δφ]) R in rad, both in the camera's axes. `constants`
+    has the part of it that is due to calibration parameters, which estimators use as well.
+    """
+
+    instrument: str = Field(min_length=1)
+    camera: str
+    base: str
+    rotation: Rotation
+    translation_m: Vector
+    covariance: tuple[Six, Six, Six, Six, Six, Six]
+    method: str = ""
+    """The method that measured the tool."""
+    reference: str = ""
+    """What it was compared with: kinematics of the joints, or recorded poses."""
+    frame_count: int = Field(default=0, ge=0)
+    inlier_count: int = Field(default=0, ge=0)
+    residual_rms_m: float = Field(default=0.0, ge=0.0)
+    constants: tuple[ConstantEffect, ...] = ()
+
+    @model_validator(mode="after")
+    def _sound(self) -> HandEye:
+        require_rotation("rotation", self.rotation)
+        C = np.array(self.covariance)
+        if not np.allclose(C, C.T, rtol=1e-6, atol=1e-15) or np.linalg.eigvalsh(C)[0] < -1e-12:
+            raise ValueError("covariance must be symmetric and have no negative eigenvalue")
+        return self
+
+    @property
+    def T_camera_base(self) -> Array:
+        """The transform, shape (4, 4)."""
+        return make_transform(self.rotation, self.translation_m)
+
+    def covariance_at(self, p_camera_m: Array) -> Array:
+        """Covariance of (translation, rotation), shape (6, 6), carried to a point of the camera frame, (3,)."""
+        J = self._carried_to(p_camera_m)
+        return np.asarray(J @ np.array(self.covariance) @ J.T)
+
+    def effects_at(self, p_camera_m: Array) -> dict[str, Array]:
+        """The same of each constant's effects, shape (6, k), by its name."""
+        J = self._carried_to(p_camera_m)
+        return {one.constant: J @ np.array(one.effects).T for one in self.constants}
+
+    def with_deviations(self, stated: Mapping[str, float]) -> HandEye:
+        """With the constants' deviations of now; one without a deviation counts as independent of all else."""
+        covariance, constants = np.array(self.covariance), []
+        for one in self.constants:
+            deviation = stated.get(one.constant)
+            if deviation is None:
+                continue
+            scale, effects = deviation / one.deviation, np.array(one.effects)
+            covariance += (scale**2 - 1.0) * effects.T @ effects
+            if deviation > 0.0:
+                scaled = (scale * effects).tolist()
+                constants.append(ConstantEffect(constant=one.constant, deviation=deviation, effects=scaled))
+        update = {"covariance": covariance.tolist(), "constants": tuple(constants)}
+        return HandEye.model_validate(self.model_dump() | update)
+
+    def _carried_to(self, p_camera_m: Array) -> Array:
+        J = np.eye(6)
+        J[:3, 3:] = -skew(p_camera_m - np.array(self.translation_m))
+        return J
+
+
+class Source(StrictModel):
+    """A log that was fitted on."""
+
+    name: str
+    sha256: str
+
+
+class HandEyeFile(StrictModel):
+    """A whole file."""
+
+    format: Literal["svmdist.hand-eye/1"]
+    sources: tuple[Source, ...] = ()
+    transforms: tuple[HandEye, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _differ(self) -> HandEyeFile:
+        names = [one.instrument for one in self.transforms]
+        if len(set(names)) < len(names):
+            raise ValueError(f"an instrument with two transforms: {', '.join(names)}")
+        return self
+
+    def of(self, instrument: str) -> HandEye | None:
+        """The transform of an instrument's base; None where the file has none."""
+        return next((one for one in self.transforms if one.instrument == instrument), None)
+
+
+class HandEyeError(KinematicError):
+    """Kinematic errors where the camera-to-base transform and its covariance are from a hand-eye file."""
+
+    hand_eye: HandEye
+
+
+def with_hand_eye(error: KinematicError, hand_eye: HandEye, stated: Mapping[str, float]) -> HandEyeError:
+    """The errors with hand-eye's covariance in place of the transform's; `stated`: deviations of all constants now."""
+    hand_eye = hand_eye.with_deviations(stated)
+    rotation_var = float(np.linalg.eigvalsh(np.array(hand_eye.covariance)[3:, 3:])[-1])
+    values = error.model_dump() | {
+        "camera_base_std_rad": float(np.sqrt(max(rotation_var, 0.0))),
+        "hand_eye": hand_eye,
+    }
+    return HandEyeError(**values)
+
+
+def load_hand_eye(path: Path) -> HandEyeFile:
+    """Read a hand-eye file; raises ProfileError in one line."""
+    return parse_toml(path, HandEyeFile, ProfileError)
+
+
+def save_hand_eye(path: Path, file: HandEyeFile) -> None:
+    """Write a hand-eye file atomically; raises OutputError where that fails."""
+    note = "# Where robots' bases stand for the camera, by `svmdist hand-eye`; covariance of (t, rotation vector).\n"
+    write_atomically(path, [note, tomli_w.dumps(file.model_dump(mode="json"))])
+
+
+def _read(value: Any, info: ValidationInfo) -> Any:
+    """Replace a file's name in a profile by what it holds; a relative one starts from the profile's folder."""
+    if not isinstance(value, str | Path):
+        return value
+    folder = Path(info.context["folder"]) if info.context else Path()
+    try:
+        return load_hand_eye(folder / value)
+    except ProfileError as problem:
+        raise ValueError(str(problem)) from None
+
+
+NamedHandEye = Annotated[HandEyeFile, BeforeValidator(_read)]

@@ -1,0 +1,362 @@
+"""The part of a profile about robots: chains and errors, instruments, what they work on, the simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from typing import Literal
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from svmdist.profile.toml import Angle, Length, NeighbourFile, SmallLength, StrictModel
+from svmdist.transforms import Array, make_transform, rotation_z
+
+Vector = tuple[float, float, float]
+Rotation = tuple[Vector, Vector, Vector]
+EntrySide = Literal["left", "right", "above", "below"]
+"""The side of the picture that an instrument comes in from."""
+ARM_TOPICS = ("joints", "pose", "ground_truth_distance")
+"""The topics that every instrument has of its own; the others are the whole scene's."""
+AWAY = 0.5
+"""z of a plane's normal from which on no camera of less than 120° sees the plane."""
+ROUNDED = 0.01
+"""How far a normal's length may be from 1, written with two digits. It is normalised."""
+TAG_COUNTS = {"16h5": 30, "25h9": 35, "36h10": 2320, "36h11": 587}
+"""Number of tags of each AprilTag family; they are numbered from 0."""
+
+
+def require_rotation(name: str, rotation: Rotation) -> None:
+    """Raise ValueError where a matrix is no rotation."""
+    R = np.array(rotation)
+    if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+        raise ValueError(f"{name} is not a rotation: R R^T = I and det R = 1 are expected")
+
+
+def require_tag(family: str, tag_id: int) -> None:
+    """Raise ValueError where the family has no tag of that number."""
+    if tag_id >= TAG_COUNTS[family]:
+        raise ValueError(f"family {family} has the tags 0 to {TAG_COUNTS[family] - 1}, found {tag_id}")
+
+
+class Joint(StrictModel):
+    """One DH row; see `svmdist.kinematics.dh.DHRow`."""
+
+    name: str
+    type: Literal["revolute", "prismatic", "fixed"]
+    a_m: float = 0.0
+    alpha_rad: Angle = 0.0
+    d_m: float = 0.0
+    theta_rad: Angle = 0.0
+    lower: Angle = -np.pi
+    upper: Angle = np.pi
+    aliases: tuple[str, ...] = ()
+    """Other names of this joint in logs."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Joint:
+        if self.type != "fixed" and self.lower >= self.upper:
+            raise ValueError(
+                f"joint {self.name}: lower limit {self.lower} is not below upper limit {self.upper}"
+            )
+        return self
+
+
+class Robot(StrictModel):
+    """The kinematic chain from base to tool."""
+
+    convention: Literal["standard", "modified"] = "standard"
+    joints: tuple[Joint, ...] = Field(min_length=1)
+    tool_rotation: Rotation | None = None
+    limit_tolerance_rad: Angle = Field(default=0.5, ge=0.0)
+    """How far beyond its limits a revolute joint may be reported: encoders have offsets, and limits are rounded."""
+    limit_tolerance_m: float = Field(default=0.05, ge=0.0)
+    """The same for a prismatic joint. Frames whose joints are farther out have the status `no_joints`."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> Robot:
+        names = [name for joint in self.joints for name in (joint.name, *joint.aliases)]
+        doubles = sorted({name for name in names if names.count(name) > 1})
+        if doubles:
+            raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")
+        if self.tool_rotation is not None:
+            require_rotation("tool_rotation", self.tool_rotation)
+        return self
+
+    @property
+    def T_last_tool(self) -> Array:
+        """The constant transform behind the last row, shape (4, 4)."""
+        return np.eye(4) if self.tool_rotation is None else make_transform(self.tool_rotation, np.zeros(3))
+
+
+class KinematicError(StrictModel):
+    """Standard deviations of a robot's kinematic errors, constant and changing, and their drift.
+
+    The defaults are what cable-driven arms show: a degree and a millimetre at each joint, two degrees and five
+    millimetres in the camera-to-base transform.
+    """
+
+    joint_std_rad: Angle = float(np.deg2rad(1.0))
+    joint_std_m: float = Field(default=1e-3, ge=0.0)
+    camera_base_std_rad: Angle = float(np.deg2rad(2.0))
+    camera_base_std_m: float = Field(default=5e-3, ge=0.0)
+    first_moving_joint: str | None = None
+    """The joints before this one hold still while the instrument works: their errors are one with the
+    camera-to-base transform's. None: every joint moves."""
+    drift_rad_per_sqrt_s: float = Field(default=1e-4, ge=0.0)
+    drift_m_per_sqrt_s: float = Field(default=1e-5, ge=0.0)
+    play_std_rad: Angle = float(np.deg2rad(0.4))
+    """Joint errors that change with the motion: backlash, cables that stretch, friction, encoder noise."""
+    play_std_m: float = Field(default=1e-4, ge=0.0)
+    play_time_s: float = Field(default=0.5, gt=0.0)
+    """Correlation time of these errors: about the time between two reversals of a joint."""
+    length_std_m: float = Field(default=5e-4, ge=0.0)
+    """Of the chain's lengths behind the first moving joint."""
+    time_offset_std_s: float = Field(default=0.05, ge=0.0)
+    """Of the offset between the stamps of joints and images."""
+    time_offset_drift_s_per_sqrt_s: float = Field(default=5e-4, ge=0.0)
+
+
+class CameraError(StrictModel):
+    """Standard deviations of the cameras' calibration.
+
+    The defaults are those of repeated calibrations of an endoscope with a chessboard; its focus moves between them.
+    """
+
+    focal_std_fraction: float = Field(default=4e-3, ge=0.0)
+    """Of the focal lengths, over themselves; the same error in both cameras."""
+    centre_std_px: float = Field(default=1.5, ge=0.0)
+    """Of the principal point along each axis."""
+    baseline_std_fraction: float = Field(default=0.01, ge=0.0)
+    """Of the distance between both cameras, over itself."""
+    right_rotation_std_rad: Angle = float(np.deg2rad(0.03))
+    """Of the right camera's rotation against the left one, about each axis."""
+
+
+class Instrument(StrictModel):
+    """The instrument's shape, in m, about the tool frame."""
+
+    shaft_radius_m: SmallLength
+    shaft_radius_std_fraction: float = Field(default=0.02, ge=0.0, le=1.0)
+    """Over the shaft's radius."""
+    shaft_length_m: Length
+    shaft_end_m: SmallLength | None = None
+    """From the wrist's hinge back to where the dark shaft visibly ends; None: 2.2 radii of the wrist."""
+    outline_end_m: float | None = Field(default=None, gt=-0.1, lt=0.1)
+    """From the wrist's hinge on to where the outline stops being as wide as the shaft, negative behind it; None: 0.9
+    radii of the shaft, and less certain."""
+    wrist_radius_m: SmallLength
+    knuckle_radius_m: SmallLength
+    knuckle_radius_std_fraction: float = Field(default=0.03, ge=0.0, le=1.0)
+    """Of the distal marker's radius, over itself."""
+    knuckle_position_m: Vector = (0.0, 0.0, 0.0)
+    """The distal marker's middle in the tool's frame."""
+    knuckle_position_std_m: float = Field(default=2e-4, ge=0.0)
+    """Of that position along each axis."""
+    jaw_length_m: SmallLength
+    jaw_radius_m: SmallLength
+    body_std_m: float = Field(default=1e-4, ge=0.0)
+    """Of the distance between the real instrument's surface and the capsules of its model."""
+
+
+class Fiducial(StrictModel):
+    """A tag on a plate that a link of the instrument carries.
+
+    The tag's frame is OpenCV's: origin in the middle of the black square, x to the right and y up as one
+    reads the tag, z out of the plate towards the reader.
+    """
+
+    family: Literal["16h5", "25h9", "36h10", "36h11"] = "36h11"
+    id: int = Field(default=0, ge=0)
+    size_m: SmallLength
+    """Side of the black square, without the white margin."""
+    size_std_fraction: float = Field(default=0.005, ge=0.0, le=1.0)
+    """Of that side over itself, as printed."""
+    position_std_m: float = Field(default=3e-4, ge=0.0)
+    """Of the tag's position along each axis: glued by hand."""
+    rotation_std_rad: Angle = float(np.deg2rad(1.3))
+    """Of its rotation about each axis."""
+    link: str
+    """The joint whose DH frame carries the plate."""
+    position_m: Vector
+    rotation: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+    @model_validator(mode="after")
+    def _sound(self) -> Fiducial:
+        require_tag(self.family, self.id)
+        require_rotation("rotation", self.rotation)
+        return self
+
+    @property
+    def plate_side_m(self) -> float:
+        """Side of the plate, with a white margin of one cell around the black square."""
+        cells = {"16h5": 6, "25h9": 7, "36h10": 8, "36h11": 8}[self.family]
+        return self.size_m * (cells + 2) / cells
+
+    @property
+    def T_link_tag(self) -> Array:
+        """The tag's pose on its link, shape (4, 4)."""
+        return make_transform(self.rotation, self.position_m)
+
+
+class Dome(StrictModel):
+    """A dome over the tissue's outline: height h (1 - g^a)^b at normalised radius g, 0 at the apex, 1 on the outline.
+
+    The defaults make half an ellipsoid. The outline comes from the image; the apex stands over its middle. The
+    exponents' standard deviations say that no two organs are alike; `fused` estimates the shape with both cameras.
+    """
+
+    height_m: SmallLength
+    height_std_m: float = Field(default=0.0, ge=0.0)
+    apex_std_m: float = Field(default=0.0, ge=0.0)
+    """Of the apex beside the outline's middle, along each of two axes."""
+    gauge_exponent: float = Field(default=2.0, ge=1.0, le=20.0)
+    height_exponent: float = Field(default=0.5, gt=0.0, le=2.0)
+    gauge_exponent_std: float = Field(default=0.3, ge=0.0, le=10.0)
+    height_exponent_std: float = Field(default=0.1, ge=0.0, le=1.0)
+
+
+class Tissue(StrictModel):
+    """The plane that the tissue lies on, measured in the camera frame, and its shape above that plane.
+
+    The plane holds the points with `plane_normal` · p = -`plane_distance_m`: its normal points to the camera's
+    side. Without a dome or a mesh the plane itself is the surface.
+
+    The tissue's frame: origin where the completed outline's centroid lies on the plane, z along the plane's normal,
+    x the camera's x axis laid onto the plane, y to the left of x as the camera sees it: upwards in the image.
+    """
+
+    plane_normal: Vector = (0.0, 0.0, -1.0)
+    plane_distance_m: Length
+    plane_distance_std_m: float = Field(default=1e-3, ge=0.0)
+    plane_tilt_std_rad: Angle = float(np.deg2rad(1.0))
+    """Of the normal's direction about each of two axes."""
+    motion_std_m: float = Field(default=1e-3, ge=0.0)
+    """Of the tissue's motion along the plane's normal: breath and pulse."""
+    motion_time_s: float = Field(default=0.5, gt=0.0)
+    """Correlation time of that motion: a breath of 4 s turns within as long."""
+    dome: Dome | None = None
+    mesh: NeighbourFile | None = None
+    """A closed surface in a file .obj or .stl, in place of a dome; a relative path starts from the profile's folder."""
+    mesh_unit: Literal["m", "cm", "mm"] = "m"
+    """The unit of the file's numbers; the formats do not say."""
+    mesh_position_m: Vector = (0.0, 0.0, 0.0)
+    """The mesh's origin in the tissue's frame."""
+    mesh_yaw_rad: Angle = 0.0
+    """The mesh's rotation about the tissue's z axis, counter-clockwise seen from the camera's side."""
+    surface_std_m: float = Field(default=0.0, ge=0.0)
+    """Of the distance between shape and real surface, beside what a dome's own deviations say."""
+
+    @field_validator("plane_normal")
+    @classmethod
+    def _unit(cls, normal: Vector) -> Vector:
+        length = float(np.linalg.norm(normal))
+        if abs(length - 1.0) > ROUNDED:
+            return normal
+        x, y, z = normal
+        return normal if abs(length - 1.0) <= 1e-12 else (x / length, y / length, z / length)
+
+    @model_validator(mode="after")
+    def _sound(self) -> Tissue:
+        length = float(np.linalg.norm(self.plane_normal))
+        if abs(length - 1.0) > 1e-6:
+            raise ValueError(f"plane_normal must have length 1, found {length:.7g}")
+        if self.plane_normal[2] > AWAY:
+            raise ValueError(
+                "plane_normal points away from the camera: towards it z is negative, as in [0, 0, -1]"
+            )
+        if self.mesh is not None and self.dome is not None:
+            raise ValueError("a dome and a mesh exclude each other: which of them is the tissue's shape?")
+        lost = sorted(self.model_fields_set & {"mesh_unit", "mesh_position_m", "mesh_yaw_rad"})
+        if self.mesh is None and lost:
+            raise ValueError(f"{lost[0]} needs a mesh")
+        return self
+
+    @property
+    def T_tissue_mesh(self) -> Array:
+        """The mesh's pose in the tissue's frame, shape (4, 4)."""
+        return make_transform(rotation_z(self.mesh_yaw_rad), self.mesh_position_m)
+
+
+class Placement(StrictModel):
+    """The pose of a simulated arm's base in the world."""
+
+    base_position_m: Vector
+    base_yaw_rad: Angle = 0.0
+
+
+class Simulation(StrictModel):
+    """What `svmdist record` needs beside the chain: where things stand, and the encoders' errors."""
+
+    camera_height_m: Length
+    horizontal_fov_rad: Angle
+    width_px: int = Field(default=640, ge=16, le=4096)
+    height_px: int = Field(default=480, ge=16, le=4096)
+    working_height_m: Length
+    """Height of the tool origin above the floor in the plane in which distances are measured."""
+    base_position_m: Vector
+    base_yaw_rad: Angle = 0.0
+    posture: dict[str, Angle]
+    """Value of every joint in the middle of the work space; the scenarios start their search here."""
+    joint_rate_hz: float = Field(default=100.0, ge=1.0)
+    encoder_std_rad: float = Field(default=0.0, ge=0.0)
+    encoder_std_m: float = Field(default=0.0, ge=0.0)
+    stereo_baseline_m: SmallLength = 0.005
+    """Of a da Vinci's endoscope: the right camera stands that far along the left one's x axis."""
+
+
+class ArmTopics(StrictModel):
+    """Topics of one instrument. A log without its joints and its pose does not have the instrument."""
+
+    joints: str | None = None
+    pose: str | None = None
+    ground_truth_distance: str | None = None
+
+    @model_validator(mode="after")
+    def _sound(self) -> ArmTopics:
+        if self.joints is None and self.pose is None:
+            raise ValueError("an instrument is known by its topics: name joints or pose")
+        return self
+
+    def are_in(self, topics: Set[str]) -> bool:
+        """Whether a log with these topics has the instrument."""
+        return bool(topics & {self.joints, self.pose})
+
+
+class ArmFrames(StrictModel):
+    """Frames of one instrument."""
+
+    base: str
+    tool: str
+
+
+class OtherInstrument(StrictModel):
+    """An instrument beside the profile's own; what is left out is as for that one.
+
+    One without topics is known by images alone: every log has it, and its side of the picture tells it from others.
+    """
+
+    name: str = Field(min_length=1)
+    topics: ArmTopics | None = None
+    frames: ArmFrames | None = None
+    entry: EntrySide | None = None
+    fiducial_id: int | None = Field(default=None, ge=0)
+    """The number of the tag that this instrument carries where the profile's own does."""
+    robot: Robot | None = None
+    instrument: Instrument | None = None
+    simulation: Placement | None = None
+
+    @model_validator(mode="after")
+    def _sound(self) -> OtherInstrument:
+        if self.topics is not None and self.frames is None:
+            raise ValueError("an instrument with topics has frames: give frames.base and frames.tool")
+        return self
+
+    @property
+    def logged_topics(self) -> dict[str, str]:
+        """Its topics that have a name, by role; none for an instrument known by images alone."""
+        topics = {} if self.topics is None else self.topics.model_dump(exclude_none=True)
+        return {role: topics[role] for role in ARM_TOPICS if role in topics}
+
+    def is_in(self, topics: Set[str]) -> bool:
+        """Whether a log with these topics has the instrument."""
+        return self.topics is None or self.topics.are_in(topics)

@@ -1,0 +1,156 @@
+"""The part of a profile about segmentation: which pixels are tissue, instrument and shaft."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
+
+from svmdist.errors import did_you_mean
+from svmdist.models import PREFIX, SHIPPED, shipped_file
+from svmdist.profile.toml import Byte, Hue, NeighbourFile, StrictModel
+
+
+class AreaGate(StrictModel):
+    """What of a mask is a region, and where its centroid is: the same for every way to segment."""
+
+    min_area_px: int = Field(ge=1)
+    components: Literal["all", "largest"] = "all"
+    """`all`: every connected part above the gate belongs to the region, since an instrument that crosses
+    an organ cuts its region in two. `largest`: one part only."""
+    occlusion: Literal["none", "hull", "outline"] = "none"
+    """Where the centroid is taken when an instrument hides a part: of the visible pixels (`none`), of their
+    convex hull (`hull`), or of a smooth outline fitted to what of it is visible (`outline`)."""
+
+
+class ColourRegion(AreaGate):
+    """An HSV box in OpenCV's 8-bit units (H 0–179, S and V 0–255), bounds included, and its area gate.
+
+    A hue range with first > last wraps around 0, as red does.
+    """
+
+    hue: tuple[Hue, Hue]
+    saturation: tuple[Byte, Byte] = (0, 255)
+    value: tuple[Byte, Byte] = (0, 255)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> ColourRegion:
+        for name, (first, last) in (("saturation", self.saturation), ("value", self.value)):
+            if first > last:
+                raise ValueError(f"{name} = [{first}, {last}] is empty: the first bound is above the last")
+        return self
+
+
+class ClassRegion(AreaGate):
+    """Classes of a segmentation network that make up a region, and its area gate."""
+
+    class_ids: tuple[Annotated[int, Field(ge=0)], ...] = Field(min_length=1)
+
+
+METHODS = ("hsv", "onnx", "auto")
+
+
+def _known(method: Any) -> Any:
+    if method not in METHODS:
+        raise ValueError("expected 'hsv', 'onnx' or 'auto'")
+    return method
+
+
+class HsvSegmentation(StrictModel):
+    """Tissue and instrument told apart from the rest of the image by their colours."""
+
+    method: Annotated[Literal["hsv"], BeforeValidator(_known)] = "hsv"
+    tissue: ColourRegion
+    instrument: ColourRegion
+    shaft: ColourRegion | None = None
+    """The instrument's dark shaft, which comes in from the border; the method `shaft` looks for it."""
+
+
+class OnnxSegmentation(StrictModel):
+    """Tissue and instrument told apart by a network of the user's own, in an ONNX file.
+
+    Its input is one image of shape (1, 3, h, w) and type float32, (pixel - `mean`) * `scale` with pixels from 0 to
+    255. Its output is class scores of shape (1, C, h', w'), C >= 2, or labels of shape (1, 1, h', w') or (1, h', w').
+    """
+
+    method: Annotated[Literal["onnx"], BeforeValidator(_known)]
+    model: NeighbourFile
+    """The ONNX file; a relative path starts from the profile's folder. `svmdist:instruments` is the network that ships,
+    for which all that follows has a default."""
+    width_px: int = Field(ge=8, le=4096)
+    height_px: int = Field(ge=8, le=4096)
+    """Size of the network's input; the image is stretched to it."""
+    channels: Literal["rgb", "bgr"] = "rgb"
+    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """What is subtracted from each channel, in the order of `channels`, of pixels from 0 to 255."""
+    scale: tuple[float, float, float] = (1 / 255, 1 / 255, 1 / 255)
+    """What each channel is then multiplied by; one number serves all three."""
+    output: str | None = None
+    """Name of the output to take; None: the only one."""
+    from_border: bool = False
+    """Whether parts of instruments that do not reach the border of the picture are left out."""
+    tissue: ClassRegion
+    instrument: ClassRegion
+    shaft: ClassRegion | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _shipped(cls, data: Any) -> Any:
+        """A network that ships knows its own layout; what the profile says of it comes first."""
+        model = data.get("model") if isinstance(data, dict) else None
+        if not isinstance(model, str) or not model.startswith(PREFIX):
+            return data
+        name = model.removeprefix(PREFIX)
+        if name not in SHIPPED:
+            known = [PREFIX + each for each in SHIPPED]
+            raise ValueError(f"model = {model!r}: no such network ships: {did_you_mean(model, known)}")
+        return {**SHIPPED[name], **data, "model": shipped_file(name)}
+
+    @field_validator("scale", mode="before")
+    @classmethod
+    def _for_each_channel(cls, scale: Any) -> Any:
+        return (scale, scale, scale) if isinstance(scale, int | float) else scale
+
+    @model_validator(mode="after")
+    def _sound(self) -> OnnxSegmentation:
+        if 0.0 in self.scale:
+            raise ValueError("scale must not be 0: the network would see nothing")
+        both = sorted(set(self.tissue.class_ids) & set(self.instrument.class_ids))
+        if both:
+            raise ValueError(f"class {both[0]} cannot be tissue and instrument at once")
+        return self
+
+    @property
+    def parts(self) -> dict[str, ClassRegion]:
+        """The regions by their names in the profile."""
+        named = {"tissue": self.tissue, "instrument": self.instrument, "shaft": self.shaft}
+        return {name: region for name, region in named.items() if region is not None}
+
+
+class AutoSegmentation(StrictModel):
+    """Tissue and instruments told apart without a colour from the user: by straight edges, and what they enclose.
+
+    Its tables are area gates only, and may all be left out. `[settings.auto]` holds what it assumes.
+    """
+
+    method: Annotated[Literal["auto"], BeforeValidator(_known)]
+    tissue: AreaGate = AreaGate(min_area_px=2000, occlusion="outline")
+    instrument: AreaGate = AreaGate(min_area_px=50)
+    shaft: AreaGate | None = AreaGate(min_area_px=200)
+
+
+Segmentation = HsvSegmentation | OnnxSegmentation | AutoSegmentation
+
+
+def _method_of(value: Any) -> str:
+    """The union's tag of a table or a model; the model of colours reports what is neither."""
+    method = value.get("method") if isinstance(value, dict) else getattr(value, "method", None)
+    return f"({method if method in METHODS else 'hsv'})"
+
+
+AnySegmentation = Annotated[
+    Annotated[HsvSegmentation, Tag("(hsv)")]
+    | Annotated[OnnxSegmentation, Tag("(onnx)")]
+    | Annotated[AutoSegmentation, Tag("(auto)")],
+    Discriminator(_method_of),
+]

@@ -1,0 +1,160 @@
+"""Files in TOML as frozen models: what is wrong with one becomes one line that names the file and the key."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from svmdist.errors import SvmdistError, did_you_mean
+from svmdist.input_file import read_regular, why
+
+MAX_FAULTS = 5
+"""More faults of a file than these are counted, not listed."""
+FEW_KEYS = 3
+"""A file with more keys, most of which are unknown, is of another kind."""
+MAX_FILE_BYTES = 4 << 20
+"""A profile has a few kilobytes."""
+MAX_NUMBER, MIN_NUMBER = 1e9, 1e-30
+"""Nothing real is beyond, and squares and quotients of such numbers neither overflow nor vanish."""
+UNKNOWN = "unknown_key"
+SIZE_UNITS = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
+
+
+class StrictModel(BaseModel):
+    """Base of what is read from TOML: frozen, and an unknown key or an absurd number is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_unknown_keys(cls, data: Any) -> Any:
+        keys = [field.alias or name for name, field in cls.model_fields.items()]
+        unknown = [key for key in data if key not in keys] if isinstance(data, dict) else []
+        if unknown:
+            hints = {str(key): did_you_mean(str(key), keys) for key in unknown}
+            raise PydanticCustomError(UNKNOWN, "unknown key: {hints}", {"hints": hints})
+        return data
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _bounded(cls, value: Any) -> Any:
+        parts = value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ()
+        for part in parts:
+            cls._bounded(part)
+        if isinstance(value, float) and value and not MIN_NUMBER <= abs(value) <= MAX_NUMBER:
+            raise ValueError(f"a number is 0, or from {MIN_NUMBER:g} to {MAX_NUMBER:g} in size")
+        return value
+
+
+Model = TypeVar("Model", bound=StrictModel)
+
+
+def _parse_angle(value: Any) -> Any:
+    """Accept a number in rad, or a multiple of pi such as `pi`, `-pi/2`, `2*pi/3`, which has no last digit."""
+    if not isinstance(value, str):
+        return value
+    text = value.replace(" ", "")
+    sign, text = (-1.0, text[1:]) if text.startswith("-") else (1.0, text)
+    factor, times, rest = text.rpartition("*")
+    symbol, over, divisor = rest.partition("/")
+    try:
+        if symbol != "pi":
+            raise ValueError
+        return sign * (float(factor) if times else 1.0) * math.pi / (float(divisor) if over else 1.0)
+    except (ValueError, ZeroDivisionError):
+        raise ValueError(
+            f"expected rad as a number or a multiple of pi such as 'pi/2', found {value!r}"
+        ) from None
+
+
+def _parse_size(value: Any) -> Any:
+    """Accept a number of bytes, or text such as `512 MiB`."""
+    if not isinstance(value, str):
+        return value
+    number, _, unit = value.partition(" ")
+    if not number.isdecimal() or unit not in SIZE_UNITS:
+        raise ValueError(f"expected bytes as a number, or as '512 MiB', found {value!r}")
+    return int(number) * SIZE_UNITS[unit]
+
+
+def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
+    """A relative path starts from the folder of the file that names it."""
+    if "\0" in str(path):
+        raise ValueError("a path cannot have the character NUL")
+    return Path(info.context["folder"]) / path if info.context else path
+
+
+Angle = Annotated[float, BeforeValidator(_parse_angle)]
+Size = Annotated[int, BeforeValidator(_parse_size), Field(ge=1 << 10, le=1 << 40)]
+Length = Annotated[float, Field(gt=1e-6, lt=10.0)]
+SmallLength = Annotated[float, Field(gt=1e-6, lt=0.1)]
+"""Of a part that a hand holds: 0.1 m and more is a number of millimetres that was meant."""
+NeighbourFile = Annotated[Path, AfterValidator(_beside_the_file)]
+Byte = Annotated[int, Field(ge=0, le=255)]
+Hue = Annotated[int, Field(ge=0, le=179)]
+
+
+def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Model:
+    """Read a TOML file into a model; every problem becomes one line that names the file and the key."""
+    try:
+        data = tomllib.loads(read_regular(path, MAX_FILE_BYTES).decode("utf-8"))
+    except OSError as problem:
+        raise error(f"{path}: cannot read: {why(problem)}") from None
+    except UnicodeDecodeError as problem:
+        raise error(f"{path}: not a TOML file: byte {problem.start} is not UTF-8") from None
+    except RecursionError:
+        raise error(f"{path}: not a TOML file: nested too deeply") from None
+    except ValueError as problem:  # TOMLDecodeError among them
+        raise error(f"{path}: not a TOML file: {problem}") from None
+    try:
+        return model.model_validate(data, context={"folder": path.parent})
+    except ValidationError as problem:
+        needed = {field.alias or name: field.is_required() for name, field in model.model_fields.items()}
+        if len(data) >= FEW_KEYS and 2 * len(needed.keys() & data.keys()) < len(data):
+            kind = re.sub(r"(?<=[a-z])(?=[A-Z])", "-", model.__name__).lower().removesuffix("-file")
+            keys = ", ".join([key for key in needed if needed[key]] or needed)
+            found = ", ".join(_short(key) for key in data)
+            raise error(f"{path}: not a {kind} file: expected the keys {keys}; found {found}") from None
+        faults = list(_describe(problem))
+        if len(faults) > MAX_FAULTS:
+            faults[MAX_FAULTS:] = [f"and {len(faults) - MAX_FAULTS} more"]
+        raise error(f"{path}: {'; '.join(faults)}") from None
+
+
+def _describe(problem: ValidationError) -> Iterator[str]:
+    for item in problem.errors(include_url=False):
+        # A union's tag in parentheses is no key of the file.
+        table = [str(part) for part in item["loc"] if not str(part).startswith("(")]
+        key = ".".join(table)
+        if item["type"] == UNKNOWN:
+            for name, hint in item["ctx"]["hints"].items():
+                yield f"unknown key {'.'.join([*table, name])}: {hint}"
+        elif item["type"] == "missing":
+            yield f"missing key {key}"
+        else:
+            message = item["msg"].removeprefix("Value error, ")
+            # A rule about a whole table says itself what it found.
+            found = "" if isinstance(item["input"], dict) else f" (found {_short(item['input'])})"
+            yield f"{key}: {message}{found}" if key else message
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

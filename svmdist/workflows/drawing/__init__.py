@@ -1,1 +1,0 @@
-"""Drawings of frames: what a method found in an image and what it measured, as data."""

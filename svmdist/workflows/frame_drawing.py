@@ -1,0 +1,351 @@
+"""The drawing of a replayed frame: the one source of pictures, videos and annotations of recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.camera import Camera
+from svmdist.drawing import (
+    Body,
+    Form,
+    FrameDrawing,
+    Label,
+    Part,
+    SceneDrawing,
+    Segment,
+    Shape,
+    StatusLine,
+    Surface,
+)
+from svmdist.estimation.alarms import AlarmState
+from svmdist.estimation.frame import Frame
+from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, ShaftDetection
+from svmdist.estimation.planar import mark, template_features
+from svmdist.geometry.surfaces import Mesh
+from svmdist.metrics import deviations_at
+from svmdist.profile import Profile
+from svmdist.results import Distance, FrameResult
+from svmdist.samples import Image
+from svmdist.transforms import Array
+from svmdist.vision.frame_context import seen_through, to_grey
+from svmdist.vision.marker import (
+    MarkedWindow,
+    detect_orb,
+    fit_homography,
+    is_plausible,
+    match_features,
+    square_corners,
+    transfer,
+)
+from svmdist.vision.regions import Region
+from svmdist.vision.shaft_segmentation import ShaftRegion
+from svmdist.workflows.replay import Replayed
+from svmdist.workflows.request import Setup
+
+CIRCLE_POINTS = 36
+MIN_CONTOUR_PX = 6
+"""Shorter contours are specks."""
+
+
+def scene_shapes(frame: Frame) -> Iterator[Shape]:
+    """What belongs to no instrument: the tissue's contours and its outline, completed behind the instrument."""
+    tissue = frame.scene.found.get("tissue")
+    if tissue is not None:
+        yield from _contours(frame.scene.left.masks.tissue, tissue.region, Part.TISSUE)
+        yield Shape(Part.TISSUE, Form.LOOP, np.asarray(tissue.outline.curve_px, np.float64))
+
+
+def tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
+    """What belongs to one instrument: contours, distal marker, shaft, tag."""
+    found = frame.tool.found
+    regions: tuple[Region | None, Region | None] = found.get("regions_as_recorded") or (None, None)
+    tissue, instrument = regions
+    if tissue is not None:
+        yield from _contours(frame.left.masks_as_recorded.tissue, tissue, Part.TISSUE)
+        yield Shape(Part.TISSUE, Form.POINTS, np.atleast_2d(tissue.centroid_px))
+    if instrument is not None:
+        yield from _contours(frame.left.masks_as_recorded.instrument, instrument, Part.INSTRUMENT, name)
+    region = found.get("region")
+    if region is not None:
+        yield from _contours(frame.left.masks.instrument, region, Part.INSTRUMENT, name)
+    marker = found.get("distal_marker")
+    if marker is not None:
+        yield _distal_marker(marker, name)
+    shaft = found.get("shaft")
+    if shaft is not None:
+        yield from _shaft(frame, shaft, found.get("shaft_region"), name)
+    corners_px = found.get("tag_corners_px")
+    if corners_px is not None:
+        yield Shape(Part.TAG, Form.LOOP, np.asarray(corners_px, np.float64), name)
+
+
+def place_shapes(result: FrameResult) -> Iterator[Shape]:
+    """Where tool and tissue are, by a result, in px of the recorded image."""
+    if result.image.tool_px is not None:
+        yield Shape(Part.TIP, Form.POINTS, np.array([result.image.tool_px]), result.instrument)
+    if result.image.tissue_px is not None:
+        yield Shape(Part.TISSUE, Form.POINTS, np.array([result.image.tissue_px]))
+
+
+def _contours(mask: Image, region: Region, part: Part, name: str = "") -> Iterator[Shape]:
+    """The outer contours of a mask, shape (h, w), inside the hull of a region."""
+    x, y, width, height = cv2.boundingRect(region.hull)
+    inside = np.zeros((height, width), np.uint8)
+    cv2.fillConvexPoly(inside, region.hull - np.array([x, y], np.int32), 255)
+    window = cv2.bitwise_and(np.ascontiguousarray(mask[y : y + height, x : x + width]), inside)
+    contours, _ = cv2.findContours(window, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=(x, y))
+    for contour in contours:
+        if cv2.arcLength(contour, closed=True) >= MIN_CONTOUR_PX:
+            yield Shape(part, Form.LOOP, contour.reshape(-1, 2).astype(np.float64), name)
+
+
+def _distal_marker(marker: DistalMarker, name: str) -> Shape:
+    """The circle of the marker; its centre where no circle fits."""
+    centre_px, radius_px = marker.centre_px, marker.radius_px
+    if marker.disc is not None:
+        centre_px, radius_px = marker.disc.centre_px, marker.disc.radius_px
+    if radius_px is None:
+        return Shape(Part.MARKER, Form.POINTS, np.atleast_2d(centre_px), name)
+    angles = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
+    around = np.column_stack([np.cos(angles), np.sin(angles)])
+    return Shape(Part.MARKER, Form.LOOP, centre_px + radius_px * around, name)
+
+
+def _shaft(frame: Frame, shaft: ShaftDetection, region: ShaftRegion | None, name: str) -> Iterator[Shape]:
+    """The measured edges, as long as the shaft is visible, and its end across its middle line."""
+    if region is None:
+        return
+    half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
+    for contour in shaft.contours:
+        ends_px = _edge(contour, region, frame.left.camera.K)
+        yield Shape(Part.SHAFT, Form.LINE, ends_px, name)
+    if shaft.rim is not None:
+        across = np.array([-shaft.rim.towards_tip[1], shaft.rim.towards_tip[0]])
+        ends_px = shaft.rim.pixel + np.outer([-half_width_px, half_width_px], across)
+        yield Shape(Part.SHAFT, Form.LINE, ends_px, name)
+
+
+def _edge(contour: Contour, region: ShaftRegion, K: Array) -> Array:
+    """The line in which a tangent plane meets the image, between the feet of the rough side's ends, shape (2, 2)."""
+    line = np.linalg.inv(K).T @ contour.plane.normal  # l · (u, v, 1) = 0
+    line = line / np.linalg.norm(line[:2])
+
+    def off(px: Array) -> float:
+        return float(line[:2] @ px + line[2])
+
+    sides = (region.first, region.second)
+    side = min(sides, key=lambda one: abs(off(one.start_px)) + abs(off(one.end_px)))
+    return np.array([px - off(px) * line[:2] for px in (side.start_px, side.end_px)])
+
+
+@dataclass(frozen=True, slots=True)
+class VirtualMarker:
+    """What the search for the pasted marker saw: the window with the marker in it, and places in px of the image.
+
+    `template_px` and `matched_px`, shape (n, 2), are the matched points of template and image, `inliers`, shape (n,),
+    those that agree with the homography; `corners_px`, shape (4, 2), is the outline, None where there is none.
+    """
+
+    window: MarkedWindow
+    keypoints_px: Array
+    template_px: Array
+    matched_px: Array
+    inliers: NDArray[np.bool_]
+    corners_px: Array | None
+
+
+def virtual_marker(frame: Frame, profile: Profile) -> VirtualMarker | None:
+    """Search for the marker as `overlay` did in this frame; None where it pasted none."""
+    regions = frame.tool.found.get("regions_as_recorded")
+    if regions is None or regions[0] is None or regions[1] is None:
+        return None
+    rules, settings = profile.features, profile.settings.marker
+    window = mark(frame.left.context.bgr_as_recorded, regions[1].centroid_px, profile.marker)
+    origin_px = np.array(window.origin_px, np.float64)
+    features = detect_orb(to_grey(window.window_bgr), rules.feature_count)
+    matches = match_features(template_features(profile.marker, rules), features, rules.ratio)
+    inliers, corners_px = np.zeros(len(matches), np.bool_), None
+    if len(matches) >= rules.min_match_count:
+        homography = fit_homography(matches, rules.reprojection_px, settings)
+        if homography is not None and is_plausible(homography.H, profile.marker.size_px, settings):
+            inliers = homography.inliers
+            corners_px = transfer(homography.H, square_corners(profile.marker.size_px)) + origin_px
+    return VirtualMarker(
+        window,
+        features.points_px + origin_px,
+        matches.template_px,
+        matches.frame_px + origin_px,
+        inliers,
+        corners_px,
+    )
+
+
+def marker_shapes(found: VirtualMarker, name: str) -> Iterator[Shape]:
+    """The outline, and the matches: inliers apart from the others."""
+    if found.corners_px is not None:
+        yield Shape(Part.MARKER, Form.LOOP, found.corners_px, name)
+    for part, chosen in ((Part.MATCH, ~found.inliers), (Part.INLIER, found.inliers)):
+        if chosen.any():
+            yield Shape(part, Form.POINTS, found.matched_px[chosen], name)
+
+
+LEVEL = 0.95
+
+
+def shown_distance(result: FrameResult) -> tuple[str, Distance] | None:
+    """The distance that says most: the clearance, else the spatial, else the planar one; None without any."""
+    if not result.measured:
+        return None
+    distances = result.distances
+    named = (
+        ("clearance", distances.clearance),
+        ("spatial", distances.spatial),
+        ("planar", distances.planar),
+    )
+    return next(((name, found) for name, found in named if found is not None), None)
+
+
+def interval_m(distance: Distance) -> tuple[float, float] | None:
+    """The bounds of the stated 95 % interval; None where the method states none."""
+    if distance.std_m is None:
+        return None
+    half_m = deviations_at(LEVEL) * distance.std_m
+    return distance.value_m - half_m, distance.value_m + half_m
+
+
+def in_words(distance: Distance) -> str:
+    """A length and its interval in mm: `4.21 mm [3.40, 5.02]`."""
+    bounds_m = interval_m(distance)
+    interval = "" if bounds_m is None else f" [{bounds_m[0] * 1e3:.2f}, {bounds_m[1] * 1e3:.2f}]"
+    return f"{distance.value_m * 1e3:.2f} mm{interval}"
+
+
+def status_line(result: FrameResult, method: str, alarm: AlarmState | None = None) -> StatusLine:
+    """One line about one instrument's result."""
+    who = f"{result.instrument} {method}".strip()
+    shown = shown_distance(result)
+    if shown is None:
+        detail = f" ({result.detail})" if result.detail else ""
+        return StatusLine(f"{who}: not measured: {result.status}{detail}", False)
+    is_alarm = bool(alarm and alarm.alarm)
+    return StatusLine(
+        f"{who}: {shown[0]} {in_words(shown[1])}{'  ALARM' if is_alarm else ''}", True, is_alarm
+    )
+
+
+def segments(result: FrameResult) -> Iterator[Segment]:
+    """The distances of a result that have a place in space: clearance, and that to another instrument."""
+    if not result.measured:
+        return
+    distances = result.distances
+    for part, distance in ((Part.DISTANCE, distances.clearance), (Part.BETWEEN, distances.to_instrument)):
+        if distance is None or distance.start_m is None or distance.direction is None:
+            continue
+        start_m = np.array(distance.start_m)
+        end_m = start_m + distance.value_m * np.array(distance.direction)
+        yield Segment(f"{result.instrument} {part}".strip(), part, start_m, end_m, in_words(distance))
+
+
+def distance_shapes(result: FrameResult, lens: Camera) -> Iterator[Shape | Label]:
+    """The lines of a result's distances in the recorded image, with their lengths beside them."""
+    drawn = [one for one in segments(result) if min(one.start_m[2], one.end_m[2]) > 0.0]
+    for one in drawn:
+        ends_px = lens.project(np.stack([one.start_m, one.end_m]))
+        yield Shape(one.part, Form.LINE, ends_px, result.instrument)
+        yield Label(one.part, ends_px.mean(0), one.text)
+    if any(one.part is Part.DISTANCE for one in drawn):
+        return
+    shown, (tool_px, tissue_px) = shown_distance(result), (result.image.tool_px, result.image.tissue_px)
+    if shown is not None and shown[0] != "clearance" and tool_px is not None and tissue_px is not None:
+        ends_px = np.array([tool_px, tissue_px])
+        yield Shape(Part.DISTANCE, Form.LINE, ends_px, result.instrument)
+        yield Label(Part.DISTANCE, ends_px.mean(0), f"{shown[0]} {in_words(shown[1])}")
+
+
+def scene_drawing(frames: tuple[Frame, ...], results: tuple[FrameResult, ...]) -> SceneDrawing:
+    """Instruments, tissue and distances in space, as far as the method knows them."""
+    bodies = []
+    for frame, result in zip(frames, results, strict=True):
+        tool, body = result.tool, frame.arm.body
+        if tool is not None and body is not None and result.measured:
+            posed = body.posed(tool.pose, tool.joints, tool.has_plate)
+            bodies.append(Body(result.instrument, posed.start_m, posed.end_m, posed.radius_m))
+    tissue = frames[0].scene.found.get("tissue") if frames else None
+    surface = None
+    if tissue is not None and tissue.pose is not None and isinstance(tissue.pose.surface, Mesh):
+        mesh = tissue.pose.surface
+        surface = Surface("tissue", mesh.vertices_m, mesh.faces)
+    return SceneDrawing(tuple(bodies), surface, tuple(one for result in results for one in segments(result)))
+
+
+BEND_STEP_PX = 10.0
+"""A straight line of an ideal camera is drawn in pieces of this length where the lens bends it."""
+
+
+def frame_drawing(
+    replayed: Replayed, setup: Setup, alarms: Mapping[str, AlarmState] | None = None
+) -> FrameDrawing:
+    """Draw one image of a replay, with the alarms of its instruments by name; pixels are those of the recorded image.
+
+    An image that could not be read has only lines that say so.
+    """
+    frames, results = replayed.frames, replayed.results
+    lines = tuple(
+        status_line(result, setup.method, (alarms or {}).get(result.instrument)) for result in results
+    )
+    if not frames:
+        return FrameDrawing(results[0].stamp_ns, lines=lines)
+    lens = frames[0].scene.lens
+    shapes = list(_through_lens(_detected(frames, results, setup), lens))
+    labels: list[Label] = []
+    for result in results:
+        shapes += place_shapes(result)
+        for drawn in distance_shapes(result, lens):
+            if isinstance(drawn, Label):
+                # Two instruments share the distance between them: it is written once.
+                if all(drawn.text != known.text or drawn.part is not known.part for known in labels):
+                    labels.append(drawn)
+            else:
+                shapes.append(drawn)
+    scene = scene_drawing(frames, results)
+    return FrameDrawing(results[0].stamp_ns, tuple(shapes), tuple(labels), lines, scene)
+
+
+def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup: Setup) -> Iterable[Shape]:
+    yield from scene_shapes(frames[0])
+    for frame, result in zip(frames, results, strict=True):
+        yield from tool_shapes(frame, result.instrument)
+        if setup.method == "overlay":
+            found = virtual_marker(frame, frame.arm.profile)
+            if found is not None:
+                yield from marker_shapes(found, result.instrument)
+
+
+def _through_lens(shapes: Iterable[Shape], lens: Camera) -> Iterable[Shape]:
+    """The shapes where the lens shows them: detectors looked at an image without distortion."""
+    if not lens.has_distortion:
+        yield from shapes
+        return
+    for shape in shapes:
+        points_px = shape.points_px
+        if shape.form is not Form.POINTS:
+            points_px = _in_pieces(points_px, is_closed=shape.form is Form.LOOP)
+        yield replace(shape, points_px=seen_through(lens, points_px))
+
+
+def _in_pieces(points_px: Array, *, is_closed: bool) -> Array:
+    """The polyline with points no further apart than a step, shape (m, 2)."""
+    starts = points_px if is_closed else points_px[:-1]
+    ends = np.roll(points_px, -1, axis=0) if is_closed else points_px[1:]
+    pieces = []
+    for start, end in zip(starts, ends, strict=True):
+        count = max(1, int(np.ceil(np.linalg.norm(end - start) / BEND_STEP_PX)))
+        pieces.append(start + np.linspace(0.0, 1.0, count, endpoint=False)[:, None] * (end - start))
+    if not is_closed:
+        pieces.append(points_px[-1:])
+    return np.concatenate(pieces)

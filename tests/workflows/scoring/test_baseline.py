@@ -1,0 +1,84 @@
+"""The baseline's file: what is written is read again, older files load, and a damaged one is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from svmdist.errors import RecordingError
+from svmdist.workflows.scoring.baseline import (
+    Baseline,
+    StoredScore,
+    Tolerance,
+    load_baseline,
+    make_baseline,
+    save_baseline,
+)
+from svmdist.workflows.validate import Validation
+
+LABELS = {"recording": "a", "method": "overlay", "equations": "corrected", "reference": "ground_truth"}
+OLD = {"r_squared": 0.99, "rmse_m": 1e-3, "p95_abs_error_m": None, "coverage": 1.0}
+TOLERANCES = {
+    "r_squared": Tolerance(absolute=0.002),
+    "rmse_m": Tolerance(absolute=2e-5, relative=0.02),
+    "p95_abs_error_m": Tolerance(absolute=5e-5, relative=0.05),
+    "coverage": Tolerance(absolute=0.0),
+    "spatial_rmse_m": Tolerance(absolute=2e-5, relative=0.02),
+    "clearance_rmse_m": Tolerance(absolute=2e-5, relative=0.02),
+    "alarm_recall": Tolerance(absolute=0.005),
+    "false_alarm_fraction": Tolerance(absolute=0.005),
+}
+
+
+def test_tolerances_stay() -> None:
+    """The tolerances of version 0.1, in the order of the file."""
+    made = make_baseline(Validation((), (), ()))
+    assert dict(made.tolerances) == TOLERANCES
+    assert list(made.tolerances) == list(TOLERANCES)
+
+
+def test_shipped_baselines_survive_the_round_trip(golden: Path, tmp_path: Path) -> None:
+    """What is written again is the file that was read, to the byte: also one from before there were alarms."""
+    for path in (golden / "baseline.json", golden / "3d" / "baseline.json"):
+        save_baseline(load_baseline(path), tmp_path / "again.json")
+        again, before = (json.loads(file.read_text()) for file in (tmp_path / "again.json", path))
+        assert again["scores"] == before["scores"]
+        assert again["tolerances"] == before["tolerances"]
+
+
+def test_an_older_score_has_fewer_figures() -> None:
+    """Metrics that came later may be missing; the first four may not, and a figure that nobody knows is refused."""
+    assert StoredScore.model_validate(LABELS | OLD).figures == OLD
+    for key in OLD:
+        with pytest.raises(ValidationError, match=f"there is no {key}"):
+            StoredScore.model_validate(LABELS | {name: value for name, value in OLD.items() if name != key})
+    with pytest.raises(ValidationError, match="there is no metric speed"):
+        StoredScore.model_validate(LABELS | OLD | {"speed": 1.0})
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{}", '{"schema": "svmdist.baseline/2"}', '{"schema": "svmdist.baseline/1", "scores": [{}]}'],
+    ids=["empty", "no schema", "another schema", "no figures"],
+)
+def test_what_is_no_baseline_is_one_line(tmp_path: Path, text: str) -> None:
+    """The path, and that it is no baseline."""
+    path = tmp_path / "b.json"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=r"b\.json: not a baseline of schema svmdist\.baseline/1"):
+        load_baseline(path)
+
+
+def test_a_tolerance_is_the_larger_of_two() -> None:
+    """Absolute 0.1 and 10 % of 2 allow a loss of 0.2."""
+    tolerance = Tolerance(absolute=0.1, relative=0.1)
+    assert tolerance.allows(0.2, 2.0)
+    assert not tolerance.allows(0.21, 2.0)
+    assert tolerance.allows(0.1, 0.0)
+    assert (
+        Baseline.model_validate({"schema": "svmdist.baseline/1", "tolerances": {}, "scores": ()}).alarms
+        is None
+    )

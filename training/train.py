@@ -1,0 +1,97 @@
+"""Train the small segmentation network on pictures that are drawn here, and write it as ONNX.
+
+`uv run --with torch==2.13.0 --with onnx python -m training.train net.onnx` takes about an hour on two cores
+and needs no picture from elsewhere: `training` draws them. PyTorch is no dependency of svmdist; any
+environment with torch, onnx and svmdist serves. The same seed and versions give the same network on the same machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import gettempdir
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from benchmarks.overlap import union_ious
+from svmdist.vision.network import network_input
+from training.dataset import VALIDATION_SEED, Pictures, rendered
+from training.layout import network_rules
+
+if TYPE_CHECKING:
+    from training.network import InstrumentNet
+
+MOST_BYTES = 4 << 20
+MOST_DIFFERENCE = 1e-3
+"""Of scores, which are of the order of 10, between PyTorch and OpenCV."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Render, train, write the file, and compare it as OpenCV runs it with PyTorch's."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("model", type=Path, help="the ONNX file to write")
+    parser.add_argument("--pictures", type=int, default=24000, help="how many are drawn to train on")
+    parser.add_argument("--validation", type=int, default=400, help="how many others are drawn to measure on")
+    parser.add_argument("--part", type=float, default=1.0, help="of the usual number of steps, for a trial")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--processes", type=int, default=1, help="for drawing; training takes one thread")
+    parser.add_argument("--cache", type=Path, default=Path(gettempdir(), "svmdist-segmentation-pictures"))
+    given = parser.parse_args(arguments)
+    try:
+        from training.training import STAGES, export, predicted, train
+    except ModuleNotFoundError as missing:
+        print(
+            f"{missing.name} is not installed; training needs it: pip install torch==2.13.0 onnx, in an environment"
+            " of its own with svmdist",
+            file=sys.stderr,
+        )
+        return 1
+    held_out = rendered(VALIDATION_SEED, given.validation, given.cache, given.processes)
+    pictures = rendered(given.seed * given.pictures, given.pictures, given.cache, given.processes)
+    started = time.monotonic()
+
+    def say(step: int, loss: float, net: InstrumentNet) -> None:
+        line = f"step {step}: loss {loss:.4f}, {time.monotonic() - started:.0f} s"
+        if step % 250 == 0:
+            ious = union_ious(predicted(net, held_out.images[:100]), held_out.labels[:100])
+            line += f", IoU of instruments on 100 pictures not trained on {ious.mean():.3f}"
+        print(line, flush=True)
+
+    stages = [
+        replace(
+            stage, **{name: max(1, round(given.part * getattr(stage, name))) for name in ("steps", "horizon")}
+        )
+        for stage in STAGES
+    ]
+    net = train(pictures, stages, given.seed, say)
+    ious = union_ious(predicted(net, held_out.images), held_out.labels)
+    print(f"IoU of instruments on {len(ious)} pictures: mean {ious.mean():.3f}, median {np.median(ious):.3f}")
+    given.model.parent.mkdir(parents=True, exist_ok=True)
+    export(net, given.model)
+    return _checked(net, given.model, held_out)
+
+
+def _checked(net: InstrumentNet, model: Path, held_out: Pictures) -> int:
+    """Whether OpenCV's scores are PyTorch's, and the file is small enough."""
+    from training.training import scores_of
+
+    difference = 0.0
+    opencv = cv2.dnn.readNetFromONNX(str(model))
+    for image in held_out.images[:20]:
+        opencv.setInput(network_input(np.array(image), network_rules(model)))
+        difference = max(difference, float(np.abs(opencv.forward() - scores_of(net, image[None])).max()))
+    size = model.stat().st_size
+    print(
+        f"{model}: {size / 2**20:.2f} MiB; scores by OpenCV {cv2.__version__} differ by at most {difference:.1e}"
+    )
+    return 0 if size <= MOST_BYTES and difference <= MOST_DIFFERENCE else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
