@@ -45,9 +45,7 @@ BLUR_NOTE = (
 )
 
 
-def _in_order(
-    before: Sequence[Column], metrics: Sequence[Metric[Any]], after: Sequence[Column]
-) -> list[Column]:
+def _in_order(before: Sequence[Column], metrics: Sequence[Metric], after: Sequence[Column]) -> list[Column]:
     """The columns of a row: labels, metrics, labels, and metrics that came later."""
     early = [metric_column(metric) for metric in metrics if not metric.is_late]
     return [*before, *early, *after, *(metric_column(metric) for metric in metrics if metric.is_late)]
@@ -160,7 +158,7 @@ def _interval_column(key: str) -> Column:
     return Column(f"{key} interval", TEXT, "95 %", read)
 
 
-def _distance_rows(scores: Iterable[Score], metrics: list[Metric[DistanceScore]]) -> Iterator[Row]:
+def _distance_rows(scores: Iterable[Score], metrics: list[Metric]) -> Iterator[Row]:
     """One row per score and distance."""
     for score in scores:
         for distance in ("planar", "spatial", "clearance"):
@@ -202,7 +200,7 @@ def compare_columns() -> list[Column]:
         Column("degradation", TEXT, of=attrgetter("group.degradation")),
         Column("instrument", TEXT),
     ]
-    metrics = of_part(within(figure_metrics(), Output.FIGURES), attrgetter("figures"))
+    metrics = of_part(within(figure_metrics(), Output.FIGURES), "figures")
     return _in_order(labels, metrics, after)
 
 

@@ -85,7 +85,7 @@ def row_of(columns: Iterable[Column], source: Any) -> dict[str, Cell]:
     return {column.key: column.value(source) for column in columns}
 
 
-def metric_column(metric: Metric[Any], heading: str = "") -> Column:
+def metric_column(metric: Metric, heading: str = "") -> Column:
     """The column of a metric; a heading replaces its own."""
     return Column(metric.key, metric.unit, heading or metric.title, metric.of)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ from svmdist.workflows.scoring.metric_table import (
     of_part,
     score_metrics,
 )
-from svmdist.workflows.scoring.score import DistanceScore, Pairs, Score, score_pairs
+from svmdist.workflows.scoring.score import Pairs, Score, score_pairs
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
 
@@ -111,7 +112,7 @@ def test_declarations_are_complete() -> None:
 @pytest.fixture
 def added(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The key of a metric that is declared in one place, and nowhere else: the 99th percentile of the error."""
-    metric: Metric[DistanceScore] = Metric(
+    metric = Metric(
         "p99_abs_error_m",
         LENGTH,
         lambda d: float(np.percentile(np.abs(d.pairs.estimate_m - d.pairs.truth_m), 99)),
@@ -169,7 +170,7 @@ def test_a_new_metric_is_in_baselines(added: str) -> None:
 
 def test_a_part_that_is_missing_has_no_figures() -> None:
     """A metric of a part is None where the whole lacks the part, and the part's own where it has it."""
-    half: Metric[float] = Metric("half", LENGTH, lambda value: value / 2, "Half of it.")
-    (of_first,) = of_part([half], lambda values: values[0])
-    assert of_first.of((3.0,)) == 1.5
-    assert of_first.of((None,)) is None
+    half = Metric("half", LENGTH, lambda value: value / 2, "Half of it.")
+    (of_first,) = of_part([half], "part")
+    assert of_first.of(SimpleNamespace(part=3.0)) == 1.5
+    assert of_first.of(SimpleNamespace(part=None)) is None
