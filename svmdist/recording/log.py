@@ -16,7 +16,7 @@ from svmdist.errors import RecordingError, did_you_mean
 from svmdist.input_file import LogPath, content_sha256, files_of, open_regular, why
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
-from svmdist.perturbations.replayed import ReplayedWorld
+from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Limits, Profile
 from svmdist.recording.contents import LogFile, Rows, TransformTree
 from svmdist.recording.mcap import MAGIC as MCAP_MAGIC
