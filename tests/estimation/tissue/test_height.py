@@ -67,7 +67,6 @@ def measure(points_m: Array, deviations: Deviations = DEVIATIONS):
         CAMERA,
         RIGHT,
         deviations,
-        settings.stereo,
         settings.tissue,
     )
 
