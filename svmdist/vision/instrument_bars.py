@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.instrument_evidence import BRIGHTNESS_STEP, COLOUR_STEP
 from svmdist.vision.working_image import SQUARE_5, WorkingImage
 
+COLOUR_STEP = 0.12  # a difference of logarithms of two channels' ratio that is seen as a step of colour
+BRIGHTNESS_STEP = 0.25  # the same of brightness, which shading changes more
 LINE_WITHIN_PX = 1.3  # of points off a straight edge's line: rounding and the working image's blur
 LEAST_SIDE_PX = 8.0  # points of an outline that must lie on a line for it to be a side
 MOST_TAPER_COS = 0.92  # of the largest angle between both sides, 23°: a cylinder seen along its axis

@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.instrument_bars import Bar, Zones
+from svmdist.vision.instrument_bars import BRIGHTNESS_STEP, COLOUR_STEP, Bar, Zones
 from svmdist.vision.working_image import SQUARE_3, SQUARE_5, Floats, WorkingImage
 
 LEAST_LENGTH_WIDTHS = 0.8  # of both sides, over the width: less is any blob that has been cut off
 LEAST_LENGTH_PX = 12.0  # the same in px: shorter edges of tissue are straight by chance
 REACH_PX = 2.5  # colours beside a side are compared this far inside and outside of it
-COLOUR_STEP = 0.12  # a difference of logarithms of two channels' ratio that is seen as a step of colour
-BRIGHTNESS_STEP = 0.25  # the same of brightness, which shading changes more
 LEAST_STEP_FRACTION = 0.6  # part of each side along which there is a step; shadows have none of that height
 LEAST_RATIO_STEP = 1.0  # a step in the log ratio of colour likelihoods, once they are known
 LEAST_COOLER = 0.05  # How much less red an instrument is than what is on either side of it, as a logarithm

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.profile.settings import SilhouetteSettings
 from svmdist.vision.edge_lines import points_near, profiles_across, straightest
 
-SETTINGS = SilhouetteSettings()
 HEIGHT, WIDTH, EDGE_PX = 80, 200, 40.3
 FEET = np.stack([np.arange(20.0, 180.0, 1.5), np.full(107, 38.0)], -1)
 DOWN = np.array([0.0, 1.0])

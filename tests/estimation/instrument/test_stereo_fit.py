@@ -161,8 +161,9 @@ def test_nothing_seen_is_a_failure() -> None:
     assert isinstance(fit_two_views(seen, MODEL), Failure)
 
 
-def test_the_watch_doubts_what_is_off_in_most_frames() -> None:
+def test_the_watch_doubts_what_is_off_in_most_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three deviations once in a while are chance, in most frames they are not; what passes is forgotten."""
+    monkeypatch.setattr("svmdist.estimation.instrument.two_views.WATCH_FRAMES", 6)
     watch = DisparityWatch()
     assert watch.doubt == 0.0
     for off in (0.0, 0.15, 0.01, -0.02, 0.0):

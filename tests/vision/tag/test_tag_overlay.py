@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from svmdist.estimation.instrument.tag_pose import on_tag
-from svmdist.profile.settings import TagSettings
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.tag_overlay import (
     GREY,
@@ -20,7 +19,6 @@ from svmdist.vision.tag_overlay import (
 )
 
 PATTERN = TagPattern("36h11", 0, 0.007)
-SETTINGS = TagSettings()
 T = make_transform(rotation_of([2.8, 0.3, 0.2]), [0.004, -0.003, 0.09])
 FOCAL_PX = 554.0
 EVEN = Loss(1e9, is_biweight=False)
