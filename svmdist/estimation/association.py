@@ -30,7 +30,7 @@ from svmdist.vision.frame_context import FrameContext
 PLACED_FRACTION = 0.05  # of the width: a hidden region less certain than this assigns no shaft
 SIDE_STD = 0.25  # from the middle of its side, over the image's size, for a new instrument
 ENTRY_STD = 0.04  # from the previous entry: the outline is found a little longer or wider
-ENTRY_SPEED = 0.05  # How that grows, per s: a trocar holds the instrument, and the camera moves slowly
+ENTRY_SPEED = 0.05  # how that grows, per s: a trocar holds the instrument, and the camera moves slowly
 END_STD = 0.06  # the same for the shaft's end
 END_SPEED = 0.3  # the same for the shaft's end, per s, as instruments move
 UNSEEN_COST = 6.0  # -log of the chance that an instrument is not seen although it is there, or is not there

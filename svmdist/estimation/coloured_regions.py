@@ -21,12 +21,11 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
 
-MIN_DEPTH_M = (
-    0.02  # a tool's nominal depth is taken to be at least this, since its pixel diverges towards the camera
-)
+# A tool's nominal depth is taken to be at least this, since its pixel diverges towards the camera
+MIN_DEPTH_M = 0.02
 RAY_COUNT = 12  # points along a shaft's expected axis at which the image is asked whether it is dark
 RAY_SPAN = (1.25, 2.2)  # where along the axis they lie, over the distance from the region to the shaft's end
-LIKELY_DARK = 0.85  # How much of the line where its shaft should be is dark, for the right instrument
+LIKELY_DARK = 0.85  # how much of the line where its shaft should be is dark, for the right instrument
 UNLIKELY_DARK = 0.3  # the same for another instrument
 MIN_RAY_FRACTION = 0.4  # a line of which less is inside the picture tells nothing
 SHAFT_REACH = 2.5  # a dark pixel farther from an axis than so many radii is not that shaft's

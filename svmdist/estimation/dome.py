@@ -14,7 +14,7 @@ from svmdist.least_squares import median, scale_of
 from svmdist.profile import Dome
 from svmdist.transforms import Array, inverse, transform_points
 
-INNER_RADIUS = 0.9  # Of the dome, normalised: beyond it the rim is too steep for a surface of low order
+INNER_RADIUS = 0.9  # of the dome, normalised: beyond it the rim is too steep for a surface of low order
 SMOOTH_FRACTION = 0.4  # as smooth as a dome; seven organs' shapes stand 0.11 mm off without a prior
 MAX_SPREAD = 3.0  # points that scatter about the dome by so many of their deviations are no view of it
 

@@ -28,9 +28,8 @@ if TYPE_CHECKING:
     from svmdist.vision.shaft_segmentation import ShaftRegion
     from svmdist.vision.silhouette import Silhouette
 
-MAX_PRINTED_FRACTION = (
-    0.1  # bright part of a dark stub above which it is a tag's print, half of which is white
-)
+# Bright part of a dark stub above which it is a tag's print, half of which is white
+MAX_PRINTED_FRACTION = 0.1
 
 
 class View:

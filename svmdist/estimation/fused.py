@@ -38,15 +38,14 @@ VISIBLE_MIDDLE = 0.05  # off the true one over the radius: 6 % of the disc hidde
 SHADING_BIAS = 0.12  # over radius and angle of the light: half of √(1 - 0.97²), Lambert's dark limb
 CENTRE_NOISE = 0.02  # what is left over the radius: pixels, shading, the view's angle
 UNKNOWN_SHAPE_STD_PX = 4.0  # a third of the marker's radius, as where blood covers a side of it
-MIN_VISIBLE_FRACTION = 0.4  # Of a whole marker's area: with less of it visible its centroid cannot be used
+MIN_VISIBLE_FRACTION = 0.4  # of a whole marker's area: with less of it visible its centroid cannot be used
 WHOLE_AREA_SPREAD = 0.1  # of a whole marker over its disc's: jaws hide some, a fork adds
 MIN_RELATIVE_DEPTH_STD = 0.01  # where depth is known this well, the marker's size adds nothing
 TRACKED_DISPARITY_NOISE = 0.008  # over the radius, where a filter estimates what lasts
 INTERLACED_DISPARITY_NOISE = 0.03  # over the radius: colours of both fields are mixed, 0.4 px at 12 px
 LASTING_DISPARITY = 0.016  # over the radius: blood and shading differ in each view, 0.1 to 0.2 px at 12 px
-EVEN_AREA_FRACTION = (
-    0.02  # by how much the marker's areas in both views differ when nothing is wrong, over their sum
-)
+# By how much the marker's areas in both views differ when nothing is wrong, over their sum
+EVEN_AREA_FRACTION = 0.02
 DEPTH_KNOWN_FRACTION = 0.05  # standard deviation over depth, below which depth tells the marker's size
 
 

@@ -19,18 +19,16 @@ from svmdist.profile.settings import HandEyeSettings
 from svmdist.results import Failure
 from svmdist.transforms import Array, make_transform, rotation_of, skew
 
-MIN_FRACTION = (
-    0.5  # part of the frames that must agree: else what is seen is another thing than what the robot moves
-)
+# Part of the frames that must agree: else what is seen is another thing than what the robot moves
+MIN_FRACTION = 0.5
 GATE = 16.3  # largest squared normalised residual of a place that agrees: chi square of 3 degrees of freedom, 99.9 %
 HUBER = 2.0  # normalised residual from which on a frame counts less
 TRIALS = 400  # samples of three frames that the fit starts from
 AXIS_FLOOR_RAD = 0.01  # of a shaft's direction in the image: what its outline does not show, 0.6°
 AXIS_TILT_FLOOR_RAD = 0.17  # towards the camera: edges in shadows tilted it by 10° in simulated rooms
 POSITION_FLOOR_M = 2e-4  # standard deviation added to that of a place, along each axis
-CORRELATION_TIME_S = (
-    0.5  # How long errors of a detection and play of joints last: between two reversals of a joint
-)
+# How long errors of a detection and play of joints last: between two reversals of a joint
+CORRELATION_TIME_S = 0.5
 
 MAX_STEPS = 50
 CLOUD_STD_M = 1e-3

@@ -15,17 +15,16 @@ GATE_D2 = 18.4  # squared Mahalanobis distance in two dimensions that a right re
 CLUTTER_COUNT = 0.05  # regions of nothing that an image of any size has, on average
 MARGIN = 2.0  # a newcomer is named when no other naming is more than e^-2 times as likely
 CONTEST = 4.6  # two tracks contest a region that is less than a hundred times (e^4.6) as likely one's as the other's
-UNCERTAIN_FRACTION = 0.08  # Of the width: a prediction less certain than this identifies nothing any more
+UNCERTAIN_FRACTION = 0.08  # of the width: a prediction less certain than this identifies nothing any more
 MERGED_AREA = 1.4  # a region this much larger than its instrument's is two that touch
 MAX_REGIONS = 6  # the largest; assignments grow with their number to the power of the tracks
 SPREAD_FRACTION = 0.2  # of a region's radius: shading and jaws move its centroid
 MIN_STD_PX = 1.0  # standard deviation of a centroid at least, by segmentation
 FIRST_SPEED_WIDTHS = 0.6  # standard deviation of the speed of what was detected once, in widths per s
 LINEAR_STD = 0.4  # of seen over nominal motion: the nominal depth is off by as much
-DRIFT_WIDTHS = 0.01  # How the offset between seen and nominal place drifts, in widths per square root of s
-LINEAR_DRIFT = (
-    0.05  # How the relation of seen and nominal motion drifts, as the depth changes, per square root of s
-)
+DRIFT_WIDTHS = 0.01  # how the offset between seen and nominal place drifts, in widths per square root of s
+# How the relation of seen and nominal motion drifts, as the depth changes, per square root of s
+LINEAR_DRIFT = 0.05
 
 DEFAULT = AssociationSettings()
 

@@ -16,9 +16,8 @@ from svmdist.vision.stereo import RectifiedPair, match_region
 
 MIN_AGREEING_MATCHES = 0.8  # that lie on the surface: of matched noise two of three, of tissue nearly all
 MARGIN_PX = 7  # matches this close to the tissue's edge mix two surfaces within one block
-SMOOTHING_PX = (
-    1.5  # both views are smoothed before they are aligned, so that a step of a pixel stays on a slope
-)
+# Both views are smoothed before they are aligned, so that a step of a pixel stays on a slope
+SMOOTHING_PX = 1.5
 SURFACE_STD_PX = 0.12  # of an aligned low-order surface: measured 0.36 mm at 105 mm, 5 mm baseline
 CLEAN_MISMATCH_PX = 0.36  # in those measurements; JPEG and noise shift pixels and surface in proportion
 

@@ -22,9 +22,8 @@ from svmdist.transforms import Array, make_transform
 from svmdist.vision.regions import CompletedOutline, Region, complete_outline, find_region
 from svmdist.vision.segmentation import Masks
 
-BLOOD_FRACTION = (
-    0.1  # parts below this fraction of the tissue may be blood on an instrument, as red as tissue
-)
+# Parts below this fraction of the tissue may be blood on an instrument, as red as tissue
+BLOOD_FRACTION = 0.1
 BLOOD_RING_FRACTION = 0.5  # share of dark shaft around such a part above which it is blood
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}

@@ -13,26 +13,23 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edges import SLOPE_SIGMA_PX, STEP_PX, slope_filter
 
-EDGE_REACH_FRACTION = 0.012  # How far from a rough side the image's edge is searched, over the image's width
-EDGE_REACH_WIDTHS = (
-    0.3  # the same over the shaft's width, where that is more: jaws and ears lead a rough side astray
-)
+EDGE_REACH_FRACTION = 0.012  # how far from a rough side the image's edge is searched, over the image's width
+# The same over the shaft's width, where that is more: jaws and ears lead a rough side astray
+EDGE_REACH_WIDTHS = 0.3
 EDGE_TURN_WIDTHS = 0.35  # of an edge's ends in opposite directions, over the shaft's width
 SEARCH_SCALE_WIDTHS = 0.04  # of the slope that is sought first: texture of tissue is finer
-TEXTURE_FACTOR = (
-    1.5  # a slope of so many times the neighbourhood's median counts half as much as the largest one
-)
+# A slope of so many times the neighbourhood's median counts half as much as the largest one
+TEXTURE_FACTOR = 1.5
 FULL_CONTRAST_LEVELS = 16.0  # counts half as much as the largest step: straightness matters, not strength
-MIN_CONTRAST_LEVELS = (
-    12.0  # the least step of colour at a point of an edge, levels of 255: compression leaves less
-)
+# The least step of colour at a point of an edge, levels of 255: compression leaves less
+MIN_CONTRAST_LEVELS = 12.0
 MIN_FOUND = 0.7  # of the profiles that show an edge, on the line: texture shows most beside it
 MIN_SEEN = 0.3  # of all profiles across an edge: a dark shaft before dark tissue has none for a while
 MIN_SUPPORT = 0.4  # mean response below which there is no edge of an instrument
 STRAIGHT_PX = 0.6  # of an edge's point off the shaft's line: the wrist goes on a pixel or two beside it
 STRAIGHT_WIDTHS = 0.02  # the same over the shaft's width, where that is more
 END_SHARE = 0.6  # the cylinder ends where less than this part of the points beyond lie on its line
-END_REACH_WIDTHS = 2.0  # How far beyond a rough side its continuation is followed, over the shaft's width
+END_REACH_WIDTHS = 2.0  # how far beyond a rough side its continuation is followed, over the shaft's width
 
 BLOCK, MIN_BLOCKS = 8, 2
 """Neighbouring profiles that vote as one, and the least number of such votes."""

@@ -16,9 +16,8 @@ from svmdist.transforms import Array
 
 SLOPE_SIGMA_PX = 1.2  # of the derivative of Gaussian: as wide as usual optics blur
 SLOPE_SIGMA_PER_BLUR = 0.8  # a blurred edge is sought at this scale over its own
-MIN_CHROMA = (
-    25.0  # levels of chroma between inside and outside of the border below which there is no border to find
-)
+# Levels of chroma between inside and outside of the border below which there is no border to find
+MIN_CHROMA = 25.0
 MIN_AGREEING_FRACTION = 0.5  # of rays on the border's circle: with less the circle is a guess
 
 DEFAULT = ShaftSettings()

@@ -25,9 +25,8 @@ from svmdist.vision.working_image import (
 
 MOST_AREA = 0.45  # what is larger is background that shares the instrument's colour
 LEAST_EVIDENCE = 0.2  # evidence, from 0 to 1, of two straight edges: what has less is tissue
-TEACHING_EVIDENCE = (
-    0.44  # evidence that the surest bar of an image must have for anything to be learnt from it
-)
+# Evidence that the surest bar of an image must have for anything to be learnt from it
+TEACHING_EVIDENCE = 0.44
 SURE_EVIDENCE = 0.4  # evidence from which on a bar's colours are learnt
 
 PERCENTILES = (4, 8, 13, 19, 26, 34)

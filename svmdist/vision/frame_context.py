@@ -16,10 +16,9 @@ from svmdist.vision.colour import Exposure, apply_exposure, exposure_of
 from svmdist.vision.segmentation import Masks, Segmenter
 
 COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's rows: fine texture does both
-BLOCK_PX = (
-    9  # side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
-)
-MIN_FRACTION = 0.12  # Of a block's pixels that are combed, where its odd rows are mended
+# Side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
+BLOCK_PX = 9
+MIN_FRACTION = 0.12  # of a block's pixels that are combed, where its odd rows are mended
 MIN_PIXELS = 60  # combed pixels in a whole image, at 640 columns, below which nothing is looked at further
 
 DEFAULT = InterlaceSettings()

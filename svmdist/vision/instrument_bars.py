@@ -19,13 +19,12 @@ LINE_WITHIN_PX = 1.3  # of points off a straight edge's line: rounding and the w
 LEAST_SIDE_PX = 8.0  # points of an outline that must lie on a line for it to be a side
 MOST_TAPER_COS = 0.92  # of the largest angle between both sides, 23°: a cylinder seen along its axis
 USUAL_TAPER_RAD = 0.2  # standard deviation of that angle: a shaft's sides run more alike than those of jaws
-LEAST_WIDTH_FRACTION = (
-    0.02  # an instrument's least width, over the working image's: less is a thread or a vessel
-)
+# An instrument's least width, over the working image's: less is a thread or a vessel
+LEAST_WIDTH_FRACTION = 0.02
 MOST_WIDTH_FRACTION = 0.4  # an instrument's largest width, over the working image's
 BESIDE_WIDTHS = 0.5  # how far an instrument goes beyond its bar's sides where its colours leave no doubt
-DISTAL_WIDTHS = 4.5  # How far wrist and jaws reach beyond the end of the shaft, over its width there
-DISTAL_HALF_WIDTHS = 1.3  # How far they reach to either side of its axis, over its width
+DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft, over its width there
+DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over its width
 
 CHORDS_PX = (10, 20, 40, 70)
 """Lengths of outline whose chords are tried as lines: sides of small and of large instruments."""

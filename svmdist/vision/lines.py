@@ -13,9 +13,8 @@ from svmdist.camera import Camera
 from svmdist.least_squares import huber_weights, scale_of
 from svmdist.transforms import Array, cross, skew
 
-POINT_CORRELATION_PX = (
-    2.0  # neighbouring edge points share pixels: points closer than this along the edge err alike
-)
+# Neighbouring edge points share pixels: points closer than this along the edge err alike
+POINT_CORRELATION_PX = 2.0
 MIN_POINT_STD_PX = 0.05  # what pixel grid and interpolation leave even without noise
 
 HUBER = 1.5

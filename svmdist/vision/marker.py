@@ -16,9 +16,8 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 
 REFIT_THRESHOLDS_PX = (1.5, 1.0, 0.7, 0.5, 0.3)  # the fine pyramid levels agree best and should decide
-REFIT_MIN_COUNT = (
-    20  # fewer matches than this are not fitted again: five times the four that determine a homography
-)
+# Fewer matches than this are not fitted again: five times the four that determine a homography
+REFIT_MIN_COUNT = 20
 
 CELL_COUNT = 12
 """Cells along a side: margin, frame, eight of data, frame, margin."""

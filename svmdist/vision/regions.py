@@ -20,12 +20,10 @@ SPECK_FRACTION = 0.02  # of the largest part; specks of colour elsewhere would p
 SAMPLE_STEP_PX = 2.0  # distance of the hull's samples; whole pixels tell no finer ones apart
 MAX_SAMPLE_COUNT = 480  # upper bound of the samples of one hull: longer hulls are sampled at a larger step
 GAP_REACH_PX = 2.0  # a sample of the hull further than this from any visible pixel bridges a gap
-STRAIGHT_LENGTH_PER_ROOT_PX = (
-    4.5  # tested stretch c √R: a chord of a circle is c² / 8 = 2.5 px off its middle
-)
-STRAIGHT_WITHIN_PX = (
-    0.8  # of the chord: flatter than a circle of three times the radius, so an instrument's edge
-)
+# Tested stretch c √R: a chord of a circle is c² / 8 = 2.5 px off its middle
+STRAIGHT_LENGTH_PER_ROOT_PX = 4.5
+# Of the chord: flatter than a circle of three times the radius, so an instrument's edge
+STRAIGHT_WITHIN_PX = 0.8
 SHOULDER_SAMPLES = 4  # dropped on both sides of a hidden one: the corners of the cut lie there
 HARMONICS = 6  # number of harmonics of the Fourier series r(θ)
 HIDDEN_STD = 0.3  # of the hull's centroid over the radius, where the hull is used as it is

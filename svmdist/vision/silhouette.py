@@ -22,9 +22,8 @@ WRIST_STD = 0.12  # of the tool's origin, over the outline's length beyond the e
 MIN_WRIST_WIDTHS = 0.5  # an outline that ends closer behind the cylinder's end shows no wrist
 MIN_WRIST_SHARE = 0.5  # of a straight wrist: less is another tip, or points at the camera by over 60°
 FLANK_STDS = 4.0  # from the colours on both sides: one pixel of paper in a thousand is so far
-FLANK_LIGHT_LEVELS = (
-    8.0  # the least scatter of lightness, levels of 255: light falls off over a wrist's length
-)
+# The least scatter of lightness, levels of 255: light falls off over a wrist's length
+FLANK_LIGHT_LEVELS = 8.0
 FLANK_COLOUR_LEVELS = 3.0  # the least scatter of Lab's a and b: compression leaves as much
 MAX_FLANK_OUTLIERS = 0.05  # with more of a flank so far off, fat or vessels lie beside the wrist
 

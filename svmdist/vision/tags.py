@@ -18,7 +18,7 @@ CELL_SAMPLES = 6  # along a cell: of 47 small tags in photographs 44 are found, 
 CELL_MARGIN = 0.2  # share of a cell at each of its edges that is left out there
 CORNER_WINDOW_CELLS = 0.6  # half the window at a corner: black and white are a cell wide beside an edge
 MIN_EDGE_REACH_PX = 2.0  # the same in px, at least: a rough corner is off by a pixel or two
-EDGE_STEPS = 2  # How often edges are measured anew along the corners that they gave
+EDGE_STEPS = 2  # how often edges are measured anew along the corners that they gave
 
 DEFAULT = TagSettings()
 SAMPLE_PX = 0.25

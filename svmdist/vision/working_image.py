@@ -14,14 +14,12 @@ from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.colour import field_of_view
 
-BORDER_LEVELS = (
-    6.0  # a black border differs from the darkest thing in the image by no more: noise and compression
-)
+# A black border differs from the darkest thing in the image by no more: noise and compression
+BORDER_LEVELS = 6.0
 BORDER_FLOOR_LEVEL = 10.0  # what is darker than this is border, whatever the darkest thing is
 BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haze may lift it
-LEVEL_OFFSET = (
-    8.0  # added to levels before their logarithm is taken: noise of one or two levels must not be a colour
-)
+# Added to levels before their logarithm is taken: noise of one or two levels must not be a colour
+LEVEL_OFFSET = 8.0
 
 Floats = NDArray[np.float32]
 Hint = Callable[[Image], Floats]

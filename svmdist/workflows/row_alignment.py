@@ -19,9 +19,8 @@ from svmdist.vision.frame_context import as_pinholes, to_grey, with_first_fields
 from svmdist.vision.stereo import RowOffset, agreed_offset, rectified_pair, row_differences
 
 ROW_STRIDE = 12  # the steps between these pairs
-MIN_ROW_OFFSET_PX = (
-    0.5  # a smaller offset is left: it does less harm than shifting an image between its pixels
-)
+# A smaller offset is left: it does less harm than shifting an image between its pixels
+MIN_ROW_OFFSET_PX = 0.5
 
 
 def row_offset(recording: Recording, profile: Profile) -> RowOffset | None:

@@ -27,34 +27,29 @@ from svmdist.vision.regions import Region
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
 from svmdist.vision.silhouette import Silhouette, WristPoint
 
-EDGE_REACH_FRACTION = (
-    0.007  # How far sub-pixel edges are searched from the mask's contour, over the image's width
-)
+# How far sub-pixel edges are searched from the mask's contour, over the image's width
+EDGE_REACH_FRACTION = 0.007
 MIN_EDGE_REACH_PX = 4.0  # the least of that reach: a threshold cuts an edge of usual blur within this
 SIDE_TRIM_FRACTION = 0.06  # of a side at each end: corners of the shaft's end and the picture's border
 BLUR_REACH_FRACTION = 0.022  # of the image's width: a tool at 200 mm/s moves so far in 1/60 s
 PENUMBRA_RATIO = 1.6  # of the edges' blurs; beyond, one is a shadow's border: both edges are equally far
 PENUMBRA_BLUR_PX = 1.0  # blur that any edge may have, px: below it the ratio of two blurs is noise
-LINE_INLIER_PX = (
-    0.5  # How far a point of an edge may lie off its line: ten times the least deviation of a point
-)
+# How far a point of an edge may lie off its line: ten times the least deviation of a point
+LINE_INLIER_PX = 0.5
 LINE_INLIER_PER_BLUR = 0.2  # shading over twice the width shifts the steepest point by more
 LINE_INLIER_PER_WIDTH = 0.012  # for a silhouette's edges: near ones are less sharp, and lenses bend them
 SHADING_STD_PX = 0.08  # what shading beside an edge shifts it, in addition to noise: see the error budget
-SHADING_STD_PER_BLUR = 0.05  # How that grows with the edge's blur, for the same reason
+SHADING_STD_PER_BLUR = 0.05  # how that grows with the edge's blur, for the same reason
 OUTLINE_SHADING_STD_PX = 0.15  # where nothing is known of the light: a limb fades or shines
 END_STRIP_FRACTION = 0.25  # of the half width about the middle, where the end's arc has its apex
 END_REACH_HALF_WIDTHS = 0.9  # along the shaft: an arc's apex lies up to one half width before the corners
-MIN_END_STD_PX = (
-    0.3  # the least deviation of the shaft's end: a few points across a rounded end share their error
-)
+# The least deviation of the shaft's end: a few points across a rounded end share their error
+MIN_END_STD_PX = 0.3
 MAX_LOG_RATIO = 0.25  # between radii by circle and area: further apart they are different things
-BORDER_POINTS = (
-    8.0  # points of the border that err independently: it is cut by fork and jaws, each over an eighth
-)
-BORDER_STD_PER_BLUR = (
-    0.1  # what neighbours of other colours within the border's blur shift it, over that blur
-)
+# Points of the border that err independently: it is cut by fork and jaws, each over an eighth
+BORDER_POINTS = 8.0
+# What neighbours of other colours within the border's blur shift it, over that blur
+BORDER_STD_PER_BLUR = 0.1
 CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, over the radius
 
 DEFAULT = DistalMarkerSettings()

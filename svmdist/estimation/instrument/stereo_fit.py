@@ -49,12 +49,11 @@ from svmdist.transforms import Array, inverse, make_transform
 
 MISTAKEN_EDGE = 0.03  # how often a long edge belongs to something else; decides what to leave out
 MISTAKEN_STUB = 0.2  # the same for a stub: one edge in five
-MISTAKEN_RIM = 0.2  # How often the cylinder's end is something else: what lies across the shaft ends it, too
-MISTAKEN_MARKER = (
-    0.05  # How often what has the marker's colour is not the marker. A disc in both views never is
-)
-MISTAKEN_SIZE = 0.1  # How often the marker's size is not that of the whole marker: blood and jaws hide a part
-MISTAKEN_DISPARITY = 0.02  # How often the marker's disparity is wrong
+MISTAKEN_RIM = 0.2  # how often the cylinder's end is something else: what lies across the shaft ends it, too
+# How often what has the marker's colour is not the marker. A disc in both views never is
+MISTAKEN_MARKER = 0.05
+MISTAKEN_SIZE = 0.1  # how often the marker's size is not that of the whole marker: blood and jaws hide a part
+MISTAKEN_DISPARITY = 0.02  # how often the marker's disparity is wrong
 MAX_REFUSED = 4  # parts that may contradict the rest; with more nothing tells which is right
 KEPT_DOUBT_STDS = 2.5  # the same in one frame, of a disparity that is not refused
 

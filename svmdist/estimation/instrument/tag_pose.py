@@ -27,12 +27,10 @@ from svmdist.vision.tags import pose_candidates
 
 WINDOW_MARGIN = 0.2  # around the corners, over the tag's size: 0.075 is needed, more allows for wrong corners
 BLUR_MIN_PX = 0.3  # the sharpest image that is considered: a pixel's own area blurs by 0.29 px
-BLUR_MAX_PX = (
-    6.0  # the most blurred image that is considered. Of a tag 40 px wide no cell would be seen any more
-)
-COARSE_PIXELS = (
-    1500  # How many pixels the search from a first pose looks at; a tag 40 px wide has twice as many
-)
+# The most blurred image that is considered. Of a tag 40 px wide no cell would be seen any more
+BLUR_MAX_PX = 6.0
+# How many pixels the search from a first pose looks at; a tag 40 px wide has twice as many
+COARSE_PIXELS = 1500
 COARSE_STEPS = 16  # steps of the search from each first pose, at most. It takes 4 on a clear image
 COARSELY_SETTLED = 3e-3  # largest part of a last step, in tag sides, rad and px of blur
 COARSE_BOUND = 3.0  # pixels that differ by more standard deviations count singly (Huber)
@@ -41,9 +39,8 @@ SETTLED = 1e-4  # a last step: what is left is 0.3 µm of a tag of 7 mm, a hundr
 OUTLIER_BOUND = 6.0  # tukey's biweight, 95 % efficient on normal errors: glare and blood are outliers
 CLUSTER_INFLATION = 2.2  # pixels that sample a point shift edges along rows: measured on 450 tags of 40 px
 DECIDED_RATIO = 1.15  # of residuals of both poses: above 1.3 in nine of ten of 347 simulated frames
-NEAR_RAD = (
-    0.05  # poses closer than this are one: a tag that is seen head-on has one minimum, with a wide covariance
-)
+# Poses closer than this are one: a tag that is seen head-on has one minimum, with a wide covariance
+NEAR_RAD = 0.05
 SURE_RAD = 0.03  # a predicted rotation so certain tells poses apart even at 10° of tilt
 PREDICTED_WITHIN_RAD = 0.35  # twice 2° about each axis and 1° in each of seven joints
 

@@ -32,9 +32,8 @@ from svmdist.vision.stereo import RectifiedPair
 
 ROW_TOLERANCE_PX = 3.0  # rectified points lie on one row; the marker is cut differently in each view
 MARKER_DISPARITY_STD = 0.012  # over the radius, in one frame: from 3° aside jaws hide other parts of it
-MARKER_DISPARITY_NOISE_PX = (
-    0.05  # noise of the marker's disparity: that of two centroids of some hundred pixels
-)
+# Noise of the marker's disparity: that of two centroids of some hundred pixels
+MARKER_DISPARITY_NOISE_PX = 0.05
 SIZE_TOLERANCE = 0.2  # of the size by depth; a smaller marker is partly hidden, in both views alike
 HIDDEN_DISPARITY_STD = 0.15  # over radius and hidden part: the centroid moves by a quarter more or less
 PART_DISPARITY_STD = 0.04  # over a disc's radius: from 3° aside another part of the region shows
