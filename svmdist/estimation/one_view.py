@@ -97,7 +97,9 @@ def _joint_covariance(robot: RobotState, link: str, R_camera_base: Array, error:
         z, at_m = robot.joint_axes[index]
         turning, sliding = np.concatenate([np.cross(z, tool_m - at_m), z]), np.concatenate([z, np.zeros(3)])
         if row.a_m != 0.0:
-            columns.append(error.length_std_m * np.concatenate([robot.frames[index][:3, 0], np.zeros(3)]))
+            # Along x of its own frame; modified DH moves before it turns, along x of the frame before.
+            x_row = index - 1 if chain.convention == "modified" else index
+            columns.append(error.length_std_m * np.concatenate([robot.frames[x_row][:3, 0], np.zeros(3)]))
         if row.joint == "fixed":
             continue
         is_turning = row.joint == "revolute"

@@ -1,0 +1,197 @@
+"""Calibrations of ROS, OpenCV and Kalibr become the camera that they describe."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from svmdist.camera import stereo_transform
+from svmdist.errors import SourceError
+from svmdist.importing.calibration import (
+    MAX_BYTES,
+    CalibrationOptions,
+    complete,
+    read_calibration,
+    stated_cameras,
+)
+from svmdist.transforms import make_transform, rotation_of
+
+K = [572.2, 0.0, 378.8, 0.0, 571.0, 239.3, 0.0, 0.0, 1.0]
+D = [-0.3, 0.1, 0.001, -0.002, 0.0]
+SIZES = [(640, 480), (640, 480)]
+FRAMES = ("camera", "camera_right")
+
+
+def _write(path: Path, document: object) -> Path:
+    path.write_text(json.dumps(document))  # which is YAML, too
+    return path
+
+
+def test_ros_camera_info(tmp_path: Path) -> None:
+    """`camera_calibration`'s file and an echoed message give the same camera."""
+    P = [560.0, 0.0, 370.0, -2.9, 0.0, 560.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    saved = {
+        "image_width": 640,
+        "image_height": 480,
+        "camera_name": "endoscope",
+        "camera_matrix": {"rows": 3, "cols": 3, "data": K},
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": {"rows": 1, "cols": 5, "data": D},
+        "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel().tolist()},
+        "projection_matrix": {"rows": 3, "cols": 4, "data": P},
+    }
+    echoed = {"height": 480, "width": 640, "distortion_model": "plumb_bob", "D": D, "K": K, "P": P}
+    for document in (saved, echoed):
+        (camera,) = read_calibration(_write(tmp_path / "a.yaml", document))
+        np.testing.assert_allclose(camera.K.ravel(), K)
+        np.testing.assert_allclose(camera.D, D)
+        assert camera.size_px == (640, 480)
+        assert camera.P is not None
+        np.testing.assert_allclose(camera.P.ravel(), P)
+
+
+def test_opencv_file_storage(tmp_path: Path) -> None:
+    """What OpenCV's own FileStorage wrote, with its header and tags, is read."""
+    path = tmp_path / "opencv.yaml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 640)
+    storage.write("image_height", 480)
+    storage.write("camera_matrix", np.reshape(K, (3, 3)))
+    storage.write("distortion_coefficients", np.array([D]))
+    storage.release()
+    written = path.read_text()
+    for header in ("%YAML 1.2", "%YAML:1.0"):  # OpenCV 5's, and that of the versions before
+        path.write_text(header + written[written.index("\n") :])
+        (camera,) = read_calibration(path)
+        np.testing.assert_allclose(camera.K.ravel(), K)
+        np.testing.assert_allclose(camera.D, D)
+        assert camera.size_px == (640, 480)
+        assert camera.model == "plumb_bob"
+
+
+@pytest.mark.parametrize("form", ["opencv", "kalibr"])
+@pytest.mark.parametrize("unit_m", [1.0, 1e-3])
+def test_pair_stands_where_it_says(tmp_path: Path, form: str, unit_m: float) -> None:
+    """R and T of a pair come back from the R and P that a log carries, within 1e-9 m."""
+    R_right_left = rotation_of([0.01, -0.02, 0.005])
+    t_m = np.array([-0.0053, 0.0002, -0.0001])
+    t = (t_m / unit_m).tolist()
+    if form == "opencv":
+        document: dict[str, object] = {
+            "M1": np.reshape(K, (3, 3)).tolist(),
+            "D1": D,
+            "M2": np.reshape(K, (3, 3)).tolist(),
+            "D2": D,
+            "R": R_right_left.tolist(),
+            "T": t,
+        }
+    else:
+        one = {
+            "camera_model": "pinhole",
+            "intrinsics": [K[0], K[4], K[2], K[5]],
+            "distortion_model": "radtan",
+            "distortion_coeffs": D[:4],
+            "resolution": [640, 480],
+        }
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R_right_left, t
+        document = {"cam0": one, "cam1": one | {"T_cn_cnm1": T.tolist()}}
+    path = _write(tmp_path / "pair.yaml", document)
+    stated = stated_cameras(CalibrationOptions((path, None), unit_m=unit_m), 2)
+    left, right = complete(stated, SIZES, FRAMES)
+    T_left_right = stereo_transform(left, right)
+    assert T_left_right is not None
+    expected = np.linalg.inv(make_transform(R_right_left, t_m))
+    np.testing.assert_allclose(T_left_right, expected, atol=1e-9)
+    np.testing.assert_allclose(left.K.ravel(), K)
+
+
+def test_fisheye_of_kalibr(tmp_path: Path) -> None:
+    """Kalibr's equidistant model is a fisheye."""
+    entry = {
+        "camera_model": "pinhole",
+        "intrinsics": [400.0, 401.0, 320.0, 240.0],
+        "distortion_model": "equidistant",
+        "distortion_coeffs": [0.01, 0.02, -0.01, 0.005],
+        "resolution": [640, 480],
+    }
+    (camera,) = read_calibration(_write(tmp_path / "camchain.yaml", {"cam0": entry}))
+    assert camera.model == "fisheye"
+
+
+def test_numbers_with_a_baseline() -> None:
+    """A rectified pair by numbers: the right camera stands one baseline to the right."""
+    numbers = (572.2, 572.2, 378.8, 239.3)
+    stated = stated_cameras(CalibrationOptions(intrinsics=(numbers, None), baseline_m=0.0053), 2)
+    left, right = complete(stated, SIZES, FRAMES)
+    T_left_right = stereo_transform(left, right)
+    assert T_left_right is not None
+    np.testing.assert_allclose(T_left_right, make_transform(np.eye(3), [0.0053, 0.0, 0.0]), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("document", "said"),
+    [
+        ({"colour": 1}, "expected camera_info of ROS"),
+        ([1, 2], "expected a YAML mapping"),
+        ({"camera_matrix": [1.0, 2.0]}, "expected 3 x 3 numbers, found 2"),
+        ({"K": ["a"] * 9}, "expected numbers"),
+        ({"K": [0.0] * 9}, "not calibrated"),
+        ({"K": K, "D": D, "distortion_model": "ftheta"}, "ftheta"),
+        ({"K": K, "D": [0.1, 0.2, 0.3]}, "found 3"),
+        ({"K": K, "image_width": "wide", "image_height": 4}, "found wide"),
+        ({"cam0": {"camera_model": "omni"}}, "only pinhole"),
+        ({"cam0": {"intrinsics": [1.0]}}, "fu, fv, pu, pv"),
+        ({"M1": K, "M2": K}, "where the right camera stands"),
+    ],
+)
+def test_wrong_files(tmp_path: Path, document: object, said: str) -> None:
+    """Each wrong file is one line that names it."""
+    path = _write(tmp_path / "wrong.yaml", document)
+    with pytest.raises(SourceError, match=r"wrong\.yaml") as caught:
+        read_calibration(path)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("- 1\n", "found list"),
+        ("a: &a [1, 1]\nb: [*a, *a]\n", "not a YAML file: an alias"),
+        ("K: !!python/object/apply:os.system ['true']\n", "not a YAML file"),
+        ("K: [1, 2\n", "not a YAML file"),
+        ("\0", "not a YAML file"),
+        ("#" * (MAX_BYTES + 1), "the limit"),
+    ],
+    ids=["list", "alias", "object", "broken", "NUL", "large"],
+)
+def test_hostile_yaml(tmp_path: Path, text: str, said: str) -> None:
+    """Aliases, objects of Python, broken text and large files are refused in one line."""
+    path = tmp_path / "bomb.yaml"
+    path.write_text(text)
+    with pytest.raises(SourceError, match=rf"bomb\.yaml: .*{said}") as caught:
+        read_calibration(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("t_m", "said"), [([0.0053, 0.0, 0.0], "to the left of the left one"), ([-5.3, 0.0, 0.0], "--unit mm")]
+)
+def test_implausible_pairs(tmp_path: Path, t_m: list[float], said: str) -> None:
+    """Exchanged views and lengths in mm are told."""
+    document = {"M1": K, "M2": K, "R": np.eye(3).tolist(), "T": t_m}
+    stated = stated_cameras(CalibrationOptions((_write(tmp_path / "pair.yaml", document), None)), 2)
+    with pytest.raises(SourceError, match=said):
+        complete(stated, SIZES, FRAMES)
+
+
+def test_other_size(tmp_path: Path) -> None:
+    """A calibration of another size than the images' is refused with both sizes."""
+    path = _write(tmp_path / "a.yaml", {"K": K, "width": 1280, "height": 720})
+    with pytest.raises(SourceError, match="1280x720 px, the images have 640x480 px"):
+        complete(stated_cameras(CalibrationOptions((path, None)), 1), SIZES[:1], FRAMES[:1])
