@@ -121,7 +121,7 @@ class View:
         from svmdist.vision.tags import tag_plate
 
         profile, masks, corners_px = self._arm.profile, self.masks, self.tag_corners_px
-        rule, _settings = profile.segmentation.shaft, self._settings.shaft
+        rule = profile.segmentation.shaft
         if rule is None or masks.shaft is None:
             return None
         covered = None if corners_px is None else tag_plate(corners_px, masks.shaft.shape, self._settings.tag)
@@ -224,7 +224,7 @@ class Frame:
         """The tag's pose near a predicted rotation, shape (3, 3), of a standard deviation in rad."""
         from svmdist.estimation.instrument.tag_pose import find_tag_pose
 
-        left, pattern, _settings = self.left, self.arm.tag_pattern, self.arm.profile.settings.tag
+        left, pattern = self.left, self.arm.tag_pattern
         corners_px = left.tag_corners_px
         if corners_px is None or pattern is None:
             return None

@@ -63,11 +63,7 @@ def measurements(frame: Frame, robot: RobotState, predicted: ToolPose) -> list[L
 def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
     """The distal marker's centre is a point on the tool, as certain as its region is whole; and its disparity."""
     profile, region, camera = frame.arm.profile, frame.left.region, frame.left.camera
-    _settings, _stereo, instrument = (
-        profile.settings.distal_marker,
-        profile.settings.stereo,
-        profile.instrument,
-    )
+    instrument = profile.instrument
     radius_m = instrument.knuckle_radius_m if instrument is not None else 0.0
     if region is None:
         return
@@ -199,7 +195,7 @@ def _centroid_std_px(camera: Camera, region: Region, predicted: ToolPose, radius
 
 def _size(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
     """The whole marker's radius: a depth right within some percent, where nothing better tells one yet."""
-    _settings, instrument = frame.arm.profile.settings.distal_marker, frame.arm.profile.instrument
+    instrument = frame.arm.profile.instrument
     depth_std_m = np.sqrt(predicted.covariance[2, 2])
     if instrument is None or depth_std_m < MIN_RELATIVE_DEPTH_STD * predicted.position_m[2]:
         return

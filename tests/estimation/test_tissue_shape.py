@@ -10,7 +10,7 @@ from svmdist.estimation.dome import SMOOTH_FRACTION, DomeModel, fit_dome
 from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import TissuePose, tissue_frame
 from svmdist.estimation.tissue_tracking import DEFAULT as TRACKING
-from svmdist.estimation.tissue_tracking import TissueTracker
+from svmdist.estimation.tissue_tracking import SHAPE_COUNT, TissueTracker
 from svmdist.geometry.separation import separation
 from svmdist.geometry.surfaces import Capsules, Mesh, Plane
 from svmdist.profile import Dome
@@ -126,7 +126,7 @@ def test_shape_is_remembered_until_the_tissue_moves() -> None:
     tracker = TissueTracker()
     seen = DOME.shaped(np.array([2e-3, 0.0, 8.2e-3, 2.2, 0.6]), 0.1 * DOME.covariance)
     fix = TissuePose(ORIGIN_M, 1e-10 * np.eye(3), DOME.mesh(), 0.0, DOME)
-    for _ in range(TRACKING.shape_count):
+    for _ in range(SHAPE_COUNT):
         assert tracker.wants_shape
         known = tracker.add(fix)
         tracker.add_shape(seen)
