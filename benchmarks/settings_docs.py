@@ -11,7 +11,8 @@ import textwrap
 from itertools import pairwise
 from pathlib import Path
 
-from svmdist.profile.settings import MethodSettings, Settings
+from svmdist.profile.settings import Settings
+from svmdist.profile.toml import StrictModel
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "settings.md"
 HEAD = """# Settings
@@ -36,7 +37,7 @@ def settings_page() -> str:
     return "\n".join([HEAD, *(_group(name, getattr(groups, name)) for name in Settings.model_fields)])
 
 
-def meanings(group: type[MethodSettings]) -> dict[str, str]:
+def meanings(group: type[StrictModel]) -> dict[str, str]:
     """The docstring below each field of a group, read from the source: programs that run have no need of them."""
     (definition,) = ast.parse(textwrap.dedent(inspect.getsource(group))).body
     assert isinstance(definition, ast.ClassDef)
@@ -48,7 +49,7 @@ def meanings(group: type[MethodSettings]) -> dict[str, str]:
     return found
 
 
-def _group(name: str, group: MethodSettings) -> str:
+def _group(name: str, group: StrictModel) -> str:
     lines = [f"## `[settings.{name}]`\n", f"{_sentence(type(group).__doc__ or '')}\n"]
     told = meanings(type(group))
     lines += ["| setting | default | bounds | meaning |", "|---|---|---|---|"]

@@ -82,13 +82,14 @@ def test_outliers_are_left_out() -> None:
 
 
 @pytest.mark.parametrize("shared", [0, 2])
-def test_errors_are_within_the_stated_ellipsoid(shared: int) -> None:
+def test_errors_are_within_the_stated_ellipsoid(shared: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Over 100 draws, noise and errors that all frames share leave 90 % or more in the 95 % ellipsoid."""
     rng = np.random.default_rng(4)
-    settings = HandEyeSettings(position_floor_m=1e-9, trials=20)
+    monkeypatch.setattr("svmdist.estimation.hand_eye.POSITION_FLOOR_M", 1e-9)
+    monkeypatch.setattr("svmdist.estimation.hand_eye.TRIALS", 20)
     distances = []
     for _ in range(100):
-        fit = _fitted(_places(rng, 40, 5e-4, shared), settings)
+        fit = _fitted(_places(rng, 40, 5e-4, shared))
         error = _error(fit)
         distances.append(error @ np.linalg.solve(fit.covariance, error))
     inside = np.mean(np.array(distances) < 12.6)  # chi square of 6 degrees of freedom, 95 %

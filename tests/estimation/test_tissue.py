@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from svmdist.camera import Camera
-from svmdist.estimation.dome import DomeModel, fit_dome
+from svmdist.estimation.dome import SMOOTH_FRACTION, DomeModel, fit_dome
 from svmdist.estimation.frame import Frame, frame_of
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.scene import Arm
@@ -23,7 +23,6 @@ from svmdist.geometry.separation import separation
 from svmdist.geometry.surfaces import Capsules
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import DEFAULT_PROFILE, Dome, Profile, load_profile, profile_path
-from svmdist.profile.settings import StereoSettings
 from svmdist.recording.log import open_recording
 from svmdist.samples import Image, Observation
 from svmdist.simulation.scene import Scene, make_scene
@@ -179,7 +178,7 @@ def test_fitted_shapes_are_as_sure_as_they_say() -> None:
     squares = []
     for _ in range(60):
         truth = DOME.shaped(rng.multivariate_normal(DOME.shape, DOME.covariance), DOME.covariance)
-        error_m = smooth @ rng.normal(0.0, StereoSettings().smooth_fraction * 3.6e-4, basis.shape[1])
+        error_m = smooth @ rng.normal(0.0, SMOOTH_FRACTION * 3.6e-4, basis.shape[1])
         found = fit_dome(DOME, cloud(truth, error_m, flat_m))
         assert found is not None
         off = found.shape - truth.shape
