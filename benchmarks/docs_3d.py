@@ -9,14 +9,13 @@ import numpy as np
 
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.methods import SPATIAL_METHODS
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
+from svmdist.workflows.compare import Figures, Run, measure_runs, pooled_figures
 from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.runs import Figures, Run, measure_runs, pooled_figures
-from svmdist.workflows.scoring.distances import Distance, DistanceScore, Readings, score_pairs
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.request import prepare
+from svmdist.workflows.scoring.score import Distance, DistanceScore, Readings, Score, score_pairs
 from svmdist.workflows.scoring.truth import Reference, TruthRules
-from svmdist.workflows.setup import prepare
 from svmdist.workflows.validate import Validation, validate
 
 RECORDINGS = Path(__file__).resolve().parent.parent / "recordings"

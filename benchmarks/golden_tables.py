@@ -21,11 +21,11 @@ from benchmarks.docs_3d import (
     table_of_all,
 )
 from benchmarks.pictures import IMAGES, PICTURES, make_picture
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.workflows.blur_bench import blur_bench
+from svmdist.workflows.request import Setup, prepare
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference
-from svmdist.workflows.setup import Setup, prepare
 from svmdist.workflows.validate import Validation, validate
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -23,9 +23,8 @@ from benchmarks.masked_sets import SETS, MaskedImage
 from benchmarks.overlap import iou
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.vision.segmentation.auto import AutoSegmenter
-from svmdist.vision.segmentation.network import OnnxSegmenter
-from svmdist.vision.segmentation.segmenter import Segmenter
+from svmdist.vision.network import OnnxSegmenter
+from svmdist.vision.segmentation import AutoSegmenter, Segmenter
 from training.dataset import VALIDATION_SEED
 from training.instruments import DISTAL
 from training.layout import network_rules

@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from svmdist.perturbations.chosen import parse_perturbations
-from svmdist.recording.reader import Recording, open_recording
-from svmdist.workflows.compare import group_of
+from svmdist.recording.log import Recording, open_recording
+from svmdist.workflows.compare import Run, group_of, measure_runs
 from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
-from svmdist.workflows.runs import Run, measure_runs
-from svmdist.workflows.scoring.distances import Pairs, pooled
-from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.request import Setup, prepare
+from svmdist.workflows.scoring.score import Pairs, pooled
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "robustness.md"
 METHODS = ("fiducial", "shaft", "stereo", "fused")

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from svmdist.transforms import Array
-from svmdist.vision.tag.detection import FoundTag, find_every_tag
+from svmdist.vision.tags import FoundTag, find_every_tag
 
 PIXEL_CORNER = 0.5
 NUMBER = re.compile(r"-?\d+\.\d+")

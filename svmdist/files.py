@@ -1,4 +1,4 @@
-"""Atomic writes: an output file gets its name when it is complete, and never before.
+"""Output files, written atomically: an output file gets its name when it is complete, and never before.
 
 A file is written beside its place, as `.NAME.PID.part`, and locked meanwhile. What a killed process left there is
 removed by the next one that writes the same file: its lock went with it.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import codecs
 import errno
+import glob
 import os
 import shutil
 import sys
@@ -24,35 +25,31 @@ if sys.platform != "win32":
 MAX_NAME_BYTES = 255
 """Of one name in a folder, on nearly every file system."""
 NO_LOCKS = frozenset({errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL})
-"""What a file system says that knows no locks."""
-ASCII = str.maketrans(
-    {
-        "─": "-",
-        "–": "-",
-        "—": "-",
-        "−": "-",
+"""Errors of a file system that knows no locks."""
+ASCII = str.maketrans("─–—−µ×’“”\N{REPLACEMENT CHARACTER}", '----ux\'""?') | {
+    ord(character): text
+    for character, text in {
         "…": "...",
         "±": "+-",
         "°": " deg",
         "²": "2",
         "³": "3",
-        "µ": "u",
-        "×": "x",
-    }
-    | {"≥": ">=", "≤": "<=", "→": "->", "’": "'", "“": '"', "”": '"', "\N{REPLACEMENT CHARACTER}": "?"}
-)
+        "≥": ">=",
+        "≤": "<=",
+        "→": "->",
+    }.items()
+}
 
 
 def _fall_back(problem: UnicodeError) -> tuple[str | bytes, int]:
-    """What stands for characters that an encoding does not have: their likes in ASCII, else question marks."""
+    """Replace characters that an encoding does not have by similar ones in ASCII, else by question marks."""
     if not isinstance(problem, UnicodeEncodeError):
         raise problem
     lost = problem.object[problem.start : problem.end]
     # A surrogate is a byte of a file's name that is not UTF-8; UTF-8 has a character for what cannot be read.
     if problem.encoding.lower().replace("_", "-") in {"utf-8", "utf8"}:
         return "\N{REPLACEMENT CHARACTER}".encode() * len(lost), problem.end
-    plain = lost.translate(ASCII)
-    return "".join(character if character.isascii() else "?" for character in plain), problem.end
+    return "".join(c if c.isascii() else "?" for c in lost.translate(ASCII)), problem.end
 
 
 FALLBACK = "svmdist.fallback"
@@ -79,16 +76,18 @@ def atomic_file(path: Path) -> Iterator[Path]:
             return
         if len(os.fsencode(target.name)) > MAX_NAME_BYTES:
             raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
-        _remove_stale(target)
-        beside = _beside(target, str(os.getpid()))
-        with locked_file(beside, "wb"):
-            try:
-                yield beside
-                if target.exists():
-                    shutil.copymode(target, beside)
-                beside.replace(target)
-            finally:
-                beside.unlink(missing_ok=True)
+        name = os.fsdecode(os.fsencode(target.name)[: MAX_NAME_BYTES - len("..4194304.part")])
+        remove_stale(target.parent, f".{glob.escape(name)}.[0-9]*.part")
+        beside = target.with_name(f".{name}.{os.getpid()}.part")
+        number = lock(beside, "wb")
+        try:
+            yield beside
+            if target.exists():
+                shutil.copymode(target, beside)
+            beside.replace(target)
+        finally:
+            beside.unlink(missing_ok=True)
+            os.close(number)
     except OSError as problem:
         raise OutputError(f"{path}: cannot write: {why(problem)}") from None
 
@@ -102,112 +101,67 @@ def write_atomically(path: Path, lines: Iterable[str]) -> None:
         file.writelines(lines)
 
 
+def remove_stale(folder: Path, pattern: str) -> None:
+    """Remove temporary files that killed processes left in a folder: those that are locked by nobody."""
+    with suppress(OSError):
+        for path in folder.glob(pattern):
+            if not path.is_symlink() and _try_lock_path(path):
+                path.unlink(missing_ok=True)
+
+
 class BusyError(OSError):
     """Another process holds the file."""
 
 
-@contextmanager
-def locked_file(path: Path, mode: str) -> Iterator[int]:
-    """Create or open a file and lock it; give its descriptor. The lock ends with the block, or with the process.
+def lock(path: Path, mode: str) -> int:
+    """Create or open a file and lock it; give its descriptor. The lock ends when that is closed, or the process ends.
 
-    `mode` is "xb" for a file that must be new, or "wb" for one that may be there, which is emptied once it is locked.
+    `mode` is "xb" for a file that must be new, or "wb" for one that may exist, which is emptied once it is locked.
     Raises BusyError where another process has it. Where the system knows no locks, the file is opened all the same.
     """
-    number = lock(path, mode)
-    try:
-        yield number
-    finally:
-        with suppress(OSError):
-            os.close(number)
-
-
-def lock(path: Path, mode: str) -> int:
-    """Do what `locked_file` does, for a caller that closes the descriptor itself."""
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
     flags |= os.O_EXCL if mode == "xb" else 0
     while True:
         number = os.open(path, flags, 0o666)
         try:
-            is_ours = _try_lock(number)
-            if is_ours and _is_at(path, number):
-                os.ftruncate(number, 0)
-                return number
+            if _try_lock(number) is False:
+                raise BusyError(errno.EBUSY, "another process is writing it")
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.stat(path), os.fstat(number)):
+                    os.ftruncate(number, 0)
+                    return number
         except BaseException:
             os.close(number)
             raise
-        os.close(number)
-        if not is_ours:
-            raise BusyError(errno.EBUSY, "another process is writing it")
-        # Between opening and locking, its owner gave it its final name, or removed it: there is a new one to make.
+        os.close(number)  # its owner renamed or removed it between opening and locking: make a new one
 
 
 def is_held(path: Path) -> bool:
     """Whether another process holds the lock of a file; false where there is no such file."""
+    return _try_lock_path(path) is False
+
+
+def _try_lock_path(path: Path) -> bool | None:
     try:
-        number = os.open(path, os.O_RDWR)
+        number = os.open(path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0))
     except OSError:
-        return False
+        return None
     try:
-        return not _try_lock(number)
+        return _try_lock(number)
     finally:
         os.close(number)
 
 
-def _try_lock(number: int) -> bool:
-    """Whether the lock of an open file is ours now; true, too, where there are no locks."""
+def _try_lock(number: int) -> bool | None:
+    """Lock an open file: true on success, false where another process has it, None where there are no locks."""
     if sys.platform == "win32":
-        return True
+        return None
     try:
         fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as problem:
         if problem.errno in NO_LOCKS:
-            return True
+            return None
         if problem.errno in {errno.EWOULDBLOCK, errno.EACCES}:
             return False
         raise
     return True
-
-
-def _is_at(path: Path, number: int) -> bool:
-    """Whether a path still leads to an open file."""
-    try:
-        there, open_one = os.stat(path), os.fstat(number)
-    except FileNotFoundError:
-        return False
-    return (there.st_dev, there.st_ino) == (open_one.st_dev, open_one.st_ino)
-
-
-def _beside(target: Path, process: str) -> Path:
-    """The temporary file of a process; of a long name only as much as still fits into one."""
-    room = MAX_NAME_BYTES - len(f"..{process}.part")
-    name = os.fsdecode(os.fsencode(target.name)[:room])
-    return target.with_name(f".{name}.{process}.part")
-
-
-def _remove_stale(target: Path) -> None:
-    """Remove what killed processes left beside a file: temporary files that nobody holds the lock of."""
-    if sys.platform == "win32":
-        return
-    for process in _processes_beside(target):
-        beside = _beside(target, process)
-        if beside.is_symlink():
-            continue
-        with suppress(OSError):
-            number = os.open(beside, os.O_RDWR | os.O_NONBLOCK)
-            try:
-                fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if _is_at(beside, number):
-                    beside.unlink()
-            finally:
-                os.close(number)
-
-
-def _processes_beside(target: Path) -> list[str]:
-    """Numbers of the processes whose temporary files of a target are in its folder."""
-    found = []
-    with suppress(OSError), os.scandir(target.parent) as entries:
-        for entry in entries:
-            process = entry.name.removesuffix(".part").rpartition(".")[2]
-            if process.isascii() and process.isdigit() and entry.name == _beside(target, process).name:
-                found.append(process)
-    return found

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from functools import reduce
+from operator import add
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from svmdist.tracks import Mask
 from svmdist.transforms import Array
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A bootstrap interval: its bounds and its level."""
+    """The bounds of a 95 % bootstrap interval."""
 
     low: float
     high: float
-    level: float = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,22 +44,21 @@ class ErrorStatistics:
 
 
 def r_squared(estimate: ArrayLike, truth: ArrayLike) -> float | None:
-    """R² of eq. (36) as a fraction: 1 - SS_res / SS_tot against the identity line.
+    """R² of eq. (36) as a fraction: 1 - SS_res / SS_tot against the identity line; can be negative.
 
-    It can be negative, and it grows with the range of motion alone: it never stands without RMSE and
-    the truth's standard deviation. None where the truth does not vary.
+    It grows with the range of motion alone: it never stands without RMSE and the truth's standard deviation. None
+    where the truth does not vary.
     """
     f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
-    total = float(np.sum((y - y.mean()) ** 2)) if len(y) else 0.0
-    if len(y) < 2 or not _varies(y):
+    if not _varies(y):
         return None
-    return 1.0 - float(np.sum((f - y) ** 2)) / total
+    return 1.0 - float(np.sum((f - y) ** 2)) / float(np.sum((y - y.mean()) ** 2))
 
 
 def pearson_r(estimate: ArrayLike, truth: ArrayLike) -> float | None:
     """Pearson's correlation; None where either side does not vary."""
     f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
-    if len(y) < 2 or not _varies(y) or not _varies(f):
+    if not (_varies(y) and _varies(f)):
         return None
     f, y = f - f.mean(), y - y.mean()
     return float(np.clip(np.sum(f * y) / np.sqrt(np.sum(f * f) * np.sum(y * y)), -1.0, 1.0))
@@ -87,19 +88,13 @@ def error_statistics(estimate: ArrayLike, truth: ArrayLike) -> ErrorStatistics |
 
 
 def bootstrap_intervals(
-    estimate: ArrayLike,
-    truth: ArrayLike,
-    seed: int,
-    resamples: int = 1000,
-    level: float = 0.95,
-    block: int | None = None,
+    estimate: ArrayLike, truth: ArrayLike, seed: int, resamples: int = 1000, block: int | None = None
 ) -> tuple[Interval | None, Interval | None]:
     """Percentile intervals of RMSE and of R² by a moving-block bootstrap (Künsch 1989).
 
-    Neighbouring frames of a video err alike; drawing them one by one would promise too narrow an
-    interval, so whole blocks are drawn, of length n^(1/3) rounded up unless given. None where there are
-    fewer than eight pairs; the R² interval is None where R² is undefined, for the pairs or for every
-    resample.
+    Errors of neighbouring frames are correlated, so that drawing single frames gives too narrow an interval: whole
+    blocks are drawn, of length n^(1/3) rounded up unless given. None for fewer than eight pairs; the R² interval is
+    None where R² is undefined, for the pairs or for every resample.
     """
     f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
     n = len(f)
@@ -111,13 +106,13 @@ def bootstrap_intervals(
     index = (starts[:, :, None] + np.arange(block)).reshape(resamples, -1)[:, :n]
     errors, truths = (f - y)[index], y[index]
     squares = np.sum(errors**2, axis=1)
-    rmse = _interval(np.sqrt(squares / n), level)
+    rmse = _interval(np.sqrt(squares / n))
     if not _varies(y):
         return rmse, None
     totals = np.sum((truths - truths.mean(1, keepdims=True)) ** 2, axis=1)
     usable = totals > 1e-12 * float(np.sum((y - y.mean()) ** 2))
     r2 = 1.0 - squares[usable] / totals[usable]
-    return rmse, _interval(r2, level) if len(r2) else None
+    return rmse, _interval(r2) if len(r2) else None
 
 
 def interval_coverage(
@@ -125,8 +120,7 @@ def interval_coverage(
 ) -> float | None:
     """Share of truths inside the normal interval estimate ± z std of a level; None for no pairs.
 
-    An honest 95 % interval holds 95 % of the truths: fewer, and the deviation is too small; all of them,
-    and it says nothing.
+    It should equal the level: below it the deviations are too small, above it too large.
     """
     f, y, s = (np.asarray(values, np.float64) for values in (estimate, truth, std))
     if len(f) == 0:
@@ -144,27 +138,24 @@ def coverage(measured: int, frames: int) -> float:
     return measured / frames if frames else 0.0
 
 
-def _interval(values: Array, level: float) -> Interval:
-    low, high = np.percentile(values, [50.0 * (1.0 - level), 50.0 * (1.0 + level)])
-    return Interval(float(low), float(high), level)
+def _interval(values: Array) -> Interval:
+    low, high = np.percentile(values, [2.5, 97.5])
+    return Interval(float(low), float(high))
 
 
 def _varies(values: Array) -> bool:
-    """Whether values differ by more than rounding."""
-    return bool(np.ptp(values) > 1e-12 * max(1.0, float(np.abs(values).max())))
-
-
-Mask = NDArray[np.bool_]
+    """Whether values, at least two, differ by more than rounding."""
+    return len(values) > 1 and bool(np.ptp(values) > 1e-12 * max(1.0, float(np.abs(values).max())))
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmStatistics:
-    """How alarms fare against truth: counts, and figures that are None where nothing could show them.
+    """Counts of alarms against truth, and figures of them, which are None where they are undefined.
 
     A frame is unsafe where its true clearance is below the threshold. `unjudged_count` of the frames had no
-    clearance to judge, so that no alarm was raised. `lead_times_s` holds, for each time the truth falls below
-    the threshold, how long before it the alarm was raised without a break, over safe frames; negative where it
-    came late, and nothing for one that was missed.
+    clearance, so that no alarm was raised. `lead_times_s` holds, for each time the truth falls below the threshold,
+    how long before it the alarm was raised without a break, over safe frames; negative where it came late, and
+    nothing for one that was missed.
     """
 
     frame_count: int
@@ -195,7 +186,7 @@ class AlarmStatistics:
     @property
     def false_alarms_per_minute(self) -> float | None:
         """Stretches of alarmed frames without any unsafe frame, per minute of recording."""
-        return self.false_alarm_episode_count * 60.0 / self.duration_s if self.duration_s > 0.0 else None
+        return _share(self.false_alarm_episode_count * 60.0, self.duration_s)
 
     @property
     def missed_event_count(self) -> int:
@@ -222,31 +213,26 @@ def alarm_statistics(
 ) -> AlarmStatistics:
     """Score alarms, bool of shape (n,) at sorted stamps in s, against the true clearance in m, shape (n,).
 
-    `judged`, bool of shape (n,), says which frames had a clearance to judge; all where None.
-
-    A false alarm is an unbroken stretch of alarmed frames none of which is unsafe: an alarm that leads into an
-    unsafe stretch is a timely one, although its safe frames count as alarmed ones. An event is an unbroken
-    stretch of unsafe frames that begins inside the recording.
+    `judged`, bool of shape (n,), says which frames had a clearance estimate; all where None. A false alarm is an
+    unbroken stretch of alarmed frames none of which is unsafe: an alarm that leads into an unsafe stretch is a timely
+    one, although its safe frames count as alarmed ones. An event is an unbroken stretch of unsafe frames that begins
+    inside the recording.
     """
-    t, a, c = (
-        np.asarray(stamps_s, np.float64),
-        np.asarray(alarms, np.bool_),
-        np.asarray(clearance_m, np.float64),
-    )
+    t, c = np.asarray(stamps_s, np.float64), np.asarray(clearance_m, np.float64)
+    a = np.asarray(alarms, np.bool_)
     known = np.ones(a.shape, np.bool_) if judged is None else np.asarray(judged, np.bool_)
     if not t.shape == a.shape == c.shape == known.shape or t.ndim != 1:
         raise ValueError(
             f"expected arrays of the same shape (n,), found {t.shape}, {a.shape}, {c.shape} and {known.shape}"
         )
     unsafe = c < below_m
-    false = a & ~unsafe
     events = [index for index in range(1, len(t)) if unsafe[index] and not unsafe[index - 1]]
     leads = [_lead_time_s(t, a, unsafe, event) for event in events]
     return AlarmStatistics(
         frame_count=len(t),
         unsafe_count=int(np.count_nonzero(unsafe)),
         true_alarm_count=int(np.count_nonzero(a & unsafe)),
-        false_alarm_count=int(np.count_nonzero(false)),
+        false_alarm_count=int(np.count_nonzero(a & ~unsafe)),
         unjudged_count=int(np.count_nonzero(~known)),
         false_alarm_episode_count=_false_episode_count(a, unsafe),
         duration_s=float(t[-1] - t[0]) if len(t) else 0.0,
@@ -255,22 +241,16 @@ def alarm_statistics(
     )
 
 
+NO_ALARMS = AlarmStatistics(0, 0, 0, 0, 0, 0, 0.0, 0, ())
+
+
 def pooled_alarms(parts: Sequence[AlarmStatistics]) -> AlarmStatistics:
     """The statistics of several recordings together: counts and durations add up."""
-    return AlarmStatistics(
-        frame_count=sum(part.frame_count for part in parts),
-        unsafe_count=sum(part.unsafe_count for part in parts),
-        true_alarm_count=sum(part.true_alarm_count for part in parts),
-        false_alarm_count=sum(part.false_alarm_count for part in parts),
-        unjudged_count=sum(part.unjudged_count for part in parts),
-        false_alarm_episode_count=sum(part.false_alarm_episode_count for part in parts),
-        duration_s=sum(part.duration_s for part in parts),
-        event_count=sum(part.event_count for part in parts),
-        lead_times_s=tuple(lead for part in parts for lead in part.lead_times_s),
-    )
+    columns = zip(*(astuple(part) for part in (NO_ALARMS, *parts)), strict=True)
+    return AlarmStatistics(*(reduce(add, column) for column in columns))
 
 
-def _share(count: int, of: int) -> float | None:
+def _share(count: float, of: float) -> float | None:
     return count / of if of else None
 
 
@@ -288,9 +268,6 @@ def _lead_time_s(t: Array, alarms: Mask, unsafe: Mask, event: int) -> float | No
         while first > 0 and alarms[first - 1] and not unsafe[first - 1]:
             first -= 1
         return float(t[event] - t[first])
-    for index in range(event, len(t)):
-        if not unsafe[index]:
-            return None
-        if alarms[index]:
-            return float(t[event] - t[index])
-    return None
+    end = event + int(np.argmin(np.append(unsafe[event:], False)))
+    late = event + np.flatnonzero(alarms[event:end])
+    return float(t[event] - t[late[0]]) if len(late) else None

@@ -42,9 +42,9 @@ def synthetic_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def synthetic_calibration(synthetic_log: Path) -> Path:
     """A calibration fitted on the synthetic log."""
-    from svmdist.estimation.planar.calibration import save_calibration
+    from svmdist.estimation.plane_mapping import save_calibration
     from svmdist.profile import load_profile
-    from svmdist.recording.reader import open_recording
+    from svmdist.recording.log import open_recording
     from svmdist.workflows.calibrate import calibrate
 
     profile = load_profile()

@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from svmdist.profile import Limits, load_profile
+from svmdist.recording.encode import EncodedSample
+from svmdist.recording.log import open_recording
 from svmdist.recording.messages.checks import EncodedImage, RawTransforms
 from svmdist.recording.messages.decoding import Decoder
-from svmdist.recording.messages.encoding import EncodedSample
-from svmdist.recording.reader import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import ImageSample, JointSample, PoseSample, Sample, TransformsSample
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from svmdist.estimation.arm import Arm
 from svmdist.estimation.frame import frame_of
 from svmdist.estimation.methods import make_estimator
-from svmdist.estimation.planar.equations import PlaneMapping
+from svmdist.estimation.plane_mapping import PlaneMapping
+from svmdist.estimation.scene import Arm
 from svmdist.profile import Profile
 from svmdist.results import FrameResult, as_vector
 from svmdist.samples import Observation
-from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.vision.segmentation import make_segmenter
 
 
 class Measuring:

@@ -15,7 +15,7 @@ from mcap.writer import Writer
 
 from svmdist.camera import Camera
 from svmdist.profile import load_profile, profile_path
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Image
 from tests.conftest import REPOSITORY
 

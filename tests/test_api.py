@@ -15,12 +15,11 @@ import pytest
 import svmdist
 from svmdist.api import Estimates
 from svmdist.errors import SvmdistError
-from svmdist.estimation.arm import Arm
 from svmdist.estimation.frame import Frame, frame_of
+from svmdist.estimation.scene import Arm
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Observation, RightView, Status
-from svmdist.workflows.own_method import OwnEstimator, name_of
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import OwnEstimator, name_of, prepare
 from tests.cli.conftest import Cli, cli
 
 __all__ = ["cli"]

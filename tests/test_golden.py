@@ -12,9 +12,9 @@ import pytest
 
 import svmdist
 from svmdist.estimation.lag import estimate_lag
-from svmdist.estimation.planar.calibration import load_calibration
+from svmdist.estimation.plane_mapping import load_calibration
 from svmdist.profile import load_profile, profile_path
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.workflows.calibrate import calibrate
 from svmdist.workflows.lag import predictor
 from svmdist.workflows.scoring.baseline import find_regressions, load_baseline

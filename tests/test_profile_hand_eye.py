@@ -121,7 +121,7 @@ def test_a_profile_states_its_own_deviations(profile: Profile, hand_eye: HandEye
 
 def test_names_cover_what_chains_have(profile: Profile) -> None:
     """Every constant of the error state is one that a profile states."""
-    from svmdist.estimation.filter.error_model import ErrorModel
+    from svmdist.estimation.instrument.error_model import ErrorModel
     from svmdist.kinematics.dh import chain_of
 
     assert profile.robot is not None

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from benchmarks.overlap import union_ious
-from svmdist.vision.segmentation.network import network_input
+from svmdist.vision.network import network_input
 from training.dataset import VALIDATION_SEED, Pictures, rendered
 from training.layout import network_rules
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.estimation.hand_eye import rigid_fit
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.report.panels import Canvas
 from svmdist.results import FrameResult
 from svmdist.samples import ImageSample

@@ -8,7 +8,7 @@ from pathlib import Path
 from svmdist.errors import SvmdistError
 from svmdist.profile import Profile, load_profile
 from svmdist.profile.hand_eye import save_hand_eye
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.report.info import hand_eye_file
 from svmdist.report.profile_template import profile_lines
 from svmdist.results import Failure, FrameResult
@@ -16,7 +16,7 @@ from svmdist.workflows.estimate import estimate
 from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
 from svmdist.workflows.import_log import ImportOptions, import_log
 from svmdist.workflows.new_profile import draft_profile
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 
 
 def make_log(options: ImportOptions, path: Path) -> Path:

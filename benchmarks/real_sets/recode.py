@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.real_sets.figures import SetFigures, draw_overlays, measured, number
 from benchmarks.real_sets.making import make_log, make_profile, run
 from svmdist.importing.calibration import CalibrationOptions
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.workflows.import_log import ImportOptions, ViewOptions
 
 NAME, KEY, REPOSITORY = "ReCoDE", "recode", "ImperialCollegeLondon/ReCoDE-HandEyeCalibration"

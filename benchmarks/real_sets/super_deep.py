@@ -15,7 +15,7 @@ from benchmarks.real_sets.figures import SetFigures, draw_overlays, measured, nu
 from benchmarks.real_sets.making import make_log, make_profile, run
 from svmdist.importing.calibration import CalibrationOptions
 from svmdist.importing.images import list_images
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.transforms import Array
 from svmdist.workflows.import_log import ImportOptions, ViewOptions
 

@@ -29,8 +29,8 @@ from svmdist.estimation.hand_eye import rigid_fit
 from svmdist.importing.calibration import CalibrationOptions
 from svmdist.kinematics.dh import DHChain, chain_of, forward_kinematics
 from svmdist.profile import Limits, load_profile
-from svmdist.recording.reader import open_recording
-from svmdist.recording.stills import decode_file
+from svmdist.recording.images import decode_file
+from svmdist.recording.log import open_recording
 from svmdist.transforms import (
     Array,
     quaternion_xyzw_from_rotation,

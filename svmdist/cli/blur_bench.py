@@ -44,10 +44,10 @@ from svmdist.cli.recordings import (
 from svmdist.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
-    from svmdist.recording.reader import Recording
-    from svmdist.vision.blur import Blur
+    from svmdist.recording.log import Recording
+    from svmdist.vision.degradations import Blur
     from svmdist.workflows.blur_bench import BlurTally
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
 
 KernelOption = Annotated[
     list[str] | None,
@@ -92,7 +92,7 @@ def blur_bench_command(
     This reproduces Table I of the paper. With --grid it gives the error and coverage of one method under every
     degradation and severity. Without FILE, every log in recordings/ is measured.
     """
-    from svmdist.workflows.setup import prepare
+    from svmdist.workflows.request import prepare
 
     logs = logs_or_golden(files)
     require_output(output, local_logs(logs))
@@ -151,7 +151,7 @@ def _table_one(
     recordings: list[Recording], setup: Setup, kernels_px: Mapping[Blur, int], jobs: int | None
 ) -> Summary:
     from svmdist.workflows.blur_bench import blur_tallies
-    from svmdist.workflows.progress import Steps, image_total
+    from svmdist.workflows.parallel import Steps, image_total
 
     with progress_bar("Table I", "images") as advance:
         steps = Steps(advance, image_total(recordings))
@@ -172,7 +172,7 @@ def _blur_summary(tallies: Sequence[Mapping[Blur, BlurTally]], kernels_px: Mappi
 
 def _kernels(options: list[str]) -> dict[Blur, int]:
     """Parse BLUR=PX over the default kernels; raises UsageError that says what was expected."""
-    from svmdist.vision.blur import Blur
+    from svmdist.vision.degradations import Blur
     from svmdist.workflows.blur_bench import DEFAULT_KERNELS_PX
 
     kernels_px = dict(DEFAULT_KERNELS_PX)

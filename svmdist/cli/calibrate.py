@@ -50,10 +50,10 @@ def calibrate_command(
 
     This fits eqs. (5) and (6) of the paper, one quadratic polynomial per axis, to recordings with ground truth.
     """
-    from svmdist.estimation.planar.calibration import save_calibration
+    from svmdist.estimation.plane_mapping import save_calibration
     from svmdist.profile import load_profile
     from svmdist.workflows.calibrate import collect_part, fit_parts
-    from svmdist.workflows.progress import Steps, image_total
+    from svmdist.workflows.parallel import Steps, image_total
 
     logs = named_logs(files)
     require_output(output, local_logs(logs))

@@ -98,7 +98,7 @@ def compare_command(
     from svmdist.vision.degradations import require_degradation
     from svmdist.workflows.compare import compare, compared
     from svmdist.workflows.conditions import CLEAN, Condition, LogCondition, PerturbedCondition
-    from svmdist.workflows.setup import prepare
+    from svmdist.workflows.request import prepare
 
     logs = logs_or_golden(files)
     require_output(output, local_logs(logs))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from svmdist.recording.health import Health
+    from svmdist.recording.source import Health
     from svmdist.report.tables import Row
 
 

@@ -16,10 +16,10 @@ from svmdist.cli.progress import progress_bar
 if TYPE_CHECKING:
     from svmdist.cli.log_jobs import GridRuns
     from svmdist.cli.many import Outcomes
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.workflows.conditions import Condition
     from svmdist.workflows.degradation_grid import GridCell
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
 
 GridMethodOption = Annotated[
     Method | None,

@@ -14,10 +14,10 @@ from svmdist.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.workflows.annotate import DrawnFrame
     from svmdist.workflows.lag import Lag
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
 
 Tally = Counter[tuple[str, str]]
 """How many frames ended with a status and a detail."""

@@ -54,11 +54,11 @@ from svmdist.errors import UsageError
 if TYPE_CHECKING:
     from svmdist.cli.estimate_logs import EstimateJob
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.report.tables import Row
     from svmdist.results import FrameResult
     from svmdist.workflows.lag import Lag
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
     from svmdist.workflows.validate import Measured
 
 
@@ -99,8 +99,8 @@ def estimate_command(
     are measured all the same.
     """
     from svmdist.estimation.methods import PLANAR_METHODS
+    from svmdist.workflows.request import prepare
     from svmdist.workflows.scoring.score import require_clearance
-    from svmdist.workflows.setup import prepare
 
     logs = named_logs(files)
     targets = EstimateTargets.of(form, output, report, save_plot)

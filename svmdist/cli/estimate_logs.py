@@ -17,10 +17,10 @@ from svmdist.workflows.batch.task import LogFile, Measurement, Outcome, RowWrite
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.recording.reading import Window
+    from svmdist.recording.log import Window
     from svmdist.report.tables import Row
     from svmdist.workflows.lag import Lag
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
     from svmdist.workflows.validate import Measured
 
 MAX_REPORTED = 12

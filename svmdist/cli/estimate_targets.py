@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
     from svmdist.workflows.validate import Measured
 
 

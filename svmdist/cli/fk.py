@@ -30,12 +30,11 @@ from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
-    from svmdist.recording.reader import Recording
-    from svmdist.recording.reading import Window
+    from svmdist.recording.log import Recording, Window
     from svmdist.report.tables import Row
     from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
     from svmdist.workflows.fk import PoseErrors
-    from svmdist.workflows.progress import Progress
+    from svmdist.workflows.parallel import Progress
 
 
 class PoseFormat(StrEnum):

@@ -92,13 +92,12 @@ def hand_eye_command(
     from svmdist.cli.lag import told_lag
     from svmdist.profile import load_profile
     from svmdist.profile.hand_eye import save_hand_eye
-    from svmdist.recording.reader import open_recording
-    from svmdist.recording.reading import Reading
+    from svmdist.recording.log import Reading, open_recording
     from svmdist.report.info import HAND_EYE_KEYS, hand_eye_file, hand_eye_lines, hand_eye_row
     from svmdist.report.tables import csv_lines, json_text
     from svmdist.results import Failure
     from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
-    from svmdist.workflows.setup import prepare
+    from svmdist.workflows.request import prepare
 
     require_output(output, [file])
     if output is not None and output.exists() and not force:
@@ -147,7 +146,7 @@ def hand_eye_command(
 
 def _served(file: Path, profile: Profile, topics: dict[str, str]) -> list[str]:
     """The methods that log and profile serve, the surest first; RecordingError where there is none."""
-    from svmdist.recording.inspect import inspect_recording
+    from svmdist.recording.summary import inspect_recording
     from svmdist.workflows.capabilities import method_capabilities
     from svmdist.workflows.hand_eye import SEEING_METHODS
 

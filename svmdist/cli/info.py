@@ -34,7 +34,7 @@ from svmdist.errors import RecordingError
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
-    from svmdist.recording.inspect import RecordingSummary
+    from svmdist.recording.summary import RecordingSummary
     from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
     from svmdist.workflows.capabilities import TagCheck
 
@@ -82,8 +82,8 @@ def _inspect(
     log: LogFile, profile: Profile, topics: dict[str, str], *, looks_for_tag: bool
 ) -> tuple[RecordingSummary, TagCheck | None]:
     """Read a whole log, and look for the profile's tag in some of its images."""
-    from svmdist.recording.inspect import inspect_recording
-    from svmdist.recording.reader import open_recording
+    from svmdist.recording.log import open_recording
+    from svmdist.recording.summary import inspect_recording
     from svmdist.workflows.capabilities import look_for_tag
 
     summary = inspect_recording(log.path, profile, topics=topics)

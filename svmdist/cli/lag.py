@@ -9,9 +9,9 @@ from svmdist.cli.console import say
 from svmdist.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.workflows.lag import Lag
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
 
 
 def told_lag(
@@ -21,7 +21,7 @@ def told_lag(
     if lag is None:
         return recording
     from svmdist.workflows.lag import with_lag
-    from svmdist.workflows.progress import Steps
+    from svmdist.workflows.parallel import Steps
 
     with progress_bar(f"lag of {recording.name}", "images") as advance:
         steps = Steps(advance, recording.image_count())

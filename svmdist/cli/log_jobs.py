@@ -19,12 +19,12 @@ from svmdist.workflows.validate import Scored, score_recording
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
     from svmdist.profile import Profile
-    from svmdist.recording.reading import Window
+    from svmdist.recording.log import Window
     from svmdist.workflows.lag import Lag
+    from svmdist.workflows.request import Setup
     from svmdist.workflows.scoring.truth import TruthRules
-    from svmdist.workflows.setup import Setup
 
-from svmdist.vision.blur import Blur
+from svmdist.vision.degradations import Blur
 from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
 
 

@@ -16,7 +16,7 @@ from svmdist.cli.progress import progress_bar
 from svmdist.errors import RecordingError, UsageError
 
 if TYPE_CHECKING:
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.workflows.batch.task import LogFile, LogJob, Measurement, Note, Outcome
 
 Result = TypeVar("Result")
@@ -90,7 +90,7 @@ class Many:
     @property
     def fills_cores(self) -> bool:
         """Whether there are as many logs as cores, so that sharing one between processes gains nothing."""
-        from svmdist.workflows.ahead import usable_cores
+        from svmdist.workflows.parallel import usable_cores
 
         return len(self.logs) > 1 and len(self.logs) >= (self.jobs or usable_cores())
 

@@ -20,8 +20,7 @@ from svmdist.remote_file import RemoteFile, is_url
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
-    from svmdist.recording.reader import Recording
-    from svmdist.recording.reading import Window
+    from svmdist.recording.log import Recording, Window
     from svmdist.workflows.batch.task import LogFile
 
 LOG_ENDINGS = (".mcap", ".bag")
@@ -46,7 +45,7 @@ def window_of(start_s: float, end_s: float | None, every: int) -> Window | None:
         return None
     if end_s is not None and end_s < start_s:
         raise UsageError(f"--end {end_s:g}: is before --start {start_s:g}")
-    from svmdist.recording.reading import Window
+    from svmdist.recording.log import Window
 
     return Window(start_s, math.inf if end_s is None else end_s, every)
 
@@ -100,8 +99,7 @@ def open_log(
     log: LogFile, profile: Profile, topics: dict[str, str], window: Window | None = None
 ) -> Recording:
     """Open a log under its name; raises RecordingError."""
-    from svmdist.recording.reader import open_recording
-    from svmdist.recording.reading import Reading
+    from svmdist.recording.log import Reading, open_recording
 
     return open_recording(log.path, profile, topics=topics).read_as(Reading(log.name, window))
 
@@ -120,7 +118,7 @@ def named_logs(files: Sequence[str | Path]) -> list[LogFile]:
 
     Raises UsageError for a glob that nothing matches, and RecordingError where a store cannot be asked.
     """
-    from svmdist.recording.reading import unique_names
+    from svmdist.recording.log import unique_names
     from svmdist.workflows.batch.task import LogFile
 
     found: dict[object, LogPath] = {}

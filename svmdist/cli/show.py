@@ -22,9 +22,9 @@ from svmdist.cli.progress import progress_bar
 from svmdist.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
-    from svmdist.recording.reader import Recording
+    from svmdist.recording.log import Recording
     from svmdist.samples import Image
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.request import Setup
 
 DEFAULT_COUNT = 6
 """Pictures where none is asked for: enough to see a log from its beginning to its end."""
@@ -96,9 +96,9 @@ def show_command(
             "--worst needs what a method measured, and --masks shows what was segmented before it"
         )
     from svmdist.profile import load_profile
-    from svmdist.recording.reader import open_recording
+    from svmdist.recording.log import open_recording
     from svmdist.report.panels import write_picture
-    from svmdist.workflows.setup import Setup, prepare
+    from svmdist.workflows.request import Setup, prepare
     from svmdist.workflows.show import image_stamps_ns, spread
 
     setup = (
@@ -162,7 +162,7 @@ def _masks(recording: Recording, setup: Setup, numbers: set[int]) -> Iterator[Pi
 def _phases(recording: Recording, setup: Setup, numbers: set[int], jobs: int | None) -> Iterator[Picture]:
     from svmdist.report.panels import phases_picture
     from svmdist.workflows.annotate import drawn_frames
-    from svmdist.workflows.progress import Steps
+    from svmdist.workflows.parallel import Steps
 
     with progress_bar(f"drawing {recording.name}", "images") as advance:
         steps = Steps(advance, max(numbers) + 1)

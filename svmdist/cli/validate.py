@@ -53,9 +53,9 @@ from svmdist.cli.recordings import (
 )
 
 if TYPE_CHECKING:
+    from svmdist.workflows.request import Setup
     from svmdist.workflows.scoring.baseline import Baseline
     from svmdist.workflows.scoring.truth import TruthRules
-    from svmdist.workflows.setup import Setup
     from svmdist.workflows.validate import Measured, Validation
 
 
@@ -154,6 +154,7 @@ def validate_command(
     """
     from svmdist.cli.log_jobs import ValidateJob
     from svmdist.cli.validate_logs import score_logs
+    from svmdist.workflows.request import prepare
     from svmdist.workflows.scoring.baseline import (
         load_baseline,
         make_baseline,
@@ -161,7 +162,6 @@ def validate_command(
         save_baseline,
     )
     from svmdist.workflows.scoring.truth import Reference, truth_rules
-    from svmdist.workflows.setup import prepare
 
     logs = logs_or_golden(files)
     for target in (output, write_baseline, report):

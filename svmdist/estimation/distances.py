@@ -1,22 +1,41 @@
-"""The distances between a tool and the tissue in 3D, and their standard deviations.
-
-Errors are propagated to first order (ISO/IEC Guide 98-3, sec. 5.1), those of a length to second. Tool and tissue are
-measured from different pixels, but perhaps by the same wrong camera: a method that knows says how their errors go
-together.
-"""
+"""The first step of every method: what is known of a frame before the tool is measured."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from svmdist.estimation.frame import Frame
-from svmdist.estimation.tissue.pose import TissuePose
-from svmdist.geometry.separation import Separation, separation
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.tissue import TissuePose
+from svmdist.estimation.tissue_tracking import TissueTracker
+from svmdist.geometry.separation import Separation, capsule_separation, separation
+from svmdist.geometry.surfaces import Capsules
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_pixel, as_vector
 from svmdist.samples import Status
 from svmdist.transforms import Array
+
+
+def with_tissue(frame: Frame) -> FrameResult:
+    """A result of status `ok` with the tissue that this frame shows, or of `no_tissue`."""
+    result, tissue = FrameResult(frame.stamp_ns, Status.NO_TISSUE), frame.scene.tissue
+    if tissue is None:
+        return result
+    result = result.with_image(
+        tissue_px=as_pixel(tissue.outline.centroid_px), tissue_area_px=tissue.region.area_px
+    )
+    if tissue.pose is None:
+        return result.rejected(Status.NO_TISSUE, "the tissue's ray does not meet the profile's plane")
+    return result.rejected(Status.OK)
+
+
+def tracked_tissue(frame: Frame, tracker: TissueTracker) -> TissuePose | None:
+    """The tissue after this frame, which may hide it."""
+    tissue = frame.scene.tissue
+    return tracker.add(None if tissue is None else tissue.pose)
+
 
 INDEPENDENT = np.zeros((6, 3))
 
@@ -115,3 +134,46 @@ def _length(offset_m: Array, covariance: Array) -> Distance:
     variance = float(along @ covariance @ along)
     variance += 0.5 * float(np.sum(across * across.T)) + 0.25 * float(np.trace(across)) ** 2
     return Distance(length_m, float(np.sqrt(max(min(variance, most), 0.0))))
+
+
+def with_clearance_between(
+    results: Sequence[FrameResult], bodies: Sequence[InstrumentModel | None]
+) -> list[FrameResult]:
+    """The results of one image, one per instrument, each with the smallest distance to another instrument's surface.
+
+    A result without a pose, or whose instrument has no body, stays as it is, and is no other's neighbour.
+    """
+    posed = [_posed(result, body) for result, body in zip(results, bodies, strict=True)]
+    filled = list(results)
+    nearest: dict[int, Distance] = {}
+    for i, first in enumerate(posed):
+        for j, second in enumerate(posed[:i]):
+            if first is None or second is None:
+                continue
+            gap = capsule_separation(first[0], second[0])
+            std_m = float(np.hypot(between_std_m(gap, first[1], second[1]), np.hypot(first[2], second[2])))
+            ends = ((i, gap.direction, gap.on_instrument_m), (j, -gap.direction, gap.on_tissue_m))
+            for at, direction, start_m in ends:
+                distance = Distance(gap.distance_m, std_m, as_vector(direction), as_vector(start_m))
+                nearest[at] = min(nearest.get(at, distance), distance, key=lambda found: found.value_m)
+    for at, distance in nearest.items():
+        distances = replace(results[at].distances, to_instrument=distance)
+        filled[at] = replace(results[at], distances=distances)
+    return filled
+
+
+def between_std_m(gap: Separation, pose: ToolPose, other: ToolPose) -> float:
+    """Standard deviation of a separation of two instruments of known shape that err independently.
+
+    As for the tissue (see `distances.py`), only the motion of the closest points along the direction counts.
+    """
+    variance = variance_along(gap.direction, gap.on_instrument_m, pose)
+    variance += variance_along(gap.direction, gap.on_tissue_m, other)
+    return float(np.sqrt(max(variance, 0.0)))
+
+
+def _posed(result: FrameResult, body: InstrumentModel | None) -> tuple[Capsules, ToolPose, float] | None:
+    tool = result.tool
+    if tool is None or body is None or not result.measured:
+        return None
+    return body.posed(tool.pose, tool.joints, tool.has_plate), tool.pose, body.surface_std_m

@@ -1,24 +1,264 @@
-"""Kinematics corrected by what the camera sees: a Kalman filter over the errors of nominal kinematics.
-
-Between detections the joints carry the pose, with the error last found: occlusion and rejected frames cost
-certainty, not results.
-"""
+"""What the detections of one frame say to the filter: each becomes a measurement of a link, with noise and bias."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.distances import measured, with_tool
-from svmdist.estimation.filter.kinematic_error_filter import KinematicErrorFilter
-from svmdist.estimation.first_step import with_tissue
+import cv2
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.estimation.distances import measured, with_tissue, with_tool
 from svmdist.estimation.frame import Frame, Needs
-from svmdist.estimation.gate import GatingResult
-from svmdist.estimation.measurements import measurements
-from svmdist.estimation.tissue.following import FollowedTissue
-from svmdist.results import Failure, FrameResult, ToolEstimate
+from svmdist.estimation.instrument.consistency import GatingResult
+from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
+from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement_kinds import (
+    ContourMeasurement,
+    DisparityMeasurement,
+    PointsMeasurement,
+    PoseMeasurement,
+    SizeMeasurement,
+)
+from svmdist.estimation.instrument.shaft_detection import DistalMarker, marker_centre
+from svmdist.estimation.scene import Arm
+from svmdist.estimation.tissue_tracking import FollowedTissue
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.profile.settings import Settings
+from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Status
+from svmdist.transforms import inverse
+from svmdist.vision.edges import Disc
+from svmdist.vision.regions import Region
+
+
+def measurements(frame: Frame, robot: RobotState, predicted: ToolPose) -> list[LinkMeasurement]:
+    """All measurements of the tool in a frame; `predicted` is where the filter expects it."""
+    is_told_by_shape = frame.left.masks.seen is not None
+    return [
+        *(_wrist(frame, predicted) if is_told_by_shape else _distal_marker(frame, predicted)),
+        *_size(frame, predicted),
+        *_tag(frame, robot, predicted),
+        *_contours(frame),
+    ]
+
+
+def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
+    """The distal marker's centre is a point on the tool, as certain as its region is whole; and its disparity."""
+    profile, region, camera = frame.arm.profile, frame.tool.region, frame.left.camera
+    settings, stereo, instrument = profile.settings.distal_marker, profile.settings.stereo, profile.instrument
+    radius_m = instrument.knuckle_radius_m if instrument is not None else 0.0
+    if region is None:
+        return
+    whole_std_px = _centroid_std_px(camera, region, predicted, radius_m, profile.settings)
+    if whole_std_px is None:
+        return
+    depth_m, radius_px = float(predicted.position_m[2]), float(np.sqrt(region.area_px / np.pi))
+    place_m, place_std_m = np.zeros(3), 0.0
+    if instrument is not None:
+        place_m, place_std_m = np.array(instrument.knuckle_position_m), instrument.knuckle_position_std_m
+    point_std_m = float(np.hypot(settings.visible_middle * radius_m, place_std_m))
+    shading_px = settings.shading_bias * radius_px if radius_m > 0.0 else 0.0
+    centre_px, blur_px = marker_centre(region, _disc(frame.tool.distal_marker), camera, depth_m, radius_m)
+    std_px = float(np.hypot(whole_std_px, settings.border_std_per_blur * blur_px))
+    covariance = std_px**2 * np.eye(2)
+    lasts_s = profile.settings.filter.point_correlation_time_s
+    delay_std_s = profile.settings.interlace.colour_delay_std_s if frame.scene.is_interlaced else 0.0
+    yield PointsMeasurement(
+        "distal marker",
+        None,
+        camera,
+        place_m[None],
+        centre_px[None],
+        covariance,
+        point_std_m,
+        shading_px,
+        correlation_time_s=lasts_s,
+        deviations=frame.arm.deviations,
+        delay_std_s=delay_std_s,
+    )
+
+    right, other, geometry = frame.right, frame.tool.right_region, frame.scene.observation.right
+    if right is None or other is None or geometry is None:
+        return
+    if abs(other.centroid_px[1] - region.centroid_px[1]) > stereo.row_tolerance_px:
+        return
+    if _centroid_std_px(right.camera, other, predicted, radius_m, profile.settings) is None:
+        return
+    # What one view shows more of moves its centroid by up to half of it.
+    uneven = abs(region.area_px - other.area_px) / (region.area_px + other.area_px)
+    std_px = radius_px * float(
+        np.hypot(
+            stereo.interlaced_disparity_noise
+            if frame.scene.is_interlaced
+            else stereo.tracked_disparity_noise,
+            max(0.0, uneven - stereo.even_area_fraction),
+        )
+    )
+    other_px, _ = marker_centre(other, _disc(frame.tool.right_distal_marker), right.camera, depth_m, radius_m)
+    yield DisparityMeasurement(
+        "disparity",
+        None,
+        camera,
+        right.camera,
+        inverse(geometry.T_left_right),
+        float(centre_px[0] - other_px[0]),
+        np.array([[std_px**2]]),
+        point_std_m,
+        shading_px,
+        correlation_time_s=lasts_s,
+        deviations=frame.arm.deviations,
+        delay_std_s=delay_std_s,
+        lasting_std_px=radius_px * stereo.lasting_disparity,
+        p_link_m=place_m,
+    )
+
+
+def _wrist(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
+    """The tool's origin by the outline of its wrist, where no marker has a colour; and its disparity.
+
+    Half of the variance lasts: how jaws and clevis divide an outline changes as they turn, and no faster.
+    """
+    wrist, right, other = frame.tool.shaft.wrist, frame.right, frame.tool.right_shaft
+    geometry, settings = frame.scene.observation.right, frame.arm.profile.settings
+    camera = frame.left.camera
+    depth_m = float(predicted.position_m[2])
+    if wrist is None or depth_m <= 0.0:
+        return
+    lasts_s = settings.filter.point_correlation_time_s
+    lasting_m = np.sqrt(0.5) * wrist.std_px * depth_m / float(camera.K[0, 0])
+    yield PointsMeasurement(
+        "wrist",
+        None,
+        camera,
+        np.zeros((1, 3)),
+        wrist.pixel[None],
+        0.5 * wrist.std_px**2 * np.eye(2),
+        lasting_m,
+        bias_name="wrist",
+        correlation_time_s=lasts_s,
+        deviations=frame.arm.deviations,
+    )
+    if right is None or other is None or other.wrist is None or geometry is None:
+        return
+    if abs(other.wrist.pixel[1] - wrist.pixel[1]) > settings.stereo.row_tolerance_px + wrist.std_px:
+        return
+    variance_px2 = wrist.std_px**2 + other.wrist.std_px**2
+    yield DisparityMeasurement(
+        "disparity",
+        None,
+        camera,
+        right.camera,
+        inverse(geometry.T_left_right),
+        float(wrist.pixel[0] - other.wrist.pixel[0]),
+        np.array([[0.5 * variance_px2]]),
+        bias_name="wrist",
+        correlation_time_s=lasts_s,
+        deviations=frame.arm.deviations,
+        lasting_std_px=float(np.sqrt(0.5 * variance_px2)),
+    )
+
+
+def _centroid_std_px(
+    camera: Camera, region: Region, predicted: ToolPose, radius_m: float, settings: Settings
+) -> float | None:
+    """How far the marker's centroid may be off, by what part of it is missing; None where too much is."""
+    marker = settings.distal_marker
+    x, y, width, height = cv2.boundingRect(region.hull)
+    if x <= 0 or y <= 0 or x + width >= camera.width_px or y + height >= camera.height_px:
+        return None
+    depth_m, depth_std_m = predicted.position_m[2], np.sqrt(predicted.covariance[2, 2])
+    if radius_m == 0.0 or depth_m <= 0.0 or depth_std_m > settings.fused.depth_known_fraction * depth_m:
+        return marker.unknown_shape_std_px
+    radius_px = camera.K[0, 0] * radius_m / depth_m
+    whole = region.area_px / (np.pi * radius_px**2)
+    if whole < marker.min_visible_fraction:
+        return None
+    # What is missing, or too much, lies on one side: at worst it moves the centroid by half of it.
+    wrong = max(0.0, abs(1.0 - whole) - marker.whole_area_spread)
+    return float(radius_px * np.hypot(marker.centre_noise, 0.5 * wrong))
+
+
+def _size(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
+    """The whole marker's radius: a depth right within some percent, where nothing better tells one yet."""
+    settings, instrument = frame.arm.profile.settings.distal_marker, frame.arm.profile.instrument
+    depth_std_m = np.sqrt(predicted.covariance[2, 2])
+    if instrument is None or depth_std_m < settings.min_relative_depth_std * predicted.position_m[2]:
+        return
+    marker = frame.tool.distal_marker
+    if marker is not None and marker.radius_px is not None:
+        yield SizeMeasurement(
+            "size",
+            None,
+            frame.left.camera,
+            instrument.knuckle_radius_m,
+            marker.radius_px,
+            np.array([[0.25 * marker.radius_std_px**2]]),
+            marker.radius_std_px,
+            frame.arm.profile.settings.filter.point_correlation_time_s,
+            frame.arm.deviations,
+        )
+
+
+def _tag(frame: Frame, robot: RobotState, predicted: ToolPose) -> Iterator[LinkMeasurement]:
+    """The tag's pose; the predicted tool tells how the tag is turned, but for the wrist's joints between them."""
+    fiducial = frame.arm.profile.fiducial
+    if fiducial is None or frame.tool.tag_corners_px is None:
+        return
+    T_base_tag = robot.T_base_link(fiducial.link) @ fiducial.T_link_tag
+    R_camera_tag = predicted.T_camera_tool[:3, :3] @ robot.T_base_tool[:3, :3].T @ T_base_tag[:3, :3]
+    std_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[3:, 3:])[-1]))
+    tag = frame.tool.tag_turned(R_camera_tag, std_rad)
+    if tag is not None:
+        share = frame.arm.profile.settings.fused.lasting_share
+        yield PoseMeasurement(
+            "tag",
+            fiducial.link,
+            fiducial.T_link_tag,
+            tag.T_camera_tag,
+            (1.0 - share) * tag.covariance,
+            share * tag.covariance,
+            frame.arm.profile.settings.filter.pose_correlation_time_s,
+            _focal_px(frame),
+            frame.arm.deviations,
+        )
+
+
+def _contours(frame: Frame) -> Iterator[LinkMeasurement]:
+    """Both edges of a shaft that is longer than wide; on a stub something else is easily taken for one."""
+    instrument, axis, shaft = frame.arm.profile.instrument, frame.arm.shaft_axis, frame.tool.shaft
+    if instrument is None or axis is None or shaft.is_stub:
+        return
+    share = frame.arm.profile.settings.fused.lasting_share
+    for contour in shaft.contours:
+        _, axes = np.linalg.eigh(contour.plane.covariance)
+        across = axes[:, 1:].T
+        covariance = across @ contour.plane.covariance @ across.T
+        yield ContourMeasurement(
+            f"edge {contour.side:+d}",
+            axis.link,
+            contour.plane.normal,
+            across,
+            (1.0 - share) * covariance,
+            axis.p_axis_m,
+            axis.axis,
+            instrument.shaft_radius_m,
+            contour.side,
+            share * covariance,
+            frame.arm.profile.settings.filter.edge_correlation_time_s,
+            _focal_px(frame),
+            frame.arm.deviations,
+        )
+
+
+def _disc(marker: DistalMarker | None) -> Disc | None:
+    return None if marker is None else marker.disc
+
+
+def _focal_px(frame: Frame) -> tuple[float, float]:
+    K = frame.left.camera.K
+    return float(K[0, 0]), float(K[1, 1])
 
 
 class FusedEstimator:

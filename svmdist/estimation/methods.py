@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Protocol
 
 from svmdist.errors import UsageError, did_you_mean
-from svmdist.estimation.arm import Arm
 from svmdist.estimation.frame import Frame, Needs
-from svmdist.estimation.planar.equations import PlaneMapping
+from svmdist.estimation.plane_mapping import PlaneMapping
+from svmdist.estimation.scene import Arm
 from svmdist.results import FrameResult
 
 
@@ -54,19 +54,19 @@ def make_estimator(method: str, arm: Arm, mapping: PlaneMapping | None = None) -
 def _made(method: str, arm: Arm, mapping: PlaneMapping | None) -> Estimator:  # noqa: PLR0911
     match method, mapping:
         case "overlay", PlaneMapping():
-            from svmdist.estimation.planar.overlay import OverlayEstimator
+            from svmdist.estimation.planar import OverlayEstimator
 
             return OverlayEstimator(arm.profile, mapping)
         case "centroid", PlaneMapping():
-            from svmdist.estimation.planar.centroid import CentroidEstimator
+            from svmdist.estimation.planar import CentroidEstimator
 
             return CentroidEstimator(mapping)
         case "fiducial", _:
-            from svmdist.estimation.fiducial import FiducialEstimator
+            from svmdist.estimation.one_view import FiducialEstimator
 
             return FiducialEstimator(arm)
         case "shaft", _:
-            from svmdist.estimation.shaft import ShaftEstimator
+            from svmdist.estimation.one_view import ShaftEstimator
 
             return ShaftEstimator(arm)
         case "stereo", _:
@@ -74,7 +74,7 @@ def _made(method: str, arm: Arm, mapping: PlaneMapping | None) -> Estimator:  # 
 
             return StereoEstimator(arm)
         case "kinematic", _:
-            from svmdist.estimation.kinematic import KinematicEstimator
+            from svmdist.estimation.one_view import KinematicEstimator
 
             return KinematicEstimator(arm)
         case _:

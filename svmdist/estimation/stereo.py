@@ -6,28 +6,47 @@ from dataclasses import replace
 
 import numpy as np
 
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.detection.distal_marker import DistalMarker
-from svmdist.estimation.detection.shaft import NO_SHAFT, ShaftDetection, wrist_marker
-from svmdist.estimation.detection.stereo_match import StereoMatch, match_distal_marker
-from svmdist.estimation.detection.stereo_surface import StereoSurface
-from svmdist.estimation.distances import measured
-from svmdist.estimation.filter.nominal import nominal_tool
-from svmdist.estimation.first_step import with_tissue
+from svmdist.estimation.distances import measured, with_tissue
 from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.instrument.error_model import nominal_tool
+from svmdist.estimation.instrument.measurement import Deviations
+from svmdist.estimation.instrument.shaft_detection import NO_SHAFT, DistalMarker, ShaftDetection, wrist_marker
+from svmdist.estimation.instrument.shaft_model import Landmarks, shaft_model
 from svmdist.estimation.instrument.stereo_fit import fit_two_views
-from svmdist.estimation.instrument.stereo_pose import nominal_orientation_pose, with_calibration
-from svmdist.estimation.instrument.stereo_watch import DisparityWatch
-from svmdist.estimation.instrument.two_views import TwoViews
-from svmdist.estimation.shaft_pose.model import shaft_model
-from svmdist.estimation.shaft_pose.residuals import Landmarks
-from svmdist.estimation.tissue.height import depth_biases
-from svmdist.estimation.tissue.pose import require_tissue
+from svmdist.estimation.instrument.two_views import DisparityWatch, StereoMatch, TwoViews, match_distal_marker
+from svmdist.estimation.scene import Arm
+from svmdist.estimation.surface import StereoSurface
+from svmdist.estimation.tissue import require_tissue
+from svmdist.estimation.tissue_tracking import depth_biases
 from svmdist.geometry.surfaces import Cloud
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
-from svmdist.samples import Rejection, Status
+from svmdist.samples import Rejection, RightView, Status
 from svmdist.transforms import inverse
-from svmdist.vision.rectified import RectifiedPair
+from svmdist.vision.stereo import RectifiedPair
+
+
+def with_calibration(
+    match: StereoMatch, right: RightView, pair: RectifiedPair, deviations: Deviations
+) -> StereoMatch:
+    """The match with what baseline and the right camera's rotation may be off by in its disparity's deviation."""
+    p_camera_m, _ = pair.point(match.left_px, match.disparity_px)
+    biases = deviations.of_disparity_at(
+        p_camera_m, right.camera, np.array(match.disparity_px), inverse(right.T_left_right)
+    )
+    variance_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
+    return replace(match, disparity_std_px=float(np.sqrt(match.disparity_std_px**2 + variance_px2)))
+
+
+def nominal_orientation_pose(match: StereoMatch, pair: RectifiedPair, nominal: ToolPose) -> ToolPose:
+    """The triangulated position with the orientation, and its covariance, of the nominal kinematics."""
+    p_camera_m, J = pair.point(match.left_px, match.disparity_px)
+    T_camera_tool, covariance = nominal.T_camera_tool.copy(), np.zeros((6, 6))
+    T_camera_tool[:3, 3] = p_camera_m
+    variances = np.array([match.std_px, match.std_px, match.disparity_std_px]) ** 2
+    covariance[:3, :3] = J @ np.diag(variances) @ J.T
+    covariance[3:, 3:] = nominal.covariance[3:, 3:]
+    return ToolPose(T_camera_tool, covariance, nominal.axis)
+
 
 UNKNOWN_END = 0.5
 """Deviation of the distance from hinge to the shaft's end where the profile does not state it, over itself."""

@@ -12,12 +12,14 @@ from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from svmdist.errors import ProfileError
 from svmdist.files import write_atomically
-from svmdist.profile.robot import KinematicError, Rotation, require_rotation
+from svmdist.profile.robot import KinematicError, Rotation, Vector, require_rotation
 from svmdist.profile.toml import StrictModel, parse_toml
 from svmdist.transforms import Array, make_transform, skew
 
+FORMAT: Literal["svmdist.hand-eye/1"] = "svmdist.hand-eye/1"
 FOCAL_LENGTH, PRINCIPAL_POINT, BASELINE = "focal length", "principal point", "baseline"
 SHAFT_RADIUS, TAG_SIZE, TIME_OFFSET = "shaft radius", "tag size", "time offset"
+Six = tuple[float, float, float, float, float, float]
 
 
 def offset_of(joint: str) -> str:
@@ -30,15 +32,11 @@ def length_of(index: int) -> str:
     return f"length {index + 1}"
 
 
-FORMAT: Literal["svmdist.hand-eye/1"] = "svmdist.hand-eye/1"
-Six = tuple[float, float, float, float, float, float]
-
-
 class ConstantEffect(StrictModel):
-    """What a wrong constant did to a fitted transform: (δt, δφ), in m and rad, for one stated deviation of it.
+    """The effect of a calibration parameter's error on a fitted transform: (δt, δφ), in m and rad, for one deviation.
 
-    A constant of several numbers has one row for each. `deviation` is what was stated at the fit, in the constant's
-    own unit: m, rad, s, px, or a fraction of it.
+    A parameter of several numbers has one row for each. `deviation` is its standard deviation at the fit, in its own
+    unit: m, rad, s, px, or a fraction of itself.
     """
 
     constant: str = Field(min_length=1)
@@ -50,19 +48,19 @@ class HandEye(StrictModel):
     """`T_camera_base` of one instrument, p_camera = R p_base + t, and the covariance of its error.
 
     The error is (δt, δφ): t_true = t + δt in m, R_true = exp([δφ]) R in rad, both in the camera's axes. `constants`
-    says which part of it is the work of constants that estimators use as well.
+    has the part of it that is due to calibration parameters, which estimators use as well.
     """
 
     instrument: str = Field(min_length=1)
     camera: str
     base: str
     rotation: Rotation
-    translation_m: tuple[float, float, float]
+    translation_m: Vector
     covariance: tuple[Six, Six, Six, Six, Six, Six]
     method: str = ""
-    """The method that saw the tool."""
+    """The method that measured the tool."""
     reference: str = ""
-    """What it was held against: kinematics of the joints, or recorded poses."""
+    """What it was compared with: kinematics of the joints, or recorded poses."""
     frame_count: int = Field(default=0, ge=0)
     inlier_count: int = Field(default=0, ge=0)
     residual_rms_m: float = Field(default=0.0, ge=0.0)
@@ -82,7 +80,7 @@ class HandEye(StrictModel):
         return make_transform(self.rotation, self.translation_m)
 
     def covariance_at(self, p_camera_m: Array) -> Array:
-        """Covariance of (shift, turn), shape (6, 6), of what the base carries at a point of the camera frame, (3,)."""
+        """Covariance of (translation, rotation), shape (6, 6), carried to a point of the camera frame, (3,)."""
         J = self._carried_to(p_camera_m)
         return np.asarray(J @ np.array(self.covariance) @ J.T)
 
@@ -92,11 +90,11 @@ class HandEye(StrictModel):
         return {one.constant: J @ np.array(one.effects).T for one in self.constants}
 
     def with_deviations(self, stated: Mapping[str, float]) -> HandEye:
-        """With deviations of constants as they are stated now; what is not stated counts as independent of all else."""
+        """With the constants' deviations of now; one without a deviation counts as independent of all else."""
         covariance, constants = np.array(self.covariance), []
         for one in self.constants:
-            deviation = stated.get(one.constant, 0.0)
-            if one.constant not in stated:
+            deviation = stated.get(one.constant)
+            if deviation is None:
                 continue
             scale, effects = deviation / one.deviation, np.array(one.effects)
             covariance += (scale**2 - 1.0) * effects.T @ effects
@@ -144,18 +142,15 @@ class HandEyeError(KinematicError):
     hand_eye: HandEye
 
 
-def with_hand_eye(
-    error: KinematicError, hand_eye: HandEye, stated_deviations: Mapping[str, float]
-) -> HandEyeError:
-    """The errors with the covariance of hand-eye in place of the stated deviations of the transform.
-
-    `stated_deviations` are those of all constants now, by their names.
-    """
-    hand_eye = hand_eye.with_deviations(stated_deviations)
-    turn_var = float(np.linalg.eigvalsh(np.array(hand_eye.covariance)[3:, 3:])[-1])
-    stated = error.model_dump() | {"camera_base_std_rad": float(np.sqrt(max(turn_var, 0.0)))}
-    stated.pop("hand_eye", None)
-    return HandEyeError(**stated, hand_eye=hand_eye)
+def with_hand_eye(error: KinematicError, hand_eye: HandEye, stated: Mapping[str, float]) -> HandEyeError:
+    """The errors with hand-eye's covariance in place of the transform's; `stated`: deviations of all constants now."""
+    hand_eye = hand_eye.with_deviations(stated)
+    rotation_var = float(np.linalg.eigvalsh(np.array(hand_eye.covariance)[3:, 3:])[-1])
+    values = error.model_dump() | {
+        "camera_base_std_rad": float(np.sqrt(max(rotation_var, 0.0))),
+        "hand_eye": hand_eye,
+    }
+    return HandEyeError(**values)
 
 
 def load_hand_eye(path: Path) -> HandEyeFile:
@@ -170,7 +165,7 @@ def save_hand_eye(path: Path, file: HandEyeFile) -> None:
 
 
 def _read(value: Any, info: ValidationInfo) -> Any:
-    """A file's name in a profile becomes what stands in it; a relative one starts from the profile's folder."""
+    """Replace a file's name in a profile by what it holds; a relative one starts from the profile's folder."""
     if not isinstance(value, str | Path):
         return value
     folder = Path(info.context["folder"]) if info.context else Path()

@@ -19,6 +19,7 @@ from svmdist.profile.hand_eye import (
     TAG_SIZE,
     TIME_OFFSET,
     HandEye,
+    HandEyeFile,
     NamedHandEye,
     length_of,
     load_hand_eye,
@@ -45,7 +46,12 @@ from svmdist.profile.segmentation import (
     ColourRegion,
 )
 from svmdist.profile.settings import Settings, StereoSettings
-from svmdist.profile.toml import MIB, Byte, Size, StrictModel, parse_toml
+from svmdist.profile.toml import Byte, Size, StrictModel, parse_toml
+
+DEFAULT_PROFILE = "psm13"
+SHIPPED = Path(__file__).parent.with_name("profiles")
+BEHIND_PLANE = 1.5
+"""The range of stereo over the distance of the plane that the tissue lies on."""
 
 
 class Topics(StrictModel):
@@ -77,35 +83,29 @@ class Frames(StrictModel):
 class Limits(StrictModel):
     """What a log may ask of the reader, checked before memory is allocated; what asks for more is a loss."""
 
-    record_bytes: Size = 256 * MIB
+    record_bytes: Size = 256 << 20
     """One record of the file; it may never reach beyond the file either."""
-    chunk_bytes: Size = 256 * MIB
+    chunk_bytes: Size = 256 << 20
     """One chunk after expansion; it must have exactly the size that it declares."""
     chunk_records: int = Field(default=1_000_000, ge=1)
     """Records inside one chunk."""
-    window_bytes: Size = 128 * MIB
+    window_bytes: Size = 128 << 20
     """Memory that a zstd frame may claim for its window, beside the expanded chunk."""
-    definition_bytes: Size = 32 * MIB
+    definition_bytes: Size = 32 << 20
     """Schemas and channels of a whole file, which stay in memory while it is read."""
-    metadata_bytes: Size = 1 * MIB
+    metadata_bytes: Size = 1 << 20
     """One metadata or statistics record."""
     image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)
     """One image, by the dimensions in its header, before it is decoded; OpenCV itself is held to 2^26."""
-    image_bytes: Size = 32 * MIB
+    image_bytes: Size = 32 << 20
     """One compressed image."""
-    message_bytes: Size = 1 * MIB
+    message_bytes: Size = 1 << 20
     """One message that is no image: joints, transforms and the like hold a few kilobytes."""
-    json_bytes: Size = 16 * MIB
+    json_bytes: Size = 16 << 20
     """One JSON message; parsing can take thirty times its size in memory."""
     pair_tolerance_s: float = Field(default=5e-4, ge=0.0, le=0.5)
     """How far the stamps of the left and the right image of a pair may be apart. Cameras that are triggered together
     differ by less than half a millisecond, which is less than any exposure; others by up to half a frame."""
-
-
-BEHIND_PLANE = 1.5
-"""The range of stereo reaches so far, over the distance of the plane that the tissue lies on."""
-SHIPPED = Path(__file__).parent.with_name("profiles")
-DEFAULT_PROFILE = "psm13"
 
 
 class Marker(StrictModel):
@@ -205,10 +205,9 @@ class Profile(StrictModel):
         if self.fiducial is not None:
             tag_id = other.fiducial_id
             update["fiducial"] = None if tag_id is None else self.fiducial.model_copy(update={"id": tag_id})
-        if other.robot is not None:
-            update["robot"] = other.robot
-        if other.instrument is not None:
-            update["instrument"] = other.instrument
+        update |= {
+            part: found for part in ("robot", "instrument") if (found := getattr(other, part)) is not None
+        }
         if other.simulation is not None and self.simulation is not None:
             update["simulation"] = self.simulation.model_copy(update=other.simulation.model_dump())
         return self.model_copy(update=update)._with_hand_eye()
@@ -228,27 +227,21 @@ class Profile(StrictModel):
 
     @model_validator(mode="after")
     def _hand_eye_fits(self) -> Profile:
-        self.check_hand_eye()
+        if self.hand_eye is not None:
+            self.check_hand_eye(self.hand_eye)
         return self
 
-    def check_hand_eye(self) -> None:
+    def check_hand_eye(self, file: HandEyeFile) -> None:
         """Raise ValueError where the hand-eye file is of other frames, or of none of the instruments."""
-        if self.hand_eye is None:
-            return
-        if not any(self.hand_eye.of(name) for name in self.instrument_names):
-            theirs = ", ".join(one.instrument for one in self.hand_eye.transforms)
+        if not any(file.of(name) for name in self.instrument_names):
+            theirs = ", ".join(one.instrument for one in file.transforms)
             raise ValueError(
                 f"hand_eye: it is for {theirs}; the profile has {', '.join(self.instrument_names)}: fit it anew"
             )
         for name in dict.fromkeys(self.instrument_names):
-            view = self.for_instrument(name)
-            found = view.camera_to_base
-            if found is None:
-                continue
-            for what, theirs, ours in (
-                ("camera", found.camera, view.frames.camera),
-                ("base", found.base, view.frames.base),
-            ):
+            frames, found = self.for_instrument(name).frames, file.of(name)
+            for what in ("camera", "base") if found is not None else ():
+                theirs, ours = getattr(found, what), getattr(frames, what)
                 if theirs != ours:
                     raise ValueError(
                         f"hand_eye: it is for {what} {theirs} of {name}; [frames] {what} is {ours}: fit it anew"
@@ -256,26 +249,23 @@ class Profile(StrictModel):
 
     @model_validator(mode="after")
     def _instruments_differ(self) -> Profile:
-        """What tells instruments apart must not be the same for two of them."""
         views = [self.for_instrument(name) for name in dict.fromkeys(self.instrument_names)]
-        told = {
+        tags = [view.fiducial for view in views if view.fiducial is not None]
+        for tag in tags:
+            require_tag(tag.family, tag.id)
+        for other in self.other_instruments:
+            if other.topics is None and not isinstance(self.segmentation, AutoSegmentation):
+                raise ValueError(
+                    f"other_instruments: {other.name} has no topics, and only [segmentation] method = 'auto' tells such"
+                    " instruments apart"
+                )
+        distinct = {
             "name": list(self.instrument_names),
             "topic": [getattr(view.topics, role) for view in views for role in ARM_TOPICS],
             "frame": [frame for view in views for frame in (view.frames.base, view.frames.tool)],
-            "fiducial_id": [str(view.fiducial.id) for view in views if view.fiducial is not None],
+            "fiducial_id": [str(tag.id) for tag in tags],
         }
-        for view in views:
-            if view.fiducial is not None:
-                require_tag(view.fiducial.family, view.fiducial.id)
-        if not self.other_instruments:
-            return self
-        untold = [other.name for other in self.other_instruments if other.topics is None]
-        if untold and not isinstance(self.segmentation, AutoSegmentation):
-            raise ValueError(
-                f"other_instruments: {untold[0]} has no topics, and only [segmentation] method = 'auto' tells such"
-                " instruments apart"
-            )
-        for what, values in told.items():
+        for what, values in distinct.items() if self.other_instruments else ():
             doubles = sorted({value for value in values if value is not None and values.count(value) > 1})
             if doubles:
                 raise ValueError(
@@ -285,15 +275,13 @@ class Profile(StrictModel):
 
     @model_validator(mode="after")
     def _names_joints_that_are_there(self) -> Profile:
-        for robot in (self.robot, *(other.robot for other in self.other_instruments)):
-            if robot is None:
-                continue
-            links = [joint.name for joint in robot.joints]
-            moving = [joint.name for joint in robot.joints if joint.type != "fixed"]
-            first = self.kinematic_error.first_moving_joint
+        robots = [self.robot, *(other.robot for other in self.other_instruments)]
+        for robot in (robot for robot in robots if robot is not None):
             if self.fiducial is not None:
-                _require_joint("fiducial.link", self.fiducial.link, links)
+                _require_joint("fiducial.link", self.fiducial.link, [joint.name for joint in robot.joints])
+            first = self.kinematic_error.first_moving_joint
             if first is not None:
+                moving = [joint.name for joint in robot.joints if joint.type != "fixed"]
                 _require_joint("kinematic_error.first_moving_joint", first, moving)
         return self
 
@@ -305,13 +293,7 @@ def _require_joint(key: str, name: str, names: list[str]) -> None:
 
 def shipped_profiles() -> tuple[str, ...]:
     """Names of the profiles inside the package."""
-    return tuple(
-        sorted(
-            entry.name.removesuffix(".toml")
-            for entry in SHIPPED.iterdir()
-            if entry.name.endswith(".toml") and not entry.name.endswith(".calibration.toml")
-        )
-    )
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml") if "." not in path.stem))
 
 
 def load_profile(name_or_path: str | Path = DEFAULT_PROFILE, hand_eye: Path | None = None) -> Profile:
@@ -323,12 +305,12 @@ def load_profile(name_or_path: str | Path = DEFAULT_PROFILE, hand_eye: Path | No
     profile = parse_toml(profile_path(name_or_path), Profile, ProfileError)
     if hand_eye is None:
         return profile
-    profile = profile.model_copy(update={"hand_eye": load_hand_eye(hand_eye)})
+    file = load_hand_eye(hand_eye)
     try:
-        profile.check_hand_eye()
+        profile.check_hand_eye(file)
     except ValueError as problem:
         raise ProfileError(f"{hand_eye}: {problem}") from None
-    return profile
+    return profile.model_copy(update={"hand_eye": file})
 
 
 def profile_path(name_or_path: str | Path) -> Path:

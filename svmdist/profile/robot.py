@@ -11,6 +11,32 @@ from pydantic import Field, field_validator, model_validator
 from svmdist.profile.toml import Angle, Length, NeighbourFile, SmallLength, StrictModel
 from svmdist.transforms import Array, make_transform, rotation_z
 
+Vector = tuple[float, float, float]
+Rotation = tuple[Vector, Vector, Vector]
+EntrySide = Literal["left", "right", "above", "below"]
+"""The side of the picture that an instrument comes in from."""
+ARM_TOPICS = ("joints", "pose", "ground_truth_distance")
+"""The topics that every instrument has of its own; the others are the whole scene's."""
+AWAY = 0.5
+"""z of a plane's normal from which on no camera of less than 120° sees the plane."""
+ROUNDED = 0.01
+"""How far a normal's length may be from 1, written with two digits. It is normalised."""
+TAG_COUNTS = {"16h5": 30, "25h9": 35, "36h10": 2320, "36h11": 587}
+"""Number of tags of each AprilTag family; they are numbered from 0."""
+
+
+def require_rotation(name: str, rotation: Rotation) -> None:
+    """Raise ValueError where a matrix is no rotation."""
+    R = np.array(rotation)
+    if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+        raise ValueError(f"{name} is not a rotation: R R^T = I and det R = 1 are expected")
+
+
+def require_tag(family: str, tag_id: int) -> None:
+    """Raise ValueError where the family has no tag of that number."""
+    if tag_id >= TAG_COUNTS[family]:
+        raise ValueError(f"family {family} has the tags 0 to {TAG_COUNTS[family] - 1}, found {tag_id}")
+
 
 class Joint(StrictModel):
     """One DH row; see `svmdist.kinematics.dh.DHRow`."""
@@ -24,7 +50,7 @@ class Joint(StrictModel):
     lower: Angle = -np.pi
     upper: Angle = np.pi
     aliases: tuple[str, ...] = ()
-    """Other names under which logs carry this joint."""
+    """Other names of this joint in logs."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Joint:
@@ -35,23 +61,6 @@ class Joint(StrictModel):
         return self
 
 
-AWAY = 0.5
-"""z of a plane's normal from which on no camera of less than 120° sees the plane."""
-ROUNDED = 0.01
-"""How far a normal's length may be from 1: numbers that were written with two digits. It is normalised."""
-TAG_COUNTS = {"16h5": 30, "25h9": 35, "36h10": 2320, "36h11": 587}
-"""How many tags an AprilTag family has; they are numbered from 0."""
-
-Rotation = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
-
-
-def require_rotation(name: str, rotation: Rotation) -> None:
-    """Raise ValueError where a matrix is no rotation."""
-    R = np.array(rotation)
-    if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
-        raise ValueError(f"{name} is not a rotation: R R^T = I and det R = 1 are expected")
-
-
 class Robot(StrictModel):
     """The kinematic chain from base to tool."""
 
@@ -59,9 +68,9 @@ class Robot(StrictModel):
     joints: tuple[Joint, ...] = Field(min_length=1)
     tool_rotation: Rotation | None = None
     limit_tolerance_rad: Angle = Field(default=0.5, ge=0.0)
-    """How far beyond its limits a joint that turns may be reported: encoders have offsets, and limits are rounded."""
+    """How far beyond its limits a revolute joint may be reported: encoders have offsets, and limits are rounded."""
     limit_tolerance_m: float = Field(default=0.05, ge=0.0)
-    """The same of a joint that slides. Joints that are farther out are no joints: `no_joints`."""
+    """The same for a prismatic joint. Frames whose joints are farther out have the status `no_joints`."""
 
     @model_validator(mode="after")
     def _sound(self) -> Robot:
@@ -76,18 +85,14 @@ class Robot(StrictModel):
     @property
     def T_last_tool(self) -> Array:
         """The constant transform behind the last row, shape (4, 4)."""
-        T = np.eye(4)
-        if self.tool_rotation is not None:
-            T[:3, :3] = self.tool_rotation
-        return T
+        return np.eye(4) if self.tool_rotation is None else make_transform(self.tool_rotation, np.zeros(3))
 
 
 class KinematicError(StrictModel):
-    """How wrong the robot's kinematics may be: standard deviations of constant and of changing errors, and drift.
+    """Standard deviations of a robot's kinematic errors, constant and changing, and their drift.
 
-    The defaults are what cable-driven arms show: a degree and a millimetre at each joint, and a
-    camera-to-base transform whose rotation is off by two degrees about each axis and whose translation by
-    five millimetres along each.
+    The defaults are what cable-driven arms show: a degree and a millimetre at each joint, two degrees and five
+    millimetres in the camera-to-base transform.
     """
 
     joint_std_rad: Angle = float(np.deg2rad(1.0))
@@ -107,18 +112,18 @@ class KinematicError(StrictModel):
     length_std_m: float = Field(default=5e-4, ge=0.0)
     """Of the chain's lengths behind the first moving joint."""
     time_offset_std_s: float = Field(default=0.05, ge=0.0)
-    """How late the joints' stamps may be against those of the images, or early."""
+    """Of the offset between the stamps of joints and images."""
     time_offset_drift_s_per_sqrt_s: float = Field(default=5e-4, ge=0.0)
 
 
 class CameraError(StrictModel):
-    """How wrong the calibration of the cameras may be, as standard deviations; the defaults are a careful user's.
+    """Standard deviations of the cameras' calibration.
 
-    Repeated calibrations of an endoscope with a chessboard scatter by as much, and its focus moves between them.
+    The defaults are those of repeated calibrations of an endoscope with a chessboard; its focus moves between them.
     """
 
     focal_std_fraction: float = Field(default=4e-3, ge=0.0)
-    """Of the focal lengths, over themselves; those of a pair are off alike."""
+    """Of the focal lengths, over themselves; the same error in both cameras."""
     centre_std_px: float = Field(default=1.5, ge=0.0)
     """Of the principal point along each axis."""
     baseline_std_fraction: float = Field(default=0.01, ge=0.0)
@@ -128,11 +133,11 @@ class CameraError(StrictModel):
 
 
 class Instrument(StrictModel):
-    """The instrument's shape, in m, about the tool frame: what the simulation builds and clearance needs."""
+    """The instrument's shape, in m, about the tool frame."""
 
     shaft_radius_m: SmallLength
     shaft_radius_std_fraction: float = Field(default=0.02, ge=0.0, le=1.0)
-    """Standard deviation of the shaft's radius over itself."""
+    """Over the shaft's radius."""
     shaft_length_m: Length
     shaft_end_m: SmallLength | None = None
     """From the wrist's hinge back to where the dark shaft visibly ends; None: 2.2 radii of the wrist."""
@@ -142,21 +147,15 @@ class Instrument(StrictModel):
     wrist_radius_m: SmallLength
     knuckle_radius_m: SmallLength
     knuckle_radius_std_fraction: float = Field(default=0.03, ge=0.0, le=1.0)
-    """Standard deviation of the distal marker's radius over itself."""
-    knuckle_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where the distal marker's middle is in the tool's frame."""
+    """Of the distal marker's radius, over itself."""
+    knuckle_position_m: Vector = (0.0, 0.0, 0.0)
+    """The distal marker's middle in the tool's frame."""
     knuckle_position_std_m: float = Field(default=2e-4, ge=0.0)
-    """How far it may be from there, as a standard deviation along each axis."""
+    """Of that position along each axis."""
     jaw_length_m: SmallLength
     jaw_radius_m: SmallLength
     body_std_m: float = Field(default=1e-4, ge=0.0)
-    """How far the real instrument's surface may stand off the capsules that stand in for it."""
-
-
-def require_tag(family: str, tag_id: int) -> None:
-    """Raise ValueError where the family has no tag of that number."""
-    if tag_id >= TAG_COUNTS[family]:
-        raise ValueError(f"family {family} has the tags 0 to {TAG_COUNTS[family] - 1}, found {tag_id}")
+    """Of the distance between the real instrument's surface and the capsules of its model."""
 
 
 class Fiducial(StrictModel):
@@ -167,19 +166,18 @@ class Fiducial(StrictModel):
     """
 
     family: Literal["16h5", "25h9", "36h10", "36h11"] = "36h11"
-    """The AprilTag family."""
     id: int = Field(default=0, ge=0)
     size_m: SmallLength
-    """Side of the black square; the white margin around it is not in it."""
+    """Side of the black square, without the white margin."""
     size_std_fraction: float = Field(default=0.005, ge=0.0, le=1.0)
-    """Standard deviation of that side over itself, as printed."""
+    """Of that side over itself, as printed."""
     position_std_m: float = Field(default=3e-4, ge=0.0)
-    """How far the tag may be from its stated place, as a standard deviation along each axis: glued by hand."""
+    """Of the tag's position along each axis: glued by hand."""
     rotation_std_rad: Angle = float(np.deg2rad(1.3))
-    """How far it may be turned, about each axis."""
+    """Of its rotation about each axis."""
     link: str
     """The joint whose DH frame carries the plate."""
-    position_m: tuple[float, float, float]
+    position_m: Vector
     rotation: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
     @model_validator(mode="after")
@@ -196,26 +194,25 @@ class Fiducial(StrictModel):
 
     @property
     def T_link_tag(self) -> Array:
-        """Where the tag is on its link, shape (4, 4)."""
+        """The tag's pose on its link, shape (4, 4)."""
         return make_transform(self.rotation, self.position_m)
 
 
 class Dome(StrictModel):
     """A dome over the tissue's outline: height h (1 - g^a)^b at normalised radius g, 0 at the apex, 1 on the outline.
 
-    The defaults make half an ellipsoid. The outline itself comes from the image, the apex stands over its middle.
-    What the standard deviations leave open, `fused` finds where it has both cameras.
+    The defaults make half an ellipsoid. The outline comes from the image; the apex stands over its middle. The
+    exponents' standard deviations say that no two organs are alike; `fused` estimates the shape with both cameras.
     """
 
     height_m: SmallLength
     height_std_m: float = Field(default=0.0, ge=0.0)
     apex_std_m: float = Field(default=0.0, ge=0.0)
-    """How far the apex stands beside the outline's middle, as a standard deviation along each of two axes."""
+    """Of the apex beside the outline's middle, along each of two axes."""
     gauge_exponent: float = Field(default=2.0, ge=1.0, le=20.0)
     height_exponent: float = Field(default=0.5, gt=0.0, le=2.0)
     gauge_exponent_std: float = Field(default=0.3, ge=0.0, le=10.0)
     height_exponent_std: float = Field(default=0.1, ge=0.0, le=1.0)
-    """Standard deviations of the exponents: organs are no ellipsoids, and no two of them are alike."""
 
 
 class Tissue(StrictModel):
@@ -228,36 +225,35 @@ class Tissue(StrictModel):
     x the camera's x axis laid onto the plane, y to the left of x as the camera sees it: upwards in the image.
     """
 
-    plane_normal: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    plane_normal: Vector = (0.0, 0.0, -1.0)
     plane_distance_m: Length
     plane_distance_std_m: float = Field(default=1e-3, ge=0.0)
     plane_tilt_std_rad: Angle = float(np.deg2rad(1.0))
-    """Standard deviation of the normal's direction about each of two axes."""
+    """Of the normal's direction about each of two axes."""
     motion_std_m: float = Field(default=1e-3, ge=0.0)
-    """How far the tissue moves along the plane's normal, as a standard deviation: breath and pulse."""
+    """Of the tissue's motion along the plane's normal: breath and pulse."""
     motion_time_s: float = Field(default=0.5, gt=0.0)
     """Correlation time of that motion: a breath of 4 s turns within as long."""
     dome: Dome | None = None
     mesh: NeighbourFile | None = None
     """A closed surface in a file .obj or .stl, in place of a dome; a relative path starts from the profile's folder."""
     mesh_unit: Literal["m", "cm", "mm"] = "m"
-    """What the file's numbers are; the formats do not say."""
-    mesh_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where the mesh's origin stands in the tissue's frame."""
+    """The unit of the file's numbers; the formats do not say."""
+    mesh_position_m: Vector = (0.0, 0.0, 0.0)
+    """The mesh's origin in the tissue's frame."""
     mesh_yaw_rad: Angle = 0.0
-    """How far the mesh is turned about the tissue's z axis, counter-clockwise seen from the camera's side."""
+    """The mesh's rotation about the tissue's z axis, counter-clockwise seen from the camera's side."""
     surface_std_m: float = Field(default=0.0, ge=0.0)
-    """How far the shape stands off the real surface, as a standard deviation; beside what a dome says of itself."""
+    """Of the distance between shape and real surface, beside what a dome's own deviations say."""
 
     @field_validator("plane_normal")
     @classmethod
-    def _unit(cls, normal: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Normalise what was rounded."""
+    def _unit(cls, normal: Vector) -> Vector:
         length = float(np.linalg.norm(normal))
-        if not 1e-12 < abs(length - 1.0) <= ROUNDED:
+        if abs(length - 1.0) > ROUNDED:
             return normal
         x, y, z = normal
-        return x / length, y / length, z / length
+        return normal if abs(length - 1.0) <= 1e-12 else (x / length, y / length, z / length)
 
     @model_validator(mode="after")
     def _sound(self) -> Tissue:
@@ -277,12 +273,19 @@ class Tissue(StrictModel):
 
     @property
     def T_tissue_mesh(self) -> Array:
-        """Where the mesh stands in the tissue's frame, shape (4, 4)."""
+        """The mesh's pose in the tissue's frame, shape (4, 4)."""
         return make_transform(rotation_z(self.mesh_yaw_rad), self.mesh_position_m)
 
 
+class Placement(StrictModel):
+    """The pose of a simulated arm's base in the world."""
+
+    base_position_m: Vector
+    base_yaw_rad: Angle = 0.0
+
+
 class Simulation(StrictModel):
-    """What `svmdist record` needs beside the chain: where things stand, and what the encoders get wrong."""
+    """What `svmdist record` needs beside the chain: where things stand, and the encoders' errors."""
 
     camera_height_m: Length
     horizontal_fov_rad: Angle
@@ -290,7 +293,7 @@ class Simulation(StrictModel):
     height_px: int = Field(default=480, ge=16, le=4096)
     working_height_m: Length
     """Height of the tool origin above the floor in the plane in which distances are measured."""
-    base_position_m: tuple[float, float, float]
+    base_position_m: Vector
     base_yaw_rad: Angle = 0.0
     posture: dict[str, Angle]
     """Value of every joint in the middle of the work space; the scenarios start their search here."""
@@ -298,24 +301,18 @@ class Simulation(StrictModel):
     encoder_std_rad: float = Field(default=0.0, ge=0.0)
     encoder_std_m: float = Field(default=0.0, ge=0.0)
     stereo_baseline_m: SmallLength = 0.005
-    """How far the right camera stands from the left one, along its x axis: that of a da Vinci's endoscope."""
-
-
-EntrySide = Literal["left", "right", "above", "below"]
-"""The side of the picture that an instrument comes in from."""
-ARM_TOPICS = ("joints", "pose", "ground_truth_distance")
-"""The topics that every instrument has of its own; the others are the whole scene's."""
+    """Of a da Vinci's endoscope: the right camera stands that far along the left one's x axis."""
 
 
 class ArmTopics(StrictModel):
-    """Topics of one instrument. A log without its joints and without its pose has not got the instrument."""
+    """Topics of one instrument. A log without its joints and its pose does not have the instrument."""
 
     joints: str | None = None
     pose: str | None = None
     ground_truth_distance: str | None = None
 
     @model_validator(mode="after")
-    def _tells_of_the_instrument(self) -> ArmTopics:
+    def _sound(self) -> ArmTopics:
         if self.joints is None and self.pose is None:
             raise ValueError("an instrument is known by its topics: name joints or pose")
         return self
@@ -323,12 +320,6 @@ class ArmTopics(StrictModel):
     def are_in(self, topics: Set[str]) -> bool:
         """Whether a log with these topics has the instrument."""
         return bool(topics & {self.joints, self.pose})
-
-    @property
-    def named(self) -> dict[str, str]:
-        """The topics that have a name, by role."""
-        topics = {role: getattr(self, role) for role in ARM_TOPICS}
-        return {role: topic for role, topic in topics.items() if topic is not None}
 
 
 class ArmFrames(StrictModel):
@@ -338,24 +329,16 @@ class ArmFrames(StrictModel):
     tool: str
 
 
-class Placement(StrictModel):
-    """Where a simulated arm's base stands in the world."""
-
-    base_position_m: tuple[float, float, float]
-    base_yaw_rad: Angle = 0.0
-
-
 class OtherInstrument(StrictModel):
     """An instrument beside the profile's own; what is left out is as for that one.
 
-    Without topics nothing but images tells of it: every log has it, and it is told by its side of the picture.
+    One without topics is known by images alone: every log has it, and its side of the picture tells it from others.
     """
 
     name: str = Field(min_length=1)
     topics: ArmTopics | None = None
     frames: ArmFrames | None = None
     entry: EntrySide | None = None
-    """The side that it comes in from, where no joints tell it from the others."""
     fiducial_id: int | None = Field(default=None, ge=0)
     """The number of the tag that this instrument carries where the profile's own does."""
     robot: Robot | None = None
@@ -363,15 +346,16 @@ class OtherInstrument(StrictModel):
     simulation: Placement | None = None
 
     @model_validator(mode="after")
-    def _frames_of_what_moves(self) -> OtherInstrument:
+    def _sound(self) -> OtherInstrument:
         if self.topics is not None and self.frames is None:
             raise ValueError("an instrument with topics has frames: give frames.base and frames.tool")
         return self
 
     @property
     def logged_topics(self) -> dict[str, str]:
-        """Its topics that have a name, by role; none of an instrument that only images tell of."""
-        return {} if self.topics is None else self.topics.named
+        """Its topics that have a name, by role; none for an instrument known by images alone."""
+        topics = {} if self.topics is None else self.topics.model_dump(exclude_none=True)
+        return {role: topics[role] for role in ARM_TOPICS if role in topics}
 
     def is_in(self, topics: Set[str]) -> bool:
         """Whether a log with these topics has the instrument."""

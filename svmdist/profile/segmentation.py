@@ -143,14 +143,14 @@ Segmentation = HsvSegmentation | OnnxSegmentation | AutoSegmentation
 
 
 def _method_of(value: Any) -> str:
-    """The union's tag of a table or of a model; what is neither is told by the colours' model."""
+    """The union's tag of a table or a model; the model of colours reports what is neither."""
     method = value.get("method") if isinstance(value, dict) else getattr(value, "method", None)
-    return method if method in METHODS else "hsv"
+    return f"({method if method in METHODS else 'hsv'})"
 
 
 AnySegmentation = Annotated[
-    Annotated[HsvSegmentation, Tag("hsv")]
-    | Annotated[OnnxSegmentation, Tag("onnx")]
-    | Annotated[AutoSegmentation, Tag("auto")],
+    Annotated[HsvSegmentation, Tag("(hsv)")]
+    | Annotated[OnnxSegmentation, Tag("(onnx)")]
+    | Annotated[AutoSegmentation, Tag("(auto)")],
     Discriminator(_method_of),
 ]

@@ -7,32 +7,63 @@ from dataclasses import replace
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.perturbations.replayed import ReplayedJoints, ReplayedWorld
-from svmdist.recording.arms import LoggedArm
-from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
-from svmdist.recording.encoded import (
-    EncodedObservation,
-    Needs,
-    RightCamera,
-    decode_image,
-    decode_in_order,
-)
-from svmdist.recording.health import Loss, LossKind
+from svmdist.profile import Limits
 from svmdist.recording.messages.checks import DecodeError, EncodedImage, RawTransforms, broken_image
-from svmdist.recording.messages.decoding import Decoder
-from svmdist.recording.pairing import (
+from svmdist.recording.messages.decoding import Decoder, Message
+from svmdist.recording.observations import (
     ArmBuffer,
+    EncodedObservation,
     Item,
     LoggedImage,
     LoggedJoints,
     LoggedTransforms,
     Matched,
     Matcher,
+    Needs,
+    RightCamera,
     RightImage,
+    TransformBuffer,
+    decode_image,
+    decode_in_order,
 )
-from svmdist.recording.sources import RawMessage
-from svmdist.recording.topics import Role, TopicChoice
-from svmdist.recording.transform_buffer import TransformBuffer
-from svmdist.samples import ImageSample, JointSample, Rejection
+from svmdist.recording.source import Health, Loss, LossKind, RawMessage, Source
+from svmdist.recording.topics import LoggedArm, Role, TopicChoice
+from svmdist.samples import ImageSample, JointSample, Rejection, Sample
+
+OTHER_JOINTS = "its joints are others than those of the first message"
+
+
+class DecodedMessages:
+    """What a source holds, decoded within limits; every call streams the file anew."""
+
+    def __init__(self, source: Source, limits: Limits) -> None:
+        self.source = source
+        self.limits = limits
+
+    @property
+    def health(self) -> Health:
+        """What was lost so far."""
+        return self.source.health
+
+    def samples(self, *topics: str) -> Iterator[tuple[RawMessage, Sample | EncodedImage]]:
+        """Decode the messages of some topics; one that cannot be decoded is a loss."""
+        decoder = Decoder(self.limits)
+        for raw in self.source.messages(frozenset(topics)):
+            message = self.read(decoder, raw)
+            if message is not None:
+                yield raw, message.to_sample() if isinstance(message, RawTransforms) else message
+
+    def read(self, decoder: Decoder, raw: RawMessage) -> Message | None:
+        """Read and check a message; None, and a loss, where it cannot be used."""
+        try:
+            return decoder.read(raw)
+        except DecodeError as problem:
+            self.record_loss(LossKind.MESSAGE, str(problem), raw)
+            return None
+
+    def record_loss(self, kind: LossKind, detail: str, raw: RawMessage) -> None:
+        """Count a message as lost."""
+        self.health.add(Loss(kind, detail, raw.offset, raw.topic))
 
 
 class Observer:

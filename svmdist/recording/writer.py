@@ -15,8 +15,8 @@ from mcap.writer import CompressionType, Writer
 
 from svmdist.errors import OutputError, UsageError
 from svmdist.files import BusyError, is_held, lock
-from svmdist.recording.messages.encoding import EncodedSample, encode, message_type
-from svmdist.recording.sources import METADATA_NAME
+from svmdist.recording.encode import EncodedSample, encode, message_type
+from svmdist.recording.source import METADATA_NAME
 from svmdist.samples import Sample
 
 CHUNK_BYTES = 240 * 1024

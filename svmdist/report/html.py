@@ -23,7 +23,7 @@ from rich.table import Table
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import write_atomically
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.report.panels import draw_on
 from svmdist.report.plots import LEVELS, distance_name, held_shares, pooled, rejected_spans
 from svmdist.report.scores import remarks, validation_tables
@@ -31,10 +31,10 @@ from svmdist.report.tables import printable
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.workflows.annotate import drawn_frames
-from svmdist.workflows.progress import Progress, Steps
+from svmdist.workflows.parallel import Progress, Steps
+from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.truth import TruthRules
 from svmdist.workflows.series import Series, WorstFrame, make_series, worst_frames
-from svmdist.workflows.setup import Setup
 from svmdist.workflows.validate import Measured, Validation
 
 BLUE, VERMILION, GREEN, ORANGE, SKY, PINK = "#3a86c8", "#d55e00", "#009e73", "#e69f00", "#56b4e9", "#cc79a7"

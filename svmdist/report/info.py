@@ -10,8 +10,8 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.profile import Profile
 from svmdist.profile.hand_eye import FORMAT, HandEyeFile, Source
-from svmdist.recording.inspect import RecordingSummary, TopicSummary
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.report.tables import Cell, Column, number, printable, render, rich_table
 from svmdist.transforms import quaternion_xyzw_from_rotation
 from svmdist.workflows.capabilities import (

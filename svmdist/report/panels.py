@@ -15,9 +15,8 @@ from svmdist.files import atomic_file
 from svmdist.report.tables import printable
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.marker.features import EDGE_MARGIN_PX
-from svmdist.vision.marker.pattern import padded_template
-from svmdist.vision.segmentation.segmenter import Masks
+from svmdist.vision.marker import EDGE_MARGIN_PX, padded_template
+from svmdist.vision.segmentation import Masks
 from svmdist.workflows.annotate import DrawnFrame
 from svmdist.workflows.frame_drawing import virtual_marker
 from svmdist.workflows.show import ShownFrame

@@ -23,11 +23,9 @@ from svmdist.files import atomic_file
 from svmdist.metrics import deviations_at, interval_coverage
 from svmdist.report.tables import counted, printable
 from svmdist.transforms import Array
-from svmdist.workflows.compare import ALL, Group, MethodScore
+from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
 from svmdist.workflows.degradation_grid import GridCell
-from svmdist.workflows.runs import Figures
-from svmdist.workflows.scoring.distances import DistanceScore, Pairs
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.score import DistanceScore, Pairs, Score
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.series import Series
 from svmdist.workflows.validate import Validation

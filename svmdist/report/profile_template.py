@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 
 from svmdist.profile.robot import Joint, Robot
-from svmdist.vision.distinct_colour import DistinctColour
+from svmdist.vision.colour import DistinctColour
 from svmdist.workflows.new_profile import InstrumentDraft, ProfileDraft, shipped_robot
 
 WRIST = (

@@ -27,10 +27,8 @@ from svmdist.report.tables import (
     rich_table,
 )
 from svmdist.workflows.blur_bench import BlurRow
-from svmdist.workflows.compare import MethodScore
+from svmdist.workflows.compare import Figures, MethodScore
 from svmdist.workflows.degradation_grid import GridCell
-from svmdist.workflows.runs import Figures
-from svmdist.workflows.scoring.distances import DistanceScore
 from svmdist.workflows.scoring.metric_table import (
     Metric,
     Output,
@@ -41,7 +39,7 @@ from svmdist.workflows.scoring.metric_table import (
     score_metrics,
     within,
 )
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.score import DistanceScore, Score
 from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 
 GROUP_TITLES = {"": "", "planar": "planar", "spatial": "spatial", "clearance": "clear."}

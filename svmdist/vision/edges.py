@@ -1,19 +1,16 @@
-"""Sub-pixel edges: where brightness changes fastest across a rough line.
-
-An edge blurred by a symmetric kernel has its steepest point where the sharp edge was, whatever the two
-levels beside it. The steepest point of a sampled profile lies between samples; the logarithm of a Gaussian
-is a parabola, so three samples of the slope place it exactly for a Gaussian blur (Fisher & Naidu 1996).
-"""
+"""Sub-pixel edges: where brightness changes fastest across a rough line, what shading does to that, and discs."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.profile.settings import ShaftSettings
+from svmdist.least_squares import huber_weights, median, scale_of
+from svmdist.profile.settings import DistalMarkerSettings, ShaftSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
 
@@ -158,3 +155,164 @@ def slope_filter(count: int, sigma_px: float) -> Array:
     matrix = np.asarray(kernel * offset / sigma_px**2)
     matrix.flags.writeable = False
     return matrix
+
+
+SHADE_FROM_PX, SHADE_FROM_BLUR, SHADE_LENGTH_PX = 1.0, 2.0, 6.0
+"""Shades beside an edge are read from so far off it, two deviations of its blur, over such a length."""
+MAX_SHIFT = 0.25
+"""Of the slope's scale: a larger shift by shading is no small one, and its first order is not enough."""
+
+
+def shading_shift_px(
+    brightness: Image,
+    points_px: Array,
+    outward: Array,
+    settings: ShaftSettings = DEFAULT,
+    blur_px: float = 0.0,
+) -> float:
+    """How far outward shading beside an edge drew its points, shape (n, 2) in px, as `edge_points` found them.
+
+    A step of height c under an even kernel k, between shades that change by g per px inside and outside, has the
+    slope c k(x) + g_in (1 - K(x)) + g_out K(x), with K the integral of k. It is steepest where
+
+        x = (g_out - g_in) / c · k(0) / -k''(0)
+
+    and k(0) / -k''(0), for a Gaussian its variance, is read off the slope's own peak. `outward` (2,) has length 1.
+    The shades are those of the median profile beyond the blur; 0 where it is no such edge.
+    """
+    sigma_px = slope_sigma_px(blur_px, settings)
+    clear_px = SHADE_FROM_PX + SHADE_FROM_BLUR * blur_px
+    profiles, offsets, inside = profiles_across(brightness, points_px, outward, clear_px + SHADE_LENGTH_PX)
+    profiles = profiles[inside.all(1)]
+    if len(profiles) == 0:
+        return 0.0
+    profile = np.median(profiles, axis=0)
+    slope = profile @ slope_filter(len(offsets), sigma_px)
+    middle = len(offsets) // 2
+    before, top, after = slope[middle - 1], slope[middle], slope[middle + 1]
+    bend = before - 2.0 * top + after
+    dark, bright = offsets <= -clear_px, offsets >= clear_px
+    g_in, level_in = _line_through(offsets[dark], profile[dark])
+    g_out, level_out = _line_through(offsets[bright], profile[bright])
+    contrast = level_out - level_in
+    if not (bend < 0.0 < top and contrast > 0.0):
+        return 0.0
+    shift_px = (g_out - g_in) / contrast * top / -bend * STEP_PX**2
+    return float(np.clip(shift_px, -MAX_SHIFT * sigma_px, MAX_SHIFT * sigma_px))
+
+
+def _line_through(x: Array, y: Array) -> tuple[float, float]:
+    """Slope, and height at 0, of the line of least squares."""
+    middle, height = x.mean(), y.mean()
+    slope = float((x - middle) @ (y - height) / ((x - middle) @ (x - middle)))
+    return slope, float(height - slope * middle)
+
+
+DEFAULT_DISC = DistalMarkerSettings()
+RAYS = 64
+STEP_PX_DISC = 0.25
+INSIDE, OUTSIDE = (0.4, 0.7), (1.25, 1.7)
+"""Where the strength within and without is read, over the radius: clear of the border's blur."""
+FIT_STEPS = 6
+HUBER = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """Centre (2,) and radius in px, the deviation of the border's points, the border's blur, and how many agree."""
+
+    centre_px: Array
+    radius_px: float
+    scatter_px: float
+    blur_px: float
+    agreeing: float
+
+
+def strength_of(image_hsv: Image, hue: float) -> Array:
+    """Chroma along a hue (OpenCV's 0 to 179), shape (h, w) in levels: 0 for grey, negative for the opposite hue."""
+    hsv = image_hsv.astype(np.float32)
+    angle = (hsv[..., 0] - hue) * np.float32(np.pi / 90.0)
+    return np.asarray(hsv[..., 1] * hsv[..., 2] / 255.0 * np.cos(angle), np.float64)
+
+
+def fit_disc(
+    image_hsv: Image,
+    mask: Image,
+    centre_px: Array,
+    radius_px: float,
+    settings: DistalMarkerSettings = DEFAULT_DISC,
+) -> Disc | None:
+    """The disc near a rough one; None where its border is not to be found. `mask`, shape (h, w), has its colour."""
+    half = int(np.ceil(2.0 * radius_px)) + 2
+    x0, y0 = (np.floor(centre_px).astype(int) - half).tolist()
+    height, width = mask.shape
+    rows, columns = (
+        slice(max(y0, 0), min(y0 + 2 * half + 1, height)),
+        slice(max(x0, 0), min(x0 + 2 * half + 1, width)),
+    )
+    window, inside = image_hsv[rows, columns], mask[rows, columns] > 0
+    if np.count_nonzero(inside) < 8:
+        return None
+    turns = window[..., 0][inside] * (np.pi / 90.0)
+    hue = float(np.arctan2(np.sin(turns).mean(), np.cos(turns).mean()) * 90.0 / np.pi)
+    strength = strength_of(window, hue).astype(np.float32)
+    origin_px = np.array([columns.start, rows.start], np.float64)
+    centre_px = centre_px - origin_px
+    angles = np.linspace(0.0, 2.0 * np.pi, RAYS, endpoint=False)
+    directions = np.stack([np.cos(angles), np.sin(angles)], -1)
+    reach_px = np.arange(0.0, OUTSIDE[1] * radius_px, STEP_PX_DISC)
+    places = (centre_px + reach_px[None, :, None] * directions[:, None, :]).astype(np.float32)
+    values = np.asarray(
+        cv2.remap(strength, places[..., 0], places[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE),
+        np.float64,
+    )
+    within = (reach_px >= INSIDE[0] * radius_px) & (reach_px <= INSIDE[1] * radius_px)
+    # Along each ray: one side of a sphere is in shade.
+    high = np.asarray(np.median(values[:, within], axis=1), np.float64)
+    low = np.asarray(np.median(values[:, reach_px >= OUTSIDE[0] * radius_px], axis=1), np.float64)
+    half_px = _crossing(values, reach_px, 0.5 * (high + low))
+    usable = np.isfinite(half_px) & (high - low > settings.min_chroma)
+    if np.count_nonzero(usable) < settings.min_agreeing_fraction * RAYS:
+        return None
+    spread_px = _crossing(values, reach_px, 0.16 * high + 0.84 * low) - _crossing(
+        values, reach_px, 0.84 * high + 0.16 * low
+    )
+    blur_px = float(np.nanmedian(spread_px[usable])) / 2.0 if np.isfinite(spread_px[usable]).any() else 0.0
+    points_px = centre_px + half_px[usable, None] * directions[usable]
+    return _circle(points_px, centre_px, max(blur_px, 0.0), origin_px, settings.min_agreeing_fraction)
+
+
+def _crossing(values: Array, reach_px: Array, level: Array) -> Array:
+    """Where each profile, shape (n, k), first falls below its level, shape (n,); NaN where it does not."""
+    below = values < level[:, None]
+    index = np.argmax(below, axis=1)
+    found = below.any(axis=1) & (index > 0)
+    index = np.maximum(index, 1)
+    rows = np.arange(len(values))
+    before, after = values[rows, index - 1], values[rows, index]
+    part = (before - level) / np.where(before > after, before - after, 1.0)
+    return np.where(found, reach_px[index - 1] + part * STEP_PX_DISC, np.nan)
+
+
+def _circle(
+    points_px: Array, centre_px: Array, blur_px: float, origin_px: Array, min_agreeing: float
+) -> Disc | None:
+    """The circle through most points, shape (n, 2), by Gauss-Newton with Huber's weights."""
+    radius_px = median(np.linalg.norm(points_px - centre_px, axis=1))
+    weight, scale_px = np.ones(len(points_px)), 0.1
+    for _ in range(FIT_STEPS):
+        offset = points_px - centre_px
+        distance_px = np.linalg.norm(offset, axis=1)
+        residual_px = distance_px - radius_px
+        scale_px = max(scale_of(residual_px), 0.1)
+        weight = huber_weights(residual_px, HUBER * scale_px) ** 2
+        J = np.column_stack([offset / distance_px[:, None], np.ones(len(offset))])
+        step = np.linalg.solve(J.T @ (weight[:, None] * J) + 1e-9 * np.eye(3), J.T @ (weight * residual_px))
+        centre_px, radius_px = centre_px + step[:2], radius_px + float(step[2])
+    agreeing = float(np.count_nonzero(np.abs(residual_px) < 3.0 * scale_px)) / RAYS
+    if not radius_px > 1.0 or agreeing < min_agreeing:
+        return None
+    # Blur of deviation σ draws the level of one half inwards by σ² / 2R on a border of radius R.
+    return Disc(
+        centre_px + origin_px, radius_px + blur_px**2 / (2.0 * radius_px), scale_px, blur_px, agreeing
+    )

@@ -1,19 +1,156 @@
-"""One image in every form that detectors ask for, each computed when first asked for and kept.
-
-No other module converts colours or normalises exposure: detectors take grey, HSV and masks from the context.
-"""
+"""One image in every form that detectors ask for: deinterlaced, rectified, then computed when first asked for."""
 
 from __future__ import annotations
 
-from functools import cached_property
+from dataclasses import replace
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
 
-from svmdist.profile.settings import ExposureSettings
-from svmdist.samples import Image
-from svmdist.vision.segmentation.exposure import Exposure, apply_exposure, exposure_of
-from svmdist.vision.segmentation.segmenter import Masks, Segmenter
+from svmdist.camera import Camera, fisheye_coefficients
+from svmdist.profile.settings import ExposureSettings, InterlaceSettings
+from svmdist.samples import Image, Observation, RightView
+from svmdist.transforms import Array, make_transform
+from svmdist.vision.colour import Exposure, apply_exposure, exposure_of
+from svmdist.vision.segmentation import Masks, Segmenter
+
+DEFAULT = InterlaceSettings()
+COLUMNS = 640
+"""Sizes in px are for images of so many columns."""
+REACH = 3
+"""Blocks about a combed one that are mended with it: of one moving body some parts have too little contrast to tell."""
+
+
+def with_first_fields(observation: Observation, settings: InterlaceSettings = DEFAULT) -> Observation:
+    """The observation with both views at the instant of their first field; the same object where nothing is combed."""
+    left, right = first_field(observation.image_bgr, settings), observation.right
+    if left is not observation.image_bgr:
+        observation = replace(observation, image_bgr=left)
+    if right is not None:
+        other = first_field(right.image_bgr, settings)
+        if other is not right.image_bgr:
+            observation = replace(observation, right=replace(right, image_bgr=other))
+    return observation
+
+
+def first_field(bgr: Image, settings: InterlaceSettings = DEFAULT) -> Image:
+    """The image, shape (h, w, 3), with the odd rows of combed places made of the even ones; the same array without."""
+    scale = bgr.shape[1] / COLUMNS
+    green = np.asarray(cv2.extractChannel(bgr, 1), np.uint8)
+    combed = _stands_out(green, 1, settings.comb_levels)
+    if cv2.countNonZero(combed) < settings.min_pixels * scale**2:
+        return bgr
+    textured = _stands_out(green, 2, settings.comb_levels)
+    side = 2 * round(0.5 * settings.block_px * scale) + 1
+    of_block = [cv2.boxFilter(mask, cv2.CV_32F, (side, side)) for mask in (combed, textured)]
+    is_combed = (of_block[0] > settings.min_fraction) & (of_block[0] > settings.comb_ratio * of_block[1])
+    if np.count_nonzero(is_combed) < settings.min_pixels * scale**2:
+        return bgr
+    places = cv2.dilate(is_combed.astype(np.uint8), np.ones((REACH * side, REACH * side), np.uint8))
+    mended = bgr.copy()
+    above = bgr[0:-2:2]
+    below = bgr[2::2]
+    odd = mended[1:-1:2]
+    between = cv2.addWeighted(above, 0.5, below, 0.5, 0.0)
+    np.copyto(odd, between, where=places[1:-1:2, :, None] > 0)
+    return mended
+
+
+def _stands_out(green: Image, away: int, levels: float) -> Image:
+    """Mask of ones, shape (h, w): pixels brighter, or darker, than both those so many rows above and below."""
+    mask = np.zeros(green.shape, np.uint8)
+    middle, above, below = green[away:-away], green[: -2 * away], green[2 * away :]
+    brighter = cv2.subtract(middle, cv2.max(above, below))
+    darker = cv2.subtract(cv2.min(above, below), middle)
+    _, mask[away:-away] = cv2.threshold(cv2.max(brighter, darker), levels, 1.0, cv2.THRESH_BINARY)
+    return mask
+
+
+def as_pinholes(observation: Observation, row_offset_px: float = 0.0) -> Observation:
+    """The observation with both views as ideal cameras give them; the same object where they are already.
+
+    `row_offset_px` is by how much rows of the right view lie below those of the left one after that; it is removed.
+    """
+    left, right = observation.camera, observation.right
+    if left.has_distortion:
+        image = _mapped(observation.image_bgr, left, np.eye(3), left)
+        observation = replace(observation, image_bgr=image, camera=left.pinhole)
+    if right is None:
+        return observation
+    if not _is_rectified(left, right):
+        right = _beside(left, right)
+        observation = replace(observation, right=right)
+    if row_offset_px == 0.0:
+        return observation
+    raised = _raised(right.image_bgr, row_offset_px)
+    return replace(observation, right=replace(right, image_bgr=raised))
+
+
+def _raised(image: Image, rows_px: float) -> Image:
+    """An image moved up by a number of rows, not a whole one in general."""
+    height, width = image.shape[:2]
+    moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -rows_px]])
+    return np.asarray(
+        cv2.warpAffine(image, moved, (width, height), None, cv2.INTER_CUBIC, cv2.BORDER_CONSTANT), np.uint8
+    )
+
+
+def seen_through(camera: Camera, pinhole_px: Array) -> Array:
+    """Where the lens shows what stands at pixels of the pinhole's image, shape (n, 2), in px."""
+    if not camera.has_distortion:
+        return pinhole_px
+    xy = (pinhole_px - camera.K[:2, 2]) / np.diag(camera.K)[:2]
+    return camera.project(np.column_stack([xy, np.ones(len(xy))]))
+
+
+def _is_rectified(left: Camera, right: RightView) -> bool:
+    """Whether rows of both views correspond as they are."""
+    same_K = np.allclose(np.delete(left.K - right.camera.K, 2, axis=1), 0.0, atol=1e-3)
+    return (
+        not left.has_distortion
+        and not right.camera.has_distortion
+        and bool(same_K)
+        and abs(left.K[1, 2] - right.camera.K[1, 2]) <= 1e-3
+        and np.allclose(right.T_left_right[:3, :3], np.eye(3), atol=1e-6)
+    )
+
+
+def _beside(left: Camera, right: RightView) -> RightView:
+    """The right view turned parallel to the left one, with the left one's K."""
+    R_left_right, place_m = right.T_left_right[:3, :3], right.T_left_right[:3, 3]
+    ideal = replace(left.pinhole, frame_id=right.camera.frame_id, P=None, R_rectified_camera=None)
+    image = _mapped(right.image_bgr, right.camera, R_left_right, ideal)
+    return replace(right, image_bgr=image, camera=ideal, T_left_right=make_transform(np.eye(3), place_m))
+
+
+def _mapped(image: Image, camera: Camera, R_ideal_camera: Array, ideal: Camera) -> Image:
+    across, down = _maps(
+        camera.K.tobytes(),
+        camera.D.tobytes(),
+        camera.distortion_model,
+        R_ideal_camera.tobytes(),
+        ideal.K.tobytes(),
+        (ideal.width_px, ideal.height_px),
+    )
+    return np.asarray(cv2.remap(image, across, down, cv2.INTER_LINEAR), np.uint8)
+
+
+@lru_cache(maxsize=8)
+def _maps(
+    K: bytes, D: bytes, model: str, R_ideal_camera: bytes, K_ideal: bytes, size_px: tuple[int, int]
+) -> tuple[Array, Array]:
+    """Where each pixel of an ideal camera is in the image, as fixed-point maps; computed once for a camera."""
+    K_from, R, K_to = (np.frombuffer(data).reshape(3, 3) for data in (K, R_ideal_camera, K_ideal))
+    coefficients = np.frombuffer(D)
+    if model == "fisheye":
+        maps = cv2.fisheye.initUndistortRectifyMap(
+            K_from, fisheye_coefficients(coefficients), R, K_to, size_px, cv2.CV_16SC2
+        )
+    else:
+        maps = cv2.initUndistortRectifyMap(K_from, coefficients, R, K_to, size_px, cv2.CV_16SC2)
+    return np.asarray(maps[0]), np.asarray(maps[1])
+
 
 DEFAULT_EXPOSURE = ExposureSettings()
 

@@ -1,21 +1,229 @@
-"""Regions of a mask: connected parts above an area gate, their size and centroid (eqs. 1, 2, 7, 8, 19, 20)."""
+"""Regions of a mask: connected parts above an area gate, and the completed outline of a smooth convex object."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.least_squares import huber_weights, median, scale_of
 from svmdist.profile import AreaGate
 from svmdist.profile.settings import OutlineSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array, polygon_centroid
-from svmdist.vision.completion import complete_outline
 
 DEFAULT = OutlineSettings()
+CURVE_POINTS = 360
+BORDER_PX = 3
+"""Samples closer than this to the image's border may be cut by it."""
+CENTRE_SETTLED_PX = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class CompletedOutline:
+    """A whole outline: its centroid, shape (2,), with covariance (2, 2), and its curve, shape (n, 2), all in px.
+
+    `visible_fraction` is the part of the hull that is outline; `fitted` is False where that is too little, and
+    curve and centroid are those of the hull.
+    """
+
+    centroid_px: Array
+    covariance_px2: Array
+    curve_px: Array
+    visible_fraction: float
+    fitted: bool
+
+
+def complete_outline(
+    mask: NDArray[np.uint8], hull: NDArray[np.int32], settings: OutlineSettings = DEFAULT
+) -> CompletedOutline:
+    """Fit the outline that a partly hidden object has.
+
+    `mask`, shape (h, w), holds the visible part; `hull`, shape (n, 1, 2), is its convex hull. Points at the
+    image's border are no outline either: the object goes on there.
+    """
+    corners = hull.reshape(-1, 2).astype(np.float64)
+    points_px, step_px = _sample(corners, settings)
+    centroid_px = polygon_centroid(corners)
+    radius_px = float(np.sqrt(cv2.contourArea(hull) / np.pi))
+    visible = _is_outline(points_px, step_px, mask, radius_px, settings)
+    visible_count = int(np.count_nonzero(visible))
+    fraction = visible_count / len(points_px)
+    if visible_count < 4 * settings.harmonics + 2 or fraction < settings.min_visible_fraction:
+        spread_px = settings.hidden_std * radius_px
+        return CompletedOutline(centroid_px, spread_px**2 * np.eye(2), corners, fraction, False)
+    return _fit(points_px[visible], centroid_px, step_px, fraction, settings)
+
+
+def _sample(corners: Array, settings: OutlineSettings) -> tuple[Array, float]:
+    """Points along a closed polygon, shape (n, 2), and the step between them in px."""
+    closed = np.concatenate([corners, corners[:1]])
+    edges = closed[1:] - closed[:-1]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(edges[:, 0], edges[:, 1]))])
+    count = int(min(max(along[-1] / settings.sample_step_px, 3), settings.max_sample_count))
+    step_px = float(along[-1]) / count
+    at = step_px * np.arange(count)
+    points = np.stack([np.interp(at, along, closed[:, 0]), np.interp(at, along, closed[:, 1])], -1)
+    return points, step_px
+
+
+def _is_outline(
+    points_px: Array,
+    step_px: float,
+    mask: NDArray[np.uint8],
+    radius_px: float,
+    settings: OutlineSettings,
+) -> NDArray[np.bool_]:
+    """Which points, shape (n,), of the hull lie at visible pixels, off straight edges and inside the image."""
+    height, width = mask.shape
+    column, row = np.rint(points_px.T).astype(np.intp)
+    left, top = column.min(), row.min()  # all that matters lies inside the hull's bounding box
+    near = cv2.dilate(mask[top : row.max() + 1, left : column.max() + 1], _disc(settings.gap_reach_px))
+    hidden = near[row - top, column - left] == 0
+    length = round(settings.straight_length_per_root_px * np.sqrt(radius_px) / step_px)
+    hidden |= _is_straight(points_px, length, settings.straight_within_px)
+    shoulder = min(settings.shoulder_samples, (len(hidden) - 1) // 2)
+    outline = ~_any_of(hidden, shoulder, shoulder)
+    outline &= (column >= BORDER_PX) & (column < width - BORDER_PX)
+    outline &= (row >= BORDER_PX) & (row < height - BORDER_PX)
+    return np.asarray(outline)
+
+
+@lru_cache(maxsize=4)
+def _disc(radius_px: float) -> NDArray[np.uint8]:
+    """The pixels within a radius of the middle one, as a structuring element."""
+    offset = np.arange(-int(radius_px), int(radius_px) + 1)
+    return np.asarray(offset**2 + offset[:, None] ** 2 <= radius_px**2).astype(np.uint8)
+
+
+def _is_straight(points_px: Array, length: int, within_px: float) -> NDArray[np.bool_]:
+    """Which points, shape (n,), of a closed curve lie on a stretch of `length` samples that stays at its chord."""
+    count = len(points_px)
+    if length < 3 or length >= count // 2:
+        return np.zeros(count, np.bool_)
+    x, y = np.concatenate([points_px, points_px[:length]]).T
+    chord_x, chord_y = x[length:] - x[:count], y[length:] - y[:count]
+    bound = within_px * np.hypot(chord_x, chord_y)
+    # Most stretches leave their chord in the middle; only those that do not are looked at in full.
+    middle = slice(length // 2, length // 2 + count)
+    off = chord_x * (y[middle] - y[:count]) - chord_y * (x[middle] - x[:count])
+    start = np.flatnonzero(np.abs(off) < bound)
+    within = start[:, None] + np.arange(1, length)
+    off = chord_x[start, None] * (y[within] - y[start, None]) - chord_y[start, None] * (
+        x[within] - x[start, None]
+    )
+    straight = np.zeros(count, np.bool_)
+    straight[start] = (np.abs(off) < bound[start, None]).all(1)
+    return _any_of(straight, length, 0)
+
+
+def _any_of(flags: NDArray[np.bool_], before: int, after: int) -> NDArray[np.bool_]:
+    """Whether any flag of a closed sequence, shape (n,), is set from `before` places before to `after` behind."""
+    wrapped = np.concatenate([flags[len(flags) - before :], flags, flags[:after]])
+    counts = np.concatenate([[0], np.cumsum(wrapped)])
+    return np.asarray(counts[before + after + 1 :] > counts[: len(flags)])
+
+
+def _fit(
+    points_px: Array, start_px: Array, step_px: float, visible_fraction: float, settings: OutlineSettings
+) -> CompletedOutline:
+    """Fit r(θ) about a centre, move the centre to the curve's centroid, and repeat until it rests."""
+    x, y = np.ascontiguousarray(points_px.T)
+    centre_px = start_px
+    correlation = max(1.0, settings.correlation_samples * settings.sample_step_px / step_px)
+    prior = _relative_prior_std(settings.harmonics, settings.irregularity)
+    weight = np.ones(len(x))
+    for _ in range(settings.max_iterations):
+        offset = (x - centre_px[0]) + 1j * (y - centre_px[1])
+        radius_px = np.abs(offset)
+        terms = _series(offset / radius_px, settings.harmonics)
+        prior_information = np.diag((median(radius_px) * prior) ** -2.0)
+        std_px = settings.mask_std_px
+        for _ in range(2):  # the deviation and the weights follow from the residual, and it from them
+            weighted = terms * (weight / (correlation * std_px**2))
+            information = weighted @ terms.T
+            coefficients = np.linalg.solve(information + prior_information, weighted @ radius_px)
+            residual_px = radius_px - coefficients @ terms
+            std_px = max(settings.mask_std_px, scale_of(residual_px))
+            bound_px = np.where(
+                residual_px < 0.0, settings.inside_deviations * std_px, settings.outside_deviations * std_px
+            )
+            weight = huber_weights(residual_px, bound_px) ** 2
+        fitted_about_px = centre_px
+        moved_px, J = _centroid(coefficients)
+        centre_px = centre_px + moved_px
+        if np.hypot(moved_px[0], moved_px[1]) < CENTRE_SETTLED_PX:
+            break
+    posterior = np.linalg.inv(information + prior_information)
+    shift_px = np.zeros(len(coefficients))
+    shift_px[:5] = settings.border_std_px / np.sqrt(3.0)
+    follows = posterior @ information  # how the fit follows a shift of the visible border
+    covariance = posterior + (follows * shift_px**2) @ follows.T
+    unit, series = _circle(settings.harmonics)
+    on_curve = (coefficients @ series) * unit
+    curve_px = np.stack([on_curve.real, on_curve.imag], -1) + fitted_about_px
+    return CompletedOutline(centre_px, J @ covariance @ J.T, curve_px, visible_fraction, True)
+
+
+def _centroid(coefficients: Array) -> tuple[Array, Array]:
+    """Centroid, shape (2,), of the polygon that the curve r(θ) is given as, and its Jacobian, shape (2, n).
+
+    It is Σ r r' (r u + r' u') / (3 Σ r r') over neighbouring corners r u and r' u'. Both sums are of trigonometric
+    polynomials, of degree 3 k + 1 where r has k harmonics, and have the same mean over a few corners as over all.
+    """
+    harmonics = len(coefficients) // 2
+    unit, series, next_unit, next_series = _few_corners(harmonics)
+    radius, next_radius = coefficients @ series, coefficients @ next_series
+    product = radius * next_radius
+    twice_area = product.sum()
+    middle = radius * unit + next_radius * next_unit
+    centroid = (product @ middle) / (3.0 * twice_area)
+    # Of d(product) and of d(middle), by the quotient rule.
+    by_product = (middle / 3.0 - centroid) / twice_area
+    third = product / (3.0 * twice_area)
+    jacobian = series @ (next_radius * by_product + third * unit)
+    jacobian += next_series @ (radius * by_product + third * next_unit)
+    return np.array([centroid.real, centroid.imag]), np.stack([jacobian.real, jacobian.imag])
+
+
+def _series(unit: NDArray[np.complex128], harmonics: int) -> Array:
+    """The terms 1, cos θ, sin θ, cos 2θ, …, shape (2 harmonics + 1, n), of points e^(iθ), shape (n,)."""
+    terms = np.empty((2 * harmonics + 1, len(unit)))
+    terms[0] = 1.0
+    power = unit
+    for order in range(1, harmonics + 1):
+        terms[2 * order - 1] = power.real
+        terms[2 * order] = power.imag
+        power = power * unit
+    return terms
+
+
+@lru_cache(maxsize=4)
+def _circle(harmonics: int) -> tuple[NDArray[np.complex128], Array]:
+    """All corners of the curve as a polygon: e^(iθ), shape (n,), from θ = -π on, and the terms of the series there."""
+    unit = np.exp(1j * np.linspace(-np.pi, np.pi, CURVE_POINTS, endpoint=False))
+    return unit, _series(unit, harmonics)
+
+
+@lru_cache(maxsize=4)
+def _few_corners(harmonics: int) -> tuple[NDArray[np.complex128], Array, NDArray[np.complex128], Array]:
+    """As many corners as the mean of degree 3 harmonics + 1 needs, evenly spread, and the corner next to each."""
+    unit = np.exp(2j * np.pi * np.arange(3 * harmonics + 2) / (3 * harmonics + 2))
+    next_unit = unit * np.exp(2j * np.pi / CURVE_POINTS)
+    return unit, _series(unit, harmonics), next_unit, _series(next_unit, harmonics)
+
+
+@lru_cache(maxsize=4)
+def _relative_prior_std(harmonics: int, irregularity: float) -> Array:
+    """Standard deviation of each coefficient over the radius, shape (2 harmonics + 1,); size and place are free."""
+    order = np.repeat(np.arange(1, harmonics + 1), 2)
+    std = np.concatenate([[1.0], np.where(order == 1, 1.0, irregularity * (2.0 / order) ** 3)])
+    std.setflags(write=False)
+    return std
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from svmdist.profile import AreaGate
 from svmdist.profile.settings import ShaftSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.field_of_view import field_of_view
+from svmdist.vision.colour import field_of_view
 
 DEFAULT = ShaftSettings()
 MAX_SAMPLES = 120

@@ -1,22 +1,150 @@
-"""A shaft by its silhouette: its two edges in the image's gradients, where they end, and the wrist beyond them.
-
-An instrument that was found roughly says where to look. Nothing here asks for a colour or a brightness.
-"""
+"""A shaft by its silhouette: its two edges in the image's gradients, where they end, and the wrist beyond them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from svmdist.profile.settings import ShaftSettings, SilhouetteSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edge_lines import EdgeLine, edge_line
-from svmdist.vision.instruments.seen import SeenInstrument
-from svmdist.vision.wrist_outline import WristPoint, WristShape, wrist_point
+from svmdist.vision.find_instruments import SeenInstrument
 
-DEFAULT, DEFAULT_SHAFT = SilhouetteSettings(), ShaftSettings()
+DEFAULT = SilhouetteSettings()
+WIDTH_CELLS = 24
+"""Of the patch that is looked at, across the shaft: its cost is the same for every image."""
+BEHIND, BESIDE = 0.75, 2.0
+"""How far the patch reaches behind the end and to each side of the axis, over the shaft's width."""
+FLANK = 0.75
+"""What is farther from the axis than this, over the width, is background beside a wrist for the most part."""
+MAD = 1.4826
+MIN_CELLS = 12
+FROM_ONE_END = 1.0 / np.sqrt(3.0)
+"""How far what may be anywhere in a range is from one end of it, root mean square, over its length."""
+FAR_PERCENTILE = 99.0
+"""Of the outline's distances from the shaft's end: its tip, without a speck that hangs on it."""
+
+
+@dataclass(frozen=True, slots=True)
+class WristShape:
+    """A straight wrist with closed jaws beyond the shaft's end, as an outline.
+
+    `tool_fraction` is where between end and tip the tool's origin is, `length_widths` how long all of it is over the
+    shaft's width.
+    """
+
+    tool_fraction: float
+    length_widths: float
+
+
+@dataclass(frozen=True, slots=True)
+class WristPoint:
+    """The tool's origin in the wrist's outline, (2,) in px, with its deviation, and the jaws' tips, (2,) in px."""
+
+    pixel: Array
+    std_px: float
+    tip_px: Array
+
+
+def wrist_point(
+    bgr: Image,
+    mask: Image,
+    end_px: Array,
+    along: Array,
+    width_px: float,
+    shape: WristShape,
+    settings: SilhouetteSettings = DEFAULT,
+) -> WristPoint | None:
+    """Where the tool's origin is beyond a shaft's end, in an image, shape (h, w, 3); None where no wrist is seen.
+
+    `mask`, shape (h, w), is what is roughly known of the instrument; `along` (2,) is the shaft's direction to the tip.
+    The origin is the shape's part of the way from the end to the outline's tip, as the crow flies, in the middle of
+    the outline. Of an outline that is shorter than a straight wrist it may be farther on; one
+    that is much shorter tells nothing.
+    """
+    cell_px = width_px / WIDTH_CELLS
+    farthest = settings.wrist_reach * shape.length_widths
+    u = np.arange(-BEHIND, farthest, 1.0 / WIDTH_CELLS) * width_px
+    v = np.arange(-BESIDE, BESIDE + 0.5 / WIDTH_CELLS, 1.0 / WIDTH_CELLS) * width_px
+    across = np.array([-along[1], along[0]])
+    place = end_px + u[:, None, None] * along + v[None, :, None] * across
+    height, width = mask.shape
+    seen = np.all((place >= 0) & (place <= [width - 1, height - 1]), axis=2)
+    x, y = (np.ascontiguousarray(place[..., axis], np.float32) for axis in (0, 1))
+    smooth = bgr if cell_px < 1.5 else cv2.blur(bgr, (int(cell_px + 0.5),) * 2)
+    patch = np.asarray(cv2.remap(smooth, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    known = cv2.remap(mask, x, y, cv2.INTER_NEAREST) > 0
+    ahead, off_axis = u[:, None] / width_px, np.abs(v)[None, :] / width_px
+    shaft = (ahead < 0.0) & (off_axis < 0.5)
+    different = _unlike_flanks(patch, seen & ~known & (off_axis > FLANK), v, settings)
+    if different is None:
+        different = np.zeros(known.shape, np.bool_)
+    near = np.hypot(ahead, off_axis) < farthest
+    body = ((different | known) & seen & near & (ahead >= 0.0)) | shaft
+    outline = _attached(body, shaft)
+    beyond = outline & (ahead > 0.0)
+    if np.count_nonzero(beyond) < MIN_CELLS:
+        return None
+    offset = np.stack(np.nonzero(beyond), -1) * cell_px + [u[0], v[0]]
+    distance = np.linalg.norm(offset, axis=1)
+    reach_px = float(np.percentile(distance, FAR_PERCENTILE))
+    expected_px = shape.length_widths * width_px
+    if reach_px < max(settings.min_wrist_widths * width_px, settings.min_wrist_share * expected_px):
+        return None  # another tip than the profile's, or one that is mostly missed
+    ring = np.abs(distance - shape.tool_fraction * reach_px) < 0.5 * settings.wrist_std * reach_px
+    if np.count_nonzero(ring) < 3:
+        return None
+    at = offset[ring].mean(0)
+    # The middle of an arc lies inside of it.
+    at *= shape.tool_fraction * reach_px / max(float(np.linalg.norm(at)), 1e-9)
+    # An outline shorter than a straight wrist comes towards the camera, or lacks its jaws: then the origin is beyond.
+    beyond_px = shape.tool_fraction * max(0.0, expected_px - reach_px)
+    tip = offset[distance > reach_px - cell_px].mean(0)
+    pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
+    return WristPoint(pixel, float(np.hypot(settings.wrist_std * reach_px, FROM_ONE_END * beyond_px)), tip_px)
+
+
+def _unlike_flanks(
+    patch: Image, flanks: NDArray[np.bool_], v: Array, settings: SilhouetteSettings
+) -> NDArray[np.bool_] | None:
+    """What of a patch, shape (m, n, 3), looks like neither flank; None without a flank of one colour.
+
+    Each flank is a colour with its scatter: on tissue that is large, and little differs from it.
+    """
+    lab = cv2.cvtColor(patch, cv2.COLOR_BGR2LAB).astype(np.float32)
+    floor = np.array(
+        [settings.flank_light_levels, settings.flank_colour_levels, settings.flank_colour_levels]
+    )
+    unlike: NDArray[np.bool_] | None = None
+    for side in (v < 0.0, v > 0.0):
+        pixels = lab[flanks & side[None, :]]
+        if len(pixels) < 4 * MIN_CELLS:
+            continue
+        middle = np.median(pixels, axis=0)
+        scatter = np.maximum(MAD * np.median(np.abs(pixels - middle), axis=0), floor)
+        away = np.sqrt(np.sum(((lab - middle) / scatter) ** 2, axis=2)) > settings.flank_stds
+        if np.mean(away[flanks & side[None, :]]) > settings.max_flank_outliers:
+            return None  # several things are there, and a wrist would be one more
+        unlike = away if unlike is None else unlike & away
+    return unlike
+
+
+def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The part of a body, shape (m, n), that hangs on the shaft, without specks."""
+    opened = cv2.morphologyEx(np.asarray(body, np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    _, labels = cv2.connectedComponents(closed, connectivity=8)
+    own = labels[shaft & (closed > 0)]
+    if not len(own):
+        return np.zeros(body.shape, np.bool_)
+    return np.asarray(labels == np.bincount(own).argmax())
+
+
+DEFAULT_SILHOUETTE, DEFAULT_SHAFT = SilhouetteSettings(), ShaftSettings()
 ENDS_APART = 0.3
 """Deviation of an end over the distance of both ends: those of a uniform distribution between them."""
 
@@ -63,7 +191,7 @@ def find_silhouette(
     seen: SeenInstrument,
     picture: Image | None,
     wrist: WristShape,
-    settings: SilhouetteSettings = DEFAULT,
+    settings: SilhouetteSettings = DEFAULT_SILHOUETTE,
     shaft: ShaftSettings = DEFAULT_SHAFT,
 ) -> Silhouette | None:
     """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges.

@@ -1,14 +1,4 @@
-"""Rectified stereo of smooth tissue: semi-global matching, then one smooth disparity surface aligned to sub-pixels.
-
-Wet tissue has little texture. Semi-global matching (Hirschmüller 2008) finds the right disparity there within
-a pixel or so, which at a baseline of 5 mm is several millimetres. The organ is smooth, though: a low-order
-polynomial d(u, v) is fitted robustly to the matches, and then refined by aligning the images themselves
-(Lucas & Kanade 1981, with the disparity surface as the warp), which every pixel of the organ supports.
-
-The slopes that drive the alignment are those of the left image, which does not move (Baker & Matthews 2004), so that
-a step costs one interpolation; on a regular grid the sums over a polynomial's terms are products with two small
-matrices.
-"""
+"""Rectified stereo: the pair's geometry, its row offset, semi-global matching, and the plane of most of a scene."""
 
 from __future__ import annotations
 
@@ -18,231 +8,375 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.camera import Camera
 from svmdist.least_squares import median, scale_of
 from svmdist.profile.settings import StereoSettings
-from svmdist.samples import Image
+from svmdist.results import Failure
+from svmdist.samples import Image, RightView
 from svmdist.transforms import Array
-from svmdist.vision.semi_global import match_region
 
-DEFAULT = StereoSettings()
-DEGREE = 3
-SCALE_PX = 100.0
-TERMS = tuple((i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i))
-"""The powers of u and v in each term."""
-BRIGHTNESS_TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-"""Powers of u and v by which the views may differ in brightness."""
-MAX_SAMPLES = 15_000
-"""Pixels used in the alignment: beyond some ten thousand, noise is no longer what limits it."""
-MAX_START_SAMPLES = 1000
-"""Matches that the alignment starts from: it must begin within a pixel, no better."""
-START_STEPS, ALIGN_STEPS = 6, 12
-SETTLED_PX = 0.005
-"""A step that moves no pixel by more ends the alignment."""
-SCALE_STRIDE = 4
-"""The offset and the spread of the images' difference are medians over every fourth pixel: right within a percent."""
-RIDGE = 1e-3
+MAX_OFF_AXIS = 0.02
+"""A right camera this far above, below, before or behind the left one, over the baseline, counts as beside it: rows of
+both views then differ by half a pixel at a disparity of 25 px. Further off, both views are turned."""
+MAX_TURN = 0.7
+"""Sine of the angle between the baseline and the left camera's x axis beyond which it is no pair of a left and a right
+view: turned by 45 degrees they would share little of what they show."""
 
 
 @dataclass(frozen=True, slots=True)
-class DisparitySurface:
-    """Disparity in px as a polynomial of the left image's pixels about `centre_px`, and how well it aligns.
+class RectifiedPair:
+    """The left camera's K, shape (3, 3), the baseline, and how far the principal points stand apart.
 
-    `mismatch_px` is the robust spread of the images' difference along it over the slope of the image (rms, along x): by
-    how much a pixel seems shifted. `matched_fraction` is the share of the region's pixels that semi-global matching
-    found a disparity for.
+    Rows correspond in views turned by `R_rows_left`, shape (3, 3), None where they do as they are. Points are in the
+    left camera's frame, and pixels those of the left view, in any case.
     """
 
-    coefficients: Array
-    centre_px: Array
-    mismatch_px: float
-    matched_fraction: float
-    agreeing_fraction: float = 1.0
-    """The share of the matches that lie within two of matching's pixels of the surface."""
+    K: Array
+    baseline_m: float
+    offset_px: float
+    R_rows_left: Array | None = None
 
-    def at(self, points_px: Array) -> Array:
-        """Disparity in px, shape (n,), at pixels of the left image, shape (n, 2)."""
-        return np.asarray(_basis(points_px, self.centre_px) @ self.coefficients)
+    def homography(self, *, right: bool = False) -> Array:
+        """What turns a view's pixels into those whose rows correspond, shape (3, 3)."""
+        if self.R_rows_left is None:
+            return np.eye(3)
+        K = self.K.copy()
+        K[0, 2] -= self.offset_px * right
+        return np.asarray(K @ self.R_rows_left @ np.linalg.inv(K))
+
+    def to_rows(self, pixel: Array, *, right: bool = False) -> Array:
+        """A pixel (2,) of a view where rows correspond."""
+        if self.R_rows_left is None:
+            return pixel
+        x, y, w = self.homography(right=right) @ np.array([pixel[0], pixel[1], 1.0])
+        return np.array([x / w, y / w])
+
+    def disparity_px(self, left_x_px: float, right_x_px: float) -> float:
+        """Disparity of a point seen in both images, as if the principal points were one."""
+        return left_x_px - right_x_px - self.offset_px
+
+    def disparity_at(self, depth_m: float) -> float:
+        """Disparity in px at a depth: f b / z."""
+        return float(self.K[0, 0] * self.baseline_m / depth_m)
+
+    def point(self, left_px: Array, disparity_px: float) -> tuple[Array, Array]:
+        """The point of a left pixel (2,) and a disparity, (3,) in m, and its Jacobian by (u, v, d), (3, 3)."""
+        fx, fy = self.K[0, 0], self.K[1, 1]
+        z = fx * self.baseline_m / disparity_px
+        u, v = self.to_rows(left_px)
+        x, y = (u - self.K[0, 2]) / fx, (v - self.K[1, 2]) / fy
+        p_rows_m = np.array([x * z, y * z, z])
+        J = np.zeros((3, 3))
+        J[0, 0], J[1, 1] = z / fx, z / fy
+        J[:, 2] = -p_rows_m / disparity_px
+        if self.R_rows_left is None:
+            return p_rows_m, J
+        moved = [self.to_rows(left_px + step) - self.to_rows(left_px - step) for step in 0.5 * np.eye(2)]
+        J[:, :2] = J[:, :2] @ np.stack(moved, -1)
+        return self.R_rows_left.T @ p_rows_m, self.R_rows_left.T @ J
+
+    def depth_m(self, p_camera_m: Array) -> tuple[float, Array]:
+        """A point's depth where rows correspond, which its disparity tells, and its derivative by the point, (3,)."""
+        along = np.array([0.0, 0.0, 1.0]) if self.R_rows_left is None else self.R_rows_left[2]
+        return float(along @ p_camera_m), along
+
+    def points(self, rows_px: Array, disparity_px: Array) -> Array:
+        """Points of pixels of the left view where rows correspond, shape (n, 2), and disparities (n,): (n, 3) in m."""
+        depth_m = self.K[0, 0] * self.baseline_m / disparity_px
+        x = (rows_px[:, 0] - self.K[0, 2]) / self.K[0, 0]
+        y = (rows_px[:, 1] - self.K[1, 2]) / self.K[1, 1]
+        points_m = np.stack([x * depth_m, y * depth_m, depth_m], -1)
+        return points_m if self.R_rows_left is None else np.asarray(points_m @ self.R_rows_left)
 
 
-def fit_surface(
+def rectified_pair(left: Camera, right: RightView) -> RectifiedPair | Failure:
+    """The pair's geometry; or what is wrong with it."""
+    T, K, K_right = right.T_left_right, left.K, right.camera.K
+    if T[0, 3] <= 0.0:
+        return Failure("the right camera is not to the right of the left one: are the topics swapped?")
+    if not np.allclose(T[:3, :3], np.eye(3), atol=1e-6):
+        return Failure("the pair is not rectified: the right camera is turned")
+    baseline_m = float(np.linalg.norm(T[:3, 3]))
+    if np.linalg.norm(T[1:3, 3]) > MAX_TURN * baseline_m:
+        return Failure("the right camera is not beside the left one: it is above, below, before or behind it")
+    R_rows_left = None
+    if np.abs(T[1:3, 3]).max() > MAX_OFF_AXIS * T[0, 3]:
+        R_rows_left = _rows_along(T[:3, 3] / baseline_m)
+    same_focal = np.allclose(np.delete(K - K_right, 2, axis=1), 0.0, atol=1e-3)
+    if not same_focal or abs(K[1, 2] - K_right[1, 2]) > 1e-3:
+        return Failure("the pair is not rectified: focal lengths or rows of the principal points differ")
+    if left.has_distortion or right.camera.has_distortion:
+        return Failure("the pair is not rectified: the images are distorted")
+    along_m = float(T[0, 3]) if R_rows_left is None else baseline_m
+    return RectifiedPair(K, along_m, float(K[0, 2] - K_right[0, 2]), R_rows_left)
+
+
+def _rows_along(x: Array) -> Array:
+    """The rotation, shape (3, 3), from the left camera to one whose x axis is `x`, with little else turned."""
+    y = np.cross([0.0, 0.0, 1.0], x)
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)])
+
+
+DEFAULT = StereoSettings()
+POINTS, CONTRAST, EDGE = 1000, 0.015, 8.0
+"""Of SIFT: wet tissue and paper have little contrast, and a point on an edge has no place along it."""
+RATIO = 0.8
+"""Of the distances to the nearest and the next descriptor (Lowe 2004)."""
+PEAK_PX = 1.5
+"""Differences of rows this near to the most frequent one are of points that do correspond."""
+MIN_PEAK_SHARE = 0.3
+"""Of all matches, those at the most frequent difference. Of differences that mean nothing it is a fifth."""
+LEAST_STD_PX = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class RowOffset:
+    """Row in the right view less that in the left one, in px, its standard deviation, and how many points tell it."""
+
+    px: float
+    std_px: float
+    count: int
+
+
+def row_differences(
+    left_grey: Image, right_grey: Image, min_px: float, max_px: float, settings: StereoSettings = DEFAULT
+) -> Array:
+    """Row in the right view less that in the left one, shape (n,) in px, of points that look alike (SIFT, Lowe 2004).
+
+    `min_px` and `max_px` bound their disparity; only differences within the settings' range are looked for.
+    """
+    sift = cv2.SIFT.create(POINTS, 3, CONTRAST, EDGE)
+    (at_left, left), (at_right, right) = (
+        sift.detectAndCompute(image, None) for image in (left_grey, right_grey)
+    )
+    if left is None or right is None or len(at_right) < 2:
+        return np.zeros(0)
+    left_px, right_px = (np.array([point.pt for point in points]) for points in (at_left, at_right))
+    disparity_px = left_px[:, None, 0] - right_px[None, :, 0]
+    rows_px = right_px[None, :, 1] - left_px[:, None, 1]
+    allowed = (
+        (disparity_px > min_px) & (disparity_px < max_px) & (np.abs(rows_px) <= settings.max_row_offset_px)
+    )
+    square = np.sum(left**2, 1)[:, None] + np.sum(right**2, 1)[None] - 2.0 * left @ right.T
+    square = np.where(allowed, np.maximum(square, 0.0), np.inf)
+    nearest, back = np.argmin(square, 1), np.argmin(square, 0)
+    index = np.arange(len(left))
+    best = square[index, nearest]
+    square[index, nearest] = np.inf
+    is_match = (back[nearest] == index) & np.isfinite(best) & (best < RATIO**2 * square.min(1))
+    return np.asarray(rows_px[index[is_match], nearest[is_match]], np.float64)
+
+
+def agreed_offset(differences_px: Array, settings: StereoSettings = DEFAULT) -> RowOffset | None:
+    """The offset that most differences, shape (n,), agree on; None where too few do."""
+    if len(differences_px) < settings.min_row_points:
+        return None
+    ordered = np.sort(differences_px)
+    inside = np.searchsorted(ordered, ordered + 2.0 * PEAK_PX, "right") - np.arange(len(ordered))
+    first = int(np.argmax(inside))
+    peak = ordered[first : first + int(inside[first])]
+    if len(peak) < max(settings.min_row_points, MIN_PEAK_SHARE * len(ordered)):
+        return None
+    middle_px = median(peak)
+    # Points of one texture err alike: a tenth of them count.
+    std_px = float(np.hypot(LEAST_STD_PX, scale_of(peak - middle_px) / np.sqrt(0.1 * len(peak))))
+    return RowOffset(middle_px, std_px, len(peak))
+
+
+SPECKLE_PX2 = 100
+"""Patches of matches up to this area, in pixels of the original image, that stand alone are mistakes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """Disparities on a grid of pixels of the left image: columns (w,), rows (h,), both in px, values (h, w) in px.
+
+    A value stands for a cell of `step_px` squared about its pixel; `is_core`, shape (h, w), says which cells lie in
+    the region. Values are NaN outside it and where nothing matched.
+    """
+
+    columns_px: Array
+    rows_px: Array
+    disparity_px: Array
+    is_core: NDArray[np.bool_]
+    step_px: int
+
+
+def match_region(
+    left_grey: Image, right_grey: Image, core: Image, min_px: int, max_px: int, settings: StereoSettings
+) -> Matches | None:
+    """Matches in the region's core, on images reduced until the search spans the settings' number of disparities."""
+    # Matching costs most of all; only the region's rows, and the columns that its matches can lie in, are needed.
+    x, y, width, height = cv2.boundingRect(core)
+    step = max(1, round((max_px - min_px) / settings.matched_disparities))
+    low, high = int(np.floor(min_px / step)), int(np.ceil(max_px / step))
+    least_px = step * _least_width_px(low, high, settings.block_px)
+    left_px = max(0, min(x - max(max_px, 0), core.shape[1] - least_px))
+    right_px = min(max(x + width - min(min_px, 0), left_px + least_px), core.shape[1])
+    shape = (height // step, (right_px - left_px) // step)
+    if min(shape) == 0:
+        return None
+    window = np.s_[y : y + step * shape[0], left_px : left_px + step * shape[1]]
+    left, right = (_reduced(image[window], step) for image in (left_grey, right_grey))
+    disparity_px = step * _match(left, right, low, high, settings.block_px, max(1, SPECKLE_PX2 // step**2))
+    middle = (step - 1) // 2
+    is_core = core[window][middle::step, middle::step] > 0
+    columns_px, rows_px = (
+        first + step * np.arange(count, dtype=np.float64) + 0.5 * (step - 1)
+        for first, count in ((left_px, shape[1]), (y, shape[0]))
+    )
+    return Matches(columns_px, rows_px, np.where(is_core, disparity_px, np.nan), is_core, step)
+
+
+def _match(
     left_grey: Image,
     right_grey: Image,
-    region: Image,
-    right_region: Image,
     min_px: int,
     max_px: int,
-    settings: StereoSettings = DEFAULT,
-) -> DisparitySurface | None:
-    """Fit the disparity surface of a region, a mask of shape (h, w); None with too few matches in it.
+    block_px: int,
+    speckle_px2: int,
+) -> Array:
+    """Disparity of every left pixel, shape (h, w) in px; NaN where there is none.
 
-    `right_region` is the same region's mask in the right image: what leaves it there is hidden. `min_px` and `max_px`
-    bound the search.
+    `min_px` and `max_px` bound the search; OpenCV searches a multiple of 16.
     """
-    side_px = 2 * settings.margin_px + 1
-    core = np.asarray(cv2.erode(region, np.ones((side_px, side_px), np.uint8)), np.uint8)
-    matches = match_region(left_grey, right_grey, core, min_px, max_px, settings)
-    if matches is None:
-        return None
-    is_matched = np.isfinite(matches.disparity_px)
-    count = int(np.count_nonzero(is_matched))
-    if count * matches.step_px**2 < settings.min_matches:
-        return None
-    rows, columns = np.nonzero(is_matched)
-    points_px = np.stack([matches.columns_px[columns], matches.rows_px[rows]], -1)
-    centre_px = points_px.mean(0)
-    few = slice(None, None, max(1, count // MAX_START_SAMPLES))
-    start = _fit_robustly(_basis(points_px[few], centre_px), matches.disparity_px[is_matched][few])
-    thinned = slice(None, None, max(1, int(np.ceil(np.sqrt(count / MAX_SAMPLES)))))
-    coefficients, mismatch_px = _align(
-        left_grey,
-        right_grey,
-        right_region,
-        np.floor(matches.columns_px[thinned]).astype(np.intp),
-        np.floor(matches.rows_px[thinned]).astype(np.intp),
-        is_matched[thinned, thinned],
-        centre_px,
-        start,
-        settings,
+    if left_grey.shape[1] < _least_width_px(min_px, max_px, block_px):
+        return np.full(left_grey.shape, np.nan)
+    count = 16 * int(np.ceil((max_px - min_px) / 16))
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=min_px,
+        numDisparities=count,
+        blockSize=block_px,
+        P1=8 * block_px**2,
+        P2=64 * block_px**2,
+        disp12MaxDiff=2,
+        uniquenessRatio=3,
+        speckleWindowSize=speckle_px2,
+        speckleRange=2,
+        mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
-    matched_fraction = count / max(int(np.count_nonzero(matches.is_core)), 1)
-    error_px = matches.disparity_px[is_matched][few] - _basis(points_px[few], centre_px) @ coefficients
-    agreeing = float(np.mean(np.abs(error_px) < 2.0 * matches.step_px))
-    return DisparitySurface(coefficients, centre_px, mismatch_px, matched_fraction, agreeing)
+    fixed_point = np.asarray(matcher.compute(left_grey, right_grey), np.float64)
+    return np.where(fixed_point >= 16 * min_px, fixed_point / 16.0, np.nan)
 
 
-def _basis(points_px: Array, centre_px: Array) -> Array:
-    u, v = ((points_px - centre_px) / SCALE_PX).T
-    return np.stack([u**i * v**j for i, j in TERMS], -1)
+def _least_width_px(min_px: int, max_px: int, block_px: int) -> int:
+    """Width below which OpenCV's matcher has no column with all disparities in it, and fails."""
+    return max(abs(min_px), abs(max_px)) + (max_px - min_px) + 16 + 2 * block_px
 
 
-def _fit_robustly(B: Array, disparity_px: Array) -> Array:
-    """Iteratively reweighted least squares with Cauchy's weights."""
-    weight: Array = np.ones(len(disparity_px))
-    coefficients: Array = np.zeros(B.shape[1])
-    for _ in range(START_STEPS):
-        weighted = B * weight[:, None]
-        normal = weighted.T @ B + RIDGE * np.eye(B.shape[1])
-        coefficients = np.asarray(np.linalg.solve(normal, weighted.T @ disparity_px), np.float64)
-        error = disparity_px - B @ coefficients
-        weight = np.asarray(1.0 / (1.0 + (error / (2.0 * scale_of(error) + 1e-3)) ** 2), np.float64)
-    return coefficients
+def _reduced(image: Image, step: int) -> Image:
+    """An image of which each pixel is the mean of `step` squared ones; its sides are multiples of that."""
+    size = (image.shape[1] // step, image.shape[0] // step)
+    return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _align(
-    left_grey: Image,
-    right_grey: Image,
-    right_region: Image,
-    columns: NDArray[np.intp],
-    rows: NDArray[np.intp],
-    is_used: NDArray[np.bool_],
-    centre_px: Array,
-    coefficients: Array,
-    settings: StereoSettings,
-) -> tuple[Array, float]:
-    """Gauss–Newton on right(u - d(u, v), v) - left(u, v), with a free, smooth field of brightness between the images.
+NEAREST_M, FURTHEST_M = 0.04, 0.5
+"""Where tissue lies in front of an endoscope, with room on both sides."""
+WIDTH_PX = 640
+"""Images are matched at about this width: a plane needs no more."""
+MAX_DISPARITIES = 256
+ROW_OFFSETS_PX = (-2, -1, 0, 1, 2)
+"""Rows of a pair that is called rectified were found 1.5 px apart."""
+SAMPLE_COUNT = 20_000
+INLIER_PX = 1.5
+MIN_INLIER_FRACTION, MIN_MATCHED_FRACTION = 0.4, 0.1
+TRIALS = 200
 
-    `columns`, `rows` and `is_used`, shape (h, w), make the grid of the left image's pixels that are aligned. Gives the
-    coefficients and the mismatch that they leave, in px.
+
+@dataclass(frozen=True, slots=True)
+class StereoPlane:
+    """A plane n · p = -d as a pair shows it: unit normal (3,) towards the camera, and d in m.
+
+    `surface_std_m` is how far what is on it stands off it; `row_offset_px` how far right rows are above left ones.
     """
-    left, slope = _smoothed_with_slope(left_grey, columns, rows, settings.smoothing_px)
-    right, first_row = _smoothed_where_seen(right_grey, right_region, rows, settings)
-    u, v = (
-        np.vander((px - middle) / SCALE_PX, 2 * DEGREE + 1, increasing=True)
-        for px, middle in ((columns, centre_px[0]), (rows, centre_px[1]))
+
+    normal: Array
+    distance_m: float
+    surface_std_m: float
+    row_offset_px: int
+
+
+def fit_plane(left_bgr: Image, right_bgr: Image, K: Array, baseline_m: float) -> StereoPlane | None:
+    """The plane of a rectified pair of images, both with K; None where too little matches, or lies on no one plane.
+
+    1 / depth is linear in the pixel on a plane, and so is the disparity f b / depth: three numbers are fitted robustly
+    (RANSAC, then Geman and McClure's loss) to the disparities of semi-global matching.
+    """
+    step = max(1, round(left_bgr.shape[1] / WIDTH_PX))
+    left, right = (_small_grey(image, step) for image in (left_bgr, right_bgr))
+    fb_px_m = float(K[0, 0]) / step * baseline_m
+    low = max(1, int(fb_px_m / FURTHEST_M))
+    high = min(int(np.ceil(fb_px_m / NEAREST_M)), low + MAX_DISPARITIES, left.shape[1] // 2)
+    if high - low < 3:
+        return None
+    found = [(_disparities(left, np.roll(right, offset, 0), low, high), offset) for offset in ROW_OFFSETS_PX]
+    disparity_px, offset = max(found, key=lambda one: int(np.isfinite(one[0]).sum()))
+    rows, columns = np.nonzero(np.isfinite(disparity_px))
+    if len(rows) < MIN_MATCHED_FRACTION * disparity_px.size:
+        return None
+    rng = np.random.default_rng(0)
+    kept = rng.choice(len(rows), min(len(rows), SAMPLE_COUNT), replace=False)
+    rows, columns = rows[kept], columns[kept]
+    rays = np.column_stack(
+        [
+            (columns * step - K[0, 2]) / K[0, 0],
+            (rows * step - K[1, 2]) / K[1, 1],
+            np.ones(len(rows)),
+        ]
     )
-    # left(u) = right(u - d), so that the right image's slope there is the left one's over 1 - d'.
-    slope = slope / np.maximum(1.0 - _slope_along_u(coefficients, u, v), 0.5)
-    at_columns, at_rows = np.meshgrid(columns.astype(np.float32), (rows - first_row).astype(np.float32))
-    residual, slope_rms = np.inf, 1.0
-    for _ in range(ALIGN_STEPS):
-        at = (at_columns - _values(coefficients, u, v)).astype(np.float32)
-        value = cv2.remap(right, at, at_rows, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
-        error: Array = np.asarray(value, np.float64) - left
-        usable = is_used & np.isfinite(error)
-        count = int(np.count_nonzero(usable))
-        if count < 10 * len(TERMS):
-            break
-        field, seen = _brightness_field(error, usable, u, v)
-        residual = scale_of(seen)
-        error = np.asarray(np.where(usable, error - field, 0.0), np.float64)
-        slope_rms = float(np.sqrt(np.mean(slope[usable] ** 2)))
-        weight = np.asarray(usable * slope / (1.0 + (error / (2.0 * residual + 0.5)) ** 2), np.float64)
-        step = _step(weight * slope, weight * error, u, v, 1e-5 * int(np.count_nonzero(is_used)))
-        coefficients = coefficients + step
-        if np.abs(_values(step, u, v))[is_used].max() < SETTLED_PX:
-            break
-    return coefficients, float(residual) / max(slope_rms, 1e-6)
+    values = disparity_px[rows, columns]
+    q = _robust_plane(rays, values, rng)
+    off_px = rays @ q - values
+    on_it = np.abs(off_px) < INLIER_PX
+    normal_length = float(np.linalg.norm(q))
+    if on_it.mean() < MIN_INLIER_FRACTION or q[2] <= 0.0:
+        return None
+    distance_m = fb_px_m / normal_length
+    # A residual of disparity over the depth's slope, at the scene's middle: δz = z² δd / (f b).
+    surface_std_m = distance_m**2 / fb_px_m * float(np.std(off_px[on_it]))
+    return StereoPlane(-q / normal_length, distance_m, surface_std_m, offset * step)
 
 
-def _brightness_field(error: Array, usable: NDArray[np.bool_], u: Array, v: Array) -> tuple[Array, Array]:
-    """What differs in brightness between the views smoothly, shape (h, w), and what of a sample it leaves, (k,).
-
-    A vignette and a lamp beside the lens darken what both views show at other places of the image. Taken for texture,
-    that shifts the whole surface; a parabola over the grid, fitted robustly, takes it up.
-    """
-    rows, columns = np.nonzero(usable)
-    few = slice(None, None, SCALE_STRIDE)
-    rows, columns = rows[few], columns[few]
-    B = np.stack([u[columns, i] * v[rows, j] for i, j in BRIGHTNESS_TERMS], -1)
-    seen = error[rows, columns]
-    seen = seen - median(seen)
-    weight = 1.0 / (1.0 + (seen / (2.0 * scale_of(seen) + 0.5)) ** 2)
-    weighted = B * weight[:, None]
-    raw = error[rows, columns]
-    terms = np.linalg.solve(weighted.T @ B + RIDGE * np.eye(len(BRIGHTNESS_TERMS)), weighted.T @ raw)
-    C = np.zeros((3, 3))
-    C[tuple(np.transpose(BRIGHTNESS_TERMS))] = terms
-    return np.asarray(v[:, :3] @ C.T @ u[:, :3].T), np.asarray(raw - B @ terms)
+def _robust_plane(rays: Array, values: Array, rng: np.random.Generator) -> Array:
+    """q, shape (3,), with values = rays · q for most of them."""
+    best: Array = np.zeros(3)
+    least = np.inf
+    for _ in range(TRIALS):
+        three = rng.choice(len(values), 3, replace=False)
+        if abs(np.linalg.det(rays[three])) < 1e-6:
+            continue
+        q: Array = np.asarray(np.linalg.solve(rays[three], values[three]), np.float64)
+        cost = float(np.minimum(np.abs(rays @ q - values), 2 * INLIER_PX).sum())
+        if cost < least:
+            best, least = q, cost
+    for _ in range(10):
+        weights = (1.0 + ((rays @ best - values) / INLIER_PX) ** 2) ** -2
+        weighted = rays * weights[:, None]
+        best = np.asarray(np.linalg.solve(weighted.T @ rays, weighted.T @ values), np.float64)
+    return best
 
 
-def _smoothed_with_slope(
-    grey: Image, columns: NDArray[np.intp], rows: NDArray[np.intp], smoothing_px: float
-) -> tuple[Array, Array]:
-    """The smoothed image and its slope along x in levels per px on a grid, shape (h, w) each."""
-    margin = int(4 * smoothing_px) + 2
-    top, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
-    window = grey[top : int(rows[-1]) + margin + 1, left : int(columns[-1]) + margin + 1]
-    smooth = np.asarray(cv2.GaussianBlur(window, (0, 0), smoothing_px), np.uint8)
-    slope = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3)
-    grid = np.ix_(rows - top, columns - left)
-    return smooth[grid].astype(np.float64), slope[grid].astype(np.float64) / 8.0
+def _disparities(left: Image, right: Image, low: int, high: int) -> Array:
+    """Disparity of each left pixel in px; NaN where nothing matched."""
+    block = 7
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=low,
+        numDisparities=16 * int(np.ceil((high - low) / 16)),
+        blockSize=block,
+        P1=8 * block**2,
+        P2=32 * block**2,
+        disp12MaxDiff=1,
+        uniquenessRatio=10,
+        speckleWindowSize=100,
+        speckleRange=2,
+        mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    )
+    fixed_point = np.asarray(matcher.compute(left, right), np.float64)
+    return np.where(fixed_point >= 16 * low, fixed_point / 16.0, np.nan)
 
 
-def _smoothed_where_seen(
-    grey: Image, region: Image, rows: NDArray[np.intp], settings: StereoSettings
-) -> tuple[NDArray[np.float32], int]:
-    """Rows of the smoothed image, NaN where the region's edge is near or passed, and which row is the first."""
-    margin = max(int(4 * settings.smoothing_px) + 2, settings.margin_px)
-    top, bottom = max(int(rows[0]) - margin, 0), int(rows[-1]) + margin + 1
-    smooth = cv2.GaussianBlur(grey[top:bottom], (0, 0), settings.smoothing_px).astype(np.float32)
-    side_px = max(settings.margin_px, 1)
-    inside = cv2.erode(region[top:bottom], np.ones((side_px, side_px), np.uint8))
-    smooth[inside == 0] = np.nan
-    return np.asarray(smooth, np.float32), top
-
-
-def _values(coefficients: Array, u: Array, v: Array) -> Array:
-    """The polynomial on a grid, shape (h, w); `u` and `v` hold powers of its coordinates, shape (w, k) and (h, k)."""
-    C = np.zeros((DEGREE + 1, DEGREE + 1))
-    C[tuple(np.transpose(TERMS))] = coefficients
-    return np.asarray(v[:, : DEGREE + 1] @ C.T @ u[:, : DEGREE + 1].T)
-
-
-def _slope_along_u(coefficients: Array, u: Array, v: Array) -> Array:
-    """The polynomial's derivative along x on a grid, shape (h, w), in px per px."""
-    C = np.zeros((DEGREE + 1, DEGREE + 1))
-    C[tuple(np.transpose(TERMS))] = coefficients
-    by_u = C[1:] * np.arange(1, DEGREE + 1)[:, None] / SCALE_PX
-    return np.asarray(v[:, : DEGREE + 1] @ by_u.T @ u[:, :DEGREE].T)
-
-
-def _step(weight: Array, pull: Array, u: Array, v: Array, damping: float) -> Array:
-    """The step of least squares, shape (n,), from weights and weighted errors on a grid, shape (h, w) each.
-
-    The products of two terms are terms again: their sums are moments of the weights.
-    """
-    moments = u.T @ weight.T @ v
-    i, j = np.transpose(TERMS)
-    normal = moments[i[:, None] + i, j[:, None] + j]
-    gradient = (u[:, : DEGREE + 1].T @ pull.T @ v[:, : DEGREE + 1])[i, j]
-    return np.asarray(np.linalg.solve(normal + damping * np.eye(len(TERMS)), gradient), np.float64)
+def _small_grey(image: Image, step: int) -> Image:
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    size = (image.shape[1] // step, image.shape[0] // step)
+    return np.asarray(grey if step == 1 else cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)

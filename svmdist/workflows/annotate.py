@@ -9,23 +9,23 @@ from pathlib import Path
 
 from svmdist.drawing import EstimateValues, FrameDrawing
 from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch
-from svmdist.recording.copying import copied_messages
-from svmdist.recording.messages.annotations import (
+from svmdist.recording.encode import EncodedSample
+from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.summary import copied_messages
+from svmdist.recording.topics import Role
+from svmdist.recording.viewer_messages import (
     distance_estimate,
     image_annotations,
     log_line,
     scene_update,
     tool_transforms,
 )
-from svmdist.recording.messages.encoding import EncodedSample
-from svmdist.recording.reader import Recording, open_recording
-from svmdist.recording.topics import Role
 from svmdist.recording.writer import RecordingWriter
 from svmdist.results import Distance, FrameResult
 from svmdist.samples import Sample
 from svmdist.workflows.frame_drawing import frame_drawing, interval_m
 from svmdist.workflows.replay import Replayed, replay
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 
 ANNOTATIONS = "annotations"
 """Below the image's topic: viewers that go by the names of topics lay it over the image."""

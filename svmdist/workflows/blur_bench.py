@@ -10,20 +10,19 @@ import numpy as np
 from svmdist.errors import RecordingError
 from svmdist.estimation.frame import Frame
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.blur import Blur
+from svmdist.vision.degradations import Blur
 from svmdist.vision.frame_context import to_grey
-from svmdist.vision.marker.features import EDGE_MARGIN_PX, detect_orb
-from svmdist.vision.marker.pattern import paste_marker
+from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
 from svmdist.vision.regions import find_region
 from svmdist.workflows.conditions import BlurCondition
-from svmdist.workflows.progress import Progress, Steps, image_total
+from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
+from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.truth import Reference, distance_truth
-from svmdist.workflows.setup import Setup
 
 DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
     Blur.NONE: 1,

@@ -11,14 +11,20 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError
 from svmdist.estimation.methods import PLANAR_METHODS
-from svmdist.estimation.planar.calibration import Calibration, CalibrationSamples, SourceFile, fit_calibration
-from svmdist.estimation.planar.equations import PlaneMapping, Quadratic
+from svmdist.estimation.plane_mapping import (
+    Calibration,
+    CalibrationSamples,
+    PlaneMapping,
+    Quadratic,
+    SourceFile,
+    fit_calibration,
+)
 from svmdist.geometry.rays import pixel_rays
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.progress import Progress, Steps, image_total
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.parallel import Progress, Steps, image_total
+from svmdist.workflows.request import Setup
 
 PIXELS_AS_THEY_ARE = PlaneMapping("corrected", Quadratic(0.0, 1.0, 0.0), Quadratic(0.0, 1.0, 0.0))
 """The estimator needs a mapping; calibration reads its pixels only."""

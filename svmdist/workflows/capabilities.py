@@ -12,13 +12,13 @@ import numpy as np
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.estimation.methods import METHODS
 from svmdist.profile import Profile
-from svmdist.recording.encoded import LEFT_IMAGES
-from svmdist.recording.inspect import RecordingSummary
-from svmdist.recording.names import sanitize, sanitize_list
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.observations import LEFT_IMAGES
+from svmdist.recording.source import sanitize, sanitize_list
+from svmdist.recording.summary import RecordingSummary
 from svmdist.recording.topics import Role
 from svmdist.samples import Rejection
-from svmdist.vision.tag.detection import find_tags
+from svmdist.vision.tags import find_tags
 
 OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*|MTML|MTMR)(/|$)")
 """Arms of a da Vinci that carry no instrument."""

@@ -13,8 +13,7 @@ from svmdist.perturbations.chosen import Perturbations, require_at_replay
 from svmdist.samples import Image, Observation
 
 if TYPE_CHECKING:  # images as recorded need neither
-    from svmdist.vision.blur import Blur
-    from svmdist.vision.degradations import Degradation
+    from svmdist.vision.degradations import Blur, Degradation
 
 REPLAY_SEED = 36
 LEFT, RIGHT = 0, 1
@@ -105,7 +104,7 @@ class BlurCondition:
 
     def apply(self, observation: Observation, _frame: int) -> Observation:
         """Blur the images."""
-        from svmdist.vision.blur import apply_blur
+        from svmdist.vision.degradations import apply_blur
 
         return _changed(observation, lambda image, _: apply_blur(image, self.blur, self.kernel_px))
 

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from svmdist.errors import RecordingError
-from svmdist.estimation.detection.lazy import Clock
-from svmdist.recording.reader import Recording
+from svmdist.estimation.scene import Clock
+from svmdist.recording.log import Recording
 from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
+from svmdist.workflows.compare import Figures, RunNumbers, measure_runs, pooled_figures
 from svmdist.workflows.conditions import CLEAN, Condition
-from svmdist.workflows.progress import Progress
-from svmdist.workflows.runs import Figures, RunNumbers, measure_runs, pooled_figures
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.parallel import Progress
+from svmdist.workflows.request import Setup
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from svmdist.errors import OutputError, RecordingError, SvmdistError, UsageError
 from svmdist.files import is_held
 from svmdist.perturbations.chosen import Perturbations, draw_world
 from svmdist.profile import Profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.workflows.ahead import usable_cores
 from svmdist.workflows.batch.pool import Task, measured_in_processes
 from svmdist.workflows.batch.run import Progress, unheard
 from svmdist.workflows.batch.task import LogFile, Stored, failed
+from svmdist.workflows.parallel import usable_cores
 from svmdist.workflows.record import record, recorded_metadata
 
 SEED, NUMBER = "{seed}", "{episode}"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.workflows.replay import replay
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 
 
 def estimate(

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from svmdist.errors import RecordingError
 from svmdist.kinematics.dh import MANY, DHChain, chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording
-from svmdist.recording.reading import Window
+from svmdist.recording.log import Recording, Window
 from svmdist.tracks import MAX_GAP_NS, PoseTrack
 from svmdist.transforms import Array, inverse, rotation_angle
-from svmdist.workflows.progress import Progress, Steps
+from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.stamped_rows import BLOCK, StampedRows
 
 

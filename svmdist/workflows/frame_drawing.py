@@ -23,25 +23,29 @@ from svmdist.drawing import (
     Surface,
 )
 from svmdist.estimation.alarms import AlarmState
-from svmdist.estimation.detection.distal_marker import DistalMarker
-from svmdist.estimation.detection.shaft import Contour, ShaftDetection
 from svmdist.estimation.frame import Frame
-from svmdist.estimation.planar.marker_detection import mark, template_features
+from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, ShaftDetection
+from svmdist.estimation.planar import mark, template_features
 from svmdist.geometry.surfaces import Mesh
 from svmdist.metrics import deviations_at
 from svmdist.profile import Profile
 from svmdist.results import Distance, FrameResult
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.frame_context import to_grey
-from svmdist.vision.marker.features import detect_orb, match_features
-from svmdist.vision.marker.homography import fit_homography, is_plausible, square_corners, transfer
-from svmdist.vision.marker.pattern import MarkedWindow
+from svmdist.vision.frame_context import seen_through, to_grey
+from svmdist.vision.marker import (
+    MarkedWindow,
+    detect_orb,
+    fit_homography,
+    is_plausible,
+    match_features,
+    square_corners,
+    transfer,
+)
 from svmdist.vision.regions import Region
 from svmdist.vision.shaft_segmentation import ShaftRegion
-from svmdist.vision.undistortion import seen_through
 from svmdist.workflows.replay import Replayed
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 
 CIRCLE_POINTS = 36
 MIN_CONTOUR_PX = 6

@@ -21,14 +21,14 @@ from svmdist.profile.hand_eye import (
     ConstantEffect,
     HandEye,
 )
-from svmdist.recording.arms import FixedTransform
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.topics import FixedTransform
 from svmdist.results import Failure, FrameResult, ToolPose
 from svmdist.transforms import Array, inverse, rotation_angle
-from svmdist.workflows.progress import Progress, Steps, image_total
+from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
 from svmdist.workflows.reported_tool import Against, ReportedTool, default_reference, reported_tool
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 
 SEEING_METHODS = ("fiducial", "stereo", "shaft")
 """Methods whose tool is from the images alone, the surest first."""

@@ -28,9 +28,8 @@ from svmdist.importing.tables import (
     stamps_from_names,
 )
 from svmdist.profile import Limits
-from svmdist.recording.messages.encoding import EncodedSample, encode_still
-from svmdist.recording.messages.images import ImageError, still_size
-from svmdist.recording.stills import decode_file, read_file
+from svmdist.recording.encode import EncodedSample, encode_still
+from svmdist.recording.images import ImageError, decode_file, read_file, still_size
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, Image, ImageSample, JointSample, PoseSample, Sample
 

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.lag import LagEstimate, Predict, estimate_lag
-from svmdist.estimation.planar.equations import PUBLISHED_MAPPING
+from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
 from svmdist.profile import Profile
-from svmdist.recording.reader import KnownLag, Recording
+from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.transforms import Array
 from svmdist.workflows.replay import replay
-from svmdist.workflows.scoring.distances import Readings
+from svmdist.workflows.request import Setup
+from svmdist.workflows.scoring.score import Readings
 from svmdist.workflows.scoring.truth import PoseAt, Reference, TruthRules, tool_track
-from svmdist.workflows.setup import Setup
 
 Lag = float | Literal["auto"]
 """A lag in s, positive when the image stamps are late, or `auto` to estimate it."""

@@ -12,13 +12,13 @@ import numpy as np
 from svmdist.profile import Profile, Robot, load_profile
 from svmdist.profile.profile import Topics
 from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
-from svmdist.recording.inspect import RecordingSummary, inspect_recording
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.samples import Image, Observation, Rejection
-from svmdist.vision.distinct_colour import DistinctColour, find_distinct_colour
-from svmdist.vision.segmentation.auto import AutoSegmenter
-from svmdist.vision.stereo_plane import StereoPlane, fit_plane
-from svmdist.vision.undistortion import as_pinholes
+from svmdist.vision.colour import DistinctColour, find_distinct_colour
+from svmdist.vision.frame_context import as_pinholes
+from svmdist.vision.segmentation import AutoSegmenter
+from svmdist.vision.stereo import StereoPlane, fit_plane
 from svmdist.workflows.capabilities import InstrumentTopics, LogRoles, find_roles
 
 CHAIN_PROFILES = ("dvrk-psm", "psm13")

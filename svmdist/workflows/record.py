@@ -14,7 +14,7 @@ from svmdist.recording.writer import RecordingWriter
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.plan import make_plan
-from svmdist.workflows.ahead import keep_freed_memory, usable_cores
+from svmdist.workflows.parallel import usable_cores
 from svmdist.workflows.record_workers import WorkerDiedError, encoded_samples
 
 VERSIONED_PACKAGES = ("svmdist", "pybullet", "numpy", "opencv-python-headless")
@@ -59,7 +59,6 @@ def record(
         raise UsageError(f"the number of jobs is from 1, found {jobs}")
     metadata = recorded_metadata(scenario, profile, renderer, noise, extras, jpeg_quality)
     frame_count = message_count = 0
-    keep_freed_memory()
     writer = RecordingWriter(output, metadata, force=force, jpeg_quality=jpeg_quality)
     try:
         with writer:

@@ -17,12 +17,12 @@ from multiprocessing.connection import Connection, wait
 import cv2
 
 from svmdist.errors import SimulationError, SvmdistError
-from svmdist.recording.messages.encoding import EncodedSample, encode_all
+from svmdist.recording.encode import EncodedSample, encode_all
 from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.plan import Block, Plan
 from svmdist.simulation.sensor import NoiseState
 from svmdist.simulation.simulate import Simulator
-from svmdist.workflows.ahead import one_opencv_thread
+from svmdist.workflows.parallel import one_opencv_thread
 from svmdist.workflows.workers import END_S, Worker, begin_worker, close_inherited, end_workers, how_ended
 
 Encoded = list[tuple[str, EncodedSample]]

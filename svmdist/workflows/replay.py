@@ -17,26 +17,59 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.detection.lazy import Clock, CostLedger
-from svmdist.estimation.detection.scene import Scene
 from svmdist.estimation.frame import Frame, Needs, frames_of, prefetch, prefetch_masks
 from svmdist.estimation.methods import Estimator
+from svmdist.estimation.scene import Arm, Clock, CostLedger, Scene
 from svmdist.profile import AutoSegmentation
-from svmdist.recording.encoded import Decoded, EncodedObservation
-from svmdist.recording.encoded import Needs as ReadNeeds
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.observations import Decoded, EncodedObservation
+from svmdist.recording.observations import Needs as ReadNeeds
 from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection
-from svmdist.vision.undistortion import seen_through
-from svmdist.workflows.adapting import adapted_segmenters
-from svmdist.workflows.ahead import in_order, keep_freed_memory, one_opencv_thread, usable_cores
+from svmdist.vision.frame_context import seen_through
+from svmdist.vision.segmentation import AutoSegmenter, Segmenter
 from svmdist.workflows.conditions import CLEAN, ReplayCondition
+from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
+from svmdist.workflows.request import Setup
 from svmdist.workflows.row_alignment import row_offset_to_remove_px
-from svmdist.workflows.setup import Setup
 
-if TYPE_CHECKING:  # a log of one instrument needs none
-    from svmdist.estimation.association.associate import Association
+if TYPE_CHECKING:
+    from svmdist.estimation.association import Association
+
+
+def adapted_segmenters(
+    segmenter: Segmenter, recording: Recording, conditions: Sequence[ReplayCondition]
+) -> list[Segmenter]:
+    """The segmenter for each condition: one that learns has seen images of all of the log under that condition."""
+    if not isinstance(segmenter, AutoSegmenter):
+        return [segmenter for _ in conditions]
+    seen = spread_observations(recording, segmenter.adapting_frames)
+    return [
+        segmenter.adapted_to([image for frame, one in seen for image in _images(condition.apply(one, frame))])
+        for condition in conditions
+    ]
+
+
+def spread_observations(recording: Recording, count: int) -> list[tuple[int, Observation]]:
+    """Up to twice `count` of a log's observations with their numbers, evenly from its beginning to its end.
+
+    The log is read once, its length unknown: of those kept every second one goes whenever there are too many, so that
+    memory does not grow with the log.
+    """
+    needs = ReadNeeds(joints=False, transforms=False, right=True)
+    kept: list[tuple[int, EncodedObservation]] = []
+    stride = 1
+    for frame, one in enumerate(recording.encoded_observations(recording.instruments[:1], needs)):
+        if frame % stride == 0:
+            kept.append((frame, one))
+        if len(kept) > 2 * count:
+            kept, stride = kept[::2], 2 * stride
+    decoded = ((frame, one.decode().found) for frame, one in kept)
+    return [(frame, found[0]) for frame, found in decoded if not isinstance(found, Rejection)]
+
+
+def _images(seen: Observation) -> list[Image]:
+    return [seen.image_bgr] if seen.right is None else [seen.image_bgr, seen.right.image_bgr]
 
 
 @dataclass(frozen=True)
@@ -101,7 +134,7 @@ class MultiInstrumentEstimator:
             named = replace(_through_lens(result, frame), instrument=arm.profile.instrument_name)
             results.append(named.doubted(frame.doubt) if frame.doubt else named)
         if len(results) > 1:
-            from svmdist.estimation.between_instruments import with_clearance_between
+            from svmdist.estimation.distances import with_clearance_between
 
             results = with_clearance_between(results, [arm.body for arm in self._arms])
         return Replayed(tuple(results), tuple(seconds), tuple(frames))
@@ -175,7 +208,7 @@ class _Replay:
         is_alone = len(self._arms) == 1 and not isinstance(self._setup.profile.segmentation, AutoSegmentation)
         if is_alone:
             return None
-        from svmdist.estimation.association.associate import Association
+        from svmdist.estimation.association import Association
 
         return Association(self._arms)
 
@@ -184,7 +217,6 @@ class _Replay:
         robot, right = self._needs.robot or several, self._needs.right_view
         logged = ReadNeeds(joints=robot, transforms=robot, right=right)
         numbered = enumerate(self._recording.encoded_observations(self._recording.instruments, logged))
-        keep_freed_memory()
         with one_opencv_thread():
             for prepared in in_order(self._prepare, numbered, jobs):
                 yield tuple(self._measure(prepared))

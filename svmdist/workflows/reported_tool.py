@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import KinematicsError, RecordingError
-from svmdist.estimation.filter.error_model import ErrorModel
+from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.kinematics.dh import DHChain, chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.results import Failure
 from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack

@@ -10,16 +10,13 @@ from itertools import islice
 import numpy as np
 
 from svmdist.profile import Profile
-from svmdist.recording.encoded import Needs
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
+from svmdist.recording.observations import Needs
 from svmdist.results import Failure
 from svmdist.samples import Observation, Rejection
 from svmdist.transforms import Array
-from svmdist.vision.frame_context import to_grey
-from svmdist.vision.interlace import with_first_fields
-from svmdist.vision.rectified import rectified_pair
-from svmdist.vision.row_offset import RowOffset, agreed_offset, row_differences
-from svmdist.vision.undistortion import as_pinholes
+from svmdist.vision.frame_context import as_pinholes, to_grey, with_first_fields
+from svmdist.vision.stereo import RowOffset, agreed_offset, rectified_pair, row_differences
 
 
 def row_offset(recording: Recording, profile: Profile) -> RowOffset | None:

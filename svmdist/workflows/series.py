@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.lag import LagEstimate
 from svmdist.metrics import deviations_at
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array
 from svmdist.workflows.frame_drawing import LEVEL
-from svmdist.workflows.scoring.distances import CLEARANCE, PLANAR, SPATIAL, Distance
-from svmdist.workflows.scoring.score import truth_lag_ns
+from svmdist.workflows.request import Setup
+from svmdist.workflows.scoring.score import CLEARANCE, PLANAR, SPATIAL, Distance, truth_lag_ns
 from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth
-from svmdist.workflows.setup import Setup
 
 PREFERRED = (CLEARANCE, SPATIAL, PLANAR)
 """The distance that says most stands first."""

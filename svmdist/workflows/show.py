@@ -6,16 +6,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from svmdist.errors import UsageError
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.detection.scene import Scene
 from svmdist.estimation.frame import Frame, frames_of
+from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile import AutoSegmentation
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.recording.topics import Role
 from svmdist.samples import Rejection
-from svmdist.workflows.adapting import adapted_segmenters
 from svmdist.workflows.conditions import CLEAN
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.replay import adapted_segmenters
+from svmdist.workflows.request import Setup
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ def shown_frames(
     arms = [Arm(setup.profile.for_instrument(name)) for name in recording.instruments]
     association = None
     if len(arms) > 1 or isinstance(setup.profile.segmentation, AutoSegmentation):
-        from svmdist.estimation.association.associate import Association
+        from svmdist.estimation.association import Association
 
         association = Association(arms)
     first_ns: int | None = None
@@ -75,7 +74,7 @@ def shown_frames(
 
 def image_stamps_ns(recording: Recording) -> list[int]:
     """The stamp of every image of a log, in file order; raises UsageError for a log without one."""
-    from svmdist.recording.encoded import LEFT_IMAGES
+    from svmdist.recording.observations import LEFT_IMAGES
 
     stamps = [one.stamp_ns for one in recording.encoded_observations(recording.instruments[:1], LEFT_IMAGES)]
     if not stamps:

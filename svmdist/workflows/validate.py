@@ -10,14 +10,14 @@ from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.methods import PLANAR_METHODS
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.lag import Lag, recording_lag, with_lag
-from svmdist.workflows.progress import Progress, Steps, image_total
+from svmdist.workflows.parallel import Progress, Steps, image_total
+from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.score import Score, pool_scores, require_clearance, score_rows
 from svmdist.workflows.scoring.truth import KINEMATICS_PRINTED_NOTE, Reference, TruthRules
-from svmdist.workflows.setup import Setup
 
 PAPER_R_SQUARED = 0.78
 """The paper's own figure (sec. IV); its scene differs from every scene here."""

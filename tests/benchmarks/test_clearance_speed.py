@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from svmdist.estimation.dome import DomeModel
 from svmdist.estimation.instrument.model import InstrumentModel
-from svmdist.estimation.tissue.dome import DomeModel
-from svmdist.estimation.tissue.pose import tissue_frame
+from svmdist.estimation.tissue import tissue_frame
 from svmdist.geometry.closest import segment_to_triangle
 from svmdist.geometry.separation import capsule_separation, separation
 from svmdist.geometry.surfaces import Capsules, Cloud, Plane

@@ -13,9 +13,9 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from svmdist.kinematics.dh import chain_of, forward_kinematics
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.request import Setup, prepare
 
 FRAMES = 80
 

@@ -28,7 +28,7 @@ from svmdist.cli.console import (
 from svmdist.cli.options import TableFormat
 from svmdist.cli.recordings import logs_or_golden
 from svmdist.errors import OutputError, UsageError
-from svmdist.recording.health import Health, Loss, LossKind
+from svmdist.recording.source import Health, Loss, LossKind
 
 Captured = pytest.CaptureFixture[str]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from tests.cli.conftest import Cli
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from svmdist.profile import load_profile
 from svmdist.profile.hand_eye import load_hand_eye
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.transforms import rotation_vector
 from tests.cli.conftest import Cli
 from tests.conftest import REPOSITORY
@@ -28,7 +28,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from svmdist.profile.hand_eye import save_hand_eye
     from svmdist.report.info import hand_eye_file
     from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
-    from svmdist.workflows.setup import prepare
+    from svmdist.workflows.request import prepare
 
     setup = prepare("psm13", "fiducial")
     recording = open_recording(LOG, setup.profile)

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import pytest
 
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample
 from tests.cli.conftest import Cli
 
@@ -54,14 +54,14 @@ def running(*arguments: object, **streams: Any) -> Iterator[subprocess.Popen[str
 @pytest.mark.parametrize(
     ("arguments", "busy"),
     [
-        (["info", "x.mcap"], "svmdist.recording.inspect.inspect_recording"),
-        (["estimate", "x.mcap"], "svmdist.recording.reader.open_recording"),
-        (["validate", "x.mcap"], "svmdist.recording.reader.open_recording"),
-        (["compare", "x.mcap"], "svmdist.recording.reader.open_recording"),
-        (["blur-bench", "x.mcap"], "svmdist.recording.reader.open_recording"),
-        (["blur-bench", "x.mcap", "--grid"], "svmdist.recording.reader.open_recording"),
-        (["calibrate", "x.mcap", "-o", "c.toml"], "svmdist.recording.reader.open_recording"),
-        (["fk", "x.mcap"], "svmdist.recording.reader.open_recording"),
+        (["info", "x.mcap"], "svmdist.recording.summary.inspect_recording"),
+        (["estimate", "x.mcap"], "svmdist.recording.log.open_recording"),
+        (["validate", "x.mcap"], "svmdist.recording.log.open_recording"),
+        (["compare", "x.mcap"], "svmdist.recording.log.open_recording"),
+        (["blur-bench", "x.mcap"], "svmdist.recording.log.open_recording"),
+        (["blur-bench", "x.mcap", "--grid"], "svmdist.recording.log.open_recording"),
+        (["calibrate", "x.mcap", "-o", "c.toml"], "svmdist.recording.log.open_recording"),
+        (["fk", "x.mcap"], "svmdist.recording.log.open_recording"),
         (["record", "-o", "r.mcap"], "svmdist.workflows.record.record"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -11,8 +11,8 @@ import pytest
 
 from svmdist.cli.lag import told_lag
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
-from svmdist.workflows.setup import prepare
+from svmdist.recording.log import open_recording
+from svmdist.workflows.request import prepare
 from tests.cli.conftest import Cli
 from tests.late import IMAGES, ROBOT, Log, samples_of, write_shifted
 

@@ -19,15 +19,15 @@ from svmdist.cli.many import Outcomes, group_keys, group_name, heard_notes
 from svmdist.cli.validate_logs import validation_of
 from svmdist.errors import OutputError, RecordingError, UsageError
 from svmdist.profile import load_profile
-from svmdist.recording.reading import Window
+from svmdist.recording.log import Window
 from svmdist.report.scores import LogFigures
-from svmdist.vision.blur import Blur
+from svmdist.vision.degradations import Blur
 from svmdist.workflows.batch.identity import fingerprint
 from svmdist.workflows.batch.plain import from_plain, to_plain
 from svmdist.workflows.batch.task import LogFile, Note, Outcome
 from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.request import prepare
 from svmdist.workflows.scoring.truth import TruthRules
-from svmdist.workflows.setup import prepare
 
 PROFILE = load_profile()
 SETUP = prepare(method="overlay")
@@ -121,7 +121,7 @@ def test_a_report_shows_all_logs_or_the_worst(capsys: pytest.CaptureFixture[str]
 
 
 def test_scores_of_logs_together_are_those_of_validate(synthetic_log: Path) -> None:
-    from svmdist.recording.reader import open_recording
+    from svmdist.recording.log import open_recording
     from svmdist.workflows.validate import validate
 
     job = ValidateJob(SETUP, {}, None, TruthRules(), None, None, None, True)

@@ -14,9 +14,9 @@ import pytest
 
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import Limits, load_profile
+from svmdist.recording.log import open_recording
 from svmdist.recording.messages.checks import EncodedImage
 from svmdist.recording.messages.decoding import Decoder
-from svmdist.recording.reader import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import ImageSample, JointSample, PoseSample, Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, quaternion_xyzw_from_rotation

@@ -10,7 +10,7 @@ import pytest
 from svmdist.cli.perturbations import parse_perturb, parse_perturb_groups
 from svmdist.perturbations.chosen import World, draw_world, parse_perturbations
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from tests.cli.conftest import Cli
 
 WRONG = [

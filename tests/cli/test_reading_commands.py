@@ -19,7 +19,7 @@ from svmdist.cli.info import info_command
 from svmdist.cli.options import Method, RowFormat, TableFormat
 from svmdist.errors import OutputError, UsageError
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.transforms import rotation_from_quaternion_xyzw
 from svmdist.workflows.fk import fk
 from tests.recording.builders import scene, write_scene

@@ -14,7 +14,7 @@ from svmdist.cli.options import RowFormat, SummaryFormat
 from svmdist.cli.outputs import FileFormat, row_format, summary_format
 from svmdist.cli.recordings import logs_in, window_of
 from svmdist.errors import UsageError
-from svmdist.recording.reading import Window, unique_names
+from svmdist.recording.log import Window, unique_names
 from tests.cli.conftest import Cli
 
 

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 
 from svmdist.drawing import COLOURS, Part
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.report.panels import METHOD_PHASES, bgr, phases_picture
 from svmdist.workflows.annotate import drawn_frames
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 from tests.cli.conftest import Cli
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.estimation.between_instruments import between_std_m, with_clearance_between
+from svmdist.estimation.distances import between_std_m, with_clearance_between
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.geometry.separation import capsule_separation
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.detection.tissue import detect_tissue
 from svmdist.estimation.distances import measured
+from svmdist.estimation.dome import DomeModel
 from svmdist.estimation.frame import Frame, frame_of
-from svmdist.estimation.instrument.model import InstrumentModel
-from svmdist.estimation.instrument.wrist import wrist_in_tool
-from svmdist.estimation.tissue.dome import DomeModel
-from svmdist.estimation.tissue.pose import TissuePose, tissue_frame
+from svmdist.estimation.instrument.model import InstrumentModel, wrist_in_tool
+from svmdist.estimation.instrument.tag_pose import nudged
+from svmdist.estimation.scene import Arm
+from svmdist.estimation.tissue import TissuePose, detect_tissue, tissue_frame
 from svmdist.geometry.inside import winding_number
 from svmdist.geometry.surfaces import Plane
 from svmdist.kinematics.dh import forward_kinematics
@@ -23,8 +22,7 @@ from svmdist.results import FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import inverse, make_transform, rotation_x, rotation_z
 from svmdist.vision.frame_context import FrameContext
-from svmdist.vision.segmentation.segmenter import make_segmenter
-from svmdist.vision.tag.refinement import nudged
+from svmdist.vision.segmentation import make_segmenter
 from tests.measuring import flat
 from tests.shipped import CHAIN, POSTURE, PROFILE
 

@@ -8,17 +8,16 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
-from svmdist.estimation.detection.tag import find_tag_pose
-from svmdist.estimation.filter.constants import Deviations
-from svmdist.estimation.instrument.tool_from_tag import tool_from_tag
+from svmdist.estimation.instrument.measurement import Deviations
+from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
+from svmdist.estimation.one_view import tool_from_tag
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import CameraError, KinematicError
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_z
-from svmdist.vision.tag.detection import find_tags, pose_candidates, square_corners_m
-from svmdist.vision.tag.pattern import TagPattern
-from svmdist.vision.tag.refinement import TagPose
+from svmdist.vision.tag_overlay import TagPattern
+from svmdist.vision.tags import find_tags, pose_candidates, square_corners_m
 from tests.measuring import Measuring
 from tests.rotations import rotation_y
 from tests.shipped import CHAIN, POSTURE, PROFILE

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.first_step import tracked_tissue, with_tissue
+from svmdist.estimation.distances import tracked_tissue, with_tissue
 from svmdist.estimation.frame import Frame, frame_of
-from svmdist.estimation.tissue.tracking import TissueTracker
+from svmdist.estimation.scene import Arm
+from svmdist.estimation.tissue_tracking import TissueTracker
 from svmdist.samples import Image, Observation, Status
-from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.vision.segmentation import make_segmenter
 from tests.shipped import PROFILE
 from tests.synthetic import START_NS, make_scene
 

@@ -9,17 +9,16 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.association.associate import Association
-from svmdist.estimation.detection.scene import Scene
+from svmdist.estimation.association import Association
 from svmdist.estimation.frame import Needs
 from svmdist.estimation.methods import METHODS
+from svmdist.estimation.scene import Arm, Scene
 from svmdist.kinematics import robot_state
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.vision import frame_context
 from svmdist.workflows.replay import MultiInstrumentEstimator
-from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.request import Setup, prepare
 
 
 @pytest.fixture

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.filter.measurements import LinkMeasurement
 from svmdist.estimation.frame import Frame, frame_of
-from svmdist.estimation.measurements import measurements
+from svmdist.estimation.fused import measurements
+from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.scene import Arm
 from svmdist.kinematics.dh import shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import ToolPose
 from svmdist.samples import Image, JointSample, Observation, RightView
 from svmdist.transforms import Array, inverse, make_transform
-from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.vision.segmentation import make_segmenter
 from tests.shaft_images import ShaftImage, entering_from
 from tests.shipped import CHAIN, PROFILE
 from tests.synthetic import START_NS, make_scene

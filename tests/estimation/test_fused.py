@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.tissue.pose import TissuePose
-from svmdist.estimation.tissue.tracking import DEFAULT as TRACKING
-from svmdist.estimation.tissue.tracking import TissueTracker
+from svmdist.estimation.tissue import TissuePose
+from svmdist.estimation.tissue_tracking import DEFAULT as TRACKING
+from svmdist.estimation.tissue_tracking import TissueTracker
 from svmdist.geometry.surfaces import Plane
 from svmdist.profile import Profile
 from svmdist.samples import JointSample, Observation, Status

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from svmdist.estimation.gate import chi_square_bound
+from svmdist.estimation.instrument.consistency import chi_square_bound
 
 
 def test_chi_square_bound() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from svmdist.estimation.filter.nominal import nominal_tool
+from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.simulation.nominal import draw_nominal_kinematics

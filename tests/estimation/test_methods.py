@@ -9,22 +9,16 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError, UsageError
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.detection.lazy import detected
-from svmdist.estimation.detection.scene import Scene
-from svmdist.estimation.detection.tool import ToolDetections
-from svmdist.estimation.fiducial import FiducialEstimator
-from svmdist.estimation.frame import Frame, frame_of
+from svmdist.estimation.frame import Frame, ToolDetections, frame_of
 from svmdist.estimation.fused import FusedEstimator
-from svmdist.estimation.kinematic import KinematicEstimator
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
-from svmdist.estimation.planar.centroid import CentroidEstimator
-from svmdist.estimation.planar.overlay import OverlayEstimator
-from svmdist.estimation.shaft import ShaftEstimator
+from svmdist.estimation.one_view import FiducialEstimator, KinematicEstimator, ShaftEstimator
+from svmdist.estimation.planar import CentroidEstimator, OverlayEstimator
+from svmdist.estimation.scene import Arm, Scene, detected
 from svmdist.estimation.stereo import StereoEstimator
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
-from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.vision.segmentation import make_segmenter
 from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE
 from tests.shipped import PROFILE
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.detection.shaft import ShaftDetection
 from svmdist.estimation.frame import frame_of
-from svmdist.estimation.shaft_pose.fit import ShaftFit, fit_shaft
-from svmdist.estimation.shaft_pose.model import shaft_frames, shaft_model
+from svmdist.estimation.instrument.shaft_detection import ShaftDetection
+from svmdist.estimation.instrument.shaft_fit import ShaftFit, fit_shaft
+from svmdist.estimation.instrument.shaft_model import shaft_frames, shaft_model
+from svmdist.estimation.scene import Arm
 from svmdist.kinematics.dh import chain_of, forward_kinematics
 from svmdist.profile import AutoSegmentation, ColourRegion, Profile, load_profile
 from svmdist.results import Failure
 from svmdist.samples import Observation
-from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.vision.segmentation import make_segmenter
 from tests.shaft_images import RED_BGR, WRIST_M, ShaftImage, entering_from
 
 PROFILE = load_profile().model_copy(update={"fiducial": None})

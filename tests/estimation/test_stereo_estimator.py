@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.detection.distal_marker import DistalMarker
-from svmdist.estimation.detection.stereo_match import StereoMatch, match_distal_marker
+from svmdist.estimation.instrument.shaft_detection import DistalMarker
+from svmdist.estimation.instrument.two_views import StereoMatch, match_distal_marker
 from svmdist.profile import load_profile
 from svmdist.samples import Observation, RightView, Status
-from svmdist.vision.rectified import RectifiedPair
+from svmdist.vision.stereo import RectifiedPair
 from tests.measuring import Measuring
 from tests.synthetic import make_scene
 

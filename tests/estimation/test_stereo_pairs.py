@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.arm import Arm
 from svmdist.estimation.frame import frame_of
+from svmdist.estimation.scene import Arm
 from svmdist.estimation.stereo import StereoEstimator
 from svmdist.profile import load_profile
 from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation, RightView, Status
 from svmdist.transforms import Array, make_transform, rotation_of
-from svmdist.vision.segmentation.segmenter import make_segmenter
-from svmdist.vision.undistortion import as_pinholes
+from svmdist.vision.frame_context import as_pinholes
+from svmdist.vision.segmentation import make_segmenter
 from tests.shaft_images import RED_BGR, ShaftImage, entering_from
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)

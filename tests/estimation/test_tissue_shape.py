@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from svmdist.estimation.detection.stereo_surface import StereoSurface
-from svmdist.estimation.tissue.dome import DomeModel
-from svmdist.estimation.tissue.dome_fit import fit_dome
-from svmdist.estimation.tissue.pose import TissuePose, tissue_frame
-from svmdist.estimation.tissue.tracking import DEFAULT as TRACKING
-from svmdist.estimation.tissue.tracking import TissueTracker
+from svmdist.estimation.dome import DomeModel, fit_dome
+from svmdist.estimation.surface import StereoSurface
+from svmdist.estimation.tissue import TissuePose, tissue_frame
+from svmdist.estimation.tissue_tracking import DEFAULT as TRACKING
+from svmdist.estimation.tissue_tracking import TissueTracker
 from svmdist.geometry.separation import separation
 from svmdist.geometry.surfaces import Capsules, Mesh, Plane
 from svmdist.profile import Dome

@@ -14,8 +14,8 @@ import zstandard
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
-from svmdist.recording.health import LossKind
 from svmdist.recording.mcap_file.source import McapSource
+from svmdist.recording.source import LossKind
 
 HEAD = struct.Struct("<BQ")
 MAGIC_BYTES = 8

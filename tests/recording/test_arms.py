@@ -8,9 +8,8 @@ import pytest
 
 from svmdist.profile import Limits, Profile
 from svmdist.profile.robot import ArmFrames, ArmTopics, OtherInstrument
-from svmdist.recording.arms import find_arms
 from svmdist.recording.mcap_file.source import McapSource
-from svmdist.recording.topics import Role
+from svmdist.recording.topics import Role, find_arms
 
 from .builders import write_messages
 

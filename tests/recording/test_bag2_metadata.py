@@ -11,10 +11,10 @@ import yaml
 from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.profile import Profile
-from svmdist.recording.health import LossKind
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.rosbag import bag2_metadata
 from svmdist.recording.rosbag.bag2_metadata import MAX_BYTES, MetadataError, parse_metadata, read_metadata
+from svmdist.recording.source import LossKind
 
 from .builders import Entry
 from .other_recorders import ros_messages, write_rosbag2

@@ -25,8 +25,8 @@ READ = """
 import sys, time
 from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
-from svmdist.recording.inspect import inspect_recording
-from svmdist.recording.reader import open_recording
+from svmdist.recording.summary import inspect_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Rejection
 started = time.process_time()
 try:

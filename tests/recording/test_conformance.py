@@ -13,10 +13,10 @@ from typing import Any
 from mcap.opcode import Opcode
 
 from svmdist.profile import Limits
-from svmdist.recording.health import Health
 from svmdist.recording.mcap_file.container import Container
 from svmdist.recording.mcap_file.content import MessageRecord
 from svmdist.recording.mcap_file.record_parsers import parse
+from svmdist.recording.source import Health
 
 ARCHIVE = Path(__file__).parents[1] / "data" / "mcap-conformance.tar.xz"
 

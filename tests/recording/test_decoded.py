@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from svmdist.profile import Limits
-from svmdist.recording.decoded import DecodedMessages
-from svmdist.recording.health import LossKind
+from svmdist.recording.encode import encode
 from svmdist.recording.mcap_file.source import McapSource
 from svmdist.recording.messages.checks import EncodedImage
-from svmdist.recording.messages.encoding import encode
+from svmdist.recording.observing import DecodedMessages
+from svmdist.recording.source import LossKind
 from svmdist.samples import ImageSample, JointSample, TransformsSample
 
 from .builders import Entry, write_messages

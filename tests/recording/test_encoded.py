@@ -15,10 +15,10 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
 from svmdist.camera import Camera
 from svmdist.profile import Profile
-from svmdist.recording.encoded import LEFT_IMAGES, Needs
-from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.messages.encoding import encode
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.encode import encode
+from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.observations import LEFT_IMAGES, Needs
+from svmdist.recording.source import Health, Loss, LossKind
 from svmdist.samples import CameraSample, ImageSample, Observation, Rejection
 
 from .builders import CAMERA, scene, write_messages, write_scene

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.recording.messages.encoding import EncodedSample, encode, encode_all
+from svmdist.recording.encode import EncodedSample, encode, encode_all
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import PoseSample
 from tests.synthetic import make_scene, samples

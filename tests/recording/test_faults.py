@@ -13,8 +13,8 @@ import pytest
 
 from svmdist.errors import SvmdistError
 from svmdist.profile import Profile
-from svmdist.recording.health import LossKind
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
+from svmdist.recording.source import LossKind
 from svmdist.samples import Observation
 
 from .builders import COMPRESSIONS, rewrite, scene, write_scene

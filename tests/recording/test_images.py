@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from svmdist.profile import Limits
-from svmdist.recording.messages.images import ImageError, decode_still
+from svmdist.recording.images import ImageError, decode_still
 
 from .faults import flip_bit
 

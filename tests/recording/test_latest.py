@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from svmdist.recording.latest import Latest
+from svmdist.recording.observations import Latest
 
 stamp_lists = st.lists(st.integers(0, 50), max_size=60)
 

@@ -12,9 +12,10 @@ import pytest
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits, Profile
-from svmdist.recording import pairing, transform_buffer
-from svmdist.recording.health import MAX_LISTED_LOSSES, Health, Loss, LossKind
-from svmdist.recording.reader import open_recording
+from svmdist.recording import observations as pairing
+from svmdist.recording import observations as transform_buffer
+from svmdist.recording.log import open_recording
+from svmdist.recording.source import MAX_LISTED_LOSSES, Health, Loss, LossKind
 from svmdist.samples import CameraSample, DistanceSample, ImageSample, JointSample
 
 from .builders import CAMERA, Entry, rewrite, scene, write_messages, write_scene

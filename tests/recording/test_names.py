@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from svmdist.recording.names import MAX_LISTED_NAMES, MAX_NAME_LENGTH, sanitize, sanitize_list
+from svmdist.recording.source import MAX_LISTED_NAMES, MAX_NAME_LENGTH, sanitize, sanitize_list
 
 HOSTILE = {
     "escape sequence": "/left\x1b[31m",

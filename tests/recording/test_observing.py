@@ -9,14 +9,20 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.profile import Limits, Profile
-from svmdist.recording.arms import LoggedArm, find_arms
-from svmdist.recording.decoded import OTHER_JOINTS, DecodedMessages
-from svmdist.recording.encoded import EVERYTHING, LEFT_IMAGES, EncodedObservation, Needs
-from svmdist.recording.health import LossKind
+from svmdist.recording.encode import encode
 from svmdist.recording.mcap_file.source import McapSource
-from svmdist.recording.messages.encoding import encode
-from svmdist.recording.observing import Observer
-from svmdist.recording.pairing import LoggedImage, LoggedJoints, LoggedTransforms
+from svmdist.recording.observations import (
+    EVERYTHING,
+    LEFT_IMAGES,
+    EncodedObservation,
+    LoggedImage,
+    LoggedJoints,
+    LoggedTransforms,
+    Needs,
+)
+from svmdist.recording.observing import OTHER_JOINTS, DecodedMessages, Observer
+from svmdist.recording.source import LossKind
+from svmdist.recording.topics import LoggedArm, find_arms
 from svmdist.samples import (
     ImageSample,
     JointSample,

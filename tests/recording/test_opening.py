@@ -11,9 +11,9 @@ from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
+from svmdist.recording.log import LOOKS_LIKE, open_source
 from svmdist.recording.mcap_file.framing import MAGIC
 from svmdist.recording.mcap_file.source import McapSource
-from svmdist.recording.opening import LOOKS_LIKE, open_source
 from svmdist.recording.rosbag.bag1_source import Rosbag1Source
 from svmdist.recording.rosbag.bag2_source import Rosbag2Source
 from svmdist.recording.rosbag.sqlite_source import SqliteSource

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.profile import Profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import Observation
 

@@ -15,8 +15,8 @@ from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
-from svmdist.recording.health import LossKind
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
+from svmdist.recording.source import LossKind
 from svmdist.samples import ImageSample, Observation
 
 from .builders import Entry, pose, scene

@@ -18,12 +18,12 @@ from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits, Profile
+from svmdist.recording.images import ImageError
+from svmdist.recording.log import open_recording
 from svmdist.recording.mcap_file.source import McapSource
 from svmdist.recording.messages.checks import DecodeError, EncodedImage
 from svmdist.recording.messages.decoding import SCHEMAS, Decoder
-from svmdist.recording.messages.images import ImageError
-from svmdist.recording.reader import open_recording
-from svmdist.recording.sources import RawMessage
+from svmdist.recording.source import RawMessage
 
 from .builders import scene
 from .faults import mutate_body

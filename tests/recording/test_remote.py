@@ -17,9 +17,9 @@ from fsspec.spec import AbstractBufferedFile, AbstractFileSystem
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits, load_profile
+from svmdist.recording.log import open_recording
 from svmdist.recording.mcap_file.indexed import read_index
 from svmdist.recording.mcap_file.source import McapSource
-from svmdist.recording.reader import open_recording
 from svmdist.remote_file import RemoteFile, is_url
 from tests.recording.builders import rewrite
 from tests.synthetic import make_scene, write_log

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from svmdist.profile import Limits, Profile
+from svmdist.recording.encode import encode, message_type
+from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthDistance
+from svmdist.recording.log import open_recording
 from svmdist.recording.messages.checks import EncodedImage
 from svmdist.recording.messages.decoding import Decoder
-from svmdist.recording.messages.encoding import encode, message_type
-from svmdist.recording.messages.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthDistance
-from svmdist.recording.reader import open_recording
-from svmdist.recording.sources import RawMessage
+from svmdist.recording.source import RawMessage
 from svmdist.samples import (
     CameraSample,
     DistanceSample,
@@ -142,5 +142,5 @@ def test_the_proto_and_its_python_agree() -> None:
 
 
 def test_generated_code_loads_without_warnings() -> None:
-    code = "import svmdist.recording.messages.ground_truth_distance_pb2"
+    code = "import svmdist.recording.ground_truth_distance_pb2"
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)

@@ -11,9 +11,10 @@ import pytest
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
-from svmdist.recording import pairing, transform_buffer
-from svmdist.recording.reader import open_recording
-from svmdist.recording.transform_buffer import TransformBuffer
+from svmdist.recording import observations as pairing
+from svmdist.recording import observations as transform_buffer
+from svmdist.recording.log import open_recording
+from svmdist.recording.observations import TransformBuffer
 from svmdist.samples import CameraSample, ImageSample, Observation, TransformSample, TransformsSample
 from svmdist.transforms import Array, inverse, rotation_x
 from tests.rotations import rotation_y

@@ -10,7 +10,7 @@ import pytest
 
 from svmdist.errors import SourceError
 from svmdist.profile import Limits
-from svmdist.recording.stills import decode_file, read_file
+from svmdist.recording.images import decode_file, read_file
 
 IMAGE = np.random.default_rng(4).integers(0, 255, (24, 32, 3), np.uint8)
 

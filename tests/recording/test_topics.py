@@ -8,7 +8,7 @@ import pytest
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.profile import Topics
-from svmdist.recording.sources import TopicInfo
+from svmdist.recording.source import TopicInfo
 from svmdist.recording.topics import KINDS, NAMED, Role, TopicChoice
 
 IMAGE, RAW = "foxglove.CompressedImage", "sensor_msgs/msg/Image"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError
-from svmdist.recording import transform_tree
-from svmdist.recording.transform_tree import TransformTree, find_path, frame_name
+from svmdist.recording import tf_tree as transform_tree
+from svmdist.recording.tf_tree import TransformTree, find_path, frame_name
 from svmdist.samples import TransformSample
 from svmdist.transforms import Array, inverse, make_transform, rotation_of
 

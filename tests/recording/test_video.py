@@ -10,7 +10,7 @@ import pytest
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 
 from svmdist.profile import Profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Rejection
 
 from .builders import write_messages

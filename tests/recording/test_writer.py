@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 
 from svmdist.errors import OutputError, UsageError
 from svmdist.profile import Profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import DistanceSample, ImageSample
 

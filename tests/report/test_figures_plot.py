@@ -17,11 +17,10 @@ from svmdist.cli.plots import PLOTS, PlotKind, require_plot
 from svmdist.errors import OutputError, UsageError
 from svmdist.report.plots import PAGE_IN, draw_blur, draw_compare
 from svmdist.vision.degradations import Degradation
-from svmdist.workflows.compare import ALL, Group, MethodScore
+from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
 from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.degradation_grid import GridCell
-from svmdist.workflows.runs import Figures
-from svmdist.workflows.scoring.distances import DistanceScore, Pairs, score_pairs
+from svmdist.workflows.scoring.score import DistanceScore, Pairs, score_pairs
 from tests.cli.conftest import Cli, cli
 
 __all__ = ["cli"]

@@ -10,9 +10,9 @@ import pytest
 
 from svmdist.errors import OutputError
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.report.panels import PANELS, SHAFT, Canvas, masks_panel, picture_of, write_picture
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 from svmdist.workflows.show import image_stamps_ns, shown_frames
 from tests.synthetic import write_log
 

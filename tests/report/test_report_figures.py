@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from svmdist.report.scores import GROUP_TITLES, figure_cells, figure_columns, figure_keys
-from svmdist.workflows.runs import Figures
-from svmdist.workflows.scoring.distances import Pairs, score_pairs
+from svmdist.workflows.compare import Figures
+from svmdist.workflows.scoring.score import Pairs, score_pairs
 
 TRUTH_M = np.linspace(0.01, 0.02, 10)
 HALF_MM = score_pairs(Pairs(np.arange(10), TRUTH_M + 5e-4, TRUTH_M, np.full(10, np.nan)))

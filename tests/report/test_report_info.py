@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from svmdist.profile import load_profile
-from svmdist.recording.inspect import inspect_recording
+from svmdist.recording.summary import inspect_recording
 from svmdist.report.info import SCHEMA, TOPIC_KEYS, info_document, info_lines, topic_row
 
 

@@ -25,10 +25,9 @@ from svmdist.report.scores import (
     validation_table,
 )
 from svmdist.report.tables import csv_lines, json_array_lines, render, rich_table
-from svmdist.vision.blur import Blur
+from svmdist.vision.degradations import Blur
 from svmdist.workflows.blur_bench import BlurRow, PrintedRow
-from svmdist.workflows.scoring.distances import Pairs, score_pairs
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.score import Pairs, Score, score_pairs
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
 

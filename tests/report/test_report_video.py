@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from svmdist.drawing import Part
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.report.panels import draw_on
 from svmdist.report.video import write_video
 from svmdist.workflows.annotate import drawn_frames
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 from tests.cli.conftest import Cli, cli
 
 av = pytest.importorskip("av", reason="PyAV has no wheel for this platform")

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.masked_sets import OUTLINES, PANEL_SIZE, SETS, filled
 from benchmarks.overlap import iou, union_ious
-from svmdist.vision.segmentation.network import OnnxSegmenter, network_input
+from svmdist.vision.network import OnnxSegmenter, network_input
 from tests.onnx_file import write_classifier
 from training import dataset, train
 from training.dataset import VALIDATION_SEED, augmented, halved, rendered

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from svmdist.estimation.detection.distal_marker import detect_distal_marker
-from svmdist.estimation.tissue.pose import TissuePose
-from svmdist.estimation.tissue.tracking import TissueTracker
+from svmdist.estimation.instrument.shaft_detection import detect_distal_marker
+from svmdist.estimation.tissue import TissuePose
+from svmdist.estimation.tissue_tracking import TissueTracker
 from svmdist.geometry.surfaces import Plane
 from svmdist.profile import load_profile
 from svmdist.profile.settings import (
@@ -19,13 +19,13 @@ from svmdist.profile.settings import (
     Settings,
     TissueTrackingSettings,
 )
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
+from svmdist.vision.colour import colour_mask
 from svmdist.vision.frame_context import to_hsv
-from svmdist.vision.marker.homography import is_plausible
+from svmdist.vision.marker import is_plausible
 from svmdist.vision.regions import find_region
-from svmdist.vision.segmentation.colour import colour_mask
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 from tests.shipped import EXACT_PROFILE
 
 

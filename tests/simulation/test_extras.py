@@ -12,7 +12,7 @@ from svmdist.errors import SimulationError, UsageError
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.kinematics.inverse import solve_position
 from svmdist.profile import Profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import CameraSample, ImageSample, JointSample, Sample, TransformsSample
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario

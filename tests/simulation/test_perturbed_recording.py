@@ -13,7 +13,7 @@ from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, World, draw
 from svmdist.perturbations.images import perturbed_right_view
 from svmdist.perturbations.shape import plane_tilt, stated_profile
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.samples import CameraSample, ImageSample, Observation, RightView, Sample, TransformsSample
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.vision.blur import Blur, apply_blur
+from svmdist.vision.degradations import Blur, apply_blur
 
 RNG = np.random.default_rng(1)
 IMAGE = RNG.integers(0, 256, (40, 50, 3)).astype(np.uint8)

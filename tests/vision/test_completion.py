@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from svmdist.profile.settings import OutlineSettings
 from svmdist.transforms import polygon_centroid
-from svmdist.vision.completion import _any_of, _centroid, _circle, complete_outline
+from svmdist.vision.regions import _any_of, _centroid, _circle, complete_outline
 
 CENTRE = np.array([310.0, 236.0])
 

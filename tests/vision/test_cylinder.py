@@ -7,13 +7,13 @@ import pytest
 from scipy.optimize import brentq
 
 from svmdist.transforms import Array
-from svmdist.vision.cylinder import (
+from svmdist.vision.lines import (
+    Line,
     TangentPlane,
     axis_of_cylinder,
     tangent_normal,
     tangent_plane,
 )
-from svmdist.vision.lines import Line
 
 NONE = np.zeros((3, 3))
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.disc import fit_disc
+from svmdist.vision.edges import fit_disc
 from svmdist.vision.frame_context import to_hsv
 
 CENTRE_PX, RADIUS_PX = np.array([61.3, 48.8]), 11.6

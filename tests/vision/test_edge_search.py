@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.profile.settings import SilhouetteSettings
-from svmdist.vision.edge_search import points_near, profiles_across, straightest
+from svmdist.vision.edge_lines import points_near, profiles_across, straightest
 
 SETTINGS = SilhouetteSettings()
 HEIGHT, WIDTH, EDGE_PX = 80, 200, 40.3

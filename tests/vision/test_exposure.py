@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.profile.settings import ExposureSettings
-from svmdist.vision.segmentation.exposure import apply_exposure, exposure_of, percentiles
+from svmdist.vision.colour import apply_exposure, exposure_of, percentiles
 
 SETTINGS = ExposureSettings()
 

@@ -11,7 +11,7 @@ import pytest
 
 from svmdist.profile import load_profile
 from svmdist.vision.frame_context import FrameContext, to_hsv
-from svmdist.vision.segmentation.segmenter import InstrumentMasks, make_segmenter
+from svmdist.vision.segmentation import InstrumentMasks, make_segmenter
 
 SEGMENTER = make_segmenter(load_profile().segmentation)
 

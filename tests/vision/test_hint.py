@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from svmdist.profile.settings import AutoSettings
-from svmdist.vision.instruments.working import WorkingImage
-from svmdist.vision.segmentation.auto import AutoSegmenter
-from svmdist.vision.segmentation.hint import MOST_RATIO, network_hint
+from svmdist.vision.segmentation import MOST_RATIO, AutoSegmenter, network_hint
+from svmdist.vision.working_image import WorkingImage
 from tests.surgery_images import surgery_image
 
 SEEDS = range(8)

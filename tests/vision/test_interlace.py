@@ -10,7 +10,7 @@ import pytest
 
 from svmdist.profile.settings import InterlaceSettings
 from svmdist.samples import Image, Observation, RightView
-from svmdist.vision.interlace import first_field, with_first_fields
+from svmdist.vision.frame_context import first_field, with_first_fields
 from tests.synthetic import make_scene
 
 CAMERA = make_scene().camera

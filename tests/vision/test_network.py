@@ -12,7 +12,7 @@ import pytest
 from svmdist.errors import ProfileError
 from svmdist.profile import ClassRegion, OnnxSegmentation
 from svmdist.vision.frame_context import FrameContext
-from svmdist.vision.segmentation.network import OnnxSegmenter
+from svmdist.vision.network import OnnxSegmenter
 from tests.onnx_file import node, tensor, value_info, write_classifier, write_model
 
 WEIGHTS = np.array([[0.0, 0.0, 0.0], [1.0, -0.8, -0.1], [-1.0, 0.4, 0.7], [-0.5, -0.6, -0.4]])

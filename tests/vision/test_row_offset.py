@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.row_offset import agreed_offset, row_differences
+from svmdist.vision.stereo import agreed_offset, row_differences
 
 
 def views(rows_px: float, contrast: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

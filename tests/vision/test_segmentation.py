@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.profile import ColourRegion
+from svmdist.vision.colour import colour_mask
 from svmdist.vision.frame_context import to_hsv
-from svmdist.vision.segmentation.colour import colour_mask
 
 hues = st.integers(0, 179)
 bounds = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(sorted).map(tuple)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from svmdist.profile.settings import StereoSettings
-from svmdist.vision.semi_global import match_region
+from svmdist.vision.stereo import match_region
 
 SETTINGS = StereoSettings()
 TEXTURE = cv2.GaussianBlur(

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.edges import edge_points
-from svmdist.vision.shading import shading_shift_px
+from svmdist.vision.edges import edge_points, shading_shift_px
 
 OUTWARD = np.array([1.0, 0.0])
 

@@ -8,7 +8,7 @@ import pytest
 
 from svmdist.profile import AreaGate
 from svmdist.samples import Image
-from svmdist.vision.field_of_view import field_of_view
+from svmdist.vision.colour import field_of_view
 from svmdist.vision.shaft_segmentation import bright_fraction, find_shaft
 
 RULE = AreaGate(min_area_px=400)

@@ -13,8 +13,7 @@ from benchmarks.overlap import iou
 from svmdist.errors import ProfileError
 from svmdist.models import INSTRUMENTS, SHIPPED, shipped_file
 from svmdist.profile import OnnxSegmentation, load_profile
-from svmdist.vision.segmentation.from_border import LEAST_AREA, parts_from_border
-from svmdist.vision.segmentation.network import OnnxSegmenter, network_input
+from svmdist.vision.network import LEAST_AREA, OnnxSegmenter, network_input, parts_from_border
 from tests.surgery_images import surgery_image
 from training.instruments import DISTAL, SHAFT, TISSUE
 from training.scene import HEIGHT, MIDDLE, WIDTH, layers

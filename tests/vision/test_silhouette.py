@@ -8,9 +8,8 @@ import pytest
 
 from svmdist.samples import Image
 from svmdist.vision.edge_lines import edge_line
-from svmdist.vision.instruments.seen import SeenInstrument
-from svmdist.vision.silhouette import Silhouette, find_silhouette
-from svmdist.vision.wrist_outline import WristShape
+from svmdist.vision.find_instruments import SeenInstrument
+from svmdist.vision.silhouette import Silhouette, WristShape, find_silhouette
 
 SIZE = (480, 640)
 SHAPE = WristShape(0.37, 1.9)

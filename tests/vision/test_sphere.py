@@ -7,7 +7,7 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.transforms import Array
-from svmdist.vision.sphere import apparent_radius_px, without_perspective
+from svmdist.vision.lines import apparent_radius_px, without_perspective
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 

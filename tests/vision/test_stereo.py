@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from svmdist.estimation.surface import fit_surface
 from svmdist.profile.settings import StereoSettings
-from svmdist.vision.stereo import fit_surface
 
 HEIGHT, WIDTH = 240, 320
 

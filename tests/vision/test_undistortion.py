@@ -11,8 +11,8 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform, rotation_of
-from svmdist.vision.rectified import RectifiedPair, rectified_pair
-from svmdist.vision.undistortion import as_pinholes, seen_through
+from svmdist.vision.frame_context import as_pinholes, seen_through
+from svmdist.vision.stereo import RectifiedPair, rectified_pair
 
 IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 LENSES = {

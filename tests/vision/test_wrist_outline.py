@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.wrist_outline import WristShape, wrist_point
+from svmdist.vision.silhouette import WristShape, wrist_point
 
 SHAPE = WristShape(0.4, 2.0)
 WIDTH_PX = 40.0

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from svmdist.profile import AutoSegmentation, load_profile
-from svmdist.recording.reader import open_recording
-from svmdist.vision.segmentation.auto import AutoSegmenter
-from svmdist.workflows.adapting import adapted_segmenters, spread_observations
+from svmdist.recording.log import open_recording
+from svmdist.vision.segmentation import AutoSegmenter
 from svmdist.workflows.conditions import CLEAN, Condition
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.replay import adapted_segmenters, spread_observations
+from svmdist.workflows.request import prepare
 from svmdist.workflows.show import spread
 from tests.synthetic import write_log
 

@@ -18,13 +18,13 @@ from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from svmdist.recording.copying import TRUE_SUFFIX
-from svmdist.recording.messages.distance_estimate_pb2 import DistanceEstimate
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
+from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.summary import TRUE_SUFFIX
 from svmdist.results import FrameResult
 from svmdist.workflows.annotate import DrawnFrame, drawn_frames, write_annotated
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.request import Setup, prepare
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DUO = REPOSITORY / "recordings" / "3d" / "duo.mcap"

@@ -10,9 +10,9 @@ import pytest
 from svmdist.estimation.methods import METHODS
 from svmdist.profile import Profile, load_profile
 from svmdist.profile.robot import ArmFrames, ArmTopics, OtherInstrument
-from svmdist.recording.health import Health
-from svmdist.recording.inspect import RecordingSummary, TopicSummary
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
+from svmdist.recording.source import Health
+from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.recording.topics import Role
 from svmdist.workflows.capabilities import (
     Capability,

@@ -12,7 +12,7 @@ import pytest
 
 from svmdist.metrics import interval_coverage
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.report.scores import compare_keys, compare_row, compare_tables
 from svmdist.report.tables import render
@@ -21,8 +21,8 @@ from svmdist.simulation.extras import Extras
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import Group, compare, group_of
 from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.request import prepare
 from svmdist.workflows.scoring.truth import Reference, TruthRules
-from svmdist.workflows.setup import prepare
 from svmdist.workflows.validate import validate
 from tests.synthetic import make_scene, samples
 

@@ -9,8 +9,7 @@ import pytest
 
 from svmdist.errors import UsageError
 from svmdist.samples import Observation, RightView
-from svmdist.vision.blur import Blur, apply_blur
-from svmdist.vision.degradations import Degradation
+from svmdist.vision.degradations import Blur, Degradation, apply_blur
 from svmdist.workflows.conditions import CLEAN, BlurCondition, Condition, ReplayCondition
 from tests.synthetic import make_scene
 

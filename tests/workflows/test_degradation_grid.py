@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError, UsageError
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.samples import DistanceSample, Observation, RightView, Sample
 from svmdist.vision.degradations import Degradation, degrade
 from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.degradation_grid import degradation_grid, grid_conditions
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 from tests.measuring import Measuring
 from tests.synthetic import write_log
 

@@ -12,8 +12,8 @@ from svmdist.camera import stereo_transform
 from svmdist.errors import SourceError, UsageError
 from svmdist.importing.calibration import CalibrationOptions
 from svmdist.profile import load_profile
+from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.messages.foxglove import parse_protobuf
-from svmdist.recording.reader import Recording, open_recording
 from svmdist.samples import Image, ImageSample, Observation
 from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from tests.cli.running import require_no_traceback, started
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs signals as POSIX has them")

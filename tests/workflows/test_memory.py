@@ -7,10 +7,10 @@ import tracemalloc
 from pathlib import Path
 
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.setup import Setup
+from svmdist.workflows.request import Setup
 from tests.synthetic import write_log
 
 

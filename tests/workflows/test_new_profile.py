@@ -12,12 +12,12 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.inspect import inspect_recording
+from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.report.profile_template import profile_lines
 from svmdist.samples import CameraSample, ImageSample, PoseSample
-from svmdist.vision.distinct_colour import find_distinct_colour
-from svmdist.vision.stereo_plane import fit_plane
+from svmdist.vision.colour import find_distinct_colour
+from svmdist.vision.stereo import fit_plane
 from svmdist.workflows.capabilities import find_roles
 from svmdist.workflows.new_profile import draft_profile, shipped_robot
 from tests.conftest import REPOSITORY

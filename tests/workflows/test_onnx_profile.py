@@ -11,9 +11,9 @@ import pytest
 
 from svmdist.cli.main import run
 from svmdist.profile import DEFAULT_PROFILE, profile_path
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 from tests.measuring import Measuring
 from tests.onnx_file import write_classifier
 

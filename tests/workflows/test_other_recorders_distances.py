@@ -10,15 +10,15 @@ import pytest
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 
-from svmdist.estimation.planar.calibration import save_calibration
-from svmdist.recording.reader import open_recording
+from svmdist.estimation.plane_mapping import save_calibration
+from svmdist.recording.log import open_recording
 from svmdist.results import FrameResult
 from svmdist.samples import Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, rotation_z
 from svmdist.workflows.calibrate import calibrate
 from svmdist.workflows.estimate import estimate
+from svmdist.workflows.request import Setup, prepare
 from svmdist.workflows.scoring.truth import Reference, truth_rules
-from svmdist.workflows.setup import Setup, prepare
 from svmdist.workflows.validate import Validation, validate
 from tests.measuring import flat
 from tests.recording.builders import Entry

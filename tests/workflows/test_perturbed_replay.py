@@ -10,13 +10,13 @@ import pytest
 from svmdist.errors import UsageError
 from svmdist.perturbations.chosen import Perturbations, parse_perturbations
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import Observation, RightView
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import MethodScore, compare, group_of
 from svmdist.workflows.conditions import CLEAN, Condition, PerturbedCondition
-from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.request import Setup, prepare
 from tests.synthetic import make_scene, samples
 
 PROFILE = load_profile()

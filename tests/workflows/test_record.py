@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 
 from svmdist.errors import UsageError
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
 

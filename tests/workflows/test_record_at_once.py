@@ -10,7 +10,7 @@ import pytest
 
 from svmdist.errors import UsageError
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import DistanceSample
 

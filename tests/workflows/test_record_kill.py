@@ -18,8 +18,8 @@ from pathlib import Path
 import pytest
 
 from svmdist.profile import load_profile
-from svmdist.recording.health import LossKind
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
+from svmdist.recording.source import LossKind
 from tests.conftest import REPOSITORY
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")

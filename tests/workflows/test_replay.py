@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError
-from svmdist.estimation.arm import Arm
 from svmdist.estimation.methods import METHODS
-from svmdist.recording.reader import open_recording
+from svmdist.estimation.scene import Arm
+from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.replay import MultiInstrumentEstimator, Replayed, replay
-from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.request import Setup, prepare
 from tests.synthetic import START_NS, write_log
 
 FRAMES = 8

@@ -9,7 +9,7 @@ import pytest
 
 from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.workflows.fk import fk
 from svmdist.workflows.reported_tool import default_reference, reported_tool
 

@@ -10,10 +10,10 @@ import pytest
 from benchmarks.robustness import WORLDS, far_share, measure, robustness_page, robustness_table
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.workflows.conditions import PerturbedCondition
-from svmdist.workflows.scoring.distances import Pairs
+from svmdist.workflows.scoring.score import Pairs
 from tests.synthetic import make_scene, samples
 
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.detection.scene import Scene
+from svmdist.estimation.scene import Scene
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, ImageSample
 from svmdist.workflows import replay
+from svmdist.workflows.request import prepare
 from svmdist.workflows.row_alignment import row_offset, row_offset_to_remove_px
-from svmdist.workflows.setup import prepare
 
 CAMERA = Camera.from_horizontal_fov(420, 280, np.pi / 3)
 BASELINE_M = 0.005

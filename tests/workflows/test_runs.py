@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError
-from svmdist.recording.messages.encoding import encode_all
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.encode import encode_all
+from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, DistanceSample, ImageSample, Sample
 from svmdist.vision.degradations import Degradation
+from svmdist.workflows.compare import Run, measure_runs, pooled_figures
 from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.runs import Run, measure_runs, pooled_figures
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 from tests.synthetic import START_NS, make_scene, samples, write_log
 
 SETUPS = [prepare(method="centroid"), prepare(method="kinematic")]

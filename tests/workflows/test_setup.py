@@ -10,7 +10,7 @@ from svmdist.errors import CalibrationError, UsageError
 from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
 from svmdist.profile import load_profile, profile_path
 from svmdist.workflows.calibrate import calibrate
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 
 
 def test_planar_methods_take_the_calibration_beside_the_profile() -> None:

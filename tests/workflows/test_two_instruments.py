@@ -13,12 +13,12 @@ import pytest
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.workflows.compare import compare
 from svmdist.workflows.estimate import estimate
+from svmdist.workflows.request import prepare
 from svmdist.workflows.scoring.truth import Reference, TruthRules
-from svmdist.workflows.setup import prepare
 from svmdist.workflows.validate import validate
 from tests.cli.conftest import Cli, cli  # noqa: F401  (the fixture)
 from tests.measuring import Measuring, flat

@@ -11,15 +11,15 @@ import pytest
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.recording.reader import Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.report.scores import score_keys, score_row, validation_document, validation_tables
 from svmdist.report.tables import render
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import DistanceSample, Sample, Status
+from svmdist.workflows.request import prepare
 from svmdist.workflows.scoring.baseline import find_regressions, make_baseline, require_same_alarms
 from svmdist.workflows.scoring.score import Score, pool_scores, score_rows
 from svmdist.workflows.scoring.truth import Reference, TruthRules
-from svmdist.workflows.setup import prepare
 from svmdist.workflows.validate import Validation, validate
 from tests.measuring import flat
 from tests.synthetic import write_log

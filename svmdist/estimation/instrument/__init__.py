@@ -1,1 +1,1 @@
-"""The instrument in 3D: what an image tells of its pose, and its model."""
+"""The instrument in 3D: its model, what images show of its pose, its fits, and the filter over kinematic errors."""

@@ -12,34 +12,34 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.filter.constants import EXACT, Deviations
-from svmdist.estimation.gate import chi_square_bound
-from svmdist.estimation.instrument.stereo_watch import DisparityCheck
+from svmdist.estimation.instrument.consistency import chi_square_bound
+from svmdist.estimation.instrument.measurement import EXACT, Deviations
+from svmdist.estimation.instrument.shaft_fit import (
+    ShaftFit,
+    by_constants,
+    first_shaft,
+    normal_equations,
+    normalised_square,
+    retracted,
+)
+from svmdist.estimation.instrument.shaft_model import (
+    BentTool,
+    Residual,
+    ShaftModel,
+    ShaftState,
+    prior_residual,
+)
 from svmdist.estimation.instrument.two_views import (
     DISPARITY,
     MARKER,
     RIM,
     SIZE,
     VIEWS,
+    DisparityCheck,
     Predicted,
     TwoViews,
     measurements,
 )
-from svmdist.estimation.shaft_pose.fit import ShaftFit
-from svmdist.estimation.shaft_pose.model import ShaftModel
-from svmdist.estimation.shaft_pose.residuals import (
-    BentTool,
-    Residual,
-    ShaftState,
-    prior_residual,
-)
-from svmdist.estimation.shaft_pose.solution import (
-    by_constants,
-    normal_equations,
-    normalised_square,
-    retracted,
-)
-from svmdist.estimation.shaft_pose.start import first_shaft
 from svmdist.least_squares import Steps, minimise
 from svmdist.profile.settings import ShaftSettings, StereoSettings
 from svmdist.results import Failure, ToolPose, across_std_rad

@@ -1,11 +1,8 @@
-"""What both views of a pair show of one tool, as residuals of its shaft's pose in the left camera.
-
-The right view's are predicted there, through the pair's geometry. Errors of that geometry are constants, which all of
-them share.
-"""
+"""What both views of a pair show of one tool: the distal marker's disparity, and residuals of the shaft's pose."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -13,24 +10,127 @@ from functools import partial
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.detection.distal_marker import DistalMarker
-from svmdist.estimation.detection.shaft import Contour, Rim
-from svmdist.estimation.detection.stereo_match import StereoMatch
-from svmdist.estimation.filter.constants import Deviations, SharedBias
-from svmdist.estimation.shaft_pose.model import ShaftModel
-from svmdist.estimation.shaft_pose.residuals import (
+from svmdist.estimation.instrument.measurement import Deviations, SharedBias
+from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, Rim
+from svmdist.estimation.instrument.shaft_model import (
     BentTool,
     Landmarks,
     Residual,
+    ShaftModel,
     ShaftState,
     contour_residual,
     marker_residuals,
     rim_residual,
 )
+from svmdist.least_squares import median
 from svmdist.profile.hand_eye import BASELINE
-from svmdist.profile.settings import ShaftSettings
+from svmdist.profile.settings import ShaftSettings, StereoSettings
+from svmdist.results import Failure
 from svmdist.transforms import Array, skew
-from svmdist.vision.rectified import RectifiedPair
+from svmdist.vision.lines import apparent_radius_px
+from svmdist.vision.stereo import RectifiedPair
+
+DEFAULT = StereoSettings()
+ASIDE_RAD = 0.056
+"""The angle between the views for which the settings state the disparity's deviation: 5 mm at 90 mm."""
+
+
+@dataclass(frozen=True, slots=True)
+class StereoMatch:
+    """The marker in both views: centre in the left one, (2,), disparity, and their standard deviations, in px."""
+
+    left_px: Array
+    std_px: float
+    disparity_px: float
+    disparity_std_px: float
+    is_other_part: bool = False
+    """Whether it is of another size than the marker that the profile states: part of it, or something else."""
+
+
+def match_distal_marker(
+    left: DistalMarker | None,
+    right: DistalMarker | None,
+    pair: RectifiedPair,
+    radius_m: float | None,
+    camera: Camera,
+    settings: StereoSettings = DEFAULT,
+    radius_std_fraction: float = 0.0,
+) -> StereoMatch | Failure:
+    """Pair the markers of both views; or why they cannot be paired.
+
+    `radius_m` is a whole marker's, if known, and `radius_std_fraction` its standard deviation over itself.
+    """
+    if left is None or right is None:
+        return Failure("the instrument is seen in one view only")
+    left_at, right_at = pair.to_rows(left.centre_px), pair.to_rows(right.centre_px, right=True)
+    if abs(left_at[1] - right_at[1]) > settings.row_tolerance_px + left.std_px + right.std_px:
+        return Failure("the views do not agree on the instrument")
+    disparity_px = pair.disparity_px(float(left_at[0]), float(right_at[0]))
+    if disparity_px <= pair.disparity_at(settings.far_m):
+        return Failure(
+            f"the instrument's disparity, {disparity_px:.1f} px, is that of a point beyond {settings.far_m} m"
+        )
+    p_camera_m, _ = pair.point(left.centre_px, disparity_px)
+    # From further aside other parts of it are hidden.
+    aside = max(1.0, pair.baseline_m / float(p_camera_m[2]) / ASIDE_RAD)
+    radii_px = [marker.radius_px for marker in (left, right) if marker.radius_px is not None]
+    if len(radii_px) < 2 or radius_m is None:
+        # A coloured part of any shape. What one view shows more of moves its centroid by up to half of it:
+        # that is taken for two deviations.
+        whole_px = float(np.sqrt(max(left.area_px, right.area_px) / np.pi))
+        uneven = abs(left.area_px - right.area_px) / max(left.area_px, right.area_px, 1.0)
+        part = 0.25 * uneven + settings.part_disparity_std * aside
+        std_px = float(np.hypot(settings.marker_disparity_noise_px, part * whole_px))
+        return StereoMatch(left.centre_px, max(left.std_px, 0.5 * whole_px), disparity_px, std_px)
+    whole_px = float(apparent_radius_px(p_camera_m, radius_m, camera))
+    disparity_std_px = float(
+        np.hypot(settings.marker_disparity_noise_px, settings.marker_disparity_std * aside * whole_px)
+    )
+    std_px = left.std_px
+    hidden = max(abs(radius_px / whole_px - 1.0) for radius_px in radii_px)
+    is_other_part = hidden > max(settings.size_tolerance, 2.0 * radius_std_fraction)
+    if is_other_part:
+        # Both views show a part, and nearly the same one where it is as large in both.
+        uneven = abs(radii_px[0] - radii_px[1]) / whole_px
+        std_px = max(std_px, 0.5 * whole_px)
+        part_px = whole_px * (0.5 * uneven + settings.hidden_disparity_std * aside * hidden)
+        disparity_std_px = float(np.hypot(disparity_std_px, part_px))
+    return StereoMatch(left.centre_px, std_px, disparity_px, disparity_std_px, is_other_part)
+
+
+@dataclass(frozen=True, slots=True)
+class DisparityCheck:
+    """A disparity less the one at the depth by the sizes, over itself, and its standard deviation."""
+
+    off: float
+    std: float
+
+
+class DisparityWatch:
+    """The last checks of one instrument's disparities."""
+
+    def __init__(self, settings: StereoSettings) -> None:
+        self._bound = settings.watch_bound_stds
+        self._checks: deque[DisparityCheck] = deque(maxlen=settings.watch_frames)
+
+    def add(self, check: DisparityCheck) -> None:
+        """Take up a frame's check."""
+        self._checks.append(check)
+
+    @property
+    def doubt(self) -> float:
+        """By how much disparities contradict the sizes, where that is more than their deviations allow; else 0.
+
+        Deviations are those of constants for the most part, which are the same in all frames: the median is as
+        uncertain as one check.
+        """
+        if not self._checks:
+            return 0.0
+        stds = median(np.array([check.off / check.std for check in self._checks]))
+        if abs(stds) <= self._bound:
+            return 0.0
+        return abs(median(np.array([check.off for check in self._checks])))
+
 
 DISPARITY, SIZE, MARKER, RIM = "disparity", "size", "distal marker", "rim"
 VIEWS = ("left", "right")

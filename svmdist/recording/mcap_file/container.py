@@ -18,13 +18,13 @@ from svmdist.errors import RecordingError
 from svmdist.input_file import LogPath, open_regular
 from svmdist.profile import Limits
 from svmdist.recording.effort import Effort, TooMuchError
-from svmdist.recording.health import Health, LossKind
 from svmdist.recording.mcap_file.chunks import ChunkError, expand_chunk, expand_truncated_chunk
 from svmdist.recording.mcap_file.content import IN_CHUNKS, Content, MessageRecord, Record
 from svmdist.recording.mcap_file.crc_check import DataSectionCheck
 from svmdist.recording.mcap_file.framing import HEAD, MAGIC, Frame, FrameStream
 from svmdist.recording.mcap_file.record_parsers import MalformedRecordError, is_attachment_intact
 from svmdist.recording.mcap_file.summary import Summary, read_footer, read_trusted_summary
+from svmdist.recording.source import Health, LossKind
 
 
 class Container:

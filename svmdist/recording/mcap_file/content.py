@@ -10,12 +10,12 @@ from mcap.opcode import Opcode
 from svmdist.input_file import LogPath, open_regular
 from svmdist.profile import Limits
 from svmdist.recording.effort import Effort
-from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.mcap_file.definitions import DefinitionError, Definitions
 from svmdist.recording.mcap_file.framing import HEAD, split_records
 from svmdist.recording.mcap_file.record_parsers import MESSAGE_HEAD
 from svmdist.recording.mcap_file.summary import read_trusted_summary
 from svmdist.recording.mcap_file.tally import Tally
+from svmdist.recording.source import Health, Loss, LossKind
 
 MESSAGE = int(Opcode.MESSAGE)
 IN_CHUNKS = frozenset({int(Opcode.SCHEMA), int(Opcode.CHANNEL), MESSAGE})

@@ -16,12 +16,12 @@ from svmdist.errors import RecordingError
 from svmdist.input_file import LogPath, open_regular
 from svmdist.profile import Limits
 from svmdist.recording.effort import Effort, TooMuchError
-from svmdist.recording.health import Health, LossKind
 from svmdist.recording.mcap_file.chunks import ChunkError, expand_chunk
 from svmdist.recording.mcap_file.content import Content, MessageRecord
 from svmdist.recording.mcap_file.framing import HEAD
 from svmdist.recording.mcap_file.record_parsers import MalformedRecordError, parse
 from svmdist.recording.mcap_file.summary import ChunkPlace, Summary, read_trusted_summary
+from svmdist.recording.source import Health, LossKind
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from svmdist.recording.names import MAX_NAME_BYTES
+from svmdist.recording.source import MAX_NAME_BYTES
 
 CHUNK_HEAD = struct.Struct("<QQQII")
 MESSAGE_HEAD = struct.Struct("<HIQQ")

@@ -10,14 +10,21 @@ from mcap.records import Metadata
 from svmdist.errors import RecordingError
 from svmdist.input_file import LogPath, open_regular
 from svmdist.profile import Limits
-from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.mcap_file.container import Container
 from svmdist.recording.mcap_file.content import MessageRecord, Record
 from svmdist.recording.mcap_file.crc_check import DataSectionCheck
 from svmdist.recording.mcap_file.indexed import Index, IndexedPass, metadata_records, read_index
 from svmdist.recording.mcap_file.record_parsers import MalformedRecordError, parse
 from svmdist.recording.mcap_file.summary import read_trusted_summary
-from svmdist.recording.sources import METADATA_NAME, RawMessage, TopicInfo, merge_topics
+from svmdist.recording.source import (
+    METADATA_NAME,
+    Health,
+    Loss,
+    LossKind,
+    RawMessage,
+    TopicInfo,
+    merge_topics,
+)
 from svmdist.remote_file import RemoteFile
 
 

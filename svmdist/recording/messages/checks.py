@@ -10,8 +10,8 @@ import numpy as np
 
 from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
 from svmdist.perturbations.clock import later_ns
-from svmdist.recording.messages.images import ImageError
-from svmdist.recording.names import MAX_NAME_BYTES, cut
+from svmdist.recording.images import ImageError
+from svmdist.recording.source import MAX_NAME_BYTES, cut
 from svmdist.samples import Image, JointSample, TransformSample, TransformsSample, Vector
 from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
 

@@ -7,12 +7,12 @@ from enum import StrEnum
 from typing import Any
 
 from svmdist.profile import Limits
+from svmdist.recording.images import VideoDecoder
 from svmdist.recording.messages import foxglove, ros
 from svmdist.recording.messages.checks import DecodeError, EncodedImage, RawTransforms, checked_stamp_ns
 from svmdist.recording.messages.foxglove_json import parse_json
 from svmdist.recording.messages.ros_wire import CdrWire, Ros1Wire
-from svmdist.recording.messages.video import VideoDecoder
-from svmdist.recording.sources import RawMessage
+from svmdist.recording.source import RawMessage
 from svmdist.samples import Sample
 
 

@@ -15,6 +15,8 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError as ProtobufError
 
 from svmdist.profile import Limits
+from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
+from svmdist.recording.images import VideoDecoder, decode_raw, decode_still
 from svmdist.recording.messages.checks import (
     MAX_JOINTS,
     MAX_TRANSFORMS,
@@ -29,11 +31,7 @@ from svmdist.recording.messages.checks import (
     checked_stamp_ns,
     checked_transform,
 )
-from svmdist.recording.messages.ground_truth_distance_pb2 import GroundTruthDistance
-from svmdist.recording.messages.images import decode_still
-from svmdist.recording.messages.raw_images import decode_raw
-from svmdist.recording.messages.video import VideoDecoder
-from svmdist.recording.sources import RawMessage
+from svmdist.recording.source import RawMessage
 from svmdist.samples import (
     CameraSample,
     DistanceSample,

@@ -12,7 +12,7 @@ from google.protobuf.message import Message
 
 from svmdist.recording.messages.checks import DecodeError
 from svmdist.recording.messages.foxglove import MESSAGES
-from svmdist.recording.sources import RawMessage
+from svmdist.recording.source import RawMessage
 
 
 def parse_json(raw: RawMessage) -> Any:

@@ -7,6 +7,7 @@ ROS, and a parser that follows a file's own description can be led anywhere.
 from __future__ import annotations
 
 from svmdist.profile import Limits
+from svmdist.recording.images import decode_raw, decode_still
 from svmdist.recording.messages.checks import (
     MAX_JOINTS,
     MAX_TRANSFORMS,
@@ -19,8 +20,6 @@ from svmdist.recording.messages.checks import (
     checked_stamp_ns,
     checked_transform,
 )
-from svmdist.recording.messages.images import decode_still
-from svmdist.recording.messages.raw_images import decode_raw
 from svmdist.recording.messages.ros_wire import Ros1Wire
 from svmdist.samples import CameraSample, JointSample, PoseSample
 

@@ -11,7 +11,7 @@ from typing import BinaryIO
 from svmdist.profile import Limits
 from svmdist.recording.decompress import DecompressionError, decompress, decompress_prefix
 from svmdist.recording.effort import Effort
-from svmdist.recording.names import MAX_NAME_BYTES
+from svmdist.recording.source import MAX_NAME_BYTES
 
 MAGIC = b"#ROSBAG V2.0\n"
 OP_MESSAGE, OP_BAG_HEADER, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION = 2, 3, 5, 6, 7

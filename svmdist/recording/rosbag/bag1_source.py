@@ -11,8 +11,6 @@ from svmdist.errors import RecordingError
 from svmdist.input_file import LogPath, open_regular
 from svmdist.profile import Limits
 from svmdist.recording.effort import Effort, TooMuchError
-from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.names import cut
 from svmdist.recording.rosbag import bag1_records
 from svmdist.recording.rosbag.bag1_records import (
     MAGIC,
@@ -24,7 +22,7 @@ from svmdist.recording.rosbag.bag1_records import (
     parse_fields,
     read_record,
 )
-from svmdist.recording.sources import RawMessage, TopicInfo, merge_topics
+from svmdist.recording.source import Health, Loss, LossKind, RawMessage, TopicInfo, cut, merge_topics
 
 MAX_CONNECTIONS = 10_000
 

@@ -16,13 +16,21 @@ from svmdist.errors import RecordingError
 from svmdist.profile import Limits
 from svmdist.recording.decompress import DecompressionError, decompress_message
 from svmdist.recording.effort import Effort, TooMuchError
-from svmdist.recording.health import Health, Loss, LossKind
 from svmdist.recording.mcap_file.source import McapSource
-from svmdist.recording.names import sanitize
 from svmdist.recording.rosbag import METADATA_FILE
 from svmdist.recording.rosbag.bag2_metadata import BagMetadata, MetadataError, read_metadata
 from svmdist.recording.rosbag.sqlite_source import SqliteSource
-from svmdist.recording.sources import RawMessage, Source, TopicInfo, is_message_compressed, merge_topics
+from svmdist.recording.source import (
+    Health,
+    Loss,
+    LossKind,
+    RawMessage,
+    Source,
+    TopicInfo,
+    is_message_compressed,
+    merge_topics,
+    sanitize,
+)
 
 
 class Rosbag2Source:

@@ -15,9 +15,15 @@ from urllib.parse import quote
 from svmdist.errors import RecordingError
 from svmdist.input_file import open_regular
 from svmdist.profile import Limits
-from svmdist.recording.health import Health, Loss, LossKind
-from svmdist.recording.names import MAX_NAME_BYTES
-from svmdist.recording.sources import RawMessage, TopicInfo, merge_topics
+from svmdist.recording.source import (
+    MAX_NAME_BYTES,
+    Health,
+    Loss,
+    LossKind,
+    RawMessage,
+    TopicInfo,
+    merge_topics,
+)
 
 Topic = tuple[str, str, str]
 """Name, type and serialization format."""

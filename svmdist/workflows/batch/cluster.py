@@ -15,10 +15,10 @@ from typing import Any
 
 from svmdist.errors import SvmdistError, UsageError
 from svmdist.files import atomic_file
-from svmdist.workflows.ahead import one_opencv_thread
 from svmdist.workflows.batch.identity import code_version
 from svmdist.workflows.batch.pool import ATTEMPTS, Task
 from svmdist.workflows.batch.task import LogFile, LogJob, Stored, failed, measure_log
+from svmdist.workflows.parallel import one_opencv_thread
 
 CONNECT_S = 10.0
 RETURN_S = 120.0

@@ -11,8 +11,8 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from svmdist.workflows.ahead import keep_freed_memory, one_opencv_thread
 from svmdist.workflows.batch.task import LogFile, LogJob, Stored, failed, measure_log
+from svmdist.workflows.parallel import one_opencv_thread
 from svmdist.workflows.workers import (
     Worker,
     begin_worker,
@@ -121,7 +121,6 @@ class _Pool:
 def _work(connection: Connection, inherited: list[Connection], function: Work, threads: int) -> None:
     """Do tasks until there is nobody to give them."""
     close_inherited(inherited)
-    keep_freed_memory()
     with suppress(EOFError, OSError), one_opencv_thread():  # nobody is there any more
         while True:
             task: Task = connection.recv()

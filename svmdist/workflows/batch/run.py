@@ -13,11 +13,11 @@ from typing import Any, TypeVar
 from svmdist.errors import OutputError, SvmdistError
 from svmdist.input_file import why
 from svmdist.remote_file import RemoteFile
-from svmdist.workflows.ahead import usable_cores
 from svmdist.workflows.batch.cluster import measured_on_cluster
 from svmdist.workflows.batch.pool import Task, measure_task, measured_in_processes
 from svmdist.workflows.batch.store import ResultStore
 from svmdist.workflows.batch.task import LogFile, LogJob, Outcome, Stored, failed, measure_log
+from svmdist.workflows.parallel import usable_cores
 
 Result = TypeVar("Result")
 Progress = Callable[[int, int | None], None]

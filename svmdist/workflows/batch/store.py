@@ -6,12 +6,11 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from svmdist.errors import OutputError
-from svmdist.files import is_held, write_atomically
+from svmdist.files import remove_stale, write_atomically
 from svmdist.input_file import open_regular, why
 from svmdist.workflows.batch.identity import code_version, fingerprint, log_identity
 from svmdist.workflows.batch.plain import from_plain, to_plain
@@ -90,10 +89,7 @@ class ResultStore:
 
     def _remove_stale(self) -> None:
         """Remove what killed processes left half written."""
-        with suppress(OSError):
-            for path in self.folder.glob(".*.part"):
-                if not is_held(path):
-                    path.unlink(missing_ok=True)
+        remove_stale(self.folder, ".*.part")
 
 
 def stored_rows(path: Path) -> Iterator[dict[str, Any]]:

@@ -13,7 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from svmdist.errors import OutputError, ProfileError, SvmdistError, UsageError
 from svmdist.files import FALLBACK, atomic_file
 from svmdist.input_file import LogPath, why
-from svmdist.recording.health import Health, Loss, LossKind
+from svmdist.recording.source import Health, Loss, LossKind
 
 Result = TypeVar("Result")
 RowWriter = Callable[[Mapping[str, Any]], None]

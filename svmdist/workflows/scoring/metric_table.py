@@ -13,9 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from svmdist.estimation.lag import LagEstimate
 from svmdist.metrics import AlarmStatistics, ErrorStatistics, Interval
-from svmdist.workflows.runs import Figures
-from svmdist.workflows.scoring.distances import DistanceScore
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.compare import Figures
+from svmdist.workflows.scoring.score import DistanceScore, Score
 
 Value = str | int | float | None
 Scored_contra = TypeVar("Scored_contra", contravariant=True)

@@ -1,10 +1,11 @@
-"""Alarms scored: the alarms that the rows of a recording raise, against the true clearance."""
+"""Scores: the estimates of recordings, paired by time with one reference, and their figures."""
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +15,7 @@ from svmdist.errors import ProfileError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
-from svmdist.estimation.planar.equations import Equations
+from svmdist.estimation.plane_mapping import Equations
 from svmdist.metrics import (
     AlarmStatistics,
     ErrorStatistics,
@@ -23,24 +24,141 @@ from svmdist.metrics import (
     bootstrap_intervals,
     coverage,
     error_statistics,
+    interval_coverage,
     pooled_alarms,
 )
 from svmdist.profile import Profile
-from svmdist.recording.reader import KnownLag, Recording
-from svmdist.results import FrameResult
+from svmdist.recording.log import KnownLag, Recording
+from svmdist.results import Distance as ResultDistance
+from svmdist.results import Distances, FrameResult
 from svmdist.tracks import SampledDistances
-from svmdist.workflows.scoring.distances import (
-    DISTANCES,
-    PLANAR,
-    DistanceScore,
-    Pairs,
-    Readings,
-    pooled,
-    pooled_score,
-    score_pairs,
-)
+from svmdist.transforms import Array
+from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth, truth_follows_images
-from svmdist.workflows.setup import Setup
+
+
+@dataclass(frozen=True, slots=True)
+class Distance:
+    """One of the three distances: its value and standard deviation in a row, and its truth, all in m."""
+
+    name: str
+    of: Callable[[Distances], ResultDistance | None]
+    truth_of: Callable[[SampledDistances], Array]
+
+    def read(self, result: FrameResult) -> tuple[float, float]:
+        """Value and standard deviation in m of a result; NaN where it has none."""
+        found = self.of(result.distances)
+        if found is None:
+            return np.nan, np.nan
+        return found.value_m, np.nan if found.std_m is None else found.std_m
+
+
+PLANAR = Distance("planar", lambda found: found.planar, lambda truth: truth.planar_m)
+SPATIAL = Distance("spatial", lambda found: found.spatial, lambda truth: truth.spatial_m)
+CLEARANCE = Distance("clearance", lambda found: found.clearance, lambda truth: truth.clearance_m)
+DISTANCES = (PLANAR, SPATIAL, CLEARANCE)
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Measured frames with a reference, shape (n,) each: stamps, and estimate, truth and deviation (or NaN) in m."""
+
+    stamps_ns: NDArray[np.int64]
+    estimate_m: Array
+    truth_m: Array
+    std_m: Array
+
+    def __len__(self) -> int:
+        """Count the pairs."""
+        return len(self.stamps_ns)
+
+    @property
+    def interval_coverage(self) -> float | None:
+        """Share of truths inside the estimated 95 % interval; None without standard deviations."""
+        known = np.isfinite(self.std_m)
+        return interval_coverage(self.estimate_m[known], self.truth_m[known], self.std_m[known])
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceScore:
+    """Error figures of one of the three distances in m, and the share of truths inside the 95 % interval.
+
+    `interval_coverage` is None for a method without standard deviations.
+    """
+
+    statistics: ErrorStatistics
+    interval_coverage: float | None
+    pairs: Pairs = field(repr=False)
+
+
+class Readings:
+    """The numbers that scoring takes from rows, collected as they arrive: 72 bytes per row."""
+
+    def __init__(self, rows: Iterable[FrameResult] = (), distances: tuple[Distance, ...] = DISTANCES) -> None:
+        self._distances = distances
+        self._stamps_ns = array("q")
+        self._numbers = array("d")
+        self.rejected: Counter[str] = Counter()
+        for row in rows:
+            self.add(row)
+
+    def __len__(self) -> int:
+        """Count the rows."""
+        return len(self._stamps_ns)
+
+    def add(self, row: FrameResult) -> None:
+        """Take the tool's pixel and each distance from a row; NaN where it has none."""
+        self._stamps_ns.append(row.stamp_ns)
+        numbers = [*(row.image.tool_px or (np.nan, np.nan))]
+        for distance in self._distances:
+            numbers += distance.read(row)
+        if not row.measured:
+            self.rejected[str(row.status)] += 1
+            numbers = [np.nan] * len(numbers)
+        self._numbers.extend(numbers)
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """The stamps of the rows, shape (n,)."""
+        return np.array(self._stamps_ns, np.int64)
+
+    @property
+    def tool_px(self) -> Array:
+        """Where the tool was seen, shape (n, 2); NaN where it was not."""
+        return self._table[:, 0]
+
+    def pairs(
+        self, distance: Distance, truth: SampledDistances, stamps_ns: NDArray[np.int64] | None = None
+    ) -> Pairs:
+        """Pair one distance with its truth at the rows' stamps, or at others, shape (n,); pairs without a value go."""
+        estimate_m, std_m = self._table[:, 1 + self._distances.index(distance)].T
+        truth_m = distance.truth_of(truth)
+        kept = truth.valid & np.isfinite(truth_m) & np.isfinite(estimate_m)
+        at_ns = self.stamps_ns if stamps_ns is None else stamps_ns
+        return Pairs(at_ns[kept], estimate_m[kept], truth_m[kept], std_m[kept])
+
+    @property
+    def _table(self) -> Array:
+        # Shape (n, 1 + distances, 2): the tool's pixel, then value and deviation of each distance.
+        return np.array(self._numbers, np.float64).reshape(-1, 1 + len(self._distances), 2)
+
+
+def pooled(parts: Sequence[Pairs]) -> Pairs:
+    """The pairs of several recordings: every frame counts the same."""
+    columns = ([getattr(part, column.name) for part in parts] for column in fields(Pairs))
+    return Pairs(*map(np.concatenate, columns))
+
+
+def score_pairs(pairs: Pairs) -> DistanceScore | None:
+    """The figures of pairs; None for no pairs."""
+    statistics = error_statistics(pairs.estimate_m, pairs.truth_m)
+    return DistanceScore(statistics, pairs.interval_coverage, pairs) if statistics else None
+
+
+def pooled_score(parts: Sequence[DistanceScore | None]) -> DistanceScore | None:
+    """The figures of several recordings together; None where none has any."""
+    known = [part.pairs for part in parts if part]
+    return score_pairs(pooled(known)) if known else None
 
 
 def require_clearance(method: str, profile: Profile | None = None) -> None:
@@ -87,12 +205,12 @@ BOOTSTRAP_SEED = 36
 
 @dataclass(frozen=True)
 class Score:
-    """How one method did on one recording, or on all of them, against one reference.
+    """The score of one method on one recording, or on all of them, against one reference.
 
-    `pairs` are of the planar distance. `rejected` counts the frames that could not be measured, by reason. `lag`
-    was taken off the image stamps before pairing; `uncorrected` are the planar figures without that. `spatial`
-    and `clearance` are None where method or reference cannot tell them; `alarms` are scored where rules for them
-    were given. `fitted_on` says that the calibration was fitted on this recording.
+    `pairs` are of the planar distance. `rejected` counts the frames that could not be measured, by reason. `lag` was
+    subtracted from the image stamps before pairing; `uncorrected` are the planar figures without that. `spatial` and
+    `clearance` are None where method or reference does not have them; `alarms` where no rules were given.
+    `fitted_on` says that the calibration was fitted on this recording.
     """
 
     recording: str
@@ -156,7 +274,7 @@ class Score:
 
 
 def truth_lag_ns(recording: Recording, setup: Setup, reference: Reference, lag: LagEstimate | None) -> int:
-    """By how much the stamps of images are late of a reference's: by the lag, or not at all where it follows them."""
+    """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock."""
     lag_ns = round(lag.lag_s * 1e9) if lag else 0
     if lag and lag_ns and reference is Reference.GROUND_TRUTH:
         corrected = recording.with_lag(KnownLag(lag.lag_s), setup.profile)
@@ -183,6 +301,7 @@ def score_rows(
     stamps_ns = readings.stamps_ns - lag_ns
     truth = truth_at(stamps_ns)
     planar, spatial, clearance = (readings.pairs(distance, truth, stamps_ns) for distance in DISTANCES)
+    is_truth = reference is Reference.GROUND_TRUTH
     unshifted = readings.pairs(PLANAR, truth_at(readings.stamps_ns)) if lag_ns else planar
     return Score(
         recording.name,
@@ -197,19 +316,16 @@ def score_rows(
         error_statistics(unshifted.estimate_m, unshifted.truth_m),
         score_pairs(spatial),
         score_pairs(clearance),
-        score_alarms(rows, truth, stamps_ns, alarms)
-        if alarms and reference is Reference.GROUND_TRUTH
-        else None,
+        score_alarms(rows, truth, stamps_ns, alarms) if alarms and is_truth else None,
     )
 
 
 def pool_scores(scores: Sequence[Score], first_instrument: str = "") -> Score:
-    """One score over the pairs of several of one instrument: every frame counts the same.
+    """One score over the pairs of several scores of one instrument: every frame counts the same.
 
-    It is called `overall`, and for an instrument that is not the first, `overall` with the instrument's name. The
-    order of the scores does not matter: their pairs are put in the order of the recordings' names, since the
-    bootstrap draws blocks of neighbours.
+    It is called `overall`, with the instrument's name unless that is the first.
     """
+    # By name: the bootstrap draws blocks of neighbours, and the order of logs must not change its result.
     scores = sorted(scores, key=lambda score: (score.recording, score.pairs.stamps_ns[:1].tolist()))
     instrument = scores[0].instrument
     rejected = sum((Counter(score.rejected) for score in scores), Counter[str]())

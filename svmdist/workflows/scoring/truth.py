@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import KinematicsError, RecordingError, UsageError
-from svmdist.estimation.planar.equations import Equations
+from svmdist.estimation.plane_mapping import Equations
 from svmdist.kinematics import paper
 from svmdist.kinematics.dh import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
-from svmdist.recording.reader import Recording
+from svmdist.recording.log import Recording
 from svmdist.tracks import MAX_GAP_NS, PoseTrack, Sampled, SampledDistances, TransformTrack
 
 KINEMATICS_PRINTED_NOTE = (

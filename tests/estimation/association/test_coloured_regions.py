@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.estimation.association.regions import ColouredRegions, DarkPixels, ShaftAxis
+from svmdist.estimation.coloured_regions import ColouredRegions, DarkPixels, ShaftAxis
 from svmdist.profile import AreaGate
 from svmdist.profile.settings import AssociationSettings
 from svmdist.samples import Image

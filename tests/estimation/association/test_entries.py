@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch
-from svmdist.estimation.association.entries import EntryTracker, expected_places
+from svmdist.estimation.association import EntryTracker, expected_places
 from svmdist.profile import EntrySide
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Status
 from svmdist.transforms import Array
-from svmdist.vision.instruments.seen import SeenInstrument
+from svmdist.vision.find_instruments import SeenInstrument
 
 SIZE = (480, 640)
 SECOND = 10**9

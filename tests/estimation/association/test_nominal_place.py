@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.association.nominal import NominalInstrument, nominal_instrument
-from svmdist.estimation.filter.nominal import nominal_tool
+from svmdist.estimation.coloured_regions import NominalInstrument, nominal_instrument
+from svmdist.estimation.instrument.error_model import nominal_tool
+from svmdist.estimation.scene import Arm
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse, make_transform, rotation_of

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from svmdist.estimation.association.motion import Gaussian, NominalPlace
-from svmdist.estimation.association.tracker import Blob, RegionTracker
+from svmdist.estimation.region_tracking import Blob, Gaussian, NominalPlace, RegionTracker
 from svmdist.transforms import Array
 
 WIDTH_PX, HEIGHT_PX, RADIUS_PX, FOCAL_PX, DEPTH_M = 640, 480, 11.0, 554.0, 0.09

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.detection.distal_marker import marker_centre, marker_disc
+from svmdist.estimation.instrument.shaft_detection import marker_centre, marker_disc
 from svmdist.profile import load_profile
+from svmdist.vision.colour import colour_mask
 from svmdist.vision.frame_context import to_hsv
+from svmdist.vision.lines import without_perspective
 from svmdist.vision.regions import find_region
-from svmdist.vision.segmentation.colour import colour_mask
-from svmdist.vision.sphere import without_perspective
 
 CAMERA = Camera.from_horizontal_fov(128, 96, 0.2)
 CENTRE_PX = np.array([63.5, 47.5])

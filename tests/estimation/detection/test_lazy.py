@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from svmdist.estimation.detection.lazy import CostLedger, detected
+from svmdist.estimation.scene import CostLedger, detected
 
 
 class FakeClock:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.detection.tissue import detect_tissue
+from svmdist.estimation.tissue import detect_tissue
 from svmdist.samples import Image
 from tests.shipped import PROFILE
 

@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.detection.scene import Scene
-from svmdist.estimation.detection.tool import ToolDetections
-from svmdist.estimation.detection.view import View
+from svmdist.estimation.frame import ToolDetections
+from svmdist.estimation.scene import Arm, Scene, View
 from svmdist.results import Failure
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import inverse, make_transform
-from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.vision.segmentation import make_segmenter
 from tests.shipped import PROFILE
 from tests.synthetic import START_NS, make_scene
 

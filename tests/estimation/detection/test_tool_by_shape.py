@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 
 from svmdist.profile import AutoSegmentation
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample
-from svmdist.vision.segmentation.auto import AutoSegmenter
-from svmdist.vision.segmentation.segmenter import InstrumentMasks
-from svmdist.vision.silhouette import find_silhouette
-from svmdist.vision.wrist_outline import WristShape
+from svmdist.vision.segmentation import AutoSegmenter, InstrumentMasks
+from svmdist.vision.silhouette import WristShape, find_silhouette
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 from tests.shipped import PROFILE
 
 DUO = Path(__file__).parents[3] / "recordings" / "3d" / "duo.mcap"

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.detection.view import View
+from svmdist.estimation.scene import View
 from svmdist.samples import Image
 from svmdist.vision.frame_context import FrameContext
-from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.vision.segmentation import make_segmenter
 from tests.shipped import PROFILE
 
 CAMERA = Camera.from_horizontal_fov(120, 80, np.pi / 3)

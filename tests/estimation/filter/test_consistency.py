@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.estimation.filter.consistency import Consistency
-from svmdist.estimation.gate import GatingResult
+from svmdist.estimation.instrument.consistency import Consistency, GatingResult
 from svmdist.profile.settings import FilterSettings
 
 SETTINGS = FilterSettings()

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter.constants import EXACT, Deviations
-from svmdist.estimation.filter.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement import EXACT, Deviations, LinkMeasurement
 from svmdist.profile import CameraError
 from svmdist.transforms import Array, make_transform, rotation_of
-from svmdist.vision.cylinder import tangent_normal
-from svmdist.vision.sphere import apparent_radius_px
+from svmdist.vision.lines import apparent_radius_px, tangent_normal
 from tests.estimation.filter.test_measurement_kinds import (
     AXIS,
     ON_AXIS_M,

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svmdist.estimation.filter.correction import Correction
-from svmdist.estimation.filter.error_model import ErrorModel
+from svmdist.estimation.instrument.corrected_links import Correction
+from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter.error_model import ErrorModel
-from svmdist.estimation.filter.iterated_update import most_probable
-from svmdist.estimation.filter.measurements import LinkMeasurement, PointsMeasurement, SizeMeasurement
-from svmdist.estimation.filter.state import ErrorState
+from svmdist.estimation.instrument.error_model import ErrorModel
+from svmdist.estimation.instrument.kinematic_error_filter import most_probable
+from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement_kinds import PointsMeasurement, SizeMeasurement
+from svmdist.estimation.instrument.state import ErrorState
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array, inverse, make_transform, rotation_of

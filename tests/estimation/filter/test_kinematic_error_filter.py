@@ -11,8 +11,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter.kinematic_error_filter import KinematicErrorFilter
-from svmdist.estimation.filter.measurements import ContourMeasurement, LinkMeasurement, PointsMeasurement
+from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
+from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement_kinds import ContourMeasurement, PointsMeasurement
 from svmdist.kinematics.dh import forward_kinematics, frame_transforms, row_index, shaft_of
 from svmdist.kinematics.inverse import solve_position
 from svmdist.kinematics.robot_state import RobotState
@@ -20,7 +21,7 @@ from svmdist.profile import KinematicError
 from svmdist.simulation.nominal import draw_nominal_kinematics
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_z, transform_points
-from svmdist.vision.cylinder import tangent_normal
+from svmdist.vision.lines import tangent_normal
 from tests.shipped import CHAIN, CONSTANT_ERROR, POSTURE, PROFILE
 
 assert PROFILE.simulation is not None

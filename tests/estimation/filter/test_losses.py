@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.estimation.filter.losses import Loss, geman_mcclure, huber
+from svmdist.estimation.instrument.window import Loss, geman_mcclure, huber
 
 
 @pytest.mark.parametrize("loss", [huber, geman_mcclure])

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter.measurement import LinkMeasurement
-from svmdist.estimation.filter.point_measurements import (
+from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement_kinds import (
+    ContourMeasurement,
     DisparityMeasurement,
     PointsMeasurement,
+    PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.filter.shape_measurements import ContourMeasurement, PoseMeasurement
 from svmdist.transforms import Array, make_transform, rotation_of
-from svmdist.vision.cylinder import tangent_normal
-from svmdist.vision.sphere import apparent_radius_px
+from svmdist.vision.lines import apparent_radius_px, tangent_normal
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 T_LINK = make_transform(rotation_of([0.4, -0.7, 0.2]), [0.01, -0.02, 0.09])

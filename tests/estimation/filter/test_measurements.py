@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter.corrected_links import CorrectedLink
-from svmdist.estimation.filter.error_model import ErrorModel
-from svmdist.estimation.filter.linearisation import linearise
-from svmdist.estimation.filter.measurements import (
+from svmdist.estimation.instrument.corrected_links import CorrectedLink
+from svmdist.estimation.instrument.error_model import ErrorModel
+from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement_kinds import (
     ContourMeasurement,
     DisparityMeasurement,
-    LinkMeasurement,
     PointsMeasurement,
     PoseMeasurement,
     SizeMeasurement,
 )
+from svmdist.estimation.instrument.state import linearise
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.transforms import Array, inverse, make_transform, rotation_of
 from tests.rotations import rotation_y

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from svmdist.estimation.filter.moving_joints import ErrorColumns, MovingJoints
+from svmdist.estimation.instrument.corrected_links import ErrorColumns, MovingJoints
 from svmdist.kinematics.dh import chain_of
 from svmdist.profile import load_profile
 from tests.shipped import CHAIN

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from svmdist.estimation.filter.kinematic_error_filter import KinematicErrorFilter
-from svmdist.estimation.filter.nominal import nominal_tool
+from svmdist.estimation.instrument.error_model import nominal_tool
+from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.transforms import make_transform, rotation_of
 from tests.shipped import CHAIN, POSTURE, PROFILE

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter.measurement import LinkMeasurement
-from svmdist.estimation.filter.measurements import (
+from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement_kinds import (
     ContourMeasurement,
     DisparityMeasurement,
     PointsMeasurement,
     PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.filter.stacks import stack
+from svmdist.estimation.instrument.window import stack
 from svmdist.transforms import Array, make_transform, rotation_of
-from svmdist.vision.cylinder import tangent_normal
+from svmdist.vision.lines import tangent_normal
 
 IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 LENS = replace(IDEAL, D=np.array([-0.3, 0.12, 2e-3, -1e-3, -0.02]))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.filter.error_model import ErrorModel
-from svmdist.estimation.filter.measurements import PointsMeasurement, SizeMeasurement
-from svmdist.estimation.filter.state import ErrorState
+from svmdist.estimation.instrument.error_model import ErrorModel
+from svmdist.estimation.instrument.measurement_kinds import PointsMeasurement, SizeMeasurement
+from svmdist.estimation.instrument.state import ErrorState
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import stated_deviations
 from svmdist.profile.hand_eye import SHAFT_RADIUS, HandEye, offset_of, with_hand_eye

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.estimation.filter.correction import Correction
-from svmdist.estimation.filter.error_model import ErrorModel
-from svmdist.estimation.filter.shape_measurements import PoseMeasurement
-from svmdist.estimation.filter.window import MeasurementsAt, Window
+from svmdist.estimation.instrument.corrected_links import Correction
+from svmdist.estimation.instrument.error_model import ErrorModel
+from svmdist.estimation.instrument.measurement_kinds import PoseMeasurement
+from svmdist.estimation.instrument.window import MeasurementsAt, Window
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array, make_transform, rotation_of

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import KinematicsError
-from svmdist.estimation.instrument.model import InstrumentModel, Rods
-from svmdist.estimation.instrument.wrist import wrist_in_tool
+from svmdist.estimation.instrument.model import InstrumentModel, Rods, wrist_in_tool
 from svmdist.geometry.surfaces import Capsules
 from svmdist.kinematics.dh import DHChain, chain_of, forward_kinematics, wrist_rows
 from svmdist.profile import load_profile

@@ -8,24 +8,26 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.detection.distal_marker import DistalMarker
-from svmdist.estimation.detection.shaft import Contour, Rim, ShaftDetection
-from svmdist.estimation.detection.stereo_match import StereoMatch
-from svmdist.estimation.filter.constants import Deviations
+from svmdist.estimation.instrument.measurement import Deviations
+from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, Rim, ShaftDetection
+from svmdist.estimation.instrument.shaft_model import Landmarks, ShaftModel, ShaftState
 from svmdist.estimation.instrument.stereo_fit import StereoFit, fit_two_views
-from svmdist.estimation.instrument.stereo_pose import nominal_orientation_pose
-from svmdist.estimation.instrument.stereo_watch import DisparityCheck, DisparityWatch
-from svmdist.estimation.instrument.two_views import DISPARITY, TwoViews, measurements
-from svmdist.estimation.shaft_pose.model import ShaftModel
-from svmdist.estimation.shaft_pose.residuals import Landmarks, ShaftState
+from svmdist.estimation.instrument.two_views import (
+    DISPARITY,
+    DisparityCheck,
+    DisparityWatch,
+    StereoMatch,
+    TwoViews,
+    measurements,
+)
+from svmdist.estimation.stereo import nominal_orientation_pose
 from svmdist.profile import CameraError
 from svmdist.profile.settings import ShaftSettings, StereoSettings
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse, make_transform, rotation_of
-from svmdist.vision.cylinder import TangentPlane, tangent_normal
-from svmdist.vision.disc import Disc
-from svmdist.vision.rectified import RectifiedPair
-from svmdist.vision.sphere import apparent_radius_px
+from svmdist.vision.edges import Disc
+from svmdist.vision.lines import TangentPlane, apparent_radius_px, tangent_normal
+from svmdist.vision.stereo import RectifiedPair
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 BASELINE_M, RADIUS_M, NECK_M, WRIST_M, KNUCKLE_M = 0.005, 0.004, 0.006, 0.0091, 0.00175

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from svmdist.estimation.instrument.model import Rods
-from svmdist.estimation.instrument.wrist import Wrist, WristKinematics, joints_of, wrist_in_tool
+from svmdist.estimation.instrument.model import Rods, Wrist, WristKinematics, joints_of, wrist_in_tool
 from svmdist.kinematics.dh import chain_of, frame_transforms
 from svmdist.profile import load_profile
 from svmdist.samples import JointSample

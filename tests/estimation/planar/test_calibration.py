@@ -12,16 +12,17 @@ from hypothesis import strategies as st
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, OutputError
-from svmdist.estimation.planar.calibration import (
+from svmdist.estimation.plane_mapping import (
     MIN_SAMPLE_COUNT,
     Calibration,
     CalibrationSamples,
+    PlaneMapping,
+    Quadratic,
     SourceFile,
     fit_calibration,
     load_calibration,
     save_calibration,
 )
-from svmdist.estimation.planar.equations import PlaneMapping, Quadratic
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 SOURCES = (SourceFile(name="calibration.mcap", sha256="0" * 64),)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.estimation.planar.equations import (
+from svmdist.estimation.plane_mapping import (
     PUBLISHED_MAPPING,
     PUBLISHED_X,
     PUBLISHED_Y,

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.estimation.planar.marker_detection import (
+from svmdist.estimation.planar import (
     detect_marker,
     draw_outline,
     mark,
@@ -15,7 +15,7 @@ from svmdist.estimation.planar.marker_detection import (
 )
 from svmdist.profile import load_profile
 from svmdist.samples import Status
-from svmdist.vision.marker.homography import square_corners
+from svmdist.vision.marker import square_corners
 
 PROFILE = load_profile()
 SIZE_PX = PROFILE.marker.size_px

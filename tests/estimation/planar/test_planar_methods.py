@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from svmdist.camera import Camera
 from svmdist.errors import UsageError
-from svmdist.estimation.arm import Arm
 from svmdist.estimation.methods import make_estimator
-from svmdist.estimation.planar.equations import PlaneMapping, Quadratic
+from svmdist.estimation.plane_mapping import PlaneMapping, Quadratic
+from svmdist.estimation.scene import Arm
 from svmdist.profile import load_profile
 from svmdist.samples import Observation, Status
 from tests.measuring import Measuring

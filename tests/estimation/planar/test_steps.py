@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.estimation.arm import Arm
 from svmdist.estimation.frame import Frame, frame_of
-from svmdist.estimation.planar.centroid import CentroidEstimator
-from svmdist.estimation.planar.equations import PlaneMapping, Quadratic
-from svmdist.estimation.planar.overlay import OverlayEstimator
-from svmdist.estimation.planar.steps import in_plane, locate
+from svmdist.estimation.planar import CentroidEstimator, OverlayEstimator, in_plane, locate
+from svmdist.estimation.plane_mapping import PlaneMapping, Quadratic
+from svmdist.estimation.scene import Arm
 from svmdist.results import FrameResult, ImageFindings
 from svmdist.samples import Image, Observation, Status
-from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.vision.segmentation import make_segmenter
 from tests.shipped import PROFILE
 from tests.synthetic import START_NS, TISSUE_M, make_scene
 

@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.detection.distal_marker import DistalMarker
-from svmdist.estimation.detection.shaft import NO_SHAFT, Contour, Rim, ShaftDetection
-from svmdist.estimation.shaft_pose.fit import fit_shaft
-from svmdist.estimation.shaft_pose.model import ShaftModel
-from svmdist.estimation.shaft_pose.start import first_shaft
+from svmdist.estimation.instrument.shaft_detection import NO_SHAFT, Contour, DistalMarker, Rim, ShaftDetection
+from svmdist.estimation.instrument.shaft_fit import first_shaft, fit_shaft
+from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.results import Failure
 from svmdist.transforms import Array, make_transform, rotation_of
-from svmdist.vision.cylinder import TangentPlane, tangent_normal
-from svmdist.vision.sphere import apparent_radius_px
+from svmdist.vision.lines import TangentPlane, apparent_radius_px, tangent_normal
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 RADIUS_M, NECK_M, KNUCKLE_M = 0.004, 0.006, 0.00175

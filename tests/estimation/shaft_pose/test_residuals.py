@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.detection.distal_marker import DistalMarker
-from svmdist.estimation.detection.shaft import Contour, Rim
-from svmdist.estimation.shaft_pose.model import ShaftModel
-from svmdist.estimation.shaft_pose.residuals import (
+from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, Rim
+from svmdist.estimation.instrument.shaft_model import (
     BentTool,
     Residual,
+    ShaftModel,
     ShaftState,
     contour_residual,
     marker_residuals,
@@ -24,8 +23,8 @@ from svmdist.estimation.shaft_pose.residuals import (
 )
 from svmdist.profile.settings import ShaftSettings
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector
-from svmdist.vision.cylinder import TangentPlane, tangent_normal
-from svmdist.vision.wrist_outline import WristPoint
+from svmdist.vision.lines import TangentPlane, tangent_normal
+from svmdist.vision.silhouette import WristPoint
 
 IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 CAMERA = Camera(640, 480, IDEAL.K, np.array([-0.12, 0.03, 1e-3, -5e-4, 0.0]))

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from svmdist.estimation.filter.constants import SharedBias
-from svmdist.estimation.shaft_pose.residuals import Residual, ShaftState
-from svmdist.estimation.shaft_pose.solution import (
+from svmdist.estimation.instrument.measurement import SharedBias
+from svmdist.estimation.instrument.shaft_fit import (
     MAX_TURN_RAD,
     by_constants,
     normal_equations,
     normalised_square,
     retracted,
 )
+from svmdist.estimation.instrument.shaft_model import Residual, ShaftState
 from svmdist.transforms import make_transform, rotation_vector
 
 GENERATOR = np.random.default_rng(4)

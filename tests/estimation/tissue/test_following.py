@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.estimation.arm import Arm
-from svmdist.estimation.filter.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.frame import Frame, frame_of
-from svmdist.estimation.tissue.following import FollowedTissue
+from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
+from svmdist.estimation.scene import Arm
+from svmdist.estimation.tissue_tracking import FollowedTissue
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
-from svmdist.vision.segmentation.segmenter import make_segmenter
+from svmdist.vision.segmentation import make_segmenter
 
 PROFILE = load_profile()
 

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.detection.stereo_surface import StereoSurface
-from svmdist.estimation.filter.constants import Deviations
-from svmdist.estimation.tissue.dome import DomeModel
-from svmdist.estimation.tissue.height import TissueHeight, by_constants, measured_height
-from svmdist.estimation.tissue.pose import tissue_frame
+from svmdist.estimation.dome import DomeModel
+from svmdist.estimation.instrument.measurement import Deviations
+from svmdist.estimation.surface import StereoSurface
+from svmdist.estimation.tissue import tissue_frame
+from svmdist.estimation.tissue_tracking import TissueHeight, by_constants, measured_height
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Plane
 from svmdist.profile import CameraError, Dome, Tissue
 from svmdist.profile.settings import Settings
 from svmdist.samples import RightView
 from svmdist.transforms import Array, make_transform, rotation_of, transform_points
-from svmdist.vision.rectified import rectified_pair
+from svmdist.vision.stereo import rectified_pair
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 NORMAL = np.array([0.1, -0.15, -0.98]) / np.linalg.norm([0.1, -0.15, -0.98])

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svmdist.estimation.tissue.dome import DomeModel
-from svmdist.estimation.tissue.radius import PolarOutline
+from svmdist.estimation.dome import DomeModel, PolarOutline
 
 ANGLE = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
 OUTLINE_M = np.stack([0.028 * np.cos(ANGLE) + 0.002 * np.cos(3.0 * ANGLE), 0.022 * np.sin(ANGLE)], -1)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.tissue.pose import require_tissue, tissue_frame
+from svmdist.estimation.tissue import require_tissue, tissue_frame
 from svmdist.profile import DEFAULT_PROFILE, Profile, Tissue, load_profile, profile_path
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import make_transform, rotation_x, rotation_z

@@ -16,13 +16,12 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from svmdist.profile import Limits
+from svmdist.recording.encode import encode, message_type
+from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
+from svmdist.recording.images import ImageError, VideoDecoder
 from svmdist.recording.messages import foxglove
 from svmdist.recording.messages.checks import MAX_JOINTS, MAX_TRANSFORMS, DecodeError
-from svmdist.recording.messages.encoding import encode, message_type
-from svmdist.recording.messages.ground_truth_distance_pb2 import GroundTruthDistance
-from svmdist.recording.messages.images import ImageError
-from svmdist.recording.messages.video import VideoDecoder
-from svmdist.recording.sources import RawMessage
+from svmdist.recording.source import RawMessage
 from svmdist.samples import (
     CameraSample,
     DistanceSample,

@@ -12,7 +12,7 @@ from google.protobuf.json_format import MessageToDict
 from svmdist.recording.messages.checks import DecodeError
 from svmdist.recording.messages.foxglove import MESSAGES, parse_protobuf
 from svmdist.recording.messages.foxglove_json import parse_json
-from svmdist.recording.sources import RawMessage
+from svmdist.recording.source import RawMessage
 from tests.recording.builders import Entry
 from tests.recording.other_recorders import foxglove_json
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.profile import Limits
-from svmdist.recording.messages.images import ImageError
-from svmdist.recording.messages.raw_images import CHANNELS, CONVERSIONS, decode_raw
+from svmdist.recording.images import CHANNELS, CONVERSIONS, ImageError, decode_raw
 
 LIMITS = Limits()
 WIDTH_PX, HEIGHT_PX = 6, 4

@@ -10,9 +10,9 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from svmdist.profile import Limits
+from svmdist.recording.images import ImageError
 from svmdist.recording.messages import ros
 from svmdist.recording.messages.checks import MAX_JOINTS, MAX_TRANSFORMS, DecodeError
-from svmdist.recording.messages.images import ImageError
 from svmdist.recording.messages.ros_wire import CdrWire, Ros1Wire
 from svmdist.samples import CameraSample, JointSample, PoseSample, Sample, TransformSample, TransformsSample
 from tests.recording.builders import CAMERA, pose

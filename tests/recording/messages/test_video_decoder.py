@@ -9,8 +9,7 @@ import pytest
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
-from svmdist.recording.messages.images import ImageError
-from svmdist.recording.messages.video import IDR_SLICE, NAL_UNIT, VideoDecoder
+from svmdist.recording.images import IDR_SLICE, NAL_UNIT, ImageError, VideoDecoder
 from tests.recording.test_video import FRAME_COUNT, KEY_INTERVAL, frame_image, packets
 
 __all__ = ["packets"]

@@ -10,9 +10,9 @@ from rosbags.rosbag1 import Writer
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
-from svmdist.recording.health import LossKind
 from svmdist.recording.rosbag.bag1_records import MAGIC, OP_CONNECTION, OP_MESSAGE
 from svmdist.recording.rosbag.bag1_source import Rosbag1Source
+from svmdist.recording.source import LossKind
 from tests.recording.builders import Entry, scene
 from tests.recording.other_recorders import Message, ros_messages, write_rosbag1
 

@@ -10,9 +10,9 @@ from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
-from svmdist.recording.health import LossKind
 from svmdist.recording.rosbag import METADATA_FILE
 from svmdist.recording.rosbag.bag2_source import Rosbag2Source, storage_files
+from svmdist.recording.source import LossKind
 from tests.recording.builders import Entry, write_messages
 from tests.recording.other_recorders import Message, ros_messages, write_rosbag2
 

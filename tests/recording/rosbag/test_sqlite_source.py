@@ -11,8 +11,8 @@ import pytest
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
-from svmdist.recording.health import LossKind
 from svmdist.recording.rosbag.sqlite_source import SqliteSource
+from svmdist.recording.source import LossKind
 
 LIMITS = Limits()
 SCHEMA = """

@@ -11,7 +11,7 @@ import pytest
 from svmdist.perturbations.chosen import World, draw_world, parse_perturbations
 from svmdist.perturbations.image_table import IMAGES
 from svmdist.profile import Profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.samples import CameraSample, DistanceSample, ImageSample, JointSample
 from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario

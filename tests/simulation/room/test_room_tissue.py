@@ -17,8 +17,8 @@ from svmdist.simulation.extras import Extras
 from svmdist.simulation.motion.scenarios import Scenario
 from svmdist.simulation.scene import Scene, make_scene, risen
 from svmdist.transforms import Array, inverse, polygon_centroid, transform_points
+from svmdist.vision.colour import colour_mask
 from svmdist.vision.frame_context import to_hsv
-from svmdist.vision.segmentation.colour import colour_mask
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.clearance.meters import ClearanceMeter

@@ -7,10 +7,9 @@ import pytest
 
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.vision.instruments.find import find_instruments, learnt_appearance, search_bars
-from svmdist.vision.instruments.seen import outline_geometry
-from svmdist.vision.instruments.working import WorkingImage, picture_of
-from svmdist.vision.segmentation.auto import AutoSegmenter
+from svmdist.vision.find_instruments import find_instruments, learnt_appearance, outline_geometry, search_bars
+from svmdist.vision.segmentation import AutoSegmenter
+from svmdist.vision.working_image import WorkingImage, picture_of
 from tests.surgery_images import BORDERS, surgery_image
 
 SETTINGS = AutoSettings()

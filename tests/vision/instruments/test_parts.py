@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 from svmdist.profile.settings import AutoSettings
-from svmdist.vision.instruments.appearance import MOST_RATIO, Example, learnt_from
-from svmdist.vision.instruments.bars import bars_in, best_bar
-from svmdist.vision.instruments.belonging import belonging, with_missed_parts
-from svmdist.vision.instruments.evidence import judged
-from svmdist.vision.instruments.sharpen import sharpened
-from svmdist.vision.instruments.tissue import tissue_of
-from svmdist.vision.instruments.working import WorkingImage, colour_logs
-from svmdist.vision.instruments.zones import Zones
+from svmdist.vision.instrument_bars import Zones, bars_in, best_bar, sharpened
+from svmdist.vision.instrument_evidence import belonging, judged, with_missed_parts
+from svmdist.vision.working_image import (
+    MOST_RATIO,
+    Example,
+    WorkingImage,
+    colour_logs,
+    learnt_from,
+    tissue_of,
+)
 
 SETTINGS = AutoSettings()
 TISSUE = (90, 90, 190)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.marker.features import (
+from svmdist.vision.marker import (
     DESCRIPTOR_BYTES,
     EDGE_MARGIN_PX,
     Features,

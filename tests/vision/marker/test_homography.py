@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.vision.marker.features import Matches
-from svmdist.vision.marker.homography import (
+from svmdist.vision.marker import (
+    Matches,
     fit_homography,
     is_plausible,
     least_squares_homography,

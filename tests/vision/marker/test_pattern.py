@@ -10,8 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.vision.marker.features import EDGE_MARGIN_PX, detect_orb
-from svmdist.vision.marker.pattern import DATA_ROWS, marker_pattern, padded_template, paste_marker
+from svmdist.vision.marker import (
+    DATA_ROWS,
+    EDGE_MARGIN_PX,
+    detect_orb,
+    marker_pattern,
+    padded_template,
+    paste_marker,
+)
 
 SIZE_PX = 96
 BITS = np.array([[row >> (7 - column) & 1 for column in range(8)] for row in DATA_ROWS])

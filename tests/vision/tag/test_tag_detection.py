@@ -10,8 +10,7 @@ import pytest
 
 from svmdist.profile.settings import TagSettings
 from svmdist.transforms import Array
-from svmdist.vision.tag.corners import refine_corners
-from svmdist.vision.tag.detection import DICTIONARIES, find_every_tag, find_tags, tag_plate
+from svmdist.vision.tags import DICTIONARIES, find_every_tag, find_tags, refine_corners, tag_plate
 
 
 def scene(seed: int, side_px: float, tag_id: int = 0) -> tuple[np.ndarray, Array]:

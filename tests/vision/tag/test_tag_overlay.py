@@ -5,11 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from svmdist.estimation.instrument.tag_pose import on_tag
 from svmdist.profile.settings import TagSettings
 from svmdist.transforms import Array, make_transform, rotation_of
-from svmdist.vision.tag.overlay import GREY, LaidPattern, Loss, Overlay, TagPixels, lay_pattern, start_overlay
-from svmdist.vision.tag.pattern import TagPattern
-from svmdist.vision.tag.refinement import on_tag
+from svmdist.vision.tag_overlay import (
+    GREY,
+    LaidPattern,
+    Loss,
+    Overlay,
+    TagPattern,
+    TagPixels,
+    lay_pattern,
+    start_overlay,
+)
 
 PATTERN = TagPattern("36h11", 0, 0.007)
 SETTINGS = TagSettings()

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.vision.tag.detection import DICTIONARIES
-from svmdist.vision.tag.pattern import TagPattern
+from svmdist.vision.tag_overlay import TagPattern
+from svmdist.vision.tags import DICTIONARIES
 
 PATTERN = TagPattern("36h11", 3, 0.007)
 POINTS = np.random.default_rng(0).uniform(-4.5, 4.5, (2, 5000))

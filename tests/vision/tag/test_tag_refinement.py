@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.estimation.instrument.tag_pose import lay_coarsely, nudged, on_tag, refine_fit
 from svmdist.geometry.rays import pixel_rays
 from svmdist.transforms import Array, make_transform, rotation_vector, rotation_x, rotation_z
-from svmdist.vision.tag.detection import DICTIONARIES
-from svmdist.vision.tag.overlay import TagPixels
-from svmdist.vision.tag.pattern import TagPattern
-from svmdist.vision.tag.refinement import lay_coarsely, nudged, on_tag, refine_fit
+from svmdist.vision.tag_overlay import TagPattern, TagPixels
+from svmdist.vision.tags import DICTIONARIES
 from tests.rotations import rotation_y
 
 SIZE_M = 0.007

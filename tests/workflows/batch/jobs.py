@@ -10,7 +10,7 @@ from pathlib import Path
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.workflows.batch.task import LogFile, Measurement, Note, RowWriter
 
 PATIENCE_S = 120.0

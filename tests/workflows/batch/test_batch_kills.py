@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.profile import load_profile
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.workflows.batch.store import SCHEMA, stored_rows
 from tests.cli.running import require_no_traceback, started
 from tests.synthetic import write_log

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.recording.reading import Window
+from svmdist.recording.log import Window
 from svmdist.workflows.batch.identity import code_version, fingerprint, log_identity
 from svmdist.workflows.batch.store import ResultStore
 from svmdist.workflows.batch.task import LogFile
-from svmdist.workflows.setup import prepare
+from svmdist.workflows.request import prepare
 from tests.workflows.batch.jobs import CountJob
 
 
@@ -23,7 +23,7 @@ def test_another_process_finds_the_same_number() -> None:
     """Whatever its seed of hashes is."""
     code = (
         "from svmdist.workflows.batch.identity import fingerprint\n"
-        "from svmdist.workflows.setup import prepare\n"
+        "from svmdist.workflows.request import prepare\n"
         "print(fingerprint(prepare(method='fused')))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

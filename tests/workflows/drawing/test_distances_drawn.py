@@ -13,7 +13,7 @@ from svmdist.cli.drawn import DrawnJob
 from svmdist.cli.show import DEFAULT_COUNT, show_command
 from svmdist.drawing import Body, Form, FrameDrawing, Label, Part, SceneDrawing, Shape, StatusLine
 from svmdist.estimation.alarms import AlarmState
-from svmdist.recording.messages.annotations import image_annotations, scene_update
+from svmdist.recording.viewer_messages import image_annotations, scene_update
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.workflows.frame_drawing import (

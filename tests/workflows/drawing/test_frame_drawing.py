@@ -10,14 +10,14 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.drawing import Form, FrameDrawing, Part
-from svmdist.recording.reader import open_recording
+from svmdist.recording.log import open_recording
 from svmdist.report.panels import draw_on
 from svmdist.results import FrameResult
 from svmdist.samples import Status
-from svmdist.vision.undistortion import seen_through
+from svmdist.vision.frame_context import seen_through
 from svmdist.workflows.frame_drawing import _through_lens, frame_drawing, virtual_marker
 from svmdist.workflows.replay import Replayed, replay
-from svmdist.workflows.setup import Setup, prepare
+from svmdist.workflows.request import Setup, prepare
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 

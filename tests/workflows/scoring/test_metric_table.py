@@ -25,13 +25,11 @@ from svmdist.report.scores import (
     validation_tables,
 )
 from svmdist.report.tables import csv_lines, render
-from svmdist.workflows.compare import Group, MethodScore
+from svmdist.workflows.compare import Figures, Group, MethodScore
 from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.degradation_grid import GridCell
-from svmdist.workflows.runs import Figures
 from svmdist.workflows.scoring import metric_table
 from svmdist.workflows.scoring.baseline import Baseline, find_regressions, make_baseline
-from svmdist.workflows.scoring.distances import DistanceScore, Pairs, score_pairs
 from svmdist.workflows.scoring.metric_table import (
     EVERYWHERE,
     IN_3D,
@@ -44,7 +42,7 @@ from svmdist.workflows.scoring.metric_table import (
     of_part,
     score_metrics,
 )
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scoring.score import DistanceScore, Pairs, Score, score_pairs
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
 

@@ -1,0 +1,285 @@
+"""Association: which coloured regions, dark pixels and shapes of an image belong to which instrument."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.estimation.coloured_regions import (
+    ColouredRegions,
+    DarkPixels,
+    NominalInstrument,
+    ShaftAxis,
+    nominal_instrument,
+)
+from svmdist.estimation.frame import Frame, OtherMasks, frames_of
+from svmdist.estimation.region_tracking import Identity, RegionTracker, assignments
+from svmdist.estimation.scene import Arm, Scene
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.profile import EntrySide
+from svmdist.profile.settings import AssociationSettings
+from svmdist.results import Failure
+from svmdist.samples import Image, Observation
+from svmdist.transforms import Array, inverse
+from svmdist.vision.find_instruments import SeenInstrument
+from svmdist.vision.frame_context import FrameContext
+
+DEFAULT = AssociationSettings()
+SIDES: dict[EntrySide, tuple[float, float]] = {
+    "left": (0.0, 0.5),
+    "right": (1.0, 0.5),
+    "above": (0.5, 0.0),
+    "below": (0.5, 1.0),
+}
+"""The middle of each side of a picture, over its size."""
+
+
+@dataclass(frozen=True, slots=True)
+class NamedInstrument:
+    """Which of an image's seen instruments an instrument is, None where it is not seen, and why that is in doubt."""
+
+    seen: int | None
+    doubt: str = ""
+
+
+@dataclass
+class _Track:
+    """Where an instrument came in and ended when it was last seen for sure, over the image's size; None before."""
+
+    side: Array | None
+    entry: Array | None = None
+    end: Array | None = None
+    stamp_ns: int = 0
+
+
+class EntryTracker:
+    """Names the seen instruments of one camera's images, in the order of their stamps."""
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        sides: Sequence[EntrySide | None],
+        size: tuple[int, int],
+        settings: AssociationSettings = DEFAULT,
+    ) -> None:
+        self._names = tuple(names)
+        self._size = np.array([size[1], size[0]], np.float64)
+        self._settings = settings
+        self._tracks = [_Track(place) for place in expected_places(sides)]
+
+    def update(self, stamp_ns: int, seen: Sequence[SeenInstrument]) -> tuple[NamedInstrument, ...]:
+        """Name the seen instruments of the next image; an entry for each name."""
+        seen = seen[: self._settings.max_regions]
+        entries = np.array([one.entry_px / self._size for one in seen]).reshape(-1, 2)
+        ends = np.array([one.end_px / self._size for one in seen]).reshape(-1, 2)
+        cost = np.array(
+            [
+                [self._cost(track, stamp_ns, *place) for place in zip(entries, ends, strict=True)]
+                for track in self._tracks
+            ]
+        ).reshape(len(self._tracks), len(seen))
+        # What is surer an instrument is the likelier one where one name has a choice.
+        cost = cost - np.log(np.array([max(one.evidence, 1e-3) for one in seen]).reshape(1, -1))
+        hypotheses = sorted(
+            ((self._total(hypothesis, cost), hypothesis) for hypothesis in assignments(*cost.shape)),
+            key=lambda item: (item[0], [-1 if at is None else at for at in item[1]]),
+        )
+        best_cost, best = hypotheses[0]
+        named = []
+        for place, at in enumerate(best):
+            doubt = "" if at is None else self._doubt(place, at, best_cost, hypotheses)
+            named.append(NamedInstrument(at, doubt))
+            if at is not None and not doubt:
+                track = self._tracks[place]
+                track.entry, track.end, track.stamp_ns = entries[at], ends[at], stamp_ns
+        return tuple(named)
+
+    def _cost(self, track: _Track, stamp_ns: int, entry: Array, end: Array) -> float:
+        """-log likelihood of a seen instrument under a track, up to a constant that all tracks share."""
+        settings = self._settings
+        if track.entry is None or track.end is None:
+            if track.side is None:
+                return 2.0 * math.log(settings.side_std)
+            off = entry - track.side
+            return 0.5 * float(off @ off) / settings.side_std**2 + 2.0 * math.log(settings.side_std)
+        passed_s = max(0.0, (stamp_ns - track.stamp_ns) / 1e9)
+        entry_std = min(settings.entry_std + settings.entry_speed * passed_s, settings.side_std)
+        end_std = min(settings.end_std + settings.end_speed * passed_s, settings.side_std)
+        from_entry, from_end = entry - track.entry, end - track.end
+        of_entry = 0.5 * float(from_entry @ from_entry) / entry_std**2 + 2.0 * math.log(entry_std)
+        # Ends say nothing more once they may be anywhere.
+        of_end = 0.5 * float(from_end @ from_end) / end_std**2 + 2.0 * math.log(end_std / settings.side_std)
+        return of_entry + of_end
+
+    def _total(self, hypothesis: Sequence[int | None], cost: Array) -> float:
+        """-log likelihood of naming all at once: each one that goes unnamed, or unseen, costs."""
+        unnamed = cost.shape[1] - sum(at is not None for at in hypothesis)
+        total: float = self._settings.unnamed_cost * unnamed
+        for place, at in enumerate(hypothesis):
+            total += self._settings.unseen_cost if at is None else float(cost[place, at])
+        return float(total)
+
+    def _doubt(
+        self,
+        place: int,
+        at: int,
+        best_cost: float,
+        hypotheses: Sequence[tuple[float, tuple[int | None, ...]]],
+    ) -> str:
+        """Why a name is in doubt: another naming of this instrument, or of this name, is nearly as likely."""
+        for cost, other in hypotheses[1:]:
+            if cost - best_cost > self._settings.contest:
+                return ""
+            if other[place] == at:
+                continue
+            names = [self._names[rival] for rival, taken in enumerate(other) if taken == at]
+            if names:
+                return f"cannot tell whether this is {self._names[place]} or {names[0]}"
+            if other[place] is not None:
+                return f"cannot tell which of the instruments seen is {self._names[place]}"
+        return ""
+
+
+def expected_places(sides: Sequence[EntrySide | None]) -> list[Array | None]:
+    """Where instruments are expected to come in, shape (2,) each over the picture's size.
+
+    Without sides several are expected from left to right in their order, and one may come from anywhere.
+    """
+    count = len(sides)
+    places: list[Array | None] = []
+    for at, side in enumerate(sides):
+        if side is not None:
+            places.append(np.array(SIDES[side]))
+        elif count > 1:
+            angle = np.pi * (1.0 - at / (count - 1))
+            places.append(np.array([0.5 + 0.5 * np.cos(angle), 0.5 - 0.5 * np.sin(angle)]))
+        else:
+            places.append(None)
+    return places
+
+
+class Association:
+    """Tells the instruments of a recording apart; keeps their tracks between images."""
+
+    def __init__(self, arms: Sequence[Arm]) -> None:
+        self._arms = tuple(arms)
+        self._gate = arms[0].profile.segmentation.instrument
+        self._settings = arms[0].profile.settings.association
+        self._trackers: dict[str, RegionTracker] = {}
+        self._entries: dict[str, EntryTracker] = {}
+
+    def frames(self, scene: Scene, observations: Sequence[Observation]) -> list[Frame]:
+        """The frame of each instrument, with the others' pixels marked; `observations` are one per instrument."""
+        robots = [arm.state_at(seen) for arm, seen in zip(self._arms, observations, strict=True)]
+        nominal = [nominal_instrument(arm, robot) for arm, robot in zip(self._arms, robots, strict=True)]
+        if scene.left.masks.seen is not None and not any(nominal):
+            return self._by_entries(scene, observations, robots)
+        others: Sequence[OtherMasks] = [(None, None)]
+        if len(self._arms) > 1:
+            others = self._others(scene, nominal)
+        return frames_of(scene, self._arms, observations, robots, others)
+
+    def _by_entries(
+        self, scene: Scene, observations: Sequence[Observation], robots: Sequence[RobotState | Failure]
+    ) -> list[Frame]:
+        """Where no robot tells where its instrument is: by the sides they come in from."""
+        left, doubts = self._named("left", scene.observation.stamp_ns, scene.left)
+        right: list[Image | None] = [None] * len(self._arms)
+        if scene.right is not None:
+            right, right_doubts = self._named("right", scene.observation.stamp_ns, scene.right)
+            doubts = [doubt or other for doubt, other in zip(doubts, right_doubts, strict=True)]
+        others = list(zip(left, right, strict=True))
+        return frames_of(scene, self._arms, observations, robots, others, doubts)
+
+    def _named(self, name: str, stamp_ns: int, context: FrameContext) -> tuple[list[Image | None], list[str]]:
+        """For each instrument the mask, shape (h, w), of the others seen, and why its name is in doubt."""
+        seen = context.masks.seen or ()
+        if name not in self._entries:
+            profiles = [arm.profile for arm in self._arms]
+            names, sides = [one.instrument_name for one in profiles], [one.entry for one in profiles]
+            self._entries[name] = EntryTracker(names, sides, context.shape, self._settings)
+        masks: list[Image | None] = []
+        doubts = []
+        for named in self._entries[name].update(stamp_ns, seen):
+            rest = [one.mask for at, one in enumerate(seen) if at != named.seen]
+            others = np.zeros(context.shape, np.uint8)
+            for mask in rest:
+                others |= mask
+            if named.seen is not None:
+                others &= ~seen[named.seen].mask
+            masks.append(others if rest else None)
+            doubts.append(named.doubt)
+        return masks, doubts
+
+    def identities(self, camera: str = "left") -> tuple[Identity, ...]:
+        """Which region was which instrument's in the latest image of a camera, `left` or `right`."""
+        return self._trackers[camera].identities
+
+    def _others(self, scene: Scene, nominal: Sequence[NominalInstrument | None]) -> list[OtherMasks]:
+        seen = scene.observation
+        left = self._other_masks("left", seen.stamp_ns, scene.left, seen.camera, nominal)
+        if seen.right is None or scene.right is None:
+            return [(mask, None) for mask in left]
+        T_right_left = inverse(seen.right.T_left_right)
+        beside = [tool.moved(T_right_left) if tool else None for tool in nominal]
+        right = self._other_masks("right", seen.stamp_ns, scene.right, seen.right.camera, beside)
+        return list(zip(left, right, strict=True))
+
+    def _other_masks(
+        self,
+        name: str,
+        stamp_ns: int,
+        context: FrameContext,
+        camera: Camera,
+        nominal: Sequence[NominalInstrument | None],
+    ) -> list[Image]:
+        """For each instrument the mask, shape (h, w), of coloured and dark pixels that are not its own."""
+        height, width = context.shape
+        tracker = self._trackers.setdefault(name, RegionTracker(len(nominal), width, height, self._settings))
+        regions = ColouredRegions.of(context.masks.instrument, self._gate, self._settings)
+        shafts = context.masks.shaft
+        dark = None if shafts is None else DarkPixels.of(shafts, context.masks.black, self._settings)
+
+        # Whose the regions are, by where they are expected and by whose shaft is behind them.
+        evidence = np.zeros((len(nominal), len(regions.blobs)))
+        for i, tool in enumerate(nominal):
+            for a, blob in enumerate(regions.blobs):
+                axis = tool.shaft_from(blob.centre_px, blob.radius_px, camera) if tool else None
+                if axis is not None and dark is not None:
+                    evidence[i, a] = dark.evidence(axis)
+        places = [tool.place(camera) if tool else None for tool in nominal]
+        identities = tracker.update(stamp_ns, places, regions.blobs, evidence)
+
+        # What is not one's own: the other regions, and the pixels of the other shafts.
+        masks = [regions.without(identity.blob) for identity in identities]
+        if dark is not None:
+            axes = [
+                self._axis(tool, identity, regions, camera)
+                for tool, identity in zip(nominal, identities, strict=True)
+            ]
+            owner = dark.by_axis(axes)
+            masks = [
+                np.where((owner >= 0) & (owner != i), 255, mask).astype(np.uint8)
+                for i, mask in enumerate(masks)
+            ]
+        return masks
+
+    def _axis(
+        self, tool: NominalInstrument | None, identity: Identity, regions: ColouredRegions, camera: Camera
+    ) -> ShaftAxis | None:
+        """Where the shaft of an instrument runs: from its region, or from where that is expected."""
+        if tool is None:
+            return None
+        if identity.blob is not None:
+            blob = regions.blobs[identity.blob]
+            return tool.shaft_from(blob.centre_px, blob.radius_px, camera)
+        expected = identity.expected
+        if expected is None or identity.radius_px is None:
+            return None
+        if expected.std_px > self._settings.placed_fraction * camera.width_px:
+            return None
+        return tool.shaft_from(expected.mean, identity.radius_px, camera)

@@ -1,1 +1,0 @@
-"""Which instrument is which, in an image and over time."""

@@ -1,0 +1,191 @@
+"""Coloured regions and dark shafts of an image with several instruments, and where nominal kinematics put each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.camera import Camera
+from svmdist.estimation.instrument.error_model import nominal_tool
+from svmdist.estimation.instrument.model import NECK_PER_RADIUS, WRIST_LENGTH_PER_RADIUS
+from svmdist.estimation.region_tracking import Blob, Gaussian, NominalPlace
+from svmdist.estimation.scene import Arm
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.profile import AreaGate, Instrument
+from svmdist.profile.settings import AssociationSettings
+from svmdist.results import Failure, ToolPose
+from svmdist.samples import Image
+from svmdist.transforms import Array
+from svmdist.vision.colour import field_of_view
+
+DEFAULT = AssociationSettings()
+
+
+@dataclass(frozen=True)
+class ShaftAxis:
+    """Where a shaft runs in the image: from the pixel of the tool (2,), along a unit direction (2,) away from the tip.
+
+    `begin_px` from there wrist and jaws end and the shaft begins; `radius_px` is half of its width.
+    """
+
+    tool_px: Array
+    direction: Array
+    begin_px: float
+    radius_px: float
+
+
+@dataclass(frozen=True)
+class ColouredRegions:
+    """The coloured parts of an image: mask and labels of all, shape (h, w), and the parts above the area gate."""
+
+    mask: Image
+    labels: NDArray[np.int32]
+    blobs: tuple[Blob, ...]
+    names: tuple[int, ...]
+    fragments: tuple[tuple[int, Blob], ...]
+    settings: AssociationSettings = DEFAULT
+
+    @classmethod
+    def of(cls, mask: Image, rule: AreaGate, settings: AssociationSettings = DEFAULT) -> ColouredRegions:
+        """Find them in the mask of all instruments, shape (h, w)."""
+        count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
+        areas = stats[:, cv2.CC_STAT_AREA]
+        parts = [(at, Blob(np.asarray(centres[at]), float(areas[at]))) for at in range(1, count)]
+        whole = [(label, blob) for label, blob in parts if blob.area_px > rule.min_area_px]
+        fragments = tuple((label, blob) for label, blob in parts if blob.area_px <= rule.min_area_px)
+        names, blobs = tuple(label for label, _ in whole), tuple(blob for _, blob in whole)
+        return cls(mask, np.asarray(labels, np.int32), blobs, names, fragments, settings)
+
+    @property
+    def _square(self) -> Image:
+        return np.ones((self.settings.grown_px, self.settings.grown_px), np.uint8)
+
+    def without(self, index: int | None) -> Image:
+        """Mask of everything coloured but one region and the fragments about it; of everything for None.
+
+        It reaches a little beyond the rest's borders, where another look at the image may draw them.
+        """
+        grown = np.asarray(cv2.dilate(self.mask, self._square), np.uint8)
+        if index is None:
+            return grown
+        blob, own = self.blobs[index], [self.names[index]]
+        for label, fragment in self.fragments:
+            if (
+                np.linalg.norm(fragment.centre_px - blob.centre_px)
+                < self.settings.fragment_reach * blob.radius_px
+            ):
+                own.append(label)
+        mine = np.where(np.isin(self.labels, own), self.mask, 0).astype(np.uint8)
+        rest = cv2.dilate(cv2.subtract(self.mask, mine), self._square)
+        return np.asarray(cv2.subtract(rest, mine), np.uint8)
+
+
+@dataclass(frozen=True)
+class DarkPixels:
+    """The pixels that are as dark as a shaft, and what the endoscope shows; masks of shape (h, w)."""
+
+    mask: Image
+    view: Image
+    settings: AssociationSettings = DEFAULT
+
+    @classmethod
+    def of(cls, shafts: Image, black: Image | None, settings: AssociationSettings = DEFAULT) -> DarkPixels:
+        """Find them in the mask of all shafts, shape (h, w), and that of what may be border beside them."""
+        mask = np.asarray(cv2.medianBlur(shafts, 3), np.uint8)
+        view = field_of_view(mask if black is None else np.asarray(mask | black))
+        return cls(mask, view, settings)
+
+    def evidence(self, axis: ShaftAxis) -> float:
+        """Log-likelihood ratio of a shaft being there against none, from a line along its axis."""
+        along = np.linspace(*self.settings.ray_span, self.settings.ray_count) * axis.begin_px
+        points = np.round(axis.tool_px + along[:, None] * axis.direction).astype(int)
+        height, width = self.mask.shape
+        inside = np.all((points >= 0) & (points < [width, height]), axis=1)
+        x, y = points[inside].T
+        seen = self.view[y, x] > 0
+        if np.count_nonzero(seen) < self.settings.min_ray_fraction * self.settings.ray_count:
+            return 0.0
+        dark = float(np.mean(self.mask[y[seen], x[seen]] > 0))
+        likely, unlikely = self.settings.likely_dark, self.settings.unlikely_dark
+        yes, no = np.log(likely / unlikely), np.log((1 - likely) / (1 - unlikely))
+        return float(dark * yes + (1.0 - dark) * no)
+
+    def by_axis(self, axes: Sequence[ShaftAxis | None]) -> NDArray[np.int8]:
+        """For every pixel the index of the axis that it is nearest to, shape (h, w); -1 where it is no shaft's."""
+        owner = np.full(self.mask.shape, -1, np.int8)
+        y, x = np.nonzero(self.mask)
+        best = np.full(len(x), self.settings.shaft_reach)
+        found = np.full(len(x), -1, np.int8)
+        for index, axis in enumerate(axes):
+            if axis is None:
+                continue
+            dx, dy = x - axis.tool_px[0], y - axis.tool_px[1]
+            along = dx * axis.direction[0] + dy * axis.direction[1]
+            across = np.abs(dx * axis.direction[1] - dy * axis.direction[0])
+            distance = np.where(along > 0.0, across, np.hypot(dx, dy)) / axis.radius_px
+            nearer = distance < best
+            best[nearer], found[nearer] = distance[nearer], index
+        owner[y, x] = found
+        return owner
+
+
+@dataclass(frozen=True)
+class NominalInstrument:
+    """The nominal pose of a tool in a camera's frame, and the instrument's sizes."""
+
+    pose: ToolPose
+    instrument: Instrument | None
+    settings: AssociationSettings = DEFAULT
+
+    def moved(self, T_other_camera: Array) -> NominalInstrument:
+        """The same in the frame of another camera beside this one; covariances stay as they are."""
+        pose = replace(
+            self.pose,
+            T_camera_tool=T_other_camera @ self.pose.T_camera_tool,
+            axis=T_other_camera[:3, :3] @ self.pose.axis,
+        )
+        return replace(self, pose=pose)
+
+    def place(self, camera: Camera) -> NominalPlace:
+        """Where the tool is in the image by nominal kinematics, to first order."""
+        x, y, z = self.pose.position_m
+        z = max(float(z), self.settings.min_depth_m)
+        fx, fy = float(camera.K[0, 0]), float(camera.K[1, 1])
+        mean = np.array([camera.K[0, 2] + fx * x / z, camera.K[1, 2] + fy * y / z])
+        J = np.array([[fx / z, 0.0, -fx * x / z**2], [0.0, fy / z, -fy * y / z**2]])
+        place = Gaussian(mean, J @ self.pose.position_covariance @ J.T)
+        return NominalPlace(place, self.pose.position_m, fx / z)
+
+    def shaft_from(self, tool_px: Array, region_radius_px: float, camera: Camera) -> ShaftAxis | None:
+        """The shaft's axis in the image where the tool is at a pixel, shape (2,); None where it points at the camera.
+
+        The image of p + t b, with b towards the base, leaves p's pixel along b_xy - b_z p_xy / p_z: which way it runs
+        needs no depth, which is what the robot knows worst.
+        """
+        if self.instrument is None:
+            return None
+        fx, fy = float(camera.K[0, 0]), float(camera.K[1, 1])
+        ray = np.array([(tool_px[0] - camera.K[0, 2]) / fx, (tool_px[1] - camera.K[1, 2]) / fy])
+        back = -self.pose.axis
+        slope = (back[:2] - back[2] * ray) * [fx, fy]
+        length = float(np.linalg.norm(slope))
+        if length < 0.1 * fx:
+            return None
+        sizes = self.instrument
+        wrist_m = WRIST_LENGTH_PER_RADIUS * sizes.wrist_radius_m
+        end_m = sizes.shaft_end_m or NECK_PER_RADIUS * sizes.wrist_radius_m
+        px_per_m = region_radius_px / sizes.knuckle_radius_m
+        begin_px = (wrist_m + end_m) * px_per_m * length / fx
+        return ShaftAxis(tool_px, slope / length, begin_px, sizes.shaft_radius_m * px_per_m)
+
+
+def nominal_instrument(arm: Arm, robot: RobotState | Failure) -> NominalInstrument | None:
+    """The nominal pose of an instrument; None where the log tells none near the image."""
+    if isinstance(robot, Failure) or robot.T_camera_base is None or arm.chain is None:
+        return None
+    tool = nominal_tool(arm.chain, arm.profile.kinematic_error, robot)
+    return NominalInstrument(tool, arm.profile.instrument, arm.profile.settings.association)

@@ -1,0 +1,304 @@
+"""A dome over the tissue's outline: its surface, and how unsure apex, height and curvature are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.estimation.surface import DEGREE, StereoSurface
+from svmdist.geometry.surfaces import Mesh
+from svmdist.least_squares import median, scale_of
+from svmdist.profile import Dome
+from svmdist.profile.settings import StereoSettings
+from svmdist.transforms import Array, inverse, transform_points
+
+FULL_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class PolarOutline:
+    """An outline's corners about an apex, shape (2,): vectors from it, shape (n, 2), their angles, and 1 / lengths.
+
+    The angles ascend from -π to π; reciprocals have shape (n,), in 1/m.
+    """
+
+    apex_m: Array
+    from_apex_m: Array
+    angle_rad: Array
+    reciprocal: Array
+
+    @staticmethod
+    def about(apex_m: Array, outline_m: Array) -> PolarOutline:
+        """The outline, shape (n, 2), as seen from the apex."""
+        from_apex = outline_m - apex_m
+        angle = np.arctan2(from_apex[:, 1], from_apex[:, 0])
+        order = np.argsort(angle)
+        from_apex = from_apex[order]
+        return PolarOutline(apex_m, from_apex, angle[order], 1.0 / np.hypot(from_apex[:, 0], from_apex[:, 1]))
+
+    def normalised_radius(self, points_m: Array) -> Array:
+        """0 at the apex, 1 on the outline, for points, shape (n, 2): shape (n,)."""
+        from_apex = points_m - self.apex_m
+        before, after, span, share = self._between(from_apex)
+        del span
+        reciprocal = self.reciprocal[before] + share * (self.reciprocal[after] - self.reciprocal[before])
+        return np.asarray(np.hypot(from_apex[:, 0], from_apex[:, 1]) * reciprocal)
+
+    def with_derivative(self, points_m: Array) -> tuple[Array, Array]:
+        """The same, and its derivative by the apex: shapes (n,) and (n, 2); the latter is zero at the apex itself."""
+        from_apex = points_m - self.apex_m
+        length = np.hypot(from_apex[:, 0], from_apex[:, 1])
+        safe = np.where(length > 0.0, length, np.inf)
+        before, after, span, share = self._between(from_apex)
+        rise = self.reciprocal[after] - self.reciprocal[before]
+        reciprocal = self.reciprocal[before] + share * rise
+        # Of a vector r from the apex: d(1/|r|) = r / |r|³, d angle = (r_y, -r_x) / |r|², d|r| = -r / |r|.
+        d_reciprocal = self.from_apex_m * self.reciprocal[:, None] ** 3
+        d_angle = _across(self.from_apex_m) * self.reciprocal[:, None] ** 2
+        d_toward = _across(from_apex) / safe[:, None] ** 2
+        d_span = d_angle[after] - d_angle[before]
+        d_share = (d_toward - d_angle[before] - share[:, None] * d_span) / np.where(span > 0.0, span, np.inf)[
+            :, None
+        ]
+        d_here = d_reciprocal[before] + share[:, None] * (d_reciprocal[after] - d_reciprocal[before])
+        d_here += d_share * rise[:, None]
+        derivative = length[:, None] * d_here - reciprocal[:, None] * from_apex / safe[:, None]
+        return length * reciprocal, np.where(length[:, None] > 0.0, derivative, 0.0)
+
+    def _between(self, from_apex: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]:
+        """The corners before and after vectors from the apex, the angle between them, and the vector's share of it."""
+        toward = np.arctan2(from_apex[:, 1], from_apex[:, 0])
+        count = len(self.angle_rad)
+        at = np.searchsorted(self.angle_rad, toward, side="right") - 1
+        before, after = at % count, (at + 1) % count
+        span = (self.angle_rad[after] - self.angle_rad[before]) % FULL_TURN
+        ahead = (toward - self.angle_rad[before]) % FULL_TURN
+        share = np.where(span > 0.0, ahead / np.where(span > 0.0, span, 1.0), 0.0)
+        return before, after, span, share
+
+
+def _across(vectors: Array) -> Array:
+    return np.stack([vectors[:, 1], -vectors[:, 0]], -1)
+
+
+RINGS = 14
+SIDES = 72
+"""The dome's mesh: chords of 5° stand 0.03 mm off an outline of 28 mm."""
+SHAPE_SIZE = 5
+MIN_EXPONENTS, MAX_EXPONENTS = np.array([1.0, 0.2]), np.array([20.0, 2.0])
+"""Beyond these a dome is a cone, a spike or a box; a fit does not go there."""
+STEEP_RADIUS = 0.98
+"""Towards the rim a dome's slope has no bound; beyond this normalised radius it counts as it is here."""
+
+
+@dataclass(frozen=True)
+class DomeModel:
+    """A dome where it stands.
+
+    `T_camera_tissue`, shape (4, 4), has its z axis along the plane's normal. `outline_m`, shape (n, 2), is the
+    outline in that frame; `shape`, shape (5,), the apex's x and y there and its height, in m, then the exponents of
+    gauge and height; `covariance`, shape (5, 5), of these.
+    """
+
+    T_camera_tissue: Array
+    outline_m: Array
+    shape: Array
+    covariance: Array
+
+    @staticmethod
+    def over(outline_m: Array, T_camera_tissue: Array, rule: Dome) -> DomeModel:
+        """The profile's dome over an outline in the camera frame, shape (n, 3) in m: the apex over the origin."""
+        flat_m = transform_points(inverse(T_camera_tissue), outline_m)[:, :2]
+        stds = (
+            rule.apex_std_m,
+            rule.apex_std_m,
+            rule.height_std_m,
+            rule.gauge_exponent_std,
+            rule.height_exponent_std,
+        )
+        shape = np.array([0.0, 0.0, rule.height_m, rule.gauge_exponent, rule.height_exponent])
+        return DomeModel(T_camera_tissue, flat_m, shape, np.diag(np.square(stds)))
+
+    def shaped(self, shape: Array, covariance: Array) -> DomeModel:
+        """The same outline under another shape; exponents that no dome has are taken back to the nearest ones."""
+        shape = np.concatenate([shape[:3], np.clip(shape[3:], MIN_EXPONENTS, MAX_EXPONENTS)])
+        return replace(self, shape=shape, covariance=covariance)
+
+    def scaled(self, factor: float) -> DomeModel:
+        """The same on a parallel plane by this factor as far from the camera: as high, and wider by it."""
+        T = self.T_camera_tissue.copy()
+        T[:3, 3] *= factor
+        shape = self.shape * np.array([factor, factor, 1.0, 1.0, 1.0])
+        return replace(self, T_camera_tissue=T, outline_m=factor * self.outline_m, shape=shape)
+
+    def mesh(self) -> Mesh:
+        """The closed surface in the camera frame, made once.
+
+        The normalised radius runs from 0 to 1; rings crowd at the rim, where the dome is steep.
+        """
+        return self._mesh
+
+    def to_tissue_frame(self, points_m: Array) -> Array:
+        """Points of the camera frame, shape (n, 3), in the tissue's frame."""
+        return transform_points(inverse(self.T_camera_tissue), points_m)
+
+    def normalised_radius(self, points_m: Array, apex_m: Array) -> Array:
+        """0 at the apex, shape (2,), 1 on the outline, for points in the tissue's frame, shape (n, 2): shape (n,)."""
+        return PolarOutline.about(apex_m, self.outline_m).normalised_radius(points_m)
+
+    def height_m(self, points_m: Array) -> Array:
+        """Height over the plane at points in the tissue's frame, shape (n, 2)."""
+        return np.asarray(self.shape[2] * self._profile(self._polar.normalised_radius(points_m)))
+
+    def derivative(self, points_m: Array) -> Array:
+        """Of the height at points in the tissue's frame, shape (n, 2), by the shape: shape (n, 5).
+
+        The height counts as zero beyond the outline, and there the derivative does, too.
+        """
+        radius, by_apex = self._polar.with_derivative(points_m)
+        height_m, a, b = self.shape[2:]
+        power = radius**a
+        inside = power < 1.0
+        rest = np.where(inside, 1.0 - power, 1.0)
+        log_radius = np.log(np.where(radius > 0.0, radius, 1.0))
+        profile = np.where(inside, rest**b, 0.0)
+        by_power = np.where(inside, -b * rest ** (b - 1.0), 0.0)
+        by_radius = by_power * a * radius ** (a - 1.0)
+        return np.column_stack(
+            [
+                height_m * by_radius[:, None] * by_apex,
+                profile,
+                height_m * by_power * power * log_radius,
+                height_m * profile * np.log(rest),
+            ]
+        )
+
+    def variance_m2(self, point_m: Array, direction: Array) -> float:
+        """By how much the surface at a point of the camera frame, shape (3,), may move along a unit vector, shape (3,).
+
+        Another shape moves the surface along the plane's normal; along d a part of it remains: (d · n)².
+        """
+        flat_m = self.to_tissue_frame(point_m[None])[:, :2]
+        radius = float(self._polar.normalised_radius(flat_m)[0])
+        if radius > STEEP_RADIUS:
+            apex_m = self.shape[:2]
+            flat_m = apex_m + (flat_m - apex_m) * STEEP_RADIUS / radius
+        J = self.derivative(flat_m)[0]
+        along = float(direction @ self.T_camera_tissue[:3, 2])
+        return along**2 * float(J @ self.covariance @ J)
+
+    @cached_property
+    def _polar(self) -> PolarOutline:
+        return PolarOutline.about(self.shape[:2], self.outline_m)
+
+    @cached_property
+    def _mesh(self) -> Mesh:
+        corners = np.linspace(0, len(self.outline_m), SIDES, endpoint=False).astype(int)
+        vertices_m = _dome_vertices(self.outline_m[corners], self.shape, self._profile(_ring_radii()))
+        return _unit_dome().with_vertices(vertices_m).transformed(self.T_camera_tissue)
+
+    def _profile(self, radius: Array) -> Array:
+        a, b = self.shape[3:]
+        inside: Array = (1.0 - np.asarray(radius) ** a).clip(0.0)
+        return np.asarray(inside**b)
+
+
+def _ring_radii() -> Array:
+    return np.sin(np.linspace(0.0, np.pi / 2.0, RINGS + 1)[1:])
+
+
+def _dome_vertices(outline_m: Array, shape: Array, profile: Array) -> Array:
+    """Apex, rings of `SIDES` vertices from the apex outwards, and the floor's middle: shape (v, 3).
+
+    `profile`, shape (RINGS,), has the rings' heights over the apex's.
+    """
+    if _signed_area(outline_m) < 0.0:
+        outline_m = outline_m[::-1]
+    apex_m, height_m = shape[:2], float(shape[2])
+    rings = (apex_m + _ring_radii()[:, None, None] * (outline_m - apex_m)).reshape(-1, 2)
+    z_m = np.repeat(height_m * profile, SIDES)
+    return np.vstack([[*apex_m, height_m], np.column_stack([rings, z_m]), [*apex_m, 0.0]])
+
+
+@lru_cache(maxsize=1)
+def _unit_dome() -> Mesh:
+    """A round dome, whose faces and their groups all domes share."""
+    angle = np.arange(SIDES) * (2.0 * np.pi / SIDES)
+    profile = np.sqrt((1.0 - _ring_radii() ** 2).clip(0.0))
+    circle = np.stack([np.cos(angle), np.sin(angle)], -1)
+    return Mesh(_dome_vertices(circle, np.array([0.0, 0.0, 0.3]), profile), _fan_rings_and_floor())
+
+
+def _fan_rings_and_floor() -> NDArray[np.int64]:
+    """Triangles, shape (f, 3): a fan at the apex, rings, and a fan that closes the floor from its last vertex."""
+    side = np.arange(SIDES)
+    after = (side + 1) % SIDES
+    last = 1 + (RINGS - 1) * SIDES
+    faces = [
+        np.stack([np.zeros_like(side), 1 + side, 1 + after], -1),
+        np.stack([np.full_like(side, 1 + RINGS * SIDES), last + after, last + side], -1),
+    ]
+    for ring in range(RINGS - 1):
+        inner, outer = 1 + ring * SIDES, 1 + (ring + 1) * SIDES
+        faces.append(np.stack([inner + side, outer + side, outer + after], -1))
+        faces.append(np.stack([inner + side, outer + after, inner + after], -1))
+    return np.concatenate(faces).astype(np.int64)
+
+
+def _signed_area(polygon_m: Array) -> float:
+    x, y = polygon_m.T
+    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+DEFAULT = StereoSettings()
+MIN_POINTS = 100
+FREEDOM = (DEGREE + 1) * (DEGREE + 2) / 2
+"""Coefficients of the disparity surface: so many of its points err independently, and no more."""
+FIT_STEPS = 8
+STEP_SETTLED = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
+"""A step below it moves no point of the dome by more than a micrometre."""
+
+
+def fit_dome(dome: DomeModel, surface: StereoSurface, settings: StereoSettings = DEFAULT) -> DomeModel | None:
+    """The dome with apex, height and exponents as the surface shows them; None where it shows something else.
+
+    The most probable shape given the dome's own and the points' heights (Gauss–Newton, Cauchy's weights). The
+    points' errors are those of few coefficients: they count as `FREEDOM` independent heights, however many they are,
+    of which the smooth part looks like another shape. What has no deviation stays as it is.
+    """
+    points_m = dome.to_tissue_frame(surface.points_m)
+    inner = dome.normalised_radius(points_m[:, :2], np.zeros(2)) < settings.inner_radius
+    flat_m, height_m = points_m[inner, :2], points_m[inner, 2]
+    free = np.flatnonzero(np.diag(dome.covariance) > 0.0)
+    if len(flat_m) < MIN_POINTS or len(free) == 0:
+        return None
+    at = np.ix_(free, free)
+    prior = np.linalg.inv(dome.covariance[at])
+    now, std_m = dome, surface.std_m
+    for _ in range(FIT_STEPS):
+        error_m = height_m - now.height_m(flat_m)
+        std_m = max(surface.std_m, scale_of(error_m - median(error_m)))
+        J = now.derivative(flat_m)[:, free]
+        weight = (
+            FREEDOM
+            / len(flat_m)
+            / (settings.smooth_fraction * std_m) ** 2
+            / (1.0 + (error_m / (2.0 * std_m)) ** 2)
+        )
+        weighted = J * weight[:, None]
+        information = prior + weighted.T @ J
+        step = np.zeros(SHAPE_SIZE)
+        step[free] = np.linalg.solve(
+            information, weighted.T @ error_m + prior @ (dome.shape - now.shape)[free]
+        )
+        now = now.shaped(now.shape + step, dome.covariance)
+        if np.abs(step / STEP_SETTLED).max() < 1.0:
+            break
+    if std_m > settings.max_spread * surface.std_m or not now.shape[2] > 0.0:
+        return None
+    covariance = np.zeros_like(dome.covariance)
+    covariance[at] = np.linalg.inv(information)
+    return now.shaped(now.shape, covariance)

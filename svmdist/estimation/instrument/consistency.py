@@ -1,0 +1,233 @@
+"""The gate for residuals: what a normal distribution lets pass, and what became of a measurement there."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from svmdist.profile.settings import FilterSettings
+
+GATE_Z = FilterSettings().gate_z
+
+
+@dataclass(frozen=True, slots=True)
+class GatingResult:
+    """A measurement at the gate: its normalised innovation squared, of so many degrees of freedom.
+
+    `source` is the detection that it was made of: what misleads one measurement of a source misleads the others too.
+    """
+
+    name: str
+    nis: float
+    degrees_of_freedom: int
+    is_accepted: bool
+    source: str = ""
+
+
+@lru_cache(maxsize=256)
+def chi_square_bound(degrees_of_freedom: int, z: float = GATE_Z) -> float:
+    """Quantile of the chi-square distribution at the normal quantile z (Wilson and Hilferty 1931)."""
+    c = 2.0 / (9.0 * degrees_of_freedom)
+    return degrees_of_freedom * (1.0 - c + z * math.sqrt(c)) ** 3
+
+
+CODED = "tag"
+"""The source that nothing else can be taken for."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """What one source measured: degrees of freedom of all and of accepted results, and the squares of the latter."""
+
+    degrees: int = 0
+    accepted: int = 0
+    square: float = 0.0
+
+    @property
+    def refused(self) -> int:
+        """Degrees of freedom that did not pass the gate."""
+        return self.degrees - self.accepted
+
+    def add(self, result: GatingResult) -> None:
+        """Count a result."""
+        self.degrees += result.degrees_of_freedom
+        if result.is_accepted:
+            self.accepted += result.degrees_of_freedom
+            self.square += result.nis
+
+
+class Consistency:
+    """Watches the gating results of the last frames."""
+
+    def __init__(self, settings: FilterSettings) -> None:
+        self._settings = settings
+        self._frames: deque[tuple[int, tuple[GatingResult, ...]]] = deque()
+        self._untrusted_since_ns: int | None = None
+        self._now_ns = 0
+        self._tallies: dict[str, Tally] = {}
+        self._tool_sources: set[str] = set()
+        self._is_refused: dict[str, bool] = {}
+        self._frame_count = self._refused_frames = 0
+        self._scene_refused_frames, self._scene_agreed = 0, False
+        self._furthest, self._furthest_name = 0.0, ""
+        self._late_s = self._late_deviations = 0.0
+
+    def add(self, stamp_ns: int, results: Sequence[GatingResult], *, of_tool: bool = True) -> None:
+        """Take up a frame's results, of the tool or of something else; a frame without any tells nothing."""
+        self._now_ns = stamp_ns
+        horizon_ns = stamp_ns - round(1e9 * self._settings.consistency_window_s)
+        while self._frames and self._frames[0][0] < horizon_ns:
+            self._frames.popleft()
+        if results:
+            self._frames.append((stamp_ns, tuple(results)))
+            is_refused = not any(result.is_accepted for result in results)
+            if of_tool:
+                self._frame_count += 1
+                self._tool_sources.update(source_of(result) for result in results)
+                self._refused_frames = self._refused_frames + 1 if is_refused else 0
+            else:
+                self._scene_refused_frames = self._scene_refused_frames + 1 if is_refused else 0
+                self._scene_agreed |= not is_refused
+            for result in results:
+                self._is_refused[result.name] = not result.is_accepted
+        self._tallies = _tallies(result for _, members in self._frames for result in members)
+
+    def watch_constants(self, found: Iterable[tuple[str, float]]) -> None:
+        """Take up how far constants were found from what is stated of them, in stated deviations, by name."""
+        self._furthest, self._furthest_name = 0.0, ""
+        for name, off in found:
+            if abs(off) > self._furthest:
+                self._furthest, self._furthest_name = abs(off), name
+
+    def watch_time_offset(self, late_s: float, std_s: float) -> None:
+        """Take up how late joints were found to be, and how late they may be by what is stated, in s."""
+        self._late_s = late_s
+        self._late_deviations = abs(late_s) / std_s if std_s > 0.0 else 0.0
+
+    def distrust(self, since_ns: int) -> None:
+        """After a contradiction nothing is trusted before it has agreed for a while."""
+        self._untrusted_since_ns = since_ns
+
+    def clear(self) -> None:
+        """Begin anew; what is distrusted stays so."""
+        self._frames.clear()
+        self._tallies = {}
+        self._is_refused.clear()
+        self._frame_count = self._refused_frames = 0
+        self._scene_refused_frames, self._scene_agreed = 0, False
+        self._furthest, self._furthest_name = 0.0, ""
+        self._late_s = self._late_deviations = 0.0
+
+    @property
+    def ratio(self) -> float | None:
+        """Innovations squared over what is expected of them: 1 is as expected; None before anything was measured.
+
+        Of accepted measurements, so that a wild one alone is no contradiction.
+        """
+        accepted = sum(tally.accepted for tally in self._tallies.values())
+        return sum(tally.square for tally in self._tallies.values()) / accepted if accepted else None
+
+    @property
+    def refused_share(self) -> float:
+        """Share of the measured degrees of freedom that did not pass the gate."""
+        return _refused_share(self._tallies.values())
+
+    @property
+    def young_refused_share(self) -> float:
+        """The same without the source that is refused most, where enough of the tool's others is accepted.
+
+        One detection may be wrong for seconds: a shadow taken for the shaft, a marker that is half hidden. Where two
+        contradict the prediction, it is the prediction that is wrong; or where a tag does, whose code says what it is.
+        """
+        of_tool = {name: tally for name, tally in self._tallies.items() if name in self._tool_sources}
+        mistakable = [name for name in of_tool if name != CODED]
+        worst = max(mistakable, default="", key=lambda name: of_tool[name].refused)
+        others = [tally for name, tally in of_tool.items() if name != worst]
+        if sum(tally.accepted for tally in others) < self._settings.consistency_min_degrees:
+            return self.refused_share
+        return _refused_share(others)
+
+    @property
+    def widening(self) -> float:
+        """By what variances grow: the ratio where innovations are larger than expected (Birge 1932).
+
+        So do they where a constant is far from what is stated: it may be off as far again, and others with it.
+        """
+        return max(1.0, self.ratio or 1.0, (self._furthest / self._settings.usual_constant_deviations) ** 2)
+
+    @property
+    def contradiction(self) -> str:
+        """Why no distance can be trusted, for a person; empty where one can."""
+        return self._off_what_is_stated() or self._all_refused() or self._disagreement()
+
+    @property
+    def doubt(self) -> str:
+        """Why no distance is told: a contradiction, or one before that what was seen since has not yet outlived."""
+        since_ns = self._untrusted_since_ns
+        if since_ns is not None and self._now_ns < since_ns + round(1e9 * self._settings.probation_s):
+            return self.contradiction or "begun anew after a contradiction"
+        return self.contradiction
+
+    def _off_what_is_stated(self) -> str:
+        """What was found too far from what is stated of it: a constant, or the clock of the joints."""
+        settings = self._settings
+        if self._furthest > settings.max_constant_deviations:
+            return f"{self._furthest_name} is {self._furthest:.1f} stated deviations from its stated value"
+        if self._late_deviations > settings.max_time_offset_deviations:
+            return (
+                f"joints seem {self._late_s:+.2f} s late, {self._late_deviations:.0f} stated deviations: is there a lag"
+                " of the images to be given?"
+            )
+        return ""
+
+    def _all_refused(self) -> str:
+        """What was refused whole, frame after frame: all of the tool, or the tissue."""
+        most = self._settings.max_refused_frames
+        if self._refused_frames >= most:
+            return f"all that was measured in {self._refused_frames} frames contradicts the prediction: {self._worst()}"
+        # What never agreed has nothing that speaks for it: one frame is enough.
+        if self._scene_refused_frames >= (most if self._scene_agreed else 1):
+            return f"the tissue contradicts its plane in {self._scene_refused_frames} frames: {self._worst()}"
+        return ""
+
+    def _disagreement(self) -> str:
+        """What disagrees with predictions over the window: too much refused, or accepted by far too little."""
+        settings = self._settings
+        if sum(tally.degrees for tally in self._tallies.values()) < settings.consistency_min_degrees:
+            return ""
+        share, most = self.refused_share, settings.max_refused_share
+        if self._frame_count <= max(settings.window_solves) and share <= most:
+            # A young filter has no past that outweighs what it refuses: it may have begun with other joints.
+            share, most = self.young_refused_share, settings.max_young_refused_share
+        if share > most:
+            return f"{share:.0%} of what was measured contradicts the prediction: {self._worst()}"
+        if (self.ratio or 0.0) > settings.max_consistency:
+            return f"innovations are {self.ratio:.1f} times what is expected of them"
+        return ""
+
+    def _worst(self) -> str:
+        return (
+            ", ".join(name for name, is_refused in self._is_refused.items() if is_refused) or "measurements"
+        )
+
+
+def source_of(result: GatingResult) -> str:
+    """The detection that a result is of; its own name where it does not say."""
+    return result.source or result.name
+
+
+def _tallies(results: Iterable[GatingResult]) -> dict[str, Tally]:
+    """What each source measured."""
+    tallies: dict[str, Tally] = {}
+    for result in results:
+        tallies.setdefault(source_of(result), Tally()).add(result)
+    return tallies
+
+
+def _refused_share(tallies: Iterable[Tally]) -> float:
+    members = list(tallies)
+    degrees = sum(tally.degrees for tally in members)
+    return sum(tally.refused for tally in members) / degrees if degrees else 0.0

@@ -1,0 +1,294 @@
+"""Links under a correction of nominal kinematics: their poses, and how they answer to the error state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.kinematics.dh import DHChain, link_transforms, row_index, running_product
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.profile.hand_eye import TIME_OFFSET, length_of, offset_of
+from svmdist.transforms import Array, rotation_of, rotation_vector, skew
+
+
+@dataclass(frozen=True, slots=True)
+class RowLength:
+    """A constant length of the chain that may be wrong: it shifts all frames from `row` on along an axis of a frame.
+
+    The axis is column `column` of the frame of row `axis_row`, which is one before `row` or `row` itself.
+    """
+
+    row: int
+    axis_row: int
+    column: int
+
+
+@dataclass(frozen=True, slots=True)
+class MovingJoints:
+    """The joints of a chain from `first_joint` on, whose offsets are corrected; their rows begin at `first_row`.
+
+    `axes` are the places of the frames with their axes among those from the row before `first_row` on; `turns` and
+    `slides`, shape (n_joints - first_joint,), are 1 for joints of that type and 0 for others.
+    """
+
+    chain: DHChain
+    first_joint: int
+    first_row: int
+    axes: NDArray[np.intp]
+    turns: Array
+    slides: Array
+    lengths: tuple[RowLength, ...]
+
+    @property
+    def columns(self) -> ErrorColumns:
+        """Where in the error state what stands."""
+        return ErrorColumns(len(self.turns), len(self.lengths))
+
+    @property
+    def constant_columns(self) -> dict[str, int]:
+        """Where in the error state each constant stands, by its name."""
+        at, names = self.columns, self.chain.joint_names[self.first_joint :]
+        found = {offset_of(name): at.offsets.start + place for place, name in enumerate(names)}
+        found |= {length_of(place): at.lengths.start + place for place in range(at.length_count)}
+        return found | {TIME_OFFSET: at.time_offset}
+
+    @classmethod
+    def of(cls, chain: DHChain, first_joint: int) -> MovingJoints:
+        """Of a chain with at least one such joint."""
+        rows = chain.moving_rows[first_joint:]
+        turns = chain.is_revolute[first_joint:].astype(np.float64)
+        axes = rows - rows[0] + (chain.convention == "modified")
+        lengths = tuple(_lengths(chain, int(rows[0])))
+        return cls(chain, first_joint, int(rows[0]), axes, turns, 1.0 - turns, lengths)
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorColumns:
+    """Where in the error state (δp, δφ, δq, play, τ, δl) what stands, of so many moving joints and lengths."""
+
+    joint_count: int
+    length_count: int
+
+    @property
+    def offsets(self) -> slice:
+        """Constant joint offsets δq."""
+        return slice(6, 6 + self.joint_count)
+
+    @property
+    def play(self) -> slice:
+        """Joint errors that change with the motion."""
+        return slice(6 + self.joint_count, 6 + 2 * self.joint_count)
+
+    @property
+    def time_offset(self) -> int:
+        """By how much the joints' stamps are late."""
+        return 6 + 2 * self.joint_count
+
+    @property
+    def lengths(self) -> slice:
+        """Lengths of the chain."""
+        return slice(7 + 2 * self.joint_count, self.size)
+
+    @property
+    def size(self) -> int:
+        """Of the error state."""
+        return 7 + 2 * self.joint_count + self.length_count
+
+
+def _lengths(chain: DHChain, first_row: int) -> Iterator[RowLength]:
+    """Lengths behind the first moving joint that no joint's offset could stand in for."""
+    is_modified = chain.convention == "modified"
+    for index, row in enumerate(chain.rows):
+        if index < first_row or (is_modified and index == first_row):
+            continue
+        # Standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d).
+        if row.a_m != 0.0:
+            yield RowLength(index, index - 1 if is_modified else index, 0)
+        if row.d_m != 0.0 and row.joint != "prismatic" and (is_modified or index > first_row):
+            yield RowLength(index, index if is_modified else index - 1, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """What is added to nominal kinematics.
+
+    A shift in m, a turn, shape (3, 3), joint offsets and `play`, joint errors that change with the motion, how late
+    the joints' stamps are in s, and errors of the chain's lengths in m.
+    """
+
+    shift_m: Array
+    turn: Array
+    q_offset: Array
+    play: Array
+    time_offset_s: float
+    length_m: Array
+
+    @classmethod
+    def none(cls, columns: ErrorColumns) -> Correction:
+        """What is there before anything was measured."""
+        joints, lengths = np.zeros(columns.joint_count), np.zeros(columns.length_count)
+        return cls(np.zeros(3), np.eye(3), joints, joints, 0.0, lengths)
+
+    def retract(self, step: Array) -> Correction:
+        """The correction after an error state, shape (n,), was found in it (box-plus)."""
+        at = ErrorColumns(len(self.q_offset), len(self.length_m))
+        return Correction(
+            self.shift_m + step[:3],
+            rotation_of(step[3:6]) @ self.turn,
+            self.q_offset + step[at.offsets],
+            self.play + step[at.play],
+            self.time_offset_s + float(step[at.time_offset]),
+            self.length_m + step[at.lengths],
+        )
+
+    def vector(self) -> Array:
+        """All of it as an error state about no correction, shape (n,)."""
+        return np.concatenate(
+            [
+                self.shift_m,
+                rotation_vector(self.turn),
+                self.q_offset,
+                self.play,
+                [self.time_offset_s],
+                self.length_m,
+            ]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class NominalFrames:
+    """What of one robot state, or of a stack of them, no correction changes.
+
+    `q`, shape (..., n_joints), are the reported joints, `rates` their derivatives by time, and `time_offset_s` is how
+    late their stamps were taken to be for both. `frames` (..., n_rows, 4, 4) are all row frames in the camera frame;
+    `T_camera_before`, shape (..., 4, 4), is the one before the first corrected joint.
+    """
+
+    q: Array
+    rates: Array
+    time_offset_s: float
+    frames: Array
+    T_camera_before: Array
+
+    @classmethod
+    def of(cls, robot: RobotState, first_row: int) -> NominalFrames:
+        """Of one state; the row is that of the first corrected joint."""
+        before = robot.frames_in_camera[first_row - 1] if first_row else robot.base_in_camera
+        return cls(robot.q, robot.rates, robot.time_offset_s, robot.frames_in_camera, before)
+
+    @classmethod
+    def stack(cls, members: Sequence[NominalFrames]) -> NominalFrames:
+        """Of several, with a leading axis."""
+        return cls(
+            np.stack([member.q for member in members]),
+            np.stack([member.rates for member in members]),
+            members[0].time_offset_s,
+            np.stack([member.frames for member in members]),
+            np.stack([member.T_camera_before for member in members]),
+        )
+
+
+def joints_under(nominal: NominalFrames, correction: Correction, first_joint: int) -> Array:
+    """Reported joints at the corrected time, with offsets and play, shape (..., n_joints)."""
+    q = nominal.q.copy()
+    late_s = correction.time_offset_s - nominal.time_offset_s
+    q[..., first_joint:] += nominal.rates[..., first_joint:] * late_s + correction.q_offset + correction.play
+    return q
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectedLink:
+    """Corrected poses of a link, (..., 4, 4), and the derivatives of their (δp, δθ) by the error state, (..., 6, n).
+
+    `time_column` is that of the joints' time offset: how the link moves with time.
+    """
+
+    T_camera_link: Array
+    derivative: Array
+    time_column: int
+
+
+class CorrectedLinks:
+    """All links of a chain under one correction; frames and the twists of the error state are computed once.
+
+    A twist (v, w) moves a point p of a body by v + w x p: each component of the error state is one in the camera
+    frame (Murray, Li, Sastry 1994, sec. 3.4), so that one matrix serves all links behind a joint.
+    """
+
+    def __init__(
+        self, joints: MovingJoints, nominal: NominalFrames, correction: Correction, anchor_m: Array
+    ) -> None:
+        self._joints, self._nominal = joints, nominal
+        pivot_m = anchor_m + correction.shift_m
+        self._correct = np.eye(4)
+        self._correct[:3, :3] = correction.turn
+        self._correct[:3, 3] = pivot_m - correction.turn @ anchor_m
+
+        # Frames from the one before the first joint with an offset on.
+        q = joints_under(nominal, correction, joints.first_joint)
+        links = link_transforms(joints.chain, q, joints.first_row)
+        frames = np.empty((*links.shape[:-3], links.shape[-3] + 1, 4, 4))
+        frames[..., 0, :, :] = self._correct @ nominal.T_camera_before
+        frames[..., 1:, :, :] = links
+        self._frames = running_product(frames)
+        length_axes = []
+        for length, error_m in zip(joints.lengths, correction.length_m, strict=True):
+            # A shift along an axis turns nothing, so that the frames behind it are shifted alike.
+            axis = self._frames[..., length.axis_row - joints.first_row + 1, :3, length.column].copy()
+            self._frames[..., length.row - joints.first_row + 1 :, :3, 3] += axis[..., None, :] * error_m
+            length_axes.append(axis)
+
+        axes = self._frames[..., joints.axes, :3, :]
+        (zx, zy, zz), (px, py, pz) = ([axes[..., i, column] for i in range(3)] for column in (2, 3))
+        columns = joints.columns
+        count = columns.joint_count
+        twists = np.zeros((*q.shape[:-1], 6, columns.size))
+        twists[..., :6, :6] = np.eye(6)
+        twists[..., :3, 3:6] = skew(pivot_m)
+        by_joint = twists[..., columns.offsets]
+        by_joint[..., 0, :] = joints.turns * (py * zz - pz * zy) + joints.slides * zx
+        by_joint[..., 1, :] = joints.turns * (pz * zx - px * zz) + joints.slides * zy
+        by_joint[..., 2, :] = joints.turns * (px * zy - py * zx) + joints.slides * zz
+        by_joint[..., 3, :] = joints.turns * zx
+        by_joint[..., 4, :] = joints.turns * zy
+        by_joint[..., 5, :] = joints.turns * zz
+        for index, axis in enumerate(length_axes):
+            twists[..., :3, columns.lengths.start + index] = axis
+        self._rates = nominal.rates[..., joints.first_joint : joints.first_joint + count]
+        self._twists = twists
+        self._links: dict[str | None, CorrectedLink] = {}
+
+    def link(self, name: str | None) -> CorrectedLink:
+        """The frame of a DH row, or the tool for None; raises ValueError for a row that the chain lacks."""
+        found = self._links.get(name)
+        if found is None:
+            found = self._links[name] = self._corrected(name)
+        return found
+
+    def _corrected(self, name: str | None) -> CorrectedLink:
+        row = len(self._joints.chain.rows) - 1 if name is None else row_index(self._joints.chain, name)
+        if row < self._joints.first_row:
+            T = self._correct @ self._nominal.frames[..., row, :, :]
+        else:
+            T = self._frames[..., row - self._joints.first_row + 1, :, :]
+        if name is None:
+            T = T @ self._joints.chain.T_last_tool
+        columns = self._joints.columns
+        derivative = self._twists.copy()
+        derivative[..., :3, :] -= skew(T[..., :3, 3]) @ self._twists[..., 3:, :]
+        # Joints behind a link do not move it, nor do lengths.
+        moved_by = int(np.searchsorted(self._joints.chain.moving_rows, row, side="right"))
+        derivative[..., 6 + max(0, moved_by - self._joints.first_joint) : columns.offsets.stop] = 0.0
+        derivative[..., columns.play] = derivative[..., columns.offsets]
+        # Later stamps: every joint goes on at its rate.
+        by_time = derivative[..., columns.offsets] @ self._rates[..., None]
+        derivative[..., columns.time_offset] = by_time[..., 0]
+        for index, length in enumerate(self._joints.lengths):
+            if row < length.row:
+                derivative[..., columns.lengths.start + index] = 0.0
+        T.setflags(write=False)
+        derivative.setflags(write=False)
+        return CorrectedLink(T, derivative, columns.time_offset)

@@ -1,0 +1,300 @@
+"""The shaft and the distal marker in one image: tangent planes along both edges, the end, the marker's size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.least_squares import median, scale_of
+from svmdist.profile.settings import DistalMarkerSettings, ShaftSettings
+from svmdist.samples import Image
+from svmdist.transforms import Array
+from svmdist.vision.edge_lines import EdgeLine
+from svmdist.vision.edges import Disc, edge_blur_px, edge_points, fit_disc, shading_shift_px
+from svmdist.vision.lines import TangentPlane, fit_line, tangent_plane, undistorted, without_perspective
+from svmdist.vision.regions import Region
+from svmdist.vision.shaft_segmentation import ShaftRegion, Side
+from svmdist.vision.silhouette import Silhouette, WristPoint
+
+DEFAULT = DistalMarkerSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class DistalMarker:
+    """The marker: the middle of its region, (2,), and its radius, with standard deviations, in px.
+
+    `radius_px` is that of the whole sphere, None where the image's border or something else cuts it; `disc` is the
+    circle along its border that the radius comes from, `area_px` the area of what is visible.
+    """
+
+    centre_px: Array
+    std_px: float
+    radius_px: float | None
+    radius_std_px: float
+    disc: Disc | None = None
+    area_px: float = 0.0
+
+
+def detect_distal_marker(
+    image_hsv: Image, mask: Image, region: Region | None, settings: DistalMarkerSettings = DEFAULT
+) -> DistalMarker | None:
+    """The region of the instrument's mask, shape (h, w), as a disc, sized where the colour has half its strength.
+
+    A grey region is bare steel, of a tip without a coloured marker: it is no disc about the tool's origin and gives
+    None. `image_hsv` has shape (h, w, 3), at normalised exposure.
+    """
+    if region is None or _median_saturation(image_hsv, mask) < settings.min_saturation:
+        return None
+    disc = marker_disc(image_hsv, mask, region, settings)
+    if disc is None:
+        std_px = 0.5 * float(np.sqrt(region.area_px / np.pi))
+        return DistalMarker(region.centroid_px, std_px, None, 0.0, None, region.area_px)
+    whole_px = disc.radius_px / settings.visible_radius
+    own_px = np.hypot(
+        disc.scatter_px / np.sqrt(settings.border_points), settings.border_std_per_blur * disc.blur_px
+    )
+    radius_std_px = float(np.hypot(settings.radius_std * whole_px, own_px))
+    std_px = settings.centroid_std * whole_px
+    return DistalMarker(region.centroid_px, std_px, whole_px, radius_std_px, disc, region.area_px)
+
+
+def marker_disc(
+    image_hsv: Image, mask: Image, region: Region, settings: DistalMarkerSettings = DEFAULT
+) -> Disc | None:
+    """The circle along the border of a region of a mask, shape (h, w).
+
+    None at the image's border, or where the colour makes another border than the mask.
+    """
+    corners = region.hull.reshape(-1, 2)
+    height, width = mask.shape
+    if not bool(((corners > 1) & (corners < [width - 2, height - 2])).all()):
+        return None
+    radius_px = float(np.sqrt(region.area_px / np.pi))
+    disc = fit_disc(image_hsv, mask, region.centroid_px, radius_px, settings)
+    if disc is None or abs(np.log(disc.radius_px / radius_px)) >= settings.max_log_ratio:
+        return None
+    return disc
+
+
+def marker_centre(
+    region: Region, disc: Disc | None, camera: Camera, depth_m: float, radius_m: float
+) -> tuple[Array, float]:
+    """The pixel (2,) of the middle of a sphere of `radius_m` at `depth_m`, and the blur of its border in px.
+
+    Blur moves a threshold's border to the side of what the colour mixes with, the place of half its strength hardly.
+    Without a circle, or for a tip that is no sphere (`radius_m` 0), it is the region's centroid, of blur 0.
+    """
+    if disc is None or radius_m <= 0.0:
+        return region.centroid_px, 0.0
+    return without_perspective(disc.centre_px, camera, depth_m, radius_m), disc.blur_px
+
+
+def _median_saturation(image_hsv: Image, mask: Image) -> float:
+    """Median over a mask, shape (h, w), from a histogram of the levels."""
+    x, y, width, height = cv2.boundingRect(mask)
+    window = np.s_[y : y + height, x : x + width]
+    counts = cv2.calcHist([image_hsv[window]], [1], mask[window], [256], [0, 256]).ravel()
+    total = np.cumsum(counts)
+    middle = [np.searchsorted(total, 0.5 * total[-1], side) for side in ("left", "right")]
+    return float(np.mean(middle))
+
+
+DEFAULT_SHAFT = ShaftSettings()
+MIN_LINE_POINTS, MIN_END_POINTS = 5, 4
+
+
+@dataclass(frozen=True, slots=True)
+class Contour:
+    """One side of the silhouette: the plane that touches the shaft there, and where it is.
+
+    `side` is +1 to the right of the axis as it runs to the tip, y being down, and -1 to the left.
+    """
+
+    plane: TangentPlane
+    side: int
+
+
+@dataclass(frozen=True, slots=True)
+class Rim:
+    """Where the shaft ends on its middle line: a pixel (2,), the unit direction to the tip (2,), px.
+
+    `is_outline` says that the outline ends to be a cylinder's there; otherwise its dark part ends, on the side that
+    faces the camera.
+    """
+
+    pixel: Array
+    towards_tip: Array
+    std_px: float
+    is_outline: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftDetection:
+    """Contours (none, one or two) and the rim, each as far as it is visible.
+
+    `towards_tip` (2,) is the direction of the shaft's middle line in the image, None where nothing tells it.
+    `is_stub` says that less of the shaft is visible than it is wide. `wrist` is where the tool's origin is in the
+    outline of a whole instrument.
+    """
+
+    contours: tuple[Contour, ...]
+    rim: Rim | None
+    towards_tip: Array | None
+    middle_px: Array | None
+    is_stub: bool
+    wrist: WristPoint | None = None
+
+
+NO_SHAFT = ShaftDetection((), None, None, None, True)
+
+
+def detect_shaft(
+    brightness: Image, region: ShaftRegion | None, camera: Camera, settings: ShaftSettings = DEFAULT_SHAFT
+) -> ShaftDetection:
+    """Measure contours and rim of a shaft that was found; `NO_SHAFT` for none.
+
+    `brightness`, shape (h, w), is the brightest channel at normalised exposure.
+    """
+    if region is None:
+        return NO_SHAFT
+    towards_tip = region.first.direction + region.second.direction
+    towards_tip /= np.linalg.norm(towards_tip)
+    sides = (region.first, region.second)
+    blurs_px = [_blur_px(brightness, side, region, settings) for side in sides]
+    contours: list[Contour] = []
+    for side, blur_px, other_px in zip(sides, blurs_px, blurs_px[::-1], strict=True):
+        # Both edges of a shaft are as sharp as each other; a shadow beside it ends in a penumbra.
+        if blur_px > settings.penumbra_ratio * max(other_px, settings.penumbra_blur_px):
+            continue
+        contour = _contour(brightness, side, region, towards_tip, blur_px, camera, settings)
+        if contour is not None and all(contour.side != other.side for other in contours):
+            contours.append(contour)
+    rim = _rim(brightness, region, towards_tip, settings) if region.end_is_free else None
+    known = towards_tip if region.end_px is not None else None
+    return ShaftDetection(tuple(contours), rim, known, region.middle_px, region.is_stub)
+
+
+def detect_silhouette(
+    silhouette: Silhouette | None, camera: Camera, settings: ShaftSettings = DEFAULT_SHAFT
+) -> ShaftDetection:
+    """Contours, end and wrist of a shaft whose silhouette was found, whatever its colour; `NO_SHAFT` for none."""
+    if silhouette is None:
+        return NO_SHAFT
+    towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
+    contours: list[Contour] = []
+    for edge in silhouette.edges:
+        contour = _edge_contour(edge, silhouette.width_px, middle_px, towards_tip, camera, settings)
+        if contour is not None and all(contour.side != other.side for other in contours):
+            contours.append(contour)
+    end_px = silhouette.end_px
+    rim = None if end_px is None else Rim(end_px, towards_tip, silhouette.std_px, is_outline=True)
+    return ShaftDetection(tuple(contours), rim, towards_tip, middle_px, silhouette.is_stub, silhouette.wrist)
+
+
+def wrist_marker(shaft: ShaftDetection) -> DistalMarker | None:
+    """The tool's origin by the outline of the wrist, as a point without a size; None where no wrist is seen."""
+    wrist = shaft.wrist
+    return None if wrist is None else DistalMarker(wrist.pixel, wrist.std_px, None, 0.0)
+
+
+def _edge_contour(
+    edge: EdgeLine,
+    width_px: float,
+    middle_px: Array,
+    towards_tip: Array,
+    camera: Camera,
+    settings: ShaftSettings,
+) -> Contour | None:
+    line = fit_line(
+        undistorted(camera, edge.points_px),
+        1.0 / float(camera.K[0, 0]),
+        min_count=MIN_LINE_POINTS,
+        inlier_px=max(settings.line_inlier_px, settings.line_inlier_per_width * width_px),
+        systematic_px=settings.outline_shading_std_px,
+        correlation_px=settings.point_correlation_px,
+        min_point_std_px=settings.min_point_std_px,
+    )
+    if line is None:
+        return None
+    plane = tangent_plane(line, undistorted(camera, middle_px[None])[0])
+    outward = 0.5 * (edge.start_px + edge.end_px) - middle_px
+    right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
+    return Contour(plane, 1 if right > 0 else -1)
+
+
+def _trimmed(side: Side, region: ShaftRegion, settings: ShaftSettings) -> tuple[Array, Array, Array]:
+    """A side's start and end without its corners, and a vector from the shaft's middle to it, shape (2,) each."""
+    trim = settings.side_trim_fraction * (side.end_px - side.start_px)
+    outward = 0.5 * (side.start_px + side.end_px) - region.middle_px
+    return side.start_px + trim, side.end_px - trim, outward
+
+
+def _blur_px(brightness: Image, side: Side, region: ShaftRegion, settings: ShaftSettings) -> float:
+    """The blur of the edge along a side, as its deviation in px."""
+    reach_px = settings.blur_reach_fraction * brightness.shape[1]
+    return edge_blur_px(brightness, *_trimmed(side, region, settings), reach_px, settings)
+
+
+def _contour(
+    brightness: Image,
+    side: Side,
+    region: ShaftRegion,
+    towards_tip: Array,
+    blur_px: float,
+    camera: Camera,
+    settings: ShaftSettings,
+) -> Contour | None:
+    along = side.end_px - side.start_px
+    start_px, end_px, outward = _trimmed(side, region, settings)
+    width_px = brightness.shape[1]
+    # A threshold may cut a blurred edge two of its deviations off its middle.
+    reach_px = max(settings.min_edge_reach_px, settings.edge_reach_fraction * width_px) + 2.0 * blur_px
+    points_px = edge_points(brightness, start_px, end_px, outward, reach_px, settings, blur_px)
+    points_px = _inside_view(points_px, region.field_of_view)
+    if len(points_px) == 0:
+        return None
+    across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    across = across if across @ outward > 0.0 else -across
+    points_px = points_px - shading_shift_px(brightness, points_px, across, settings, blur_px) * across
+    unit = 1.0 / float(camera.K[0, 0])
+    line = fit_line(
+        undistorted(camera, points_px),
+        unit,
+        min_count=MIN_LINE_POINTS,
+        inlier_px=settings.line_inlier_px + settings.line_inlier_per_blur * blur_px,
+        systematic_px=float(np.hypot(settings.shading_std_px, settings.shading_std_per_blur * blur_px)),
+        correlation_px=max(settings.point_correlation_px, 2.0 * blur_px),
+        min_point_std_px=settings.min_point_std_px,
+    )
+    if line is None:
+        return None
+    plane = tangent_plane(line, undistorted(camera, region.middle_px[None])[0])
+    right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
+    return Contour(plane, 1 if right > 0 else -1)
+
+
+def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: ShaftSettings) -> Rim | None:
+    if region.end_px is None:
+        return None
+    half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
+    strip = settings.end_strip_fraction * half_width_px
+    across = np.array([-towards_tip[1], towards_tip[0]]) * strip
+    reach_px = settings.end_reach_half_widths * half_width_px
+    points_px = edge_points(
+        brightness, region.end_px - across, region.end_px + across, towards_tip, reach_px, settings
+    )
+    if len(points_px) < MIN_END_POINTS:
+        return None
+    ahead_px = (points_px - region.end_px) @ towards_tip
+    middle_px = median(ahead_px)
+    std_px = max(settings.min_end_std_px, scale_of(ahead_px - middle_px))
+    return Rim(region.end_px + middle_px * towards_tip, towards_tip, std_px)
+
+
+def _inside_view(points_px: Array, view: Image) -> Array:
+    """The points, shape (n, 2), around which the endoscope shows something."""
+    column, row = np.round(points_px).astype(np.intp).T
+    return np.asarray(points_px[view[row, column] > 0])

@@ -1,0 +1,252 @@
+"""The filter's state, and measurements linearised about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from svmdist.estimation.instrument.corrected_links import (
+    CorrectedLink,
+    CorrectedLinks,
+    Correction,
+    NominalFrames,
+)
+from svmdist.estimation.instrument.error_model import ErrorModel
+from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.transforms import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """A measurement about a state: residual (..., m) = H δ + Σ B ξ + noise.
+
+    δ is the error state, H has shape (..., m, n); of the biases, the first is the measurement's own and the others are
+    errors of constants. Residual and H are not finite where the link cannot be seen.
+    """
+
+    residual: Array
+    H: Array
+    biases: tuple[SharedBias, ...]
+    noise: Array
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the link could be seen."""
+        return bool(np.isfinite(self.residual).all() and np.isfinite(self.H).all())
+
+    @property
+    def bias_jacobian(self) -> Array:
+        """Derivative by all biases, one beside the other, shape (..., m, k)."""
+        shape = self.residual.shape
+        return np.concatenate(
+            [np.broadcast_to(bias.jacobian, (*shape, bias.jacobian.shape[-1])) for bias in self.biases], -1
+        )
+
+    def member(self, k: int) -> Linearised:
+        """One of a stack."""
+        several = self.residual.shape[0]
+        biases = tuple(
+            SharedBias(
+                bias.name,
+                np.broadcast_to(bias.jacobian, (several, *bias.jacobian.shape[-2:]))[k],
+                bias.correlation_time_s,
+            )
+            for bias in self.biases
+        )
+        return Linearised(self.residual[k], self.H[k], biases, self.noise[k])
+
+    @property
+    def covariance(self) -> Array:
+        """Of the residual where it is seen once, shape (..., m, m): noise and bias."""
+        B = self.bias_jacobian
+        return np.asarray(self.noise + B @ np.swapaxes(B, -1, -2))
+
+
+def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
+    """A measurement about its link's pose."""
+    by_pose = measurement.linearise(link.T_camera_link)
+    own = SharedBias(
+        measurement.bias_name,
+        measurement.bias_jacobian(link.T_camera_link, by_pose.derivative),
+        measurement.correlation_time_s,
+    )
+    H = -(by_pose.derivative @ link.derivative)
+    biases = (own, *measurement.shared_biases(link.T_camera_link))
+    if measurement.delay_std_s > 0.0:
+        by_time = H[..., link.time_column, None] * measurement.delay_std_s
+        biases = (*biases, SharedBias("delay of colour", by_time))
+    return Linearised(by_pose.residual, H, biases, measurement.covariance)
+
+
+def block_diagonal(blocks: Sequence[Array]) -> Array:
+    """Square matrices along the diagonal of one."""
+    size = sum(len(block) for block in blocks)
+    joined = np.zeros((size, size))
+    at = 0
+    for block in blocks:
+        joined[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    return joined
+
+
+TINY_M = 1e-9
+"""Stands in for a deviation of zero."""
+
+
+class ErrorState:
+    """The correction, its error state's covariance `P` with that of the bias states behind it, and their mean.
+
+    The bias states are in units of their deviations.
+    """
+
+    def __init__(self, model: ErrorModel) -> None:
+        self.model = model
+        self.correction = model.no_correction()
+        self.anchor_m: Array = np.zeros(3)
+        self.P: Array = np.zeros((model.size, model.size))
+        self.bias_mean: Array = np.zeros(0)
+        self._bias_slices: dict[str, slice] = {}
+        self._correlation_times_s: Array = np.zeros(0)
+        self._robot: RobotState | None = None
+        self._nominal: NominalFrames | None = None
+        # Links under `_linked`, the correction that they were computed for.
+        self._links: CorrectedLinks | None = None
+        self._linked: Correction | None = None
+
+    @property
+    def robot(self) -> RobotState:
+        """The robot's state now; raises ValueError before the first one."""
+        if self._robot is None:
+            raise ValueError("the filter knows no joints yet: predict comes first")
+        return self._robot
+
+    @property
+    def is_new(self) -> bool:
+        """Whether no robot state was there yet."""
+        return self._robot is None
+
+    def go_to(self, robot: RobotState) -> None:
+        """Take over the robot's state at a new instant: the joints at the time that the correction says."""
+        robot = robot.shifted(self.correction.time_offset_s)
+        self._robot, self._nominal, self._linked = robot, self.model.nominal(robot), None
+
+    def start(self) -> tuple[Array, dict[str, Array]]:
+        """Start from nominal kinematics with the covariance that the profile states; gives that, and with constants."""
+        self.anchor_m = self.model.anchor_m(self.robot)
+        self.correction = self.model.no_correction()
+        prior, with_constants = self.model.prior(self.robot), self.model.prior_with_constants(self.robot)
+        self.reset_bias_states(prior, with_constants)
+        return prior, with_constants
+
+    def retracted(self, x: Array) -> ErrorState:
+        """The state after a step of error state and biases, shape (n,); the covariance stays."""
+        there = copy(self)
+        there.retract(x)
+        return there
+
+    def retract(self, x: Array) -> None:
+        """Take a step of error state and biases, shape (n,), into correction and mean."""
+        size = self.model.size
+        self.correction, self.bias_mean = self.correction.retract(x[:size]), self.bias_mean + x[size:]
+
+    def update_covariance(self, K: Array, H: Array, R: Array) -> None:
+        """The covariance after an update, in Joseph's form."""
+        keep = np.eye(len(self.P)) - K @ H
+        P = keep @ self.P @ keep.T + K @ R @ K.T
+        self.P = 0.5 * (P + P.T)
+
+    def reset_bias_states(self, P: Array, with_constants: Mapping[str, Array]) -> None:
+        """Begin anew with a covariance of the correction, shape (n, n), and no biases of measurements.
+
+        `with_constants` is the correction's covariance, shape (n, k), with constants that had a part in it.
+        """
+        self.P, self.bias_mean = P, np.zeros(0)
+        self._bias_slices, self._correlation_times_s = {}, np.zeros(0)
+        for name, covariance in with_constants.items():
+            self._append(SharedBias(name, covariance))
+            at = self._bias_slices[name]
+            self.P[: self.model.size, at] = covariance
+            self.P[at, : self.model.size] = covariance.T
+
+    def augment_state(self, parts: Sequence[Linearised]) -> None:
+        """The first measurement of a kind, or that a constant matters to, adds its bias, of variance one."""
+        for bias in (bias for part in parts for bias in part.biases):
+            if bias.name not in self._bias_slices:
+                self._append(bias)
+
+    def _append(self, bias: SharedBias) -> None:
+        at, count = len(self.P), bias.jacobian.shape[-1]
+        grown = np.eye(at + count)
+        grown[:at, :at] = self.P
+        self.P = grown
+        self._bias_slices[bias.name] = slice(at, at + count)
+        self.bias_mean = np.concatenate([self.bias_mean, np.zeros(count)])
+        self._correlation_times_s = np.concatenate(
+            [self._correlation_times_s, np.full(count, bias.correlation_time_s)]
+        )
+
+    def bias(self, name: str) -> float:
+        """The mean of a bias of one number, in units of its deviation; 0 for one that is not there."""
+        at = self._bias_slices.get(name)
+        return 0.0 if at is None else float(self.bias_mean[at.start - self.model.size])
+
+    def constants(self) -> Iterator[tuple[str, float]]:
+        """What never changes, as found, in stated deviations from what is stated: calibration and lengths."""
+        for name, at in self._bias_slices.items():
+            places = slice(at.start - self.model.size, at.stop - self.model.size)
+            if np.isinf(self._correlation_times_s[places]).all():
+                for value in self.bias_mean[places]:
+                    yield name, float(value)
+        for value in self.correction.length_m / max(self.model.length_std_m, TINY_M):
+            yield "a length of the chain", float(value)
+
+    def propagate(self, elapsed_s: float) -> None:
+        """Time passes: the correction drifts, biases fade towards their prior, of variance one."""
+        keep = np.exp(-elapsed_s / self._correlation_times_s)
+        keep_error, added_error = self.model.propagation(elapsed_s)
+        factor = np.concatenate([keep_error, keep])
+        added = np.concatenate([added_error, 1.0 - keep**2])
+        self.P = factor[:, None] * self.P * factor + np.diag(added)
+        self.bias_mean = keep * self.bias_mean
+        play = keep_error[self.model.columns.play] * self.correction.play
+        self.correction = replace(self.correction, play=play)
+
+    @property
+    def nominal(self) -> NominalFrames:
+        """What no correction changes of the robot's state now."""
+        if self._nominal is None:
+            self._nominal = self.model.nominal(self.robot)
+        return self._nominal
+
+    def link(self, name: str | None) -> CorrectedLink:
+        """A link under the correction; None is the tool. Computed once for a robot's state and a correction."""
+        if self._links is None or self._linked is not self.correction:
+            self._links = self.model.links(self.nominal, self.correction, self.anchor_m)
+            self._linked = self.correction
+        return self._links.link(name)
+
+    def linearise(self, measurements: Sequence[LinkMeasurement]) -> list[Linearised]:
+        """The measurements about the present state."""
+        return [linearise(measurement, self.link(measurement.link)) for measurement in measurements]
+
+    def innovation(self, part: Linearised) -> tuple[Array, Array, Array]:
+        """How far a measurement is off state and biases, its covariance, and its derivative: (m,), (m, m), (m, n)."""
+        H = self.full_jacobian([part])
+        off = part.residual - H[:, self.model.size :] @ self.bias_mean
+        return off, H @ self.P @ H.T + part.noise, H
+
+    def full_jacobian(self, parts: Sequence[Linearised]) -> Array:
+        """The derivative of the residuals, one below the other, by the whole state, shape (m, n)."""
+        H = np.zeros((sum(len(part.residual) for part in parts), len(self.P)))
+        at = 0
+        for part in parts:
+            rows = slice(at, at + len(part.residual))
+            H[rows, : self.model.size] = part.H
+            for bias in part.biases:
+                H[rows, self._bias_slices[bias.name]] += bias.jacobian
+            at = rows.stop
+        return H

@@ -1,0 +1,184 @@
+"""The pose of the tag on the instrument: of the poses that its corners allow the true one, refined on every pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import cv2
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.geometry.rays import pixel_rays
+from svmdist.least_squares import Steps, minimise
+from svmdist.profile.settings import TagSettings
+from svmdist.samples import Image
+from svmdist.transforms import Array, make_transform, rotation_angle
+from svmdist.vision.tag_overlay import (
+    GREY,
+    LaidPattern,
+    Loss,
+    Overlay,
+    TagPattern,
+    TagPixels,
+    lay_pattern,
+    start_overlay,
+)
+from svmdist.vision.tags import pose_candidates
+
+STEP_LIMIT = np.array([0.2] * 6 + [0.5] + [2.0] * 2)
+"""In tag sides, rad, px of blur and GREY: beyond it the linearisation says nothing."""
+DAMPING = 1e-3
+DEFAULT = TagSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class TagPose:
+    """A tag's pose `T_camera_tag`, shape (4, 4), and the covariance of (δp, δθ), shape (6, 6).
+
+    The error is as in `ToolPose`: p_true = p + δp in m, R_true = exp([δθ]) R, both in the camera frame.
+    `residual` is the root mean square of image less pattern, outliers left out, over the contrast; `blur_px` the
+    image's blur.
+    """
+
+    T_camera_tag: Array
+    covariance: Array
+    residual: float
+    blur_px: float
+
+
+def lay_coarsely(
+    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings = DEFAULT
+) -> LaidPattern | None:
+    """From a first pose to near the minimum, on some of the pixels; None where the pattern does not hold."""
+    some = pixels.thinned(settings.coarse_pixels)
+    start = start_overlay(some, T_camera_tag, pattern, settings)
+    if start is None:
+        return None
+    overlay, std = start
+    loss = Loss(settings.coarse_bound * std, is_biweight=False)
+    return _minimise(some, overlay, pattern, loss, settings, settings.coarse_steps, settings.coarsely_settled)
+
+
+def refine_fit(
+    pixels: TagPixels, coarse: LaidPattern, pattern: TagPattern, settings: TagSettings = DEFAULT
+) -> TagPose | None:
+    """From near the minimum to it, on all pixels but the outliers; None where the pattern does not hold."""
+    loss = Loss(settings.outlier_bound * coarse.std, is_biweight=True)
+    fit = _minimise(pixels, coarse.overlay, pattern, loss, settings, settings.fine_steps, settings.settled)
+    if fit is None:
+        return None
+    T = fit.overlay.T_camera_tag
+    to_camera = np.zeros((6, 6))
+    to_camera[:3, :3] = pattern.size_m * T[:3, :3]
+    to_camera[3:, 3:] = T[:3, :3]
+    covariance = to_camera @ fit.covariance(settings.cluster_inflation)[:6, :6] @ to_camera.T
+    return TagPose(T, covariance, fit.misfit, fit.overlay.blur_px)
+
+
+def _minimise(
+    pixels: TagPixels,
+    start: Overlay,
+    pattern: TagPattern,
+    loss: Loss,
+    settings: TagSettings,
+    max_steps: int,
+    settled: float,
+) -> LaidPattern | None:
+    def linearise(overlay: Overlay) -> LaidPattern | None:
+        return lay_pattern(pixels, overlay, pattern, loss, settings)
+
+    def retract(overlay: Overlay, step: Array) -> Overlay:
+        # Shortened as a whole: blur and contrast, depth and tilt go together.
+        step = step / max(1.0, float(np.max(np.abs(step) / STEP_LIMIT)))
+        T, R = overlay.T_camera_tag, overlay.T_camera_tag[:3, :3]
+        moved = make_transform(R @ cv2.Rodrigues(step[3:6])[0], T[:3, 3] + pattern.size_m * (R @ step[:3]))
+        blur_px = min(max(overlay.blur_px + float(step[6]), settings.blur_min_px), settings.blur_max_px)
+        return Overlay(
+            moved, blur_px, overlay.offset + GREY * float(step[7]), overlay.contrast + GREY * float(step[8])
+        )
+
+    steps = Steps(max_steps, settled=settled, damping=DAMPING)
+    minimum = minimise(start, linearise, retract, steps)
+    return None if minimum is None else cast(LaidPattern, minimum.equations)
+
+
+def on_tag(rays: Array, T_camera_tag: Array) -> Array:
+    """Where rays, shape (n, 3), meet the tag's plane, in its frame, shape (n, 2)."""
+    R, t = T_camera_tag[:3, :3], T_camera_tag[:3, 3]
+    depth = (R[:, 2] @ t) / (rays @ R[:, 2])
+    return np.asarray((depth[:, None] * rays - t) @ R[:, :2])
+
+
+def nudged(T: Array, error: Array) -> Array:
+    """A pose moved by (δp, δθ), shape (6,), both in the camera frame."""
+    return make_transform(cv2.Rodrigues(error[3:])[0] @ T[:3, :3], T[:3, 3] + error[:3])
+
+
+def find_tag_pose(
+    image_grey: Image,
+    corners_px: Array,
+    camera: Camera,
+    pattern: TagPattern,
+    R_camera_tag_predicted: Array | None = None,
+    predicted_std_rad: float = np.inf,
+    settings: TagSettings = DEFAULT,
+) -> TagPose | None:
+    """The pose of a tag with these corners, shape (4, 2), refined on all its pixels.
+
+    None where nothing decides between the two poses that four corners allow. The residual decides where it can; else
+    the one nearest to the predicted rotation, shape (3, 3), is taken. A prediction of which `predicted_std_rad` is
+    small leaves one of them, a third of the work.
+    """
+    candidates = pose_candidates(corners_px, pattern.size_m, camera.K, camera.D)
+    pixels = _pixels_around(image_grey, corners_px, camera, settings.window_margin)
+    T_predicted = _sure_pose(candidates, R_camera_tag_predicted, predicted_std_rad, settings)
+    starts = candidates if T_predicted is None else [T_predicted]
+    fits = [lay_coarsely(pixels, T, pattern, settings) for T in starts]
+    coarse = _choose([fit for fit in fits if fit is not None], R_camera_tag_predicted, settings)
+    return None if coarse is None else refine_fit(pixels, coarse, pattern, settings)
+
+
+def _sure_pose(
+    candidates: list[Array], R_predicted: Array | None, predicted_std_rad: float, settings: TagSettings
+) -> Array | None:
+    """The predicted rotation at the place of the candidate that it is near to; None where it is not sure enough."""
+    if R_predicted is None or not predicted_std_rad < settings.sure_rad or not candidates:
+        return None
+    off_rad = [float(rotation_angle(T[:3, :3], R_predicted)) for T in candidates]
+    if min(off_rad) >= settings.predicted_within_rad:
+        return None
+    return make_transform(R_predicted, candidates[int(np.argmin(off_rad))][:3, 3])
+
+
+def _choose(fits: list[LaidPattern], R_predicted: Array | None, settings: TagSettings) -> LaidPattern | None:
+    """The fit whose residual is clearly smaller, or which the prediction is near to; None where neither tells."""
+    fits = sorted(fits, key=lambda fit: fit.misfit)
+    if len(fits) < 2 or fits[1].misfit > settings.decided_ratio * fits[0].misfit:
+        return fits[0] if fits else None
+    rotations = [fit.overlay.T_camera_tag[:3, :3] for fit in fits]
+    if float(rotation_angle(rotations[0], rotations[1])) < settings.near_rad:
+        return fits[0]
+    if R_predicted is None:
+        return None
+    off_rad = [float(rotation_angle(R, R_predicted)) for R in rotations]
+    nearest = int(np.argmin(off_rad))
+    return fits[nearest] if off_rad[nearest] < settings.predicted_within_rad else None
+
+
+def _pixels_around(image_grey: Image, corners_px: Array, camera: Camera, margin: float) -> TagPixels:
+    """The pixels inside a tag's corners and a margin, over the tag's size, around them."""
+    height, width = image_grey.shape
+    margin_px = margin * float(np.ptp(corners_px, axis=0).max())
+    x0, y0 = np.clip(np.floor(corners_px.min(0) - margin_px), 0, [width - 1, height - 1]).astype(int)
+    x1, y1 = np.clip(np.ceil(corners_px.max(0) + margin_px) + 1, 1, [width, height]).astype(int)
+    # Only what is inside the quadrilateral and its margin can lie on the tag.
+    mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    middle_px = corners_px.mean(0)
+    grown_px = middle_px + (1.0 + 2.0 * margin) * (corners_px - middle_px) - [x0, y0]
+    cv2.fillConvexPoly(mask, np.round(grown_px).astype(np.int32), 255)
+    y, x = np.nonzero(mask)
+    points_px = np.column_stack([x + x0, y + y0]).astype(np.float64)
+    brightness = image_grey[y + y0, x + x0].astype(np.float64)
+    rays = np.ascontiguousarray(pixel_rays(camera, points_px).T)
+    return TagPixels(brightness, rays, float(camera.K[0, 0]))

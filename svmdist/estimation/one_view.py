@@ -1,0 +1,194 @@
+"""The methods of one view: nominal kinematics, the tag on the instrument, and the shaft's silhouette."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from svmdist.errors import ProfileError
+from svmdist.estimation.distances import measured, tracked_tissue, with_tissue
+from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.instrument.error_model import nominal_tool
+from svmdist.estimation.instrument.measurement import EXACT, Deviations
+from svmdist.estimation.instrument.model import wrist_in_tool
+from svmdist.estimation.instrument.tag_pose import TagPose
+from svmdist.estimation.scene import Arm
+from svmdist.estimation.tissue import require_tissue
+from svmdist.estimation.tissue_tracking import TissueTracker
+from svmdist.kinematics.dh import row_index
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.profile import Fiducial, KinematicError
+from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
+from svmdist.samples import Status
+from svmdist.transforms import Array, inverse, skew
+
+if TYPE_CHECKING:
+    from svmdist.estimation.instrument.shaft_detection import ShaftDetection
+
+
+class KinematicEstimator:
+    """`--method kinematic`: nothing of the tool is taken from the image. Keeps the tissue's pose between frames."""
+
+    name = "kinematic"
+    keeps_state = True
+    needs = Needs(scene=("tissue",))
+
+    def __init__(self, arm: Arm) -> None:
+        require_tissue(arm.profile)
+        self._chain = arm.required_chain
+        self._error = arm.profile.kinematic_error
+        self._tissue = TissueTracker(arm.profile.settings.tissue)
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; without joints or a camera-to-base transform there is nothing to say."""
+        tissue, result = tracked_tissue(frame, self._tissue), with_tissue(frame)
+        robot = frame.robot_in_camera
+        if isinstance(robot, Failure):
+            return result.rejected(Status.NO_JOINTS, robot.reason)
+        if tissue is None:
+            return result
+        tool = ToolEstimate(nominal_tool(self._chain, self._error, robot), frame.joints)
+        return measured(result.rejected(Status.OK), frame, tool, tissue)
+
+
+NO_FOCAL_PX = np.ones(2)
+"""Where no deviation asks for it."""
+
+
+def tool_from_tag(
+    tag: TagPose,
+    fiducial: Fiducial,
+    robot: RobotState,
+    error: KinematicError,
+    deviations: Deviations = EXACT,
+    focal_px: Array = NO_FOCAL_PX,
+) -> ToolPose:
+    """The tool's pose from the tag's, through the mounting and the joints behind it.
+
+    `deviations` are those of camera, tag and mounting, whose errors the tag's own covariance does not hold; they need
+    the camera's focal lengths, shape (2,).
+    """
+    T_base_tag = robot.T_base_link(fiducial.link) @ fiducial.T_link_tag
+    T_camera_base = tag.T_camera_tag @ inverse(T_base_tag)
+    T_camera_tool = T_camera_base @ robot.T_base_tool
+    # The tag's turning moves the tool at the end of its arm: δp_tool = δp + δθ x arm.
+    arm_m = T_camera_tool[:3, 3] - tag.T_camera_tag[:3, 3]
+    J = np.eye(6)
+    J[:3, 3:] = -skew(arm_m)
+    constants = sum(
+        (bias.jacobian @ bias.jacobian.T for bias in deviations.of_tag(tag.T_camera_tag, focal_px)),
+        np.zeros((6, 6)),
+    )
+    covariance = J @ (tag.covariance + constants) @ J.T
+    covariance += _joint_covariance(robot, fiducial.link, T_camera_base[:3, :3], error)
+    axis = T_camera_tool[:3, :3] @ wrist_in_tool(robot.chain, robot.q).shaft
+    return ToolPose(T_camera_tool, covariance, axis)
+
+
+def _joint_covariance(robot: RobotState, link: str, R_camera_base: Array, error: KinematicError) -> Array:
+    """What the errors of the joints behind the tag's link do to the tool, shape (6, 6) in the camera frame."""
+    chain, tool_m = robot.chain, robot.T_base_tool[:3, 3]
+    columns, late = [], np.zeros(6)
+    for index in range(row_index(chain, link) + 1, len(chain.rows)):
+        row = chain.rows[index]
+        z, at_m = robot.joint_axes[index]
+        turning, sliding = np.concatenate([np.cross(z, tool_m - at_m), z]), np.concatenate([z, np.zeros(3)])
+        if row.a_m != 0.0:
+            columns.append(error.length_std_m * np.concatenate([robot.frames[index][:3, 0], np.zeros(3)]))
+        if row.joint == "fixed":
+            continue
+        is_turning = row.joint == "revolute"
+        column = turning if is_turning else sliding
+        stds = (
+            (error.joint_std_rad, error.play_std_rad) if is_turning else (error.joint_std_m, error.play_std_m)
+        )
+        columns.append(float(np.hypot(*stds)) * column)
+        late += robot.rates[chain.joint_names.index(row.name)] * column
+    columns.append(error.time_offset_std_s * late)
+    turned = np.array(columns).reshape(-1, 2, 3) @ R_camera_base.T
+    J = turned.reshape(-1, 6).T
+    return np.asarray(J @ J.T)
+
+
+class FiducialEstimator:
+    """`--method fiducial`. Keeps no state between frames."""
+
+    name = "fiducial"
+    keeps_state = False
+    needs = Needs(scene=("tissue", "tags"), tool=("tag",))
+
+    def __init__(self, arm: Arm) -> None:
+        profile = arm.profile
+        if profile.fiducial is None or profile.robot is None:
+            raise ProfileError(
+                f"profile {profile.name} has no {'[fiducial]' if profile.robot else '[robot]'}: the method"
+                " fiducial needs the tag, the link that carries it, and the chain from there to the tool"
+            )
+        require_tissue(profile)
+        self._fiducial = profile.fiducial
+        self._error = profile.kinematic_error
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; a frame that cannot be measured says why."""
+        # The tissue, on the plane that it lies on.
+        result, tissue = with_tissue(frame), frame.scene.tissue
+        if tissue is None or tissue.pose is None:
+            return result
+
+        # The tag: corners, then both poses that they allow, and the one of them that is true.
+        if frame.tool.tag_corners_px is None:
+            return result.rejected(Status.NO_FIDUCIAL)
+        if isinstance(frame.robot, Failure):
+            return result.rejected(Status.NO_JOINTS, frame.robot.reason)
+        tag = frame.tool.tag
+        if tag is None:
+            return result.rejected(Status.AMBIGUOUS_POSE)
+
+        # Through mounting and wrist to the tool, and the distances from there.
+        focal_px = np.diag(frame.left.camera.K)[:2]
+        pose = tool_from_tag(tag, self._fiducial, frame.robot, self._error, frame.arm.deviations, focal_px)
+        return measured(result, frame, ToolEstimate(pose, frame.joints, has_plate=True), tissue.pose)
+
+
+class ShaftEstimator:
+    """`--method shaft`. Keeps between frames whether it saw the tag's plate, and nothing else."""
+
+    name = "shaft"
+    keeps_state = True
+    needs = Needs(scene=("tissue", "tags"), tool=("shaft_fit",))
+
+    def __init__(self, arm: Arm) -> None:
+        profile = arm.profile
+        if profile.segmentation.shaft is None or profile.robot is None or profile.instrument is None:
+            raise ProfileError(
+                f"profile {profile.name} cannot serve the method shaft: it needs [segmentation.shaft], [robot] and"
+                " [instrument]"
+            )
+        require_tissue(profile)
+        self._settings = profile.settings.shaft
+        self._has_plate = False
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; a frame that cannot be measured says why."""
+        # The tissue, on the plane that it lies on.
+        result, tissue = with_tissue(frame), frame.scene.tissue
+        if tissue is None or tissue.pose is None:
+            return result
+
+        # The shaft's edges and end, the distal marker, and the pose that fits them through the wrist.
+        self._has_plate |= frame.tool.tag_corners_px is not None
+        fit = frame.tool.shaft_fit
+        if isinstance(fit, Failure):
+            return result.rejected(_status(frame.tool.shaft), fit.reason)
+        std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
+        farther = max(1.0, float(np.linalg.norm(fit.pose.position_m)) / self._settings.near_m)
+        if not std_m <= farther * self._settings.max_position_std_m:
+            detail = f"the position is uncertain by {std_m * 1e3:.1f} mm"
+            return result.rejected(Status.UNCERTAIN, detail)
+        return measured(result, frame, ToolEstimate(fit.pose, frame.joints, self._has_plate), tissue.pose)
+
+
+def _status(shaft: ShaftDetection) -> Status:
+    """Why there is no pose: both edges were found, and do not tell one; or there is no instrument with two of them."""
+    return Status.UNCERTAIN if len(shaft.contours) == 2 else Status.NO_INSTRUMENT

@@ -1,0 +1,207 @@
+"""The paper's estimator: segment, overlay the virtual marker, find it by ORB, map to the plane, measure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.plane_mapping import PlaneMapping, planar_distance_m
+from svmdist.profile import Features as FeatureRules
+from svmdist.profile import Marker, Profile
+from svmdist.profile.settings import MarkerSettings
+from svmdist.results import Distance, Distances, FrameResult, ImageFindings, as_pixel
+from svmdist.samples import Image, Status
+from svmdist.transforms import Array
+from svmdist.vision.colour import colour_mask
+from svmdist.vision.frame_context import to_grey, to_hsv
+from svmdist.vision.marker import (
+    EDGE_MARGIN_PX,
+    Features,
+    MarkedWindow,
+    detect_orb,
+    fit_homography,
+    is_plausible,
+    match_features,
+    padded_template,
+    paste_marker,
+    square_corners,
+    transfer,
+)
+from svmdist.vision.regions import Region, find_region
+
+
+def locate(frame: Frame) -> tuple[FrameResult, Region | None, Region | None]:
+    """Tissue and instrument by their colours as recorded, and the result so far; rejected if one is missing."""
+    tissue, instrument = frame.tool.regions_as_recorded
+    status = Status.OK
+    if tissue is None or instrument is None:
+        status = Status.NO_TISSUE if tissue is None else Status.NO_INSTRUMENT
+    found = ImageFindings(
+        tool_px=as_pixel(instrument.centroid_px) if instrument else None,
+        tissue_px=as_pixel(tissue.centroid_px) if tissue else None,
+        tool_area_px=instrument.area_px if instrument else None,
+        tissue_area_px=tissue.area_px if tissue else None,
+    )
+    return FrameResult(frame.stamp_ns, status, found), tissue, instrument
+
+
+def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: PlaneMapping) -> FrameResult:
+    """Both places to the plane, and the distance between them; one that is not finite rejects the frame."""
+    distance_m = planar_distance_m(mapping.to_plane_m(tool_px), mapping.to_plane_m(tissue_px))
+    if not math.isfinite(distance_m):
+        return result.rejected(Status.NOT_FINITE)
+    distances = Distances(planar=Distance(distance_m))
+    return replace(result.with_image(tool_px=as_pixel(tool_px)), distances=distances)
+
+
+DEFAULT = MarkerSettings()
+
+SUBPIXEL_BITS = 4
+"""OpenCV draws at 1/16 px with this shift."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerDetection:
+    """The result of the search for the marker: a status, counts and places, None where it did not get that far.
+
+    `keypoint_count` counts ORB's keypoints in the window about the marker. `corners_px` has shape (4, 2) and
+    `centroid_px` shape (2,), both in px of the image.
+    """
+
+    status: Status
+    keypoint_count: int
+    match_count: int | None = None
+    inlier_count: int | None = None
+    corners_px: Array | None = None
+    centroid_px: Array | None = None
+
+
+def template_features(marker: Marker, rules: FeatureRules) -> Features:
+    """ORB features of the marker itself, in px of the marker."""
+    template = padded_template(marker.size_px, EDGE_MARGIN_PX)
+    features = detect_orb(template, rules.feature_count)
+    return replace(features, points_px=features.points_px - EDGE_MARGIN_PX)
+
+
+def mark(image_bgr: Image, centre_px: Array, marker: Marker) -> MarkedWindow:
+    """Paste the marker on an image, shape (h, w, 3), about `centre_px`, shape (2,).
+
+    ORB finds no keypoint within its edge margin of a border, at no level of its pyramid. The marker with this margin
+    is thus all of the image where keypoints of the template can be found again.
+    """
+    return paste_marker(image_bgr, centre_px, marker.size_px, EDGE_MARGIN_PX)
+
+
+def detect_marker(
+    marked: MarkedWindow,
+    template: Features,
+    marker: Marker,
+    rules: FeatureRules,
+    settings: MarkerSettings = DEFAULT,
+) -> MarkerDetection:
+    """Find the marker in its window, draw its outline, and take the outline's centroid by colour."""
+    grey = to_grey(marked.window_bgr)
+    features = detect_orb(grey, rules.feature_count)
+    if len(features) == 0:
+        return MarkerDetection(Status.NO_FEATURES, 0)
+    matches = match_features(template, features, rules.ratio)
+    if len(matches) < rules.min_match_count:
+        return MarkerDetection(Status.TOO_FEW_MATCHES, len(features), len(matches))
+    homography = fit_homography(matches, rules.reprojection_px, settings)
+    if homography is None or not is_plausible(homography.H, marker.size_px, settings):
+        return MarkerDetection(Status.NO_HOMOGRAPHY, len(features), len(matches))
+    corners_px = transfer(homography.H, square_corners(marker.size_px))
+    region = third_contour(marked.window_bgr, corners_px, marker)
+    origin_px = np.array(marked.origin_px, np.float64)
+    return MarkerDetection(
+        Status.NO_OUTLINE if region is None else Status.OK,
+        len(features),
+        len(matches),
+        int(np.count_nonzero(homography.inliers)),
+        corners_px + origin_px,
+        None if region is None else region.centroid_px + origin_px,
+    )
+
+
+def third_contour(window_bgr: Image, corners_px: Array, marker: Marker) -> Region | None:
+    """Draw the outline on a copy of the window and find it again by its colour, behind a gate of 100 px (eqs. 19, 20).
+
+    Only the outline's bounding box is looked at; an outline that leaves the window is cut at its border.
+    """
+    height, width = window_bgr.shape[:2]
+    reach_px = marker.outline_width_px + 1
+    low = np.clip(np.floor(corners_px.min(0)) - reach_px, 0, [width - 1, height - 1])
+    high = np.clip(np.ceil(corners_px.max(0)) + reach_px + 1, 1, [width, height])
+    (x0, y0), (x1, y1) = low.astype(int), high.astype(int)
+    box_bgr = window_bgr[y0:y1, x0:x1].copy()
+    draw_outline(box_bgr, corners_px - low, marker)
+    region = find_region(colour_mask(to_hsv(box_bgr), marker.outline), marker.outline)
+    if region is None:
+        return None
+    return replace(region, centroid_px=region.centroid_px + low, hull=region.hull + low.astype(np.int32))
+
+
+def draw_outline(image_bgr: Image, corners_px: Array, marker: Marker) -> None:
+    """Draw the polyline of the outline into an image, in place, at sub-pixel corners of shape (4, 2)."""
+    fixed = np.round(corners_px * (1 << SUBPIXEL_BITS)).astype(np.int32)
+    cv2.polylines(
+        image_bgr, [fixed], True, marker.outline_bgr, marker.outline_width_px, cv2.LINE_8, SUBPIXEL_BITS
+    )
+
+
+class OverlayEstimator:
+    """`--method overlay`: the paper's three phases. Keeps no state between frames."""
+
+    name = "overlay"
+    needs = Needs(tool=("regions_as_recorded",), robot=False)
+    keeps_state = False
+
+    def __init__(self, profile: Profile, mapping: PlaneMapping) -> None:
+        self._marker = profile.marker
+        self._rules = profile.features
+        self._settings = profile.settings.marker
+        self._mapping = mapping
+        self._template = template_features(profile.marker, profile.features)
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; a frame that cannot be measured says why."""
+        # First phase: tissue, instrument, marker on the instrument.
+        result, tissue, instrument = locate(frame)
+        if tissue is None or instrument is None:
+            return result
+        marked = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, self._marker)
+
+        # Second phase: features, matches, homography, outline.  Final phase: third contour.
+        found = detect_marker(marked, self._template, self._marker, self._rules, self._settings)
+        result = result.with_image(
+            keypoint_count=found.keypoint_count,
+            match_count=found.match_count,
+            inlier_count=found.inlier_count,
+        )
+        if found.status is not Status.OK or found.centroid_px is None:
+            return result.rejected(found.status)
+
+        # Both places to the plane, and the distance between them.
+        return in_plane(result, found.centroid_px, tissue.centroid_px, self._mapping)
+
+
+class CentroidEstimator:
+    """`--method centroid`: the instrument's centroid is the tool's position. Keeps no state between frames."""
+
+    name = "centroid"
+    needs = Needs(tool=("regions_as_recorded",), robot=False)
+    keeps_state = False
+
+    def __init__(self, mapping: PlaneMapping) -> None:
+        self._mapping = mapping
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; a frame that cannot be measured says why."""
+        result, tissue, instrument = locate(frame)
+        if tissue is None or instrument is None:
+            return result
+        return in_plane(result, instrument.centroid_px, tissue.centroid_px, self._mapping)

@@ -1,0 +1,302 @@
+"""The paper's mapping from screen to plane, eqs. (3)-(6) and (21)-(27), and the calibration file that refits it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import tomli_w
+from pydantic import Field
+
+from svmdist.camera import Camera
+from svmdist.errors import CalibrationError
+from svmdist.files import write_atomically
+from svmdist.profile.toml import MIN_NUMBER, StrictModel, parse_toml
+from svmdist.transforms import Array
+
+Equations = Literal["corrected", "printed"]
+
+CM_PER_PIXEL = 0.0254
+"""One pixel at 100 dpi: 2.54 cm / 100, which eqs. (3) and (4) give as 0.0245 cm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quadratic:
+    """q S² + l S + c: from screen to plane along one axis, both in cm."""
+
+    quadratic_per_cm: float
+    linear: float
+    constant_cm: float
+
+    def __call__(self, screen_cm: Array | float) -> Array | float:
+        """Evaluate at screen coordinates in cm."""
+        return (self.quadratic_per_cm * screen_cm + self.linear) * screen_cm + self.constant_cm
+
+    def turning_point_cm(self) -> float:
+        """The screen coordinate in cm where the mapping turns around; infinite for a straight line."""
+        if self.quadratic_per_cm == 0.0:
+            return float("inf")
+        return -self.linear / (2.0 * self.quadratic_per_cm)
+
+
+PUBLISHED_X = Quadratic(-0.0036, 0.7938, -0.0403)
+"""eq. (5), and (23). Its slope near S = 0 fits the authors' camera; units are unstated, cm is assumed."""
+
+PUBLISHED_Y = Quadratic(-0.0068, 0.0395, -0.4439)
+"""eq. (6), and (24). Not monotone over the screen: with corrected S it turns around at row 114."""
+
+
+def screen_cm_as_published(pixel: Array | float) -> Array | float:
+    """eqs. (3) and (4) as published: S = (1 - T * 2.54) / 100, from +0.01 to -16.2 over 640 px."""
+    return (1.0 - np.asarray(pixel) * 2.54) / 100.0
+
+
+def screen_cm_corrected(pixel: Array | float) -> Array | float:
+    """eqs. (3) and (4) corrected: S = 0.0254 T cm, one pixel at 100 dpi."""
+    return CM_PER_PIXEL * np.asarray(pixel)
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneMapping:
+    """From pixels to the camera's xy plane: eqs. (3)–(6) in one reading, with one quadratic per axis."""
+
+    equations: Equations
+    x: Quadratic
+    y: Quadratic
+
+    def to_plane_m(self, point_px: Array) -> Array:
+        """Map pixels, shape (..., 2), to plane coordinates in m, shape (..., 2)."""
+        screen = screen_cm_as_published if self.equations == "printed" else screen_cm_corrected
+        x_cm = self.x(screen(point_px[..., 0]))
+        y_cm = self.y(screen(point_px[..., 1]))
+        return np.stack([x_cm, y_cm], -1) / 100.0
+
+
+PUBLISHED_MAPPING = PlaneMapping("printed", PUBLISHED_X, PUBLISHED_Y)
+
+
+def planar_distance_m(tool_m: Array, tissue_m: Array) -> float:
+    """eqs. (25)–(27): Euclidean distance in the plane, m, between points of shape (2,).
+
+    The constants of the quadratics cancel in the difference. Depth is not in it: see `spatial_m`.
+    """
+    x_e, y_e = tool_m - tissue_m  # eqs. (25), (26); "GC" there is "GP"
+    return float(np.hypot(x_e, y_e))
+
+
+def degeneracies(mapping: PlaneMapping, width_px: int, height_px: int) -> list[str]:
+    """Say in sentences where a mapping cannot be right for an image of this size."""
+    warnings = []
+    if mapping.equations == "printed":
+        low, high = float(screen_cm_as_published(width_px - 1)), float(screen_cm_as_published(0))
+        warnings.append(
+            f"eqs. (3), (4) as printed: S runs from {high:+.2f} to {low:+.1f} cm over {width_px} px;"
+            " a pixel is 0.0254 cm there, not 0.0245"
+        )
+    for name, quadratic, size_px in (("(5), (23)", mapping.x, width_px), ("(6), (24)", mapping.y, height_px)):
+        row = _turning_pixel(mapping, quadratic)
+        if 0 <= row < size_px:
+            warnings.append(
+                f"eqs. {name} turn around at pixel {row:.0f} of {size_px}: positions on both sides of it"
+                " are mapped to the same place"
+            )
+    return warnings
+
+
+def _turning_pixel(mapping: PlaneMapping, quadratic: Quadratic) -> float:
+    turning_cm = quadratic.turning_point_cm()
+    if mapping.equations == "printed":
+        return (1.0 - turning_cm * 100.0) / 2.54
+    return turning_cm / CM_PER_PIXEL
+
+
+MIN_SAMPLE_COUNT = 12
+"""Four per coefficient: fewer leave the residuals without meaning."""
+
+
+class QuadraticModel(StrictModel):
+    """`Quadratic` as it stands in the file."""
+
+    quadratic_per_cm: float
+    linear: float
+    constant_cm: float
+
+    def to_quadratic(self) -> Quadratic:
+        """The quadratic to evaluate."""
+        return Quadratic(self.quadratic_per_cm, self.linear, self.constant_cm)
+
+
+class CameraModel(StrictModel):
+    """Size, focal lengths, principal point and distortion of the camera that was calibrated."""
+
+    width_px: int = Field(gt=0)
+    height_px: int = Field(gt=0)
+    fx_px: float = Field(gt=0)
+    fy_px: float = Field(gt=0)
+    cx_px: float
+    cy_px: float
+    distortion: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, camera: Camera) -> CameraModel:
+        """Describe a camera."""
+        return cls(
+            width_px=camera.width_px,
+            height_px=camera.height_px,
+            fx_px=float(camera.K[0, 0]),
+            fy_px=float(camera.K[1, 1]),
+            cx_px=float(camera.K[0, 2]),
+            cy_px=float(camera.K[1, 2]),
+            distortion=tuple(float(value) for value in camera.D),
+        )
+
+    def to_camera(self) -> Camera:
+        """The camera described."""
+        K = np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+        return Camera(self.width_px, self.height_px, K, np.array(self.distortion))
+
+
+class Fit(StrictModel):
+    """How well the quadratics fit their samples, in m, and the pixels that the samples span."""
+
+    sample_count: int = Field(ge=1)
+    rmse_x_m: float
+    rmse_y_m: float
+    max_error_m: float
+    span_x_px: tuple[float, float]
+    span_y_px: tuple[float, float]
+
+
+class SourceFile(StrictModel):
+    """A recording that the fit used."""
+
+    name: str
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+
+
+class Calibration(StrictModel):
+    """A whole calibration file."""
+
+    schema_: Literal["svmdist.calibration/1"] = Field(alias="schema")
+    method: str
+    created_by: str
+    camera: CameraModel
+    x: QuadraticModel
+    y: QuadraticModel
+    fit: Fit
+    sources: tuple[SourceFile, ...] = Field(min_length=1)
+
+    @property
+    def mapping(self) -> PlaneMapping:
+        """The corrected mapping with this calibration's quadratics."""
+        return PlaneMapping("corrected", self.x.to_quadratic(), self.y.to_quadratic())
+
+    def require_camera(self, camera: Camera, recording_name: str) -> None:
+        """Raise CalibrationError unless a recording's camera is the calibrated one, to 0.01 px."""
+        mine = self.camera.to_camera()
+        if not mine.same_optics(camera, tolerance_px=0.01):
+            raise CalibrationError(
+                f"{recording_name}: the calibration is for another camera: expected {_describe(mine)},"
+                f" found {_describe(camera)}; make one with `svmdist calibrate`"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationSamples:
+    """Where the tool was seen, shape (n, 2) in px, and where it truly was in the camera's plane, (n, 2) in m."""
+
+    tool_px: Array
+    tool_m: Array
+
+
+def fit_calibration(
+    samples: CalibrationSamples, camera: Camera, method: str, created_by: str, sources: tuple[SourceFile, ...]
+) -> Calibration:
+    """Fit eqs. (5) and (6) by least squares, one quadratic per axis.
+
+    Raises CalibrationError for too few samples, for samples that span too little of the image to carry a
+    quadratic, and for a camera without focal length, as logs of uncalibrated cameras have it.
+    """
+    if not (np.all(np.isfinite(camera.K)) and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
+        raise CalibrationError(
+            "expected a camera with intrinsics to calibrate: found"
+            f" fx_px = {camera.K[0, 0]:g}, fy_px = {camera.K[1, 1]:g}"
+        )
+    count = len(samples.tool_px)
+    if count < MIN_SAMPLE_COUNT:
+        raise CalibrationError(
+            f"expected at least {MIN_SAMPLE_COUNT} measured frames to calibrate, found {count}"
+        )
+    for axis, size_px in ((0, camera.width_px), (1, camera.height_px)):
+        span = float(np.ptp(samples.tool_px[:, axis]))
+        if span < 0.25 * size_px:
+            raise CalibrationError(
+                f"the tool must cover at least a quarter of the image: along {'xy'[axis]} it covers"
+                f" {span:.0f} of {size_px} px"
+            )
+    x, residual_x = _fit_axis(samples, 0)
+    y, residual_y = _fit_axis(samples, 1)
+    return Calibration(
+        schema="svmdist.calibration/1",
+        method=method,
+        created_by=created_by,
+        camera=CameraModel.of(camera),
+        x=x,
+        y=y,
+        fit=Fit(
+            sample_count=count,
+            rmse_x_m=_stored(np.sqrt(np.mean(residual_x**2))),
+            rmse_y_m=_stored(np.sqrt(np.mean(residual_y**2))),
+            max_error_m=_stored(np.max(np.hypot(residual_x, residual_y))),
+            span_x_px=(float(samples.tool_px[:, 0].min()), float(samples.tool_px[:, 0].max())),
+            span_y_px=(float(samples.tool_px[:, 1].min()), float(samples.tool_px[:, 1].max())),
+        ),
+        sources=sources,
+    )
+
+
+def load_calibration(path: Path) -> Calibration:
+    """Read a calibration file and check it; raises CalibrationError that names the file and the key."""
+    return parse_toml(path, Calibration, CalibrationError)
+
+
+def save_calibration(calibration: Calibration, path: Path) -> None:
+    """Write a calibration file; raises OutputError where that fails."""
+    write_atomically(path, [tomli_w.dumps(calibration.model_dump(mode="json", by_alias=True))])
+
+
+def _fit_axis(samples: CalibrationSamples, axis: int) -> tuple[QuadraticModel, Array]:
+    screen_cm = np.asarray(screen_cm_corrected(samples.tool_px[:, axis]))
+    truth_cm = samples.tool_m[:, axis] * 100.0
+    # Fitted about the middle of the samples: S and S² are nearly parallel over an image otherwise.
+    middle_cm = float(screen_cm.mean())
+    fitted, (_, rank, _, _) = np.polynomial.polynomial.polyfit(screen_cm - middle_cm, truth_cm, 2, full=True)
+    if rank < 3:
+        raise CalibrationError(
+            f"the tool must be seen at three places or more to fit a quadratic: along {'xy'[axis]} it is seen"
+            f" at {len(np.unique(screen_cm))}"
+        )
+    constant, linear, q = fitted
+    model = QuadraticModel(
+        quadratic_per_cm=_stored(q),
+        linear=_stored(linear - 2.0 * q * middle_cm),
+        constant_cm=_stored(constant - linear * middle_cm + q * middle_cm**2),
+    )
+    predicted_cm = np.asarray(model.to_quadratic()(screen_cm))
+    return model, (predicted_cm - truth_cm) / 100.0
+
+
+def _stored(value: float) -> float:
+    """A number as a file holds it: a size that no file may hold has no effect, and is 0."""
+    return 0.0 if abs(value) < MIN_NUMBER else float(value)
+
+
+def _describe(camera: Camera) -> str:
+    K = camera.K
+    distortion = ", ".join(f"{value:g}" for value in np.trim_zeros(camera.D, "b"))
+    return (
+        f"{camera.width_px}x{camera.height_px} with fx {K[0, 0]:.2f}, fy {K[1, 1]:.2f},"
+        f" cx {K[0, 2]:.2f}, cy {K[1, 2]:.2f} px and {f'distortion {distortion}' if distortion else 'no distortion'}"
+    )

@@ -1,0 +1,248 @@
+"""The tissue in an image: its region, its completed outline, and where it lies on the known plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.errors import ProfileError
+from svmdist.estimation.dome import DomeModel
+from svmdist.estimation.instrument.measurement import EXACT, SharedBias
+from svmdist.geometry.mesh_files import read_closed_mesh
+from svmdist.geometry.rays import meet_plane, pixel_rays
+from svmdist.geometry.surfaces import Mesh, Plane, Surface
+from svmdist.profile import AreaGate, CameraError, Profile, Tissue
+from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT
+from svmdist.profile.settings import OutlineSettings
+from svmdist.samples import Image
+from svmdist.transforms import Array, make_transform
+from svmdist.vision.regions import CompletedOutline, Region, complete_outline, find_region
+from svmdist.vision.segmentation import Masks
+
+METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+ACROSS = 0.99
+"""Cosine between normal and axis from which on the axis has no direction on the plane."""
+
+
+@dataclass(frozen=True, slots=True)
+class TissuePose:
+    """The tissue's origin in the camera frame, shape (3,) in m, with covariance (3, 3), and its surface there.
+
+    `outline_covariance` is the part of that covariance that is the outline's own, without the plane's.
+    `surface_std_m` is how far the surface may stand off the real one, beside the origin's error and what a `dome`,
+    where the surface is one, states of its own shape.
+    """
+
+    position_m: Array
+    covariance: Array
+    surface: Surface
+    surface_std_m: float = 0.0
+    dome: DomeModel | None = None
+    outline_covariance: Array | None = None
+
+    @property
+    def own_covariance(self) -> Array:
+        """The outline's own part of the covariance, shape (3, 3); all of it where that is not known."""
+        return self.covariance if self.outline_covariance is None else self.outline_covariance
+
+    def scaled(self, factor: float) -> TissuePose:
+        """The same on a parallel plane that is by this factor as far: all of it goes along the camera's rays."""
+        dome = None if self.dome is None else self.dome.scaled(factor)
+        surface: Surface = self.surface
+        if dome is not None:
+            surface = dome.mesh()
+        elif isinstance(surface, Plane):
+            surface = Plane(surface.normal, surface.offset_m * factor)
+        elif isinstance(surface, Mesh):
+            surface = surface.transformed(make_transform(np.eye(3), (factor - 1.0) * self.position_m))
+        return replace(self, position_m=factor * self.position_m, surface=surface, dome=dome)
+
+    def with_dome(self, dome: DomeModel) -> TissuePose:
+        """The same place under a dome of another shape."""
+        return replace(self, surface=dome.mesh(), dome=dome)
+
+    def surface_variance_m2(self, point_m: Array, direction: Array) -> float:
+        """By how much the surface may stand off at one of its points, shape (3,), along a unit vector, shape (3,)."""
+        variance_m2 = self.surface_std_m**2
+        return variance_m2 if self.dome is None else variance_m2 + self.dome.variance_m2(point_m, direction)
+
+
+def require_tissue(profile: Profile) -> Tissue:
+    """The profile's tissue; raises ProfileError where it has none, or a mesh that cannot be used."""
+    if profile.tissue is None:
+        raise ProfileError(
+            f"profile {profile.name} has no [tissue]: a distance in 3D from one camera needs the plane that the"
+            " tissue lies on (plane_normal, plane_distance_m)"
+        )
+    if profile.tissue.mesh is not None:
+        tissue_mesh(profile.tissue)  # read once, and told of before the first frame if it cannot be
+    return profile.tissue
+
+
+def tissue_pose(
+    outline: CompletedOutline, camera: Camera, tissue: Tissue, error: CameraError = EXACT.camera
+) -> TissuePose | None:
+    """Place tissue and surface by an outline; None where its centroid's ray does not meet the plane.
+
+    `error` is how wrong the camera's calibration may be.
+    """
+    plane = tissue_plane(tissue)
+    position_m = meet_plane(pixel_rays(camera, outline.centroid_px), plane)[0]
+    if not np.all(np.isfinite(position_m)):
+        return None
+    of_outline, covariance = _position_covariance(position_m, outline, camera, plane, tissue)
+    covariance = covariance + _of_camera(position_m, camera, plane, error)
+    dome = _dome(position_m, outline, camera, plane, tissue)
+    if dome is not None:
+        return TissuePose(position_m, covariance, dome.mesh(), tissue.surface_std_m, dome, of_outline)
+    surface: Surface = plane
+    if tissue.mesh is not None:
+        surface = tissue_mesh(tissue).transformed(
+            tissue_frame(position_m, plane.normal) @ tissue.T_tissue_mesh
+        )
+    return TissuePose(position_m, covariance, surface, tissue.surface_std_m, None, of_outline)
+
+
+def tissue_plane(tissue: Tissue) -> Plane:
+    """The profile's plane, the tissue's side below it."""
+    return Plane(np.array(tissue.plane_normal), -tissue.plane_distance_m)
+
+
+def tissue_frame(origin_m: Array, normal: Array) -> Array:
+    """`T_camera_tissue`, shape (4, 4): z along the plane's normal, x the camera's x axis laid onto the plane.
+
+    Of a plane that stands across the camera's x axis, the camera's y axis takes its place.
+    """
+    along = np.eye(3)[0 if abs(normal[0]) < ACROSS else 1]
+    x = along - normal * float(normal @ along)
+    x /= np.linalg.norm(x)
+    return make_transform(np.stack([x, np.cross(normal, x), normal], -1), origin_m)
+
+
+def tissue_mesh(tissue: Tissue) -> Mesh:
+    """The profile's mesh in its own frame, in m; raises ProfileError where its file cannot be used."""
+    if tissue.mesh is None:
+        raise ProfileError("the profile has no tissue.mesh")
+    return read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
+
+
+def _dome(
+    position_m: Array, outline: CompletedOutline, camera: Camera, plane: Plane, tissue: Tissue
+) -> DomeModel | None:
+    if tissue.dome is None:
+        return None
+    outline_m = meet_plane(pixel_rays(camera, outline.curve_px), plane)
+    if not np.all(np.isfinite(outline_m)) or len(outline_m) < 3:
+        return None
+    return DomeModel.over(outline_m, tissue_frame(position_m, plane.normal), tissue.dome)
+
+
+def _of_camera(position_m: Array, camera: Camera, plane: Plane, error: CameraError) -> Array:
+    """What focal length and principal point do to where the outline's ray meets the plane, as a covariance (3, 3)."""
+    J = np.concatenate([bias.jacobian for bias in ray_on_plane_biases(position_m, plane, camera, error)], -1)
+    return np.asarray(J @ J.T)
+
+
+def ray_on_plane_biases(
+    position_m: Array, plane: Plane, camera: Camera, error: CameraError
+) -> tuple[SharedBias, SharedBias]:
+    """What focal length and principal point do to where a ray meets a plane, at `position_m`: Jacobians (3, k).
+
+    X = offset r / (n · r) for the ray r: a longer focal length brings it towards the optical axis.
+    """
+    ray = position_m / position_m[2]
+    slope = float(plane.normal @ ray)
+    by_ray = plane.offset_m * (np.eye(3) / slope - np.outer(ray, plane.normal) / slope**2)
+    focal = -error.focal_std_fraction * by_ray @ (ray * np.array([1.0, 1.0, 0.0]))
+    centre = -error.centre_std_px * by_ray[:, :2] / np.diag(camera.K)[:2]
+    return SharedBias(FOCAL_LENGTH, focal[:, None]), SharedBias(PRINCIPAL_POINT, centre)
+
+
+def _position_covariance(
+    position_m: Array, outline: CompletedOutline, camera: Camera, plane: Plane, tissue: Tissue
+) -> tuple[Array, Array]:
+    """Of the outline's pixels alone, and with the plane's distance and tilt, to first order: X = offset / (n · r) r."""
+    ray = position_m / position_m[2]
+    slope = float(plane.normal @ ray)
+    nudged = pixel_rays(
+        camera, outline.centroid_px + np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+    )
+    on_plane = meet_plane(nudged, plane)
+    J_px = np.stack([on_plane[0] - on_plane[1], on_plane[2] - on_plane[3]], -1)
+    of_outline = J_px @ outline.covariance_px2 @ J_px.T
+    along = ray / slope  # dX by the offset
+    variance_m2 = tissue.plane_distance_std_m**2 + tissue.motion_std_m**2
+    covariance = of_outline + variance_m2 * np.outer(along, along)
+    # A tilt about the foot of the camera's perpendicular moves the plane at X by tilt · (X - foot).
+    from_foot = position_m - plane.offset_m * plane.normal
+    arm2_m2 = float(from_foot @ from_foot) * tissue.plane_tilt_std_rad**2
+    return np.asarray(of_outline), np.asarray(covariance + arm2_m2 * np.outer(along, along))
+
+
+RING_PX = 3
+"""What lies this close to a part surrounds it."""
+
+
+@dataclass(frozen=True, slots=True)
+class TissueDetection:
+    """What an image shows of the tissue; `pose` is None where the outline's rays do not meet the plane."""
+
+    region: Region
+    outline: CompletedOutline
+    pose: TissuePose | None
+
+
+def detect_tissue(masks: Masks, profile: Profile, camera: Camera) -> TissueDetection | None:
+    """Find the tissue in an image's masks and place it in 3D; None where no region passes the gate.
+
+    Raises ProfileError where the profile knows no plane.
+    """
+    tissue = require_tissue(profile)
+    # The region's own centroid would complete the outline a first time.
+    rule = profile.segmentation.tissue.model_copy(update={"occlusion": "hull"})
+    mask, settings = masks.tissue, profile.settings.outline
+    region = find_region(mask, rule, settings)
+    if region is not None and region.part_count > 1 and masks.shaft is not None:
+        mask = _without_blood(mask, masks.shaft, region.area_px, settings)
+        region = find_region(mask, rule, settings)
+    if region is None:
+        return None
+    outline = complete_outline(mask, region.hull, settings)
+    if region.part_count > 1:
+        outline = _with_doubt(outline, mask, rule, settings)
+    return TissueDetection(region, outline, tissue_pose(outline, camera, tissue, profile.camera_error))
+
+
+def _with_doubt(
+    outline: CompletedOutline, mask: Image, rule: AreaGate, settings: OutlineSettings
+) -> CompletedOutline:
+    """The outline, as uncertain as its centroid depends on whether the smaller parts belong to it."""
+    largest = find_region(mask, rule.model_copy(update={"components": "largest"}), settings)
+    if largest is None:
+        return outline
+    off_px = complete_outline(mask, largest.hull, settings).centroid_px - outline.centroid_px
+    return replace(outline, covariance_px2=outline.covariance_px2 + np.outer(off_px, off_px))
+
+
+def _without_blood(mask: Image, shaft: Image, area_px: int, settings: OutlineSettings) -> Image:
+    """The mask, shape (h, w), without small parts that the instrument's dark shaft surrounds.
+
+    Blood on an instrument is as red as tissue, and far from it. What an instrument cuts off the tissue has the shaft on
+    one side only.
+    """
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    kept = mask.copy()
+    for label in range(1, count):
+        x, y, width, height, size_px = statistics[label]
+        if size_px > settings.blood_fraction * area_px:
+            continue
+        box = np.s_[max(0, y - RING_PX) : y + height + RING_PX, max(0, x - RING_PX) : x + width + RING_PX]
+        part = (labels[box] == label).astype(np.uint8)
+        ring = cv2.dilate(part, np.ones((2 * RING_PX + 1, 2 * RING_PX + 1), np.uint8)) - part
+        on_shaft = np.count_nonzero(ring & (shaft[box] > 0))
+        if on_shaft > settings.blood_ring_fraction * np.count_nonzero(ring):
+            kept[box][part > 0] = 0
+    return kept

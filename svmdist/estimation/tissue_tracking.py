@@ -1,0 +1,300 @@
+"""The tissue over time: its place by its outline, its height over the profile's plane by stereo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.estimation.dome import SHAPE_SIZE, DomeModel, fit_dome
+from svmdist.estimation.frame import Frame
+from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
+from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
+from svmdist.estimation.instrument.measurement import Deviations, SharedBias
+from svmdist.estimation.instrument.state import Linearised
+from svmdist.estimation.scene import Arm
+from svmdist.estimation.surface import StereoSurface
+from svmdist.estimation.tissue import TissuePose, ray_on_plane_biases, require_tissue, tissue_plane
+from svmdist.geometry.surfaces import Plane
+from svmdist.least_squares import median
+from svmdist.profile import Tissue
+from svmdist.profile.settings import StereoSettings, TissueTrackingSettings
+from svmdist.samples import RightView
+from svmdist.transforms import Array, inverse
+
+DEFAULT = TissueTrackingSettings()
+TINY_M2 = 1e-14
+"""Added to covariances of poses that lie on one plane, so that they have an inverse."""
+
+
+@dataclass
+class CorrelatedMean:
+    """A weighted mean of measurements, shape (n,), that err alike, with so many degrees of freedom each.
+
+    Its covariance is the mean's of one measurement (the harmonic mean of all), never smaller for their number. Where
+    they scatter more than they say of themselves, as under blur and noise, it grows by as much (Birge 1932).
+    """
+
+    degrees_of_freedom: int
+    settings: TissueTrackingSettings = DEFAULT
+    count: float = 0.0
+    _information: Array | None = None
+    _weighted: Array | None = None
+    _squares: float = 0.0
+
+    def add(self, value: Array, covariance: Array) -> None:
+        """Take up a measurement; earlier ones fade."""
+        size = len(value)
+        weight = np.asarray(np.linalg.inv(covariance + TINY_M2 * np.eye(size)), np.float64)
+        if self._information is None or self._weighted is None:
+            self._information, self._weighted = np.zeros((size, size)), np.zeros(size)
+        fade = 1.0 - 1.0 / self.settings.memory_count
+        self._information = fade * self._information + weight
+        self._weighted = fade * self._weighted + weight @ value
+        self._squares = fade * self._squares + float(value @ weight @ value)
+        self.count = fade * self.count + 1.0
+
+    def now(self) -> tuple[Array, Array] | None:
+        """Mean and covariance; None before the first measurement."""
+        if self._information is None or self._weighted is None:
+            return None
+        spread = np.linalg.inv(self._information)
+        mean = np.asarray(spread @ self._weighted, np.float64)
+        excess = 1.0
+        if self.count >= self.settings.min_scatter_count:
+            scatter = self._squares - float(self._weighted @ mean)
+            excess = max(1.0, scatter / (self.degrees_of_freedom * (self.count - 1.0)))
+        return mean, np.asarray(excess * self.count * spread, np.float64)
+
+
+class TissueTracker:
+    """The tissue's pose, which a wild detection does not enter, and its dome's shape, where frames show it."""
+
+    def __init__(self, settings: TissueTrackingSettings = DEFAULT) -> None:
+        self._settings = settings
+        self._outlier_count = 0
+        self._frame_count = 0
+        self._best: TissuePose | None = None
+        # A pose has two degrees of freedom of its own, on the plane; a dome has five of shape.
+        self._place = CorrelatedMean(2, settings)
+        self._shape = CorrelatedMean(SHAPE_SIZE, settings)
+
+    @property
+    def wants_shape(self) -> bool:
+        """Whether another view of the dome's shape is worth its time."""
+        every = self._settings.shape_count
+        return self._frame_count < every or self._frame_count % every == 0
+
+    def add_shape(self, dome: DomeModel) -> None:
+        """Take up a dome as stereo shows it."""
+        self._shape.add(dome.shape, dome.covariance)
+
+    def add(self, pose: TissuePose | None) -> TissuePose | None:
+        """Take up a frame's pose, if it has one; gives the tissue as known then."""
+        if pose is None:
+            return self.now()
+        if not self._agrees(pose):
+            self._outlier_count += 1
+            if self._outlier_count < self._settings.moved_count:
+                return self.now()
+            self._best, self._frame_count = None, 0
+            self._place, self._shape = (
+                CorrelatedMean(2, self._settings),
+                CorrelatedMean(SHAPE_SIZE, self._settings),
+            )
+        self._outlier_count = 0
+        self._frame_count += 1
+        self._place.add(pose.position_m, pose.own_covariance)
+        if self._best is None or np.trace(pose.own_covariance) <= np.trace(self._best.own_covariance):
+            self._best = pose
+        return self.now()
+
+    def now(self) -> TissuePose | None:
+        """The tissue as it is known; None before the first pose."""
+        place = self._place.now()
+        if self._best is None or place is None:
+            return None
+        # Outlines differ from frame to frame and are averaged; the plane is as uncertain in all of them.
+        position_m, of_outline = place
+        covariance = of_outline + self._best.covariance - self._best.own_covariance
+        known = replace(
+            self._best, position_m=position_m, covariance=covariance, outline_covariance=of_outline
+        )
+        shape = self._shape.now()
+        return known if shape is None or known.dome is None else known.with_dome(known.dome.shaped(*shape))
+
+    def _agrees(self, pose: TissuePose) -> bool:
+        place = self._place.now()
+        if place is None:
+            return True
+        position_m, covariance = place
+        offset_m = pose.position_m - position_m
+        nis = offset_m @ np.linalg.solve(pose.own_covariance + covariance + TINY_M2 * np.eye(3), offset_m)
+        return bool(nis <= chi_square_bound(3, self._settings.gate_z))
+
+
+MIN_POINTS = 50
+"""Of a surface inside of the dome's rim: fewer are no view of it."""
+OUTLINE = "tissue height"
+
+
+@dataclass(frozen=True, slots=True)
+class TissueHeight:
+    """What is uncertain about the plane's distance at the tissue: constant and motion, as deviations in m."""
+
+    constant_std_m: float
+    motion_std_m: float
+    motion_time_s: float
+
+    @classmethod
+    def of(cls, tissue: Tissue, position_m: Array) -> TissueHeight:
+        """At a place on the plane, shape (3,): a tilt lifts what lies beside the foot of the camera's perpendicular."""
+        normal = np.array(tissue.plane_normal)
+        beside_m = position_m + tissue.plane_distance_m * normal
+        tilt_m = tissue.plane_tilt_std_rad * float(np.linalg.norm(beside_m))
+        constant = float(np.hypot(tissue.plane_distance_std_m, tilt_m))
+        return cls(constant, tissue.motion_std_m, tissue.motion_time_s)
+
+    def biases(self, by_height: Array) -> tuple[SharedBias, ...]:
+        """Of what a height in m moves by `by_height`, shape (m,)."""
+        column = by_height[:, None]
+        return (
+            SharedBias("tissue plane", self.constant_std_m * column),
+            SharedBias("tissue motion", self.motion_std_m * column, self.motion_time_s),
+        )
+
+    def in_m(self, plane: float, motion: float) -> float:
+        """The height in m of both biases, in units of their deviations."""
+        return self.constant_std_m * plane + self.motion_std_m * motion
+
+
+def measured_height(
+    surface: StereoSurface,
+    dome: DomeModel,
+    height: TissueHeight,
+    camera: Camera,
+    right: RightView,
+    deviations: Deviations,
+    stereo: StereoSettings,
+    tracking: TissueTrackingSettings,
+) -> tuple[Linearised, float] | None:
+    """The height over the dome where the profile has it, as a measurement, and in m; None where too little is seen.
+
+    A surface by stereo errs by as much over all of the tissue as its texture misleads the matching: the larger part
+    of that lasts.
+    """
+    points_m = dome.to_tissue_frame(surface.points_m)
+    inner = dome.normalised_radius(points_m[:, :2], dome.shape[:2]) < stereo.inner_radius
+    if np.count_nonzero(inner) < MIN_POINTS:
+        return None
+    over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
+    at_m = np.median(surface.points_m[inner], 0)
+    # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
+    along_normal = abs(float(dome.T_camera_tissue[2, 2]))
+    stereo_biases = (bias.scaled(along_normal) for bias in depth_biases(at_m, camera, right, deviations))
+    by_shape = dome.derivative(points_m[inner, :2]).mean(0)
+    dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
+    own = SharedBias(
+        OUTLINE,
+        np.array([[np.hypot(tracking.lasting_height_share * surface.std_m, dome_std_m)]]),
+        tracking.height_correlation_time_s,
+    )
+    noise_m2 = (1.0 - tracking.lasting_height_share**2) * surface.std_m**2
+    part = Linearised(
+        np.array([over_m]),
+        np.zeros((1, 0)),
+        (own, *height.biases(np.ones(1)), *stereo_biases),
+        np.array([[noise_m2]]),
+    )
+    return part, over_m
+
+
+def depth_biases(
+    p_camera_m: Array, camera: Camera, right: RightView, deviations: Deviations
+) -> tuple[SharedBias, ...]:
+    """What errors of both cameras do to the depth in m that a surface by stereo has at a point, shape (3,)."""
+    T_right_left = inverse(right.T_left_right)
+    disparity_px = float(camera.K[0, 0] * np.linalg.norm(T_right_left[:3, 3]) / p_camera_m[2])
+    biases = deviations.of_disparity_at(p_camera_m, right.camera, np.array(disparity_px), T_right_left)
+    return tuple(bias.scaled(p_camera_m[2] / disparity_px) for bias in biases)
+
+
+def by_constants(
+    position_m: Array, plane: Plane, height: TissueHeight, camera: Camera, deviations: Deviations
+) -> tuple[SharedBias, ...]:
+    """What height, focal length and principal point do to the place where the outline's ray meets the plane, (3, k)."""
+    return (
+        *height.biases(position_m / plane.offset_m),
+        *ray_on_plane_biases(position_m, plane, camera, deviations.camera),
+    )
+
+
+class FollowedTissue:
+    """The tissue between frames: a place that is averaged, a shape, and a height that the filter's state holds."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._profile = arm.profile
+        self._tissue = require_tissue(arm.profile)
+        self._plane = tissue_plane(self._tissue)
+        self._deviations = arm.deviations
+        self._tracker = TissueTracker(arm.profile.settings.tissue)
+        self._height: TissueHeight | None = None
+        self._known: TissuePose | None = None
+
+    def see(self, frame: Frame) -> TissuePose | None:
+        """The tissue on the profile's plane after this frame, which may hide it."""
+        tissue = frame.scene.tissue
+        known = self._known = self._tracker.add(None if tissue is None else tissue.pose)
+        if known is not None:
+            self._height = TissueHeight.of(self._tissue, known.position_m)
+        return known
+
+    def measure_height(self, frame: Frame, kalman: KinematicErrorFilter) -> GatingResult | None:
+        """Tell the filter how high stereo shows the tissue; None where it does not show it."""
+        known, right, height = self._known, frame.scene.observation.right, self._height
+        surface = None if known is None or known.dome is None or right is None else frame.scene.stereo_surface
+        if known is None or known.dome is None or surface is None or right is None or height is None:
+            return None
+        settings = self._profile.settings
+        found = measured_height(
+            surface,
+            known.dome,
+            height,
+            frame.left.camera,
+            right,
+            self._deviations,
+            settings.stereo,
+            settings.tissue,
+        )
+        if found is None:
+            return None
+        part, over_m = found
+        result = kalman.update_scene(OUTLINE, part)
+        if result.is_accepted and self._tracker.wants_shape and frame.scene.tissue is not None:
+            self._fit_shape(frame, over_m)
+        return result
+
+    def placed(
+        self, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
+    ) -> tuple[TissuePose, Array]:
+        """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3)."""
+        height = self._height
+        assert height is not None  # a tissue is known
+        height_m = height.in_m(kalman.constant("tissue plane"), kalman.constant("tissue motion"))
+        offset_m = self._plane.offset_m + height_m
+        placed = known.scaled(offset_m / self._plane.offset_m)
+        plane = replace(self._plane, offset_m=offset_m)
+        biases = by_constants(placed.position_m, plane, height, frame.left.camera, self._deviations)
+        covariance, coupling = kalman.coupled(biases)
+        return replace(placed, covariance=placed.own_covariance + covariance), coupling
+
+    def _fit_shape(self, frame: Frame, over_m: float) -> None:
+        """Apex and height of the dome by the surface, which is put down onto it: how high all of it is, is no shape."""
+        surface, tissue = frame.scene.stereo_surface, frame.scene.tissue
+        if surface is None or tissue is None or tissue.pose is None or tissue.pose.dome is None:
+            return
+        down = replace(surface, points_m=surface.points_m - over_m * self._plane.normal)
+        dome = fit_dome(tissue.pose.dome, down)
+        if dome is not None:
+            self._tracker.add_shape(dome)

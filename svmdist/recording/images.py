@@ -1,0 +1,334 @@
+"""Decoding images: compressed and raw ones, and frames of videos, checked before a decoder sees them."""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import zlib
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+
+from svmdist.errors import RecordingError, SourceError, optional_package
+from svmdist.input_file import read_regular, why
+from svmdist.profile import Limits
+from svmdist.recording.source import cut
+from svmdist.samples import Image
+
+# OpenCV reads this once, when it is imported; the header check below holds in any case.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
+
+
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+JPEG_MAGIC = b"\xff\xd8\xff"
+JPEG_END = b"\xff\xd9"
+JPEG_SCAN = b"\xff\xda"
+MAX_JPEG_SCANS = 100
+"""A progressive JPEG has about ten; each costs a pass over the whole image, whatever few bytes it takes."""
+JPEG_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+JPEG_BARE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
+
+
+class ImageError(ValueError):
+    """An image that cannot be decoded, or must not be."""
+
+
+def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
+    """Decode a PNG or JPEG to BGR, shape (height, width, 3) of uint8; grey becomes BGR, alpha is dropped.
+
+    Raises ImageError for another format, a size above the limits, truncated or corrupt data, and for
+    16-bit images, which would lose half of their bits.
+    """
+    data = bytes(data)
+    width_px, height_px = still_size(data, limits)
+    if data.startswith(PNG_MAGIC):
+        return _decode_by_opencv(data, (width_px, height_px))
+    return _decode_jpeg(data, width_px, height_px)
+
+
+def _decode_jpeg(data: bytes, width_px: int, height_px: int) -> Image:
+    """Decode a JPEG strictly: OpenCV's decoder hides its warnings, and fills what is damaged with grey.
+
+    The pixels are those of OpenCV to the last bit, for both are libjpeg-turbo.
+    """
+    try:
+        _, _, colours, _ = simplejpeg.decode_jpeg_header(data)
+        if colours in {"CMYK", "YCCK"}:
+            simplejpeg.decode_jpeg(data, "CMYK", strict=True)  # whether it is whole; OpenCV knows its colours
+            return _decode_by_opencv(data, (width_px, height_px))
+        image = simplejpeg.decode_jpeg(data, "BGR", strict=True)
+    except (ValueError, MemoryError) as problem:
+        raise ImageError(" ".join(str(problem).split()) or "not enough memory") from None
+    if image.shape != (height_px, width_px, 3):
+        raise ImageError("its data do not decode")
+    return np.asarray(image, np.uint8)
+
+
+def _decode_by_opencv(data: bytes, size_px: tuple[int, int]) -> Image:
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except (cv2.error, MemoryError) as problem:
+        raise ImageError(" ".join(str(problem).split())) from None
+    if image is None or image.shape != (*size_px[::-1], 3):
+        raise ImageError("its data do not decode")
+    return np.asarray(image, np.uint8)
+
+
+def still_format(data: bytes) -> Literal["png", "jpeg"] | None:
+    """What Foxglove calls the format of a PNG or JPEG, by its first bytes; None for any other."""
+    return "png" if data.startswith(PNG_MAGIC) else "jpeg" if data.startswith(JPEG_MAGIC) else None
+
+
+def still_size(data: bytes, limits: Limits) -> tuple[int, int]:
+    """Width and height of a PNG or JPEG in px, by its header; ImageError as from `decode_still`."""
+    if len(data) > limits.image_bytes:
+        raise ImageError(f"{len(data)} bytes, the limit is {limits.image_bytes}")
+    match still_format(data):
+        case "png":
+            width_px, height_px = _check_png(data)
+        case "jpeg":
+            width_px, height_px = _check_jpeg(data)
+        case None:
+            raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
+    check_dimensions(width_px, height_px, limits)
+    return width_px, height_px
+
+
+def check_dimensions(width_px: int, height_px: int, limits: Limits) -> None:
+    """Refuse an empty image and one of too many pixels with ImageError."""
+    if width_px < 1 or height_px < 1:
+        raise ImageError(f"an image of {width_px}x{height_px} px is empty")
+    if width_px * height_px > limits.image_pixels:
+        raise ImageError(f"{width_px}x{height_px} px, the limit is {limits.image_pixels} px")
+
+
+def _check_png(data: bytes) -> tuple[int, int]:
+    """Verify the CRC of every chunk, up to the end: OpenCV decodes truncated and corrupt PNGs without a word."""
+    view = memoryview(data)
+    position = len(PNG_MAGIC)
+    size_px: tuple[int, int] | None = None
+    while position + 12 <= len(view):
+        (length,) = struct.unpack_from(">I", view, position)
+        end = position + 12 + length
+        if end > len(view):
+            break
+        kind = bytes(view[position + 4 : position + 8])
+        (crc,) = struct.unpack_from(">I", view, end - 4)
+        if zlib.crc32(view[position + 4 : end - 4]) != crc:
+            raise ImageError(f"the CRC of PNG chunk {kind!r} is wrong")
+        if kind == b"IHDR" and size_px is None and length == 13:
+            width_px, height_px, bit_depth = struct.unpack_from(">IIB", view, position + 8)
+            size_px = width_px, height_px
+            if bit_depth > 8:
+                raise ImageError(f"a PNG of {bit_depth} bits; 8 are expected")
+        elif size_px is None:
+            raise ImageError("a PNG without a header")
+        if kind == b"acTL":
+            raise ImageError("an animated PNG; a still is expected")
+        if kind == b"IEND":
+            return size_px
+        position = end
+    raise ImageError(f"a PNG that ends early, after {len(data)} bytes")
+
+
+def _check_jpeg(data: bytes) -> tuple[int, int]:
+    """Read the dimensions from the frame header, and see that the end marker is there."""
+    if JPEG_END not in data[-64:]:  # some cameras pad with zeros behind it
+        raise ImageError(f"a JPEG that ends early, after {len(data)} bytes")
+    # Inside a scan a byte 0xFF is followed by 0, so that these two bytes begin one, here or in a thumbnail.
+    if data.count(JPEG_SCAN) > MAX_JPEG_SCANS:
+        raise ImageError(f"a JPEG of more than {MAX_JPEG_SCANS} scans")
+    position = 2
+    while position + 4 <= len(data):
+        if data[position] != 0xFF:
+            break
+        marker = data[position + 1]
+        if marker == 0xFF:  # a fill byte
+            position += 1
+            continue
+        if marker in JPEG_BARE_MARKERS:
+            position += 2
+            continue
+        (length,) = struct.unpack_from(">H", data, position + 2)
+        if marker in JPEG_FRAME_MARKERS and length >= 8 and position + 9 <= len(data):
+            bit_depth, height_px, width_px = struct.unpack_from(">BHH", data, position + 4)
+            if bit_depth != 8:
+                raise ImageError(f"a JPEG of {bit_depth} bits; 8 are expected")
+            return width_px, height_px
+        position += 2 + length
+    raise ImageError("a JPEG without a frame header")
+
+
+CHANNELS = {
+    "bgr8": 3,
+    "8UC3": 3,
+    "rgb8": 3,
+    "bgra8": 4,
+    "8UC4": 4,
+    "rgba8": 4,
+    "mono8": 1,
+    "8UC1": 1,
+    "bayer_rggb8": 1,
+    "bayer_bggr8": 1,
+    "bayer_gbrg8": 1,
+    "bayer_grbg8": 1,
+    "yuv422": 2,
+    "uyvy": 2,
+    "yuv422_yuy2": 2,
+    "yuyv": 2,
+}
+
+# ROS names a Bayer pattern by its first two rows, OpenCV by the second row's second and third pixel.
+CONVERSIONS = {
+    "rgb8": cv2.COLOR_RGB2BGR,
+    "rgba8": cv2.COLOR_RGBA2BGR,
+    "bgra8": cv2.COLOR_BGRA2BGR,
+    "8UC4": cv2.COLOR_BGRA2BGR,
+    "mono8": cv2.COLOR_GRAY2BGR,
+    "8UC1": cv2.COLOR_GRAY2BGR,
+    "bayer_rggb8": cv2.COLOR_BayerBG2BGR,
+    "bayer_bggr8": cv2.COLOR_BayerRG2BGR,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2BGR,
+    "bayer_grbg8": cv2.COLOR_BayerGB2BGR,
+    "yuv422": cv2.COLOR_YUV2BGR_UYVY,
+    "uyvy": cv2.COLOR_YUV2BGR_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
+    "yuyv": cv2.COLOR_YUV2BGR_YUY2,
+}
+
+
+def decode_raw(
+    encoding: str, size_px: tuple[int, int], step_bytes: int, data: bytes | memoryview, limits: Limits
+) -> Image:
+    """Convert rows of `step_bytes` bytes to BGR, shape (height, width, 3); alpha is dropped.
+
+    Raises ImageError for an encoding that is not known, and sizes that contradict each other.
+    """
+    if encoding not in CHANNELS:
+        raise ImageError(
+            f"image encoding {cut(encoding)!r} is not known; the choices are {', '.join(CHANNELS)}"
+        )
+    width_px, height_px = size_px
+    check_dimensions(width_px, height_px, limits)
+    channels = CHANNELS[encoding]
+    row_bytes = width_px * channels
+    if step_bytes < row_bytes or len(data) != step_bytes * height_px:
+        raise ImageError(
+            f"{len(data)} bytes in rows of {step_bytes} do not hold {width_px}x{height_px} px of {encoding}"
+        )
+    rows: NDArray[np.uint8] = np.frombuffer(data, np.uint8).reshape(height_px, step_bytes)[:, :row_bytes]
+    pixels = rows.reshape(height_px, width_px, channels)
+    if encoding not in CONVERSIONS:
+        return pixels.copy()
+    try:
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), CONVERSIONS[encoding]), np.uint8)
+    except cv2.error as problem:
+        raise ImageError(" ".join(str(problem).split())) from None
+
+
+NAL_UNIT = re.compile(rb"\x00\x00\x01(.)", re.DOTALL)
+IDR_SLICE = 5
+NEEDED_FOR = "an image in H.264"
+
+
+class VideoDecoder:
+    """Decodes one stream; each message is one frame in Annex B, without frames that refer to later ones.
+
+    A frame refers to those before it, so that after a loss every picture would be wrong in places:
+    nothing is delivered from there to the next key frame.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._codec: Any = None
+        self._needs_key_frame = True
+        self._count = 0
+        self._loss_count = 0
+
+    def decode(self, video_format: str, data: bytes, loss_count: int) -> Image:
+        """Decode the next frame to BGR; ImageError where it cannot be, or must wait for a key frame.
+
+        `loss_count` says how much was lost before this frame; when it has grown, frames may be missing.
+        """
+        needs_key_frame = self._needs_key_frame or loss_count != self._loss_count
+        self._loss_count = loss_count
+        self._needs_key_frame = True  # until this frame has come out whole
+        if video_format != "h264":
+            raise ImageError(f"video format {cut(video_format)!r} is not known; h264 is expected")
+        if len(data) > self._limits.image_bytes:
+            raise ImageError(f"{len(data)} bytes, the limit is {self._limits.image_bytes}")
+        if needs_key_frame:
+            if not any(match[1][0] & 0x1F == IDR_SLICE for match in NAL_UNIT.finditer(data)):
+                raise ImageError("no key frame yet, which this frame refers to")
+            self._codec = self._open()
+        image = self._decode(data)
+        self._needs_key_frame = False
+        return image
+
+    def _decode(self, data: bytes) -> Image:
+        av = optional_package("av", "video", NEEDED_FOR, RecordingError)
+        packet = av.Packet(data)
+        packet.pts = self._count
+        packet.time_base = Fraction(1, 1000)
+        self._count += 1
+        try:
+            frames = self._codec.decode(packet)
+        except (av.error.FFmpegError, ValueError, MemoryError) as problem:
+            raise ImageError(f"the video does not decode: {problem}") from None
+        if len(frames) != 1 or frames[0].is_corrupt or frames[0].pts != packet.pts:
+            raise ImageError(f"the message holds {len(frames)} whole frames, one is expected")
+        check_dimensions(frames[0].width, frames[0].height, self._limits)
+        return np.asarray(frames[0].to_ndarray(format="bgr24"), np.uint8)
+
+    def _open(self) -> Any:
+        av = optional_package("av", "video", NEEDED_FOR, RecordingError)
+        codec = av.CodecContext.create("h264", "r")
+        codec.thread_count = 1  # threads hold frames back
+        codec.flags |= av.codec.context.Flags.low_delay
+        codec.options = {"max_pixels": str(self._limits.image_pixels), "err_detect": "explode"}
+        return codec
+
+
+def read_file(path: Path, limits: Limits) -> bytes | Image:
+    """The bytes of a PNG or JPEG, or the pixels of another format; SourceError in one line where it is no image."""
+    try:
+        data = read_regular(path, limits.image_bytes)
+    except OSError as problem:
+        raise SourceError(f"{path}: cannot read: {why(problem)}") from None
+    return data if still_format(data) else _decode_other(data, path, limits)
+
+
+def decode_file(data: bytes, name: str, limits: Limits) -> Image:
+    """The pixels of a PNG or JPEG, BGR; SourceError names the file where it cannot be decoded."""
+    try:
+        return decode_still(data, limits)
+    except ImageError as problem:
+        raise SourceError(f"{name}: {problem}") from None
+
+
+def _decode_other(data: bytes, path: Path, limits: Limits) -> Image:
+    """BMP, TIFF, WebP or PNM by OpenCV, which refuses images of too many pixels."""
+    import cv2
+    import numpy as np
+
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as problem:
+        raise SourceError(f"{path}: {' '.join(str(problem).split())}") from None
+    if image is None:
+        raise SourceError(f"{path}: no image that can be decoded ({data[:8].hex(' ') or 'an empty file'})")
+    if image.dtype != np.uint8:
+        raise SourceError(f"{path}: an image of {8 * image.dtype.itemsize} bits; 8 are expected")
+    if image.shape[0] * image.shape[1] > limits.image_pixels:
+        raise SourceError(
+            f"{path}: {image.shape[1]}x{image.shape[0]} px, the limit is {limits.image_pixels} px"
+        )
+    if image.ndim == 2:
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+    return np.asarray(image[..., :3], np.uint8)

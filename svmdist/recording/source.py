@@ -1,0 +1,206 @@
+"""What every kind of recording file gives: topics, raw messages in file order, and what was lost."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+from enum import StrEnum
+from itertools import count
+from typing import Protocol
+
+from svmdist.input_file import LogPath
+
+MAX_NAME_LENGTH = 300
+MAX_LISTED_NAMES = 40
+MAX_NAME_BYTES = 4096
+"""Of a topic, a frame, a joint, a schema: longer ones are no names."""
+
+
+def cut(text: str) -> str:
+    """The beginning of a text that may be endless, to be kept or shown."""
+    return text if len(text) <= MAX_NAME_LENGTH else f"{text[:MAX_NAME_LENGTH]}..."
+
+
+def sanitize(name: str) -> str:
+    r"""Write a name with its control characters escaped, shortened where it is endless.
+
+    >>> sanitize("/left\x1b[31m")
+    '/left\\x1b[31m'
+    """
+    shown = cut(name)
+    if shown.isprintable():
+        return shown
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in shown)
+
+
+def sanitize_list(names: Iterable[str]) -> str:
+    """List names, the first forty of them."""
+    listed = [sanitize(name) for name in names]
+    more = [f"and {len(listed) - MAX_LISTED_NAMES} more"] if len(listed) > MAX_LISTED_NAMES else []
+    return ", ".join(listed[:MAX_LISTED_NAMES] + more)
+
+
+MAX_LISTED_LOSSES = 1000
+"""A file with a million broken chunks must not fill the memory with reports about them."""
+
+
+class LossKind(StrEnum):
+    """What kind of thing could not be used."""
+
+    TRUNCATED = "truncated"
+    STRUCTURE = "structure"
+    CHUNK = "chunk"
+    RECORD = "record"
+    DEFINITION = "definition"
+    MESSAGE = "message"
+    IMAGE = "image"
+    DATA_CRC = "data_crc"
+    SUMMARY = "summary"
+    STATISTICS = "statistics"
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """One part of a recording that could not be used; `byte_offset` is its place in the file where known."""
+
+    kind: LossKind
+    detail: str
+    byte_offset: int | None = None
+    topic: str | None = None
+
+    def __post_init__(self) -> None:
+        """Keep no more of a text than is shown: it may come from the file."""
+        object.__setattr__(self, "detail", cut(self.detail))
+        if self.topic is not None:
+            object.__setattr__(self, "topic", cut(self.topic))
+
+    def __str__(self) -> str:
+        place = "" if self.byte_offset is None else f" at byte {self.byte_offset}"
+        topic = "" if self.topic is None else f" on {sanitize(self.topic)}"
+        separator = ", " if self.kind is LossKind.TRUNCATED and place else ": "
+        return f"{self.kind}{place}{topic}{separator}{sanitize(self.detail)}"
+
+
+@dataclass
+class Health:
+    """The losses of one recording, filled while it is read.
+
+    Reading a file twice finds the same losses again; each is kept once. Before a pass over the whole
+    file has ended, the report is incomplete. Losses are listed in the order of `place`, so that images that
+    are decoded late, by other threads, are listed as if they had been decoded at once.
+    """
+
+    unlisted_count: int = 0
+    """Losses found beyond the listed ones; a lower bound of distinct ones, and 0 only where there are none."""
+    _losses: dict[Loss, int] = field(default_factory=dict)
+    _places: Iterator[int] = field(default_factory=count)
+
+    def next_place(self) -> int:
+        """Reserve a place in the order of losses, for a loss that may be found later."""
+        return next(self._places)
+
+    def add(self, loss: Loss, place: int | None = None) -> None:
+        """Report a loss, at a place that was reserved or at the next one; one that is known is listed once."""
+        place = self.next_place() if place is None else place
+        known = self._losses.get(loss)
+        if known is None and len(self._losses) >= MAX_LISTED_LOSSES:
+            self.unlisted_count = 1
+            return
+        self._losses[loss] = place if known is None else min(place, known)
+
+    def join(self, other: Health) -> None:
+        """Take in what another process lost of the same recording."""
+        for loss in other.losses:
+            self.add(loss)
+        self.unlisted_count = max(self.unlisted_count, other.unlisted_count)
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """The losses in the order of their places."""
+        found = dict(self._losses)
+        return tuple(sorted(found, key=lambda loss: found[loss]))
+
+    @property
+    def is_clean(self) -> bool:
+        """Whether nothing was lost, so far as the file has been read."""
+        return not self._losses
+
+    def describe(self, max_lines: int = 10) -> tuple[str, ...]:
+        """Say what was lost in a few lines for a person."""
+        lines = [str(loss) for loss in self.losses]
+        hidden = len(lines) - max_lines
+        if hidden > 0 or self.unlisted_count:
+            more = f"{max(hidden, 0)} more" if not self.unlisted_count else "many more"
+            lines = [*lines[:max_lines], f"and {more} losses"]
+        return tuple(lines)
+
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+METADATA_NAME = "svmdist"
+"""The metadata record that says what a recording came from."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """A topic of a recording; `message_count` is None where the file does not say and was not read."""
+
+    topic: str
+    schema: str
+    message_encoding: str
+    message_count: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    """A message as it stands in the file; `data` may be a view that must be copied to be kept.
+
+    `losses_before` counts what this pass has lost so far: where it grows, messages may be missing.
+    """
+
+    topic: str
+    schema: str
+    message_encoding: str
+    log_time_ns: int
+    data: bytes | memoryview
+    offset: int | None = None
+    losses_before: int = 0
+
+
+class Source(Protocol):
+    """One recording file or folder of one format."""
+
+    @property
+    def path(self) -> LogPath:
+        """The file or folder."""
+
+    health: Health
+
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """List the topics, sorted by name."""
+
+    def metadata(self) -> dict[str, str]:
+        """Read the metadata of the record `svmdist`, empty where there is none."""
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield the messages of some topics, or of all, in file order; nothing is kept in memory."""
+
+
+def merge_topics(infos: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
+    """Join channels that share topic, schema and encoding: several publishers of one topic."""
+    merged: dict[tuple[str, str, str], int | None] = {}
+    for info in infos:
+        key = (info.topic, info.schema, info.message_encoding)
+        known = merged.get(key, 0)
+        both = known is not None and info.message_count is not None
+        merged[key] = (known or 0) + (info.message_count or 0) if both else None
+    return tuple(TopicInfo(*key, count) for key, count in sorted(merged.items()))
+
+
+def is_message_compressed(source: Source) -> bool:
+    """Tell whether the messages of a single file were compressed one by one, as only the folder of a bag knows."""
+    topics = {info.topic for info in source.topics() if info.message_encoding == "cdr"}
+    if not topics:
+        return False
+    first = next(iter(source.messages(topics)), None)
+    # CDR begins with a zero byte, so these four cannot be a message.
+    return first is not None and bytes(first.data[:4]) == ZSTD_MAGIC

@@ -1,0 +1,213 @@
+"""Drawings of frames as messages that viewers show: annotations of the image, the scene, transforms and log lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+
+from svmdist.drawing import (
+    ALARM_COLOUR,
+    COLOURS,
+    Body,
+    EstimateValues,
+    Form,
+    FrameDrawing,
+    Part,
+    Rgb,
+    SceneDrawing,
+    Segment,
+    Shape,
+)
+from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
+from svmdist.recording.encode import EncodedSample
+from svmdist.transforms import Array, quaternion_xyzw_from_rotation
+
+FORMS = {
+    Form.POINTS: PointsAnnotation.POINTS,
+    Form.LINE: PointsAnnotation.LINE_STRIP,
+    Form.LOOP: PointsAnnotation.LINE_LOOP,
+}
+WHITE: Rgb = (255, 255, 255)
+GROUND: Rgb = (20, 20, 20)
+LINE_PX, POINT_PX, SMALL_POINT_PX, FONT_PX = 2.0, 6.0, 3.0, 14.0
+LINE_PIXELS, TEXT_PIXELS = 3.0, 14.0
+"""Of lines and texts in space, in px of the screen."""
+SOLID, SHEER = 0.9, 0.5
+
+
+def image_annotations(drawing: FrameDrawing) -> EncodedSample:
+    """The shapes, labels and status lines of an image as `foxglove.ImageAnnotations`."""
+    message = ImageAnnotations()
+    for shape in drawing.shapes:
+        _points(message.points.add(), shape, drawing.stamp_ns)
+    for label in drawing.labels:
+        _text(message.texts.add(), label.text, label.place_px, COLOURS[label.part], drawing.stamp_ns)
+    for row, line in enumerate(drawing.lines):
+        place_px = np.array([4.0, (row + 1) * (FONT_PX + 6.0)])
+        colour = ALARM_COLOUR if line.alarm or not line.measured else WHITE
+        _text(message.texts.add(), line.text, place_px, colour, drawing.stamp_ns)
+    stamp(message.timestamp, drawing.stamp_ns)
+    return encoded(message, drawing.stamp_ns)
+
+
+def scene_update(
+    drawing: SceneDrawing, instruments: Iterable[str], frame_id: str, stamp_ns: int
+) -> EncodedSample:
+    """Instruments, tissue and distances in space as `foxglove.SceneUpdate`; what is not there now is deleted."""
+    message = SceneUpdate()
+    for body in drawing.bodies:
+        _capsules(_entity(message, f"{body.name} instrument", frame_id, stamp_ns), body)
+    if drawing.surface is not None:
+        entity = _entity(message, drawing.surface.name, frame_id, stamp_ns)
+        triangles = entity.triangles.add()
+        triangles.pose.orientation.w = 1.0
+        _colour(triangles.color, COLOURS[Part.TISSUE], SHEER)
+        for corner in drawing.surface.vertices_m.tolist():
+            triangles.points.add(x=corner[0], y=corner[1], z=corner[2])
+        triangles.indices.extend(drawing.surface.faces.ravel().tolist())
+    for segment in drawing.segments:
+        _segment(_entity(message, segment.name, frame_id, stamp_ns), segment)
+    known = {entity.id for entity in message.entities}
+    possible = {"tissue"}.union(
+        *(
+            {f"{name} instrument", *(f"{name} {part}" for part in (Part.DISTANCE, Part.BETWEEN))}
+            for name in instruments
+        )
+    )
+    for name in sorted(possible - known):
+        deletion = message.deletions.add(type=SceneEntityDeletion.MATCHING_ID, id=name)
+        stamp(deletion.timestamp, stamp_ns)
+    return encoded(message, stamp_ns)
+
+
+def tool_transforms(poses: Iterable[tuple[str, Array]], frame_id: str, stamp_ns: int) -> EncodedSample:
+    """Estimated poses of tools as `foxglove.FrameTransforms`: (child frame, `T_camera_tool` of shape (4, 4)) pairs."""
+    transforms = []
+    for child, T in poses:
+        transform = FrameTransform(parent_frame_id=frame_id, child_frame_id=child)
+        stamp(transform.timestamp, stamp_ns)
+        _place(transform.translation, T[:3, 3])
+        _turn(transform.rotation, T[:3, :3])
+        transforms.append(transform)
+    return encoded(FrameTransforms(transforms=transforms), stamp_ns)
+
+
+def distance_estimate(values: EstimateValues, stamp_ns: int) -> EncodedSample:
+    """What was measured of one instrument as `svmdist.DistanceEstimate`; a value that does not exist is left out."""
+    message = DistanceEstimate(
+        instrument=values.instrument, method=values.method, status=values.status, detail=values.detail
+    )
+    for name, value in values.numbers.items():
+        if value is not None:
+            setattr(message, name, value)
+    if values.alarm is not None:
+        message.alarm = values.alarm
+    stamp(message.timestamp, stamp_ns)
+    return encoded(message, stamp_ns)
+
+
+def log_line(text: str, stamp_ns: int, *, is_warning: bool) -> EncodedSample:
+    """A line of `foxglove.Log`, as a warning or for information."""
+    message = Log(level=Log.WARNING if is_warning else Log.INFO, message=text, name="svmdist")
+    stamp(message.timestamp, stamp_ns)
+    return encoded(message, stamp_ns)
+
+
+def encoded(message: Any, stamp_ns: int) -> EncodedSample:
+    """A protobuf message as the sample that `RecordingWriter` takes."""
+    return EncodedSample(stamp_ns, type(message), message.SerializeToString(deterministic=True))
+
+
+def stamp(target: Any, stamp_ns: int) -> None:
+    """Set a protobuf timestamp."""
+    target.seconds, target.nanos = divmod(stamp_ns, 1_000_000_000)
+
+
+def _points(target: Any, shape: Shape, stamp_ns: int) -> None:
+    target.type = FORMS[shape.form]
+    for x, y in shape.points_px.tolist():
+        target.points.add(x=x, y=y)
+    _colour(target.outline_color, COLOURS[shape.part])
+    target.thickness = LINE_PX
+    if shape.form is Form.POINTS:
+        target.thickness = SMALL_POINT_PX if shape.part in (Part.INLIER, Part.MATCH) else POINT_PX
+        _colour(target.fill_color, COLOURS[shape.part])
+    stamp(target.timestamp, stamp_ns)
+
+
+def _text(target: Any, text: str, place_px: Array, colour: Rgb, stamp_ns: int) -> None:
+    target.position.x, target.position.y = place_px.tolist()
+    target.text, target.font_size = text, FONT_PX
+    _colour(target.text_color, colour)
+    _colour(target.background_color, GROUND, SOLID)
+    stamp(target.timestamp, stamp_ns)
+
+
+def _entity(message: Any, name: str, frame_id: str, stamp_ns: int) -> SceneEntity:
+    entity: SceneEntity = message.entities.add(id=name, frame_id=frame_id)
+    stamp(entity.timestamp, stamp_ns)
+    return entity
+
+
+def _capsules(entity: Any, body: Body) -> None:
+    """Each capsule as a cylinder with a sphere at both ends."""
+    colour = COLOURS[Part.INSTRUMENT]
+    for start_m, end_m, radius_m in zip(body.start_m, body.end_m, body.radius_m, strict=True):
+        for centre_m in (start_m, end_m):
+            sphere = entity.spheres.add()
+            _place(sphere.pose.position, centre_m)
+            sphere.pose.orientation.w = 1.0
+            sphere.size.x = sphere.size.y = sphere.size.z = 2.0 * radius_m
+            _colour(sphere.color, colour, SOLID)
+        length_m = float(np.linalg.norm(end_m - start_m))
+        if length_m > 0.0:
+            cylinder = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
+            _place(cylinder.pose.position, 0.5 * (start_m + end_m))
+            _turn(cylinder.pose.orientation, _along_z((end_m - start_m) / length_m))
+            cylinder.size.x = cylinder.size.y = 2.0 * radius_m
+            cylinder.size.z = length_m
+            _colour(cylinder.color, colour, SOLID)
+
+
+def _segment(entity: Any, segment: Segment) -> None:
+    line = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=LINE_PIXELS, scale_invariant=True)
+    line.pose.orientation.w = 1.0
+    for end_m in (segment.start_m, segment.end_m):
+        line.points.add(x=end_m[0], y=end_m[1], z=end_m[2])
+    _colour(line.color, COLOURS[segment.part])
+    text = entity.texts.add(billboard=True, font_size=TEXT_PIXELS, scale_invariant=True, text=segment.text)
+    text.pose.orientation.w = 1.0
+    _place(text.pose.position, 0.5 * (segment.start_m + segment.end_m))
+    _colour(text.color, COLOURS[segment.part])
+
+
+def _along_z(direction: Array) -> Array:
+    """A rotation, shape (3, 3), whose z axis is a unit vector, shape (3,)."""
+    side = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
+    side /= np.linalg.norm(side)
+    return np.stack([side, np.cross(direction, side), direction], -1)
+
+
+def _colour(target: Color, colour: Rgb, alpha: float = 1.0) -> None:
+    target.r, target.g, target.b = (level / 255.0 for level in colour)
+    target.a = alpha
+
+
+def _place(target: Any, place_m: Array) -> None:
+    target.x, target.y, target.z = (float(value) for value in place_m)
+
+
+def _turn(target: Any, R: Array) -> None:
+    target.x, target.y, target.z, target.w = quaternion_xyzw_from_rotation(R).tolist()

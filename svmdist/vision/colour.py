@@ -1,0 +1,247 @@
+"""Colours of an image: HSV masks (paper, sec. III.A), what the endoscope shows, exposure, and distinct marks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.profile import ColourRegion, HsvSegmentation
+from svmdist.profile.settings import ExposureSettings
+from svmdist.samples import Image
+
+
+class HsvMasks:
+    """The masks of one image, shape (h, w) with 0 or 255, each made when it is first asked for."""
+
+    def __init__(self, hsv: Image, rules: HsvSegmentation) -> None:
+        self._channels = _Channels(hsv)
+        self._rules = rules
+
+    @cached_property
+    def tissue(self) -> Image:
+        """Pixels of the tissue's colour."""
+        return _mask(self._channels, self._rules.tissue)
+
+    @cached_property
+    def instrument(self) -> Image:
+        """Pixels of the colour of the instrument's distal part."""
+        return _mask(self._channels, self._rules.instrument)
+
+    @cached_property
+    def shaft(self) -> Image | None:
+        """Pixels as dark as the shaft; None where the profile knows no shaft."""
+        return None if self._rules.shaft is None else _mask(self._channels, self._rules.shaft)
+
+    @property
+    def black(self) -> Image | None:
+        """None: what is as black as the border of the view is dark enough for the shaft."""
+        return None
+
+    @property
+    def picture(self) -> None:
+        """None: what is black may be border or shaft."""
+        return None
+
+    @property
+    def seen(self) -> None:
+        """None: colours tell no instruments apart."""
+
+
+class HsvSegmenter:
+    """`method = "hsv"`: a box of colours for each part."""
+
+    uses_colours = True
+
+    def __init__(self, rules: HsvSegmentation) -> None:
+        self._rules = rules
+
+    def masks(self, bgr: Image, hsv: Image | None, /) -> HsvMasks:  # noqa: ARG002
+        """The masks of an image as HSV, shape (h, w, 3); raises ValueError without it."""
+        if hsv is None:
+            raise ValueError("segmentation by colour needs the image as HSV")
+        return HsvMasks(hsv, self._rules)
+
+
+def colour_mask(image_hsv: Image, region: ColourRegion) -> Image:
+    """Mask, shape (h, w) with 0 or 255, of the pixels inside an HSV box whose hue may wrap around 0."""
+    return _mask(_Channels(image_hsv), region)
+
+
+class _Channels:
+    """Hue, saturation and value of an image, shape (h, w) each; only those that a box bounds are taken out."""
+
+    def __init__(self, image_hsv: Image) -> None:
+        self._image_hsv = image_hsv
+
+    @cached_property
+    def hue(self) -> Image:
+        return np.asarray(cv2.extractChannel(self._image_hsv, 0), np.uint8)
+
+    @cached_property
+    def saturation(self) -> Image:
+        return np.asarray(cv2.extractChannel(self._image_hsv, 1), np.uint8)
+
+    @cached_property
+    def value(self) -> Image:
+        return np.asarray(cv2.extractChannel(self._image_hsv, 2), np.uint8)
+
+
+def _mask(channels: _Channels, region: ColourRegion) -> Image:
+    """Channel by channel: a test of one channel takes an eighth of what one of three channels at once takes."""
+    first, last = region.hue
+    mask = cv2.inRange(channels.value, *region.value)
+    if tuple(region.saturation) != (0, 255):
+        cv2.bitwise_and(mask, cv2.inRange(channels.saturation, *region.saturation), mask)
+    if first <= last:
+        if (first, last) != (0, 179):
+            cv2.bitwise_and(mask, cv2.inRange(channels.hue, first, last), mask)
+    elif last + 1 < first:  # else the two ends meet, and every hue is inside
+        between = cv2.inRange(channels.hue, last + 1, first - 1)
+        cv2.bitwise_and(mask, cv2.bitwise_not(between, between), mask)
+    return np.asarray(mask, np.uint8)
+
+
+BRIGHT_PART_FRACTION = 0.005
+"""Bright parts below this fraction of the image are letters on a black border, not scene."""
+
+
+def field_of_view(dark: Image) -> Image:
+    """Mask, shape (h, w), of what the endoscope shows: the convex hull of the larger parts that are not dark."""
+    height, width = dark.shape
+    bright = cv2.erode(cv2.bitwise_not(dark), np.ones((3, 3), np.uint8), borderValue=255)
+    contours, _ = cv2.findContours(bright, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    large = [part for part in contours if cv2.contourArea(part) > BRIGHT_PART_FRACTION * height * width]
+    view = np.zeros_like(dark)
+    if large:
+        cv2.fillConvexPoly(view, cv2.convexHull(np.concatenate(large)), 255)
+    return view
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """The map I' = `gain` (I - `veil`), in levels of 255."""
+
+    veil: float
+    gain: float
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the image is well exposed as it is."""
+        return self.veil == 0.0 and self.gain == 1.0
+
+
+def exposure_of(bgr: Image, settings: ExposureSettings) -> Exposure:
+    """The map that normalises the exposure of an image, shape (h, w, 3)."""
+    step = settings.sampling_px
+    value = brightest_channel(np.ascontiguousarray(bgr[::step, ::step]))
+    bright = percentiles(value, (90.0,))[0]
+    view = field_of_view(np.asarray(255 * (value <= settings.border_fraction * bright), np.uint8))
+    if not view.any():
+        return Exposure(0.0, 1.0)
+    black, middle = percentiles(value, (settings.black_percentile, settings.middle_percentile), view)
+    veil = max(0.0, black - settings.dark_level) if black < settings.distinct_fraction * middle else 0.0
+    return Exposure(veil, max(1.0, settings.fair_level / max(middle - veil, 1.0)))
+
+
+def apply_exposure(bgr: Image, exposure: Exposure, settings: ExposureSettings) -> Image:
+    """The image at normalised exposure, shape (h, w, 3); the same array where it is well exposed already."""
+    if exposure.is_plain:
+        return bgr
+    if exposure.gain > settings.noisy_gain:
+        bgr = np.asarray(cv2.GaussianBlur(bgr, (0, 0), settings.noise_sigma_px), np.uint8)
+    levels = exposure.gain * (np.arange(256) - exposure.veil)
+    return np.asarray(cv2.LUT(bgr, np.clip(np.rint(levels), 0, 255).astype(np.uint8)), np.uint8)
+
+
+def brightest_channel(bgr: Image) -> Image:
+    """HSV's value, shape (h, w): NumPy's maximum along the short axis takes twenty times as long."""
+    blue, green, red = cv2.split(bgr)
+    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
+
+
+def percentiles(values: Image, wanted: Sequence[float], mask: Image | None = None) -> list[float]:
+    """Percentiles of 8-bit values, shape (h, w), under a mask: NumPy's linear ones, counted and not sorted."""
+    counts = cv2.calcHist([values], [0], mask, [256], [0, 256]).ravel()
+    below = np.cumsum(counts, dtype=np.float64)
+    places = np.asarray(wanted, np.float64) / 100.0 * (below[-1] - 1.0)
+    low, high = (np.searchsorted(below, index, side="right") for index in (np.floor(places), np.ceil(places)))
+    return [float(value) for value in low + (places - np.floor(places)) * (high - low)]
+
+
+HUES = range(0, 180, 10)
+HALF_WIDTH = 10
+"""A mark's hue varies by this much with light and shade."""
+MIN_SATURATION, MIN_VALUE = 100, 60
+SMALLEST, LARGEST = 1e-4, 1e-2
+"""Share of the image that one mark may cover: a joint's ring or cap, neither a speck nor tissue."""
+MIN_SHARE = 0.8
+"""How much of a hue's pixels must belong to the marks: else something else has the hue."""
+MIN_FRAMES = 0.8
+MIN_MOTION = 0.01
+"""What instruments carry moves, over the image's width."""
+
+
+@dataclass(frozen=True, slots=True)
+class DistinctColour:
+    """A box in OpenCV's HSV, bounds included (a hue whose first is above its last wraps), and a mark's area in px."""
+
+    hue: tuple[int, int]
+    saturation: tuple[int, int]
+    value: tuple[int, int]
+    area_px: float
+
+
+def find_distinct_colour(images: Sequence[Image], mark_count: int = 1) -> DistinctColour | None:
+    """The colour of the marks of `mark_count` instruments in images of one log, BGR; None for no such colour.
+
+    Of several candidates, the one with the largest marks.
+    """
+    if len(images) < 3:
+        return None
+    hsv = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), np.uint8) for image in images]
+    candidates = [_marks(hsv, hue, mark_count) for hue in HUES]
+    found = [candidate for candidate in candidates if candidate is not None]
+    return max(found, key=lambda candidate: candidate.area_px, default=None)
+
+
+def _marks(images: Sequence[Image], hue: int, mark_count: int) -> DistinctColour | None:
+    areas, places, pixels = [], [], []
+    good = 0
+    for hsv in images:
+        mask = _near(hsv, hue)
+        _, labels, statistics, centres = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+        order = 1 + np.argsort(statistics[1:, cv2.CC_STAT_AREA])[::-1][:mark_count]
+        total = int(mask.sum())
+        if total == 0 or len(order) < mark_count:
+            continue
+        sizes = statistics[order, cv2.CC_STAT_AREA]
+        fits = SMALLEST * mask.size <= sizes.min() and sizes.max() <= LARGEST * mask.size
+        if fits and sizes.sum() >= MIN_SHARE * total:
+            good += 1
+            areas.append(float(sizes.mean()))
+            places.append(centres[order][np.argsort(centres[order, 0])].ravel())
+            pixels.append(hsv[np.isin(labels, order)])
+    if good < MIN_FRAMES * len(images):
+        return None
+    motion_px = float(np.linalg.norm(np.std(places, axis=0))) / np.sqrt(mark_count)
+    if motion_px < MIN_MOTION * images[0].shape[1]:
+        return None
+    values = np.concatenate(pixels).astype(np.float64)
+    turned = (values[:, 0] - hue + 90.0) % 180.0
+    low, high = np.percentile(turned, [2, 98]) - 90.0 + hue
+    return DistinctColour(
+        (round(low - 3) % 180, round(high + 3) % 180),
+        (max(0, round(float(np.percentile(values[:, 1], 2)) - 20)), 255),
+        (max(0, round(float(np.percentile(values[:, 2], 2)) - 20)), 255),
+        float(np.median(areas)),
+    )
+
+
+def _near(hsv: Image, hue: int) -> NDArray[np.bool_]:
+    off = np.abs((hsv[..., 0].astype(np.int16) - hue + 90) % 180 - 90)
+    return np.asarray((off <= HALF_WIDTH) & (hsv[..., 1] >= MIN_SATURATION) & (hsv[..., 2] >= MIN_VALUE))

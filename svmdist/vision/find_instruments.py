@@ -1,0 +1,294 @@
+"""Finding the instruments of an image: bars in what looks like instrument, and what belongs to each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.samples import Image
+from svmdist.transforms import Array
+from svmdist.vision.instrument_bars import Bar, Zones, bars_in, sharpened
+from svmdist.vision.instrument_evidence import JudgedBar, belonging, judged, with_missed_parts
+from svmdist.vision.working_image import (
+    SQUARE_3,
+    SQUARE_5,
+    Appearance,
+    Example,
+    Floats,
+    WorkingImage,
+    learnt_from,
+)
+
+PERCENTILES = (4, 8, 13, 19, 26, 34)
+"""Of each channel in the picture: thresholds under which instruments are sought. They cover 3 to 40 % of a picture."""
+RATIO_LEVELS = (0.0, 1.0, 2.0)
+"""Of the log ratio: at higher ones a shaft parts from a shadow beside it, at lower ones all of it is there."""
+ROUND_7 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+SQUARE_9 = np.ones((9, 9), np.uint8)
+
+
+@dataclass(frozen=True)
+class Found:
+    """An instrument in a working image: its bar from the border inwards, its mask, shape (h, w), and the evidence."""
+
+    bar: Bar
+    mask: NDArray[np.bool_]
+    evidence: float
+
+
+def learnt_appearance(images: Sequence[WorkingImage]) -> Appearance | None:
+    """What instruments look like in images of one log; None where none of them shows one for sure.
+
+    First from bars in whatever channel they are straightest in; then once more from all of what those colours show.
+    """
+    bars = [search_bars(image) for image in images]
+    first = learnt_from(
+        example for image, sought in zip(images, bars, strict=True) if (example := _of_bars(image, sought))
+    )
+    if first is None:
+        return None
+    examples = []
+    for image, sought in zip(images, bars, strict=True):
+        found = find_instruments(image, first, sought)
+        if found:
+            mask = np.asarray(np.any([one.mask for one in found], axis=0), np.uint8) * 255
+            inside, near = cv2.erode(mask, SQUARE_3), cv2.dilate(mask, SQUARE_9)
+            examples.append(
+                Example(
+                    image, np.asarray(inside, np.uint8), np.asarray(cv2.subtract(image.core, near), np.uint8)
+                )
+            )
+    return learnt_from(examples) or first
+
+
+def search_bars(image: WorkingImage) -> list[JudgedBar]:
+    """Bars of an image of which nothing is known, the surest first: none overlaps a surer one by much."""
+    sought: list[JudgedBar] = []
+    for channel in image.channels:
+        values = channel[image.core > 0]
+        for level in np.percentile(values, PERCENTILES) if len(values) else ():
+            low = np.asarray(255 * ((channel < level) & (image.core > 0)), np.uint8)
+            sought += _judged_bars(
+                np.asarray(cv2.morphologyEx(low, cv2.MORPH_OPEN, SQUARE_3), np.uint8), image, 1
+            )
+    return _apart(sought, image)
+
+
+def find_instruments(
+    image: WorkingImage, appearance: Appearance | None, sought: Sequence[JudgedBar] = ()
+) -> list[Found]:
+    """The instruments of an image, the surest first. `sought` are bars that are known without their colours.
+
+    Without an appearance, only what else is known of its pixels tells where to look.
+    """
+    ratio = image.hint if appearance is None else appearance.of(image) + image.hint
+    settings = image.settings
+    likely = _above(ratio, 0.0, image)
+    bars = [
+        one
+        for level in RATIO_LEVELS
+        for one in _judged_bars(_above(ratio, level, image) if level else likely, image, 3, ratio)
+    ]
+    bars += [one for one in sought if one.evidence > settings.sure_evidence]
+    bars.sort(key=lambda one: -one.evidence)
+    bars = [JudgedBar(sharpened(one.bar, image), one.evidence) for one in bars]
+    taken = np.zeros(image.core.shape, bool)
+    found: list[Found] = []
+    for one in bars:
+        zones = Zones.of(one.bar, image)
+        size = max(int(np.count_nonzero(zones.middle)), 1)
+        if np.count_nonzero(zones.middle & taken) > 0.3 * size:
+            continue
+        if np.count_nonzero(zones.middle & (likely > 0)) < 0.6 * size:
+            continue
+        mask = belonging(zones, likely, ratio, image)
+        if np.count_nonzero(mask & ~taken) < settings.least_area * image.area_px:
+            continue
+        taken |= mask
+        found.append(Found(one.bar, mask, one.evidence))
+        if len(found) >= settings.most_instruments:
+            break
+    masks = with_missed_parts([one.mask for one in found], ratio, image)
+    return [replace(one, mask=mask) for one, mask in zip(found, masks, strict=True)]
+
+
+def _above(ratio: Floats, level: float, image: WorkingImage) -> Image:
+    """What speaks for an instrument by more than a level, without specks and gaps, shape (h, w)."""
+    mask = np.asarray(255 * ((ratio > level) & (image.core > 0)), np.uint8)
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+    return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, ROUND_7), np.uint8) & image.core
+
+
+def _judged_bars(
+    mask: Image, image: WorkingImage, most_bars: int, ratio: Floats | None = None
+) -> list[JudgedBar]:
+    settings = image.settings
+    every = (
+        judged(bar, part, image, ratio) for bar, part in bars_in(mask, image, settings.most_area, most_bars)
+    )
+    return [one for one in every if one is not None and one.evidence > settings.least_evidence]
+
+
+def _apart(sought: list[JudgedBar], image: WorkingImage) -> list[JudgedBar]:
+    shape = image.core.shape[0], image.core.shape[1]
+    taken = np.zeros(shape, np.uint8)
+    kept: list[JudgedBar] = []
+    for one in sorted(sought, key=lambda one: -one.evidence):
+        strip = one.bar.filled(shape)
+        if cv2.countNonZero(strip & taken) <= 0.3 * cv2.countNonZero(strip):
+            taken |= strip
+            kept.append(one)
+    return kept[: image.settings.most_instruments + 1]
+
+
+def _of_bars(image: WorkingImage, sought: Sequence[JudgedBar]) -> Example | None:
+    """What the sure bars of an image teach; what is near to any bar may be either, and teaches nothing."""
+    if not sought or sought[0].evidence < image.settings.teaching_evidence:
+        return None
+    shape = image.core.shape[0], image.core.shape[1]
+    least = min(0.6 * sought[0].evidence, image.settings.sure_evidence)
+    inside, near = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+    for one in sought:
+        strip = one.bar.filled(shape)
+        reach: NDArray[np.uint8] = SQUARE_5
+        if one.evidence >= least:
+            inside |= np.asarray(cv2.erode(strip, SQUARE_3), np.uint8)
+            size = int(2.0 * one.bar.width_px) | 1
+            reach = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
+        near |= np.asarray(cv2.dilate(strip, reach), np.uint8)
+    return Example(image, inside, np.asarray(cv2.subtract(image.core, near), np.uint8))
+
+
+OFF_SIDE = 0.1
+"""How far, over the shaft's width, an outline may be off the sides of a cylinder, beside a pixel and a half."""
+LONGEST_GAP = 0.5
+"""Of an outline off its sides, over the width: glare and blood at an edge are shorter, wrists are longer."""
+
+
+@dataclass(frozen=True)
+class SeenInstrument:
+    """An instrument that comes in from the picture's border, in pixels of the image it was found in.
+
+    `mask` (h, w) is all of it; `shaft` (h, w) its part between two straight sides, `distal` (h, w) wrist and jaws.
+    `sides`, shape (2, 2, 2), holds the ends of both sides as (x, y), at the border first. `end_px` (2,) is the middle
+    of the shaft's end, where the outline stops being that of a cylinder, and `tip_px` (2,) what of the instrument is
+    farthest along the axis from there. `evidence`, from 0 to 1, says how sure it is that this is an instrument.
+    """
+
+    mask: Image
+    shaft: Image
+    distal: Image
+    sides: Array
+    end_px: Array
+    tip_px: Array
+    evidence: float
+
+    @property
+    def entry_px(self) -> Array:
+        """The middle between both sides at the border, shape (2,)."""
+        return np.asarray(self.sides[:, 0].mean(axis=0))
+
+    @property
+    def axis(self) -> Array:
+        """Unit vector from the border inwards, shape (2,)."""
+        along = self.end_px - self.entry_px
+        return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
+
+    @property
+    def width_px(self) -> float:
+        """Distance of both sides at the shaft's end."""
+        return float(np.linalg.norm(self.sides[0, 1] - self.sides[1, 1]))
+
+
+def seen_instrument(found: Found, image: WorkingImage, size: tuple[int, int]) -> SeenInstrument:
+    """An instrument of a working image in the pixels of the image of `size` = (h, w) that it was made of."""
+    sides, end_px, tip_px = outline_geometry(found.mask, found.bar.sides)
+    mask = _enlarged(found.mask, size)
+    sides, end_px, tip_px = (_in_full(points, image.scale) for points in (sides, end_px, tip_px))
+    axis = end_px - sides[:, 0].mean(axis=0)
+    axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
+    x, y = np.arange(size[1], dtype=np.float32)[None, :], np.arange(size[0], dtype=np.float32)[:, None]
+    before = (x - np.float32(end_px[0])) * np.float32(axis[0]) + (y - np.float32(end_px[1])) * np.float32(
+        axis[1]
+    ) < 0
+    shaft = np.where(before, mask, 0).astype(np.uint8)
+    return SeenInstrument(
+        mask, shaft, np.asarray(cv2.subtract(mask, shaft), np.uint8), sides, end_px, tip_px, found.evidence
+    )
+
+
+def outline_geometry(mask: NDArray[np.bool_], sides: Array) -> tuple[Array, Array, Array]:
+    """Both sides from where they begin to where the outline leaves them, shape (2, 2, 2), the end and the tip, (2,).
+
+    `mask`, shape (h, w), is the instrument; `sides`, shape (2, 2, 2), are lines along its shaft, border first. The
+    outline is that of a cylinder for as long as the mask's edges stay on both lines.
+    """
+    start = sides[:, 0].mean(axis=0)
+    axis = sides[:, 1].mean(axis=0) - start
+    axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
+    normal = np.array([-axis[1], axis[0]])
+    y, x = np.nonzero(mask)
+    points = np.stack([x, y], axis=1) - start
+    along, across = points @ axis, points @ normal
+    tip = start + float(along.max(initial=0.0)) * axis
+    if len(along):
+        far = along > along.max() - 2.0
+        tip = start + axis * along.max() + normal * float(np.median(across[far]))
+    first, last = int(np.floor(along.min(initial=0.0))), int(np.ceil(along.max(initial=0.0)))
+    steps = np.arange(first, last + 1)
+    low, high = np.full(len(steps), np.inf), np.full(len(steps), -np.inf)
+    at = np.clip(np.rint(along).astype(int) - first, 0, len(steps) - 1)
+    np.minimum.at(low, at, across - 0.5)
+    np.maximum.at(high, at, across + 0.5)
+    lines = np.stack([_offsets(side, start, axis, normal, steps) for side in sides])
+    lower, upper = np.minimum(lines[0], lines[1]), np.maximum(lines[0], lines[1])
+    width = np.maximum(upper - lower, 1.0)
+    within = OFF_SIDE * width + 1.5
+    is_cylinder = (np.abs(low - lower) < within) & (np.abs(high - upper) < within)
+    end = _last_of_run(steps, is_cylinder, LONGEST_GAP * float(np.median(width)))
+    cut = [_at(side, start, axis, end) for side in sides]
+    return (
+        np.stack([np.stack([side[0], inner]) for side, inner in zip(sides, cut, strict=True)]),
+        np.mean(cut, axis=0),
+        tip,
+    )
+
+
+def _offsets(side: Array, start: Array, axis: Array, normal: Array, steps: NDArray[np.int_]) -> Array:
+    """How far a line is to the side of the axis at each step along it."""
+    along = side[1] - side[0]
+    slope = float(along @ normal) / max(abs(float(along @ axis)), 1e-9)
+    return np.asarray(float((side[0] - start) @ normal) + slope * (steps - float((side[0] - start) @ axis)))
+
+
+def _at(side: Array, start: Array, axis: Array, end: float) -> Array:
+    """The point of a line, shape (2,), that is `end` along the axis."""
+    along = side[1] - side[0]
+    return np.asarray(
+        side[0] + along * ((end - float((side[0] - start) @ axis)) / max(float(along @ axis), 1e-9))
+    )
+
+
+def _last_of_run(steps: NDArray[np.int_], good: NDArray[np.bool_], longest_gap: float) -> float:
+    """The last good step before a gap that is longer than allowed; the gaps before the first good one do not count."""
+    places = steps[good]
+    if not len(places):
+        return float(steps[-1]) if len(steps) else 0.0
+    gaps = np.flatnonzero(np.diff(places) > longest_gap)
+    # A gap near the border is where the outline joins what else is dark there.
+    gaps = gaps[places[gaps] > 0]
+    return float(places[gaps[0]] if len(gaps) else places[-1])
+
+
+def _enlarged(mask: NDArray[np.bool_], size: tuple[int, int]) -> Image:
+    large = cv2.resize(np.asarray(mask, np.uint8) * 255, (size[1], size[0]), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.threshold(large, 127, 255, cv2.THRESH_BINARY)[1], np.uint8)
+
+
+def _in_full(points: Array, scale: float) -> Array:
+    """Pixels of the working image as those of the one it was made of: the middle of a pixel is a whole number."""
+    return np.asarray((points + 0.5) / scale - 0.5)

@@ -1,0 +1,263 @@
+"""What speaks for a bar being an instrument, and which pixels belong to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.samples import Image
+from svmdist.transforms import Array
+from svmdist.vision.instrument_bars import Bar, Zones
+from svmdist.vision.working_image import SQUARE_3, SQUARE_5, Floats, WorkingImage
+
+Value = TypeVar("Value", bound=np.uint8 | np.float32)
+
+
+@dataclass(frozen=True)
+class JudgedBar:
+    """A bar that runs from the picture's border inwards, and the evidence, from 0 to 1, that it is an instrument's."""
+
+    bar: Bar
+    evidence: float
+
+
+def judged(bar: Bar, part: Image, image: WorkingImage, ratio: Floats | None = None) -> JudgedBar | None:
+    """Judge a bar on the outline of a part, shape (h, w); None where it is no instrument's.
+
+    `ratio`, shape (h, w), is how much each pixel's colour speaks for an instrument, where that is known.
+
+    An instrument is straight over most of its length and comes in through the border. Across both of its sides colour
+    or brightness changes at once, where a shadow's fade; and it is less red than what is on either side, or darker
+    and no redder.
+    """
+    settings = image.settings
+    if bar.length_px < max(settings.least_length_widths * bar.width_px, settings.least_length_px):
+        return None
+    inwards = _from_border(bar, part, image)
+    if inwards is None:
+        return None
+    first, second = _steps(inwards, 0, image, ratio), _steps(inwards, 1, image, ratio)
+    if first is None or second is None:
+        return None
+    fraction = min(first.fraction, second.fraction)
+    cooler, darker = min(first.cooler, second.cooler), min(first.darker, second.darker)
+    is_cooler = cooler > settings.least_cooler
+    is_grey = max(first.chroma, second.chroma) < settings.grey_chroma
+    is_darker = darker > settings.least_darker and (cooler > -settings.most_warmer or is_grey)
+    is_yellow = max(first.yellow, second.yellow) > settings.yellow_from
+    if is_yellow and max(first.yellower, second.yellower) > settings.most_yellower:
+        return None
+    is_known = min(first.likelier, second.likelier) > settings.least_ratio_step
+    if fraction < settings.least_step_fraction or not (is_cooler or is_darker or is_known):
+        return None
+    lengths = np.linalg.norm(inwards.sides[:, 1] - inwards.sides[:, 0], axis=1)
+    straight = min(1.0, float((np.array(inwards.support) / np.maximum(lengths, 1.0)).min()))
+    straight *= min(1.0, inwards.length_px / (1.2 * inwards.width_px))
+    long = min(1.0, inwards.length_px / (0.25 * settings.working_px)) ** 0.5
+    mean_cooler = max(0.5 * (first.cooler + second.cooler), -settings.most_warmer)
+    likelier = max(min(first.likelier, second.likelier), 0.0)
+    distinct = min(1.0, 0.4 + 2.0 * min(mean_cooler, 0.3) + 0.4 * max(darker, 0.0) + 0.1 * likelier)
+    return JudgedBar(inwards, float(fraction * straight * long * max(distinct, 0.0)))
+
+
+def _from_border(bar: Bar, part: Image, image: WorkingImage) -> Bar | None:
+    """The bar with its first end towards the border, None where its part does not go on to there."""
+    longest_px = 5.0 * bar.width_px
+    before = _way_out(bar.middles[0], -bar.axis, part, image, longest_px)
+    behind = _way_out(bar.middles[1], bar.axis, part, image, longest_px)
+    if before is None and behind is None:
+        return None
+    is_first = behind is None or (before is not None and before <= behind)
+    return bar if is_first else bar.turned()
+
+
+def _way_out(start: Array, along: Array, part: Image, image: WorkingImage, longest_px: float) -> float | None:
+    """How far it is from a point along a direction, each of shape (2,), to the picture's border inside of a part."""
+    steps = np.arange(0.0, longest_px + 1.0)
+    places = np.rint(start + steps[:, None] * along).astype(int)
+    inside = _values(image.core, places) > 0
+    if inside.all():
+        return None
+    length = int(np.argmin(inside))
+    if length > 4 and np.mean(_values(part, places[:length]) > 0) < 0.8:
+        return None
+    return float(length)
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Along one side: the part of it with a step, and what the inside is.
+
+    How much less red and how much darker than the outside, how coloured, how much likelier an instrument's, and how
+    much more yellow; and how yellow it is itself.
+    """
+
+    fraction: float
+    cooler: float
+    darker: float
+    chroma: float
+    likelier: float
+    yellower: float
+    yellow: float
+
+
+def _steps(bar: Bar, side: int, image: WorkingImage, ratio: Floats | None) -> _Steps | None:
+    settings = image.settings
+    inside = np.rint(bar.places(side, settings.reach_px)).astype(int)
+    outside = np.rint(bar.places(side, -settings.reach_px)).astype(int)
+    seen = (_values(image.core, inside) > 0) & (_values(image.core, outside) > 0)
+    if np.count_nonzero(seen) < 6:
+        return None
+    own = _values(image.colours, inside[seen])
+    step = _values(image.colours, outside[seen]) - own
+    scaled = step / np.array([settings.colour_step, settings.colour_step, settings.brightness_step])
+    steps = np.linalg.norm(scaled, axis=1) > 1.0
+    likelier = 0.0
+    if ratio is not None:
+        rise = _values(ratio, inside[seen]) - _values(ratio, outside[seen])
+        steps |= rise > settings.least_ratio_step
+        likelier = float(np.median(rise))
+    fraction = float(np.mean(steps))
+    cooler = float(np.median(step[:, 0] + 0.5 * step[:, 1]))
+    chroma = float(np.median(np.hypot(own[:, 0], own[:, 1])))
+    return _Steps(
+        fraction,
+        cooler,
+        float(np.median(step[:, 2])),
+        chroma,
+        likelier,
+        yellower=-float(np.median(step[:, 1])),
+        yellow=float(np.median(own[:, 1])),
+    )
+
+
+def _values(field: NDArray[Value], places: NDArray[np.int_]) -> NDArray[Value]:
+    """A field's values, shape (n, ...), at pixels (x, y), shape (n, 2); 0 outside of it."""
+    height, width = field.shape[:2]
+    x, y = places.T
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    values = field[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].copy()
+    values[~inside] = 0
+    return np.asarray(values)
+
+
+RATIO_SURE = 1.5
+"""A colour that speaks for an instrument by more belongs to the one that it touches."""
+RATIO_DOUBT = 2.0
+"""A colour that speaks against an instrument by no more may be that of a wrist."""
+FAR_D2 = 16.0
+"""Squared deviation from the colours around, of three numbers, that one in a thousand exceeds."""
+MOST_GOING_ON_PX = 3
+"""Pixels of a part beside a bar that may touch what goes on beyond."""
+MOST_CUT_FRACTION = 0.08
+"""Of the border of where wrist and jaws can be: where more of it is likely on both sides, they end elsewhere."""
+MOST_ELSEWHERE = 0.05
+"""Of the instruments' pixels: with more that looks like them apart from them, likeness says little."""
+LEAST_MISSED_PART = 0.2
+"""Of an instrument's pixels: smaller parts beside it are shadows and reflections, which parts of a shaft are not."""
+SQUARE_9 = np.ones((9, 9), np.uint8)
+
+
+def belonging(zones: Zones, likely: Image, ratio: Floats, image: WorkingImage) -> NDArray[np.bool_]:
+    """What of the likely pixels belongs to the instrument of these zones: what hangs together with its bar.
+
+    `likely`, shape (h, w), is what looks like an instrument, and `ratio` how much.
+    """
+    likely = likely | _unlike_nearby(zones, ratio, image)
+    sure = ratio > RATIO_SURE
+    distal = zones.distal & (likely > 0)
+    if _is_cut_off(distal, zones, likely):
+        distal = zones.narrow & (likely > 0)
+    beside = _ending_there(zones.beside & sure & (image.core > 0) & ~zones.strip, zones, likely)
+    mine = distal | (zones.strip & (likely > 0)) | beside | zones.middle
+    _, labels = cv2.connectedComponents(mine.astype(np.uint8))
+    names = np.unique(labels[zones.middle])
+    mask = np.isin(labels, names[names > 0]) & (image.core > 0)
+    mask = _without_holes(mask, 0.003 * image.area_px)
+    # Where the optics fade, colours tell nothing; the instrument goes on to the border of the picture.
+    outside = zones.strip & (image.picture > 0) & (image.core == 0)
+    return np.asarray(mask | (outside & (cv2.dilate(mask.astype(np.uint8), SQUARE_5) > 0)))
+
+
+def with_missed_parts(
+    masks: Sequence[NDArray[np.bool_]], ratio: Floats, image: WorkingImage
+) -> list[NDArray[np.bool_]]:
+    """The instruments' masks with large parts that look like them and touch them: a shaft found by its narrow wrist.
+
+    Only where next to nothing else in the picture looks so: then it is no colour of the background's.
+    """
+    mask = np.any(masks, axis=0) if masks else np.zeros(image.core.shape, bool)
+    rest = np.asarray(((ratio > RATIO_SURE) & image.inner & ~mask).astype(np.uint8))
+    rest = np.asarray(cv2.morphologyEx(rest, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(rest)
+    touching = [np.bincount(labels[_grown(one)], minlength=count) > 0 for one in masks]
+    size = stats[:, cv2.CC_STAT_AREA]
+    parts = range(1, count)
+    apart = sum(int(size[part]) for part in parts if not any(near[part] for near in touching))
+    if apart > MOST_ELSEWHERE * np.count_nonzero(mask):
+        return list(masks)
+    completed = []
+    for one, near in zip(masks, touching, strict=True):
+        least = LEAST_MISSED_PART * np.count_nonzero(one)
+        missed = [part for part in parts if near[part] and size[part] > least]
+        completed.append(np.asarray(one | np.isin(labels, missed)) if missed else one)
+    return completed
+
+
+def _unlike_nearby(zones: Zones, ratio: Floats, image: WorkingImage) -> Image:
+    """What in the distal zone has not the colours around it, shape (h, w): wrists are reddish by tissue's reflection.
+
+    The colours around are one normal distribution; a pixel far outside of it is not of what lies there.
+    """
+    near = cv2.dilate(zones.distal.astype(np.uint8), SQUARE_9) > 0
+    around = near & ~zones.distal & ~zones.strip & (image.core > 0) & (ratio < 0.0)
+    inside = zones.distal & (image.core > 0) & (ratio > -RATIO_DOUBT)
+    if np.count_nonzero(around) < 50 or not inside.any():
+        return np.zeros_like(image.core)
+    sample = image.colours[around].astype(np.float64)
+    centre = np.median(sample, axis=0)
+    spread = np.cov(sample.T) + np.diag([0.03, 0.03, 0.1]) ** 2
+    off = image.colours[inside] - centre
+    far = np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off) > FAR_D2
+    mask = np.zeros_like(image.core)
+    mask[inside] = 255 * far
+    return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+
+
+def _ending_there(beside: NDArray[np.bool_], zones: Zones, likely: Image) -> NDArray[np.bool_]:
+    """The parts beside a bar that end within what a shaft takes up; what goes on is a thing beside the shaft."""
+    count, labels, _, _ = cv2.connectedComponentsWithStats(beside.astype(np.uint8))
+    if count < 2:
+        return beside
+    outside = (likely > 0) & ~zones.beside & ~zones.distal
+    near = cv2.dilate(outside.astype(np.uint8), SQUARE_3) > 0
+    goes_on = np.bincount(labels[near & beside], minlength=count) > MOST_GOING_ON_PX
+    goes_on[0] = True
+    return np.asarray(~goes_on[labels])
+
+
+def _is_cut_off(distal: NDArray[np.bool_], zones: Zones, likely: Image) -> bool:
+    """Whether what looks like wrist and jaws goes on beyond what those can reach: then it is a thing behind them."""
+    around = (cv2.dilate(zones.distal.astype(np.uint8), SQUARE_3) > 0) & ~zones.distal & ~zones.beside
+    beyond = around & (likely > 0) & (cv2.dilate(distal.astype(np.uint8), SQUARE_3) > 0)
+    return int(np.count_nonzero(beyond)) > MOST_CUT_FRACTION * int(np.count_nonzero(around))
+
+
+def _without_holes(mask: NDArray[np.bool_], most_px: float) -> NDArray[np.bool_]:
+    """The mask with its small holes filled: glare and blood; through a large one tissue is seen."""
+    solid = mask.astype(np.uint8)
+    contours, _ = cv2.findContours(solid, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    whole = np.zeros_like(solid)
+    cv2.drawContours(whole, contours, -1, 1, cv2.FILLED)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(cv2.subtract(whole, solid))
+    small = [label for label in range(1, count) if stats[label, cv2.CC_STAT_AREA] < most_px]
+    return np.asarray(mask | np.isin(labels, small))
+
+
+def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), SQUARE_5) > 0)

@@ -1,0 +1,336 @@
+"""The paper's static virtual marker: its pattern, ORB features and matching, and the homography (sec. III.B, C)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.least_squares import NormalEquations, Steps, minimise
+from svmdist.profile.settings import MarkerSettings
+from svmdist.samples import Image
+from svmdist.transforms import Array
+
+CELL_COUNT = 12
+"""Cells along a side: margin, frame, eight of data, frame, margin."""
+
+DATA_ROWS = (0b00100011, 0b11010100, 0b10110111, 0b00111001, 0b11100100, 0b00011011, 0b01011000, 0b11100100)
+"""Eight rows of eight cells, 1 is white. Found by random search: half the cells are white, no run along a
+row or column is longer than three cells, each quarter turn changes 32 cells, and windows of 4 x 4 cells,
+about an ORB patch, differ from one another under every quarter turn."""
+
+
+EDGE_SOFTNESS_PX = 1.0
+"""Standard deviation of the blur that softens the cells' edges. Perfectly sharp corners give neighbouring
+pixels the same FAST score, and its non-maximum suppression then drops them all at full resolution."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarkedWindow:
+    """The part of an image about the marker, with the marker pasted in its middle.
+
+    The window is wider than the marker by the same margin on every side, so that a marker at the image's border is
+    neither cut nor too close to the edge for ORB. `origin_px` is the window's top left pixel (x, y) in the image, and
+    may lie outside of it.
+    """
+
+    window_bgr: Image
+    origin_px: tuple[int, int]
+
+
+@lru_cache(maxsize=8)
+def marker_pattern(size_px: int) -> Image:
+    """The marker as a grey image, shape (size_px, size_px), read-only."""
+    cells = np.full((CELL_COUNT, CELL_COUNT), 255, np.uint8)
+    cells[1:-1, 1:-1] = 0
+    for row, bits in enumerate(DATA_ROWS):
+        for column in range(8):
+            cells[row + 2, column + 2] = 255 if bits >> (7 - column) & 1 else 0
+    index = np.arange(size_px) * CELL_COUNT // size_px
+    pattern = np.asarray(cv2.GaussianBlur(cells[np.ix_(index, index)], (0, 0), EDGE_SOFTNESS_PX), np.uint8)
+    pattern.setflags(write=False)
+    return pattern
+
+
+@lru_cache(maxsize=8)
+def _marker_bgr(size_px: int) -> Image:
+    """The marker with three channels alike: pasting it is a plain copy."""
+    return np.asarray(cv2.cvtColor(marker_pattern(size_px), cv2.COLOR_GRAY2BGR), np.uint8)
+
+
+def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: int) -> MarkedWindow:
+    """Paste the marker with its middle at `centre_px` (x, y in px of the image, rounded to whole pixels).
+
+    The window, shape (size_px + 2 margin_px,) squared, repeats the image's edge where it reaches over it, which
+    adds no corners. The image itself is left alone.
+    """
+    height, width = image_bgr.shape[:2]
+    x0 = _first_px(float(centre_px[0]), size_px, width) - margin_px
+    y0 = _first_px(float(centre_px[1]), size_px, height) - margin_px
+    x1, y1 = x0 + size_px + 2 * margin_px, y0 + size_px + 2 * margin_px
+    window = image_bgr[max(y0, 0) : y1, max(x0, 0) : x1]
+    top, bottom, left, right = max(-y0, 0), max(y1 - height, 0), max(-x0, 0), max(x1 - width, 0)
+    window = np.asarray(cv2.copyMakeBorder(window, top, bottom, left, right, cv2.BORDER_REPLICATE), np.uint8)
+    window[margin_px:-margin_px, margin_px:-margin_px] = _marker_bgr(size_px)
+    return MarkedWindow(window, (x0, y0))
+
+
+def _first_px(centre_px: float, size_px: int, length_px: int) -> int:
+    """The marker's first pixel along an axis of the image; its middle is brought back to the image."""
+    first = round(centre_px - (size_px - 1) / 2.0)
+    return min(max(first, -(size_px // 2)), length_px - size_px // 2)
+
+
+def padded_template(size_px: int, margin_px: int) -> Image:
+    """The marker on a grey ground, shape (size_px + 2 margin_px,) squared: ORB skips corners near borders."""
+    return np.pad(marker_pattern(size_px), margin_px, constant_values=127)
+
+
+EDGE_MARGIN_PX = 31
+"""ORB finds no keypoint closer to the border of a pyramid level than its `edgeThreshold`."""
+
+SCALE_FACTOR = 1.2
+MAX_LEVELS = 8
+"""ORB's pyramid as in Rublee 2011, sec. 6.1: eight levels, each 1.2 times as coarse as the one before."""
+
+DESCRIPTOR_BYTES = 32
+"""eqs. (13)–(16): n = 256 binary tests make 32 bytes, not "32 dimensions"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """Keypoints, shape (n, 2) in px, with their ORB descriptors, shape (n, 32) of uint8."""
+
+    points_px: Array
+    descriptors: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.points_px)
+
+
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """Matched points, both of shape (n, 2) in px, best match first."""
+
+    template_px: Array
+    frame_px: Array
+
+    def __len__(self) -> int:
+        return len(self.template_px)
+
+
+def detect_orb(image_grey: Image, feature_count: int, mask: Image | None = None) -> Features:
+    """Detect ORB features (Rublee 2011) of a grey image, shape (h, w), inside a mask of the same shape.
+
+    A featureless image gives no features rather than an error.
+    """
+    side_px = min(image_grey.shape)
+    if side_px <= 2 * EDGE_MARGIN_PX:  # all margin; OpenCV fails on the smallest of these
+        return _no_features()
+    # Coarser levels are all margin.
+    levels = 1 + int(math.log(side_px / (2 * EDGE_MARGIN_PX + 1), SCALE_FACTOR))
+    orb = cv2.ORB_create(  # type: ignore[attr-defined]
+        nfeatures=feature_count,
+        scaleFactor=SCALE_FACTOR,
+        nlevels=min(levels, MAX_LEVELS),
+        edgeThreshold=EDGE_MARGIN_PX,
+        patchSize=EDGE_MARGIN_PX,
+    )
+    keypoints, descriptors = orb.detectAndCompute(image_grey, mask)
+    if descriptors is None or not keypoints:
+        return _no_features()
+    points_px = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
+    return Features(points_px, np.asarray(descriptors, np.uint8))
+
+
+def match_features(template: Features, frame: Features, ratio: float) -> Matches:
+    """Match each template feature to the nearest frame feature, if it is clearly nearer than the second.
+
+    Brute-force Hamming distance with k = 2 and the ratio test (Lowe 2004, sec. 7.1); matches are sorted
+    by distance. A feature with a single neighbour has nothing to be compared with and is dropped.
+    """
+    if len(template) == 0 or len(frame) < 2:
+        return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
+    # What cv2.BFMatcher.knnMatch does, without an object for every match.
+    distance, nearest = cv2.batchDistance(
+        template.descriptors, frame.descriptors, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2
+    )
+    kept = np.flatnonzero(distance[:, 0] < ratio * distance[:, 1])
+    kept = kept[np.argsort(distance[kept, 0], kind="stable")]
+    return Matches(template.points_px[kept], frame.points_px[nearest[kept, 0]])
+
+
+def _no_features() -> Features:
+    return Features(np.zeros((0, 2)), np.zeros((0, DESCRIPTOR_BYTES), np.uint8))
+
+
+DEFAULT = MarkerSettings()
+
+SEED = 20
+"""Fixed seed of the sampler: with it, and without threads, USAC gives the same bits everywhere."""
+
+REFIT_STEPS = Steps(max_steps=10, settled=1e-9, damping=1e-9)
+"""Gauss–Newton from a fit that is good to a fraction of a pixel: two or three steps reach rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Homography:
+    """`H`, shape (3, 3) with H[2, 2] = 1, and which matches agree with it, shape (n,) of bool."""
+
+    H: Array
+    inliers: NDArray[np.bool_]
+
+
+def fit_homography(
+    matches: Matches, reprojection_px: float, settings: MarkerSettings = DEFAULT
+) -> Homography | None:
+    """Fit a homography robustly (MAGSAC, Barath 2019); None where the points allow none.
+
+    Inliers are counted here by eq. (18), not taken from OpenCV, so that the number means what the paper
+    says. Fewer than four inliers cannot carry a homography.
+    """
+    if len(matches) < 4:
+        return None
+    parameters = cv2.UsacParams()
+    parameters.threshold = reprojection_px
+    parameters.confidence = 0.999
+    parameters.maxIterations = 2000
+    parameters.score = cv2.SCORE_METHOD_MAGSAC
+    parameters.loMethod = cv2.LOCAL_OPTIM_SIGMA
+    parameters.loIterations = 10
+    parameters.loSampleSize = 50
+    parameters.isParallel = False
+    parameters.randomGeneratorState = SEED
+    try:
+        fitted, _ = cv2.findHomography(matches.template_px, matches.frame_px, parameters)
+    except cv2.error:  # degenerate points: all alike, or on one line
+        return None
+    if fitted is None or not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
+        return None
+    H, error_px = _refit(np.asarray(fitted / fitted[2, 2], np.float64), matches, settings)
+    inliers = error_px <= reprojection_px
+    return Homography(H, inliers) if np.count_nonzero(inliers) >= 4 else None
+
+
+def _refit(H: Array, matches: Matches, settings: MarkerSettings) -> tuple[Array, Array]:
+    """Refit by least squares on the matches within shrinking thresholds, while they are many and agree.
+
+    Gives the homography and each match's transfer error in px, shape (n,).
+    """
+    error_px = transfer_error(H, matches.template_px, matches.frame_px)
+    fitted_on: NDArray[np.bool_] | None = None
+    for threshold_px in settings.refit_thresholds_px:
+        close = error_px <= threshold_px
+        if np.count_nonzero(close) < settings.refit_min_count:
+            break
+        if fitted_on is not None and np.array_equal(close, fitted_on):
+            continue  # the same matches give the same homography
+        fitted = least_squares_homography(H, matches.template_px[close], matches.frame_px[close])
+        if fitted is None:
+            break
+        H, fitted_on = fitted, close
+        error_px = transfer_error(H, matches.template_px, matches.frame_px)
+    return H, error_px
+
+
+def least_squares_homography(start: Array, template_px: Array, frame_px: Array) -> Array | None:
+    """The homography, shape (3, 3), that minimises the squared transfer errors of points of shape (n, 2).
+
+    Gauss–Newton from a start that is near (Hartley and Zisserman 2004, sec. 4.2.2). Both sets of points are normalised
+    (sec. 4.4.4), without which the normal equations would lose half of the digits. None where there is no minimum
+    near the start.
+    """
+    template, frame = _normalised(template_px), _normalised(frame_px)
+    if template is None or frame is None:
+        return None
+    (p, to_template_px), (q, to_frame_px) = template, frame
+    start = _inverse_similarity(to_frame_px) @ start @ to_template_px
+    if abs(start[2, 2]) < 1e-12:
+        return None
+    found = minimise(
+        (start / start[2, 2]).ravel()[:8], lambda h: _normal_equations(h, p, q), np.add, REFIT_STEPS
+    )
+    if found is None:
+        return None
+    fitted = np.append(found.state, 1.0).reshape(3, 3)
+    fitted = to_frame_px @ fitted @ _inverse_similarity(to_template_px)
+    if not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
+        return None
+    return np.asarray(fitted / fitted[2, 2])
+
+
+def _normal_equations(h: Array, p: Array, q: Array) -> NormalEquations | None:
+    """Of the transfer errors of normalised points, shape (n, 2), about the first eight elements of H."""
+    w = p @ h[6:] + 1.0
+    if w.min() <= 1e-9:  # a point at infinity, or beyond
+        return None
+    terms = np.empty((3, len(p)))
+    np.divide(p.T, w, terms[:2])
+    np.divide(1.0, w, terms[2])
+    mapped = h[:6].reshape(2, 3) @ terms
+    J = np.zeros((8, 2, len(p)))
+    J[:3, 0] = terms
+    J[3:6, 1] = terms
+    np.multiply(-mapped, terms[:2, None], J[6:])
+    by_element = J.reshape(8, -1)
+    off = (q.T - mapped).ravel()
+    return NormalEquations(float(off @ off), by_element @ off, by_element @ by_element.T)
+
+
+def _normalised(points_px: Array) -> tuple[Array, Array] | None:
+    """Points, shape (n, 2), of zero mean and a mean square of 1, and the similarity (3, 3) that takes them back to px.
+
+    None where all points are alike.
+    """
+    mean = points_px.sum(0) / len(points_px)
+    off = points_px - mean
+    size = math.sqrt(float(np.vdot(off, off)) / off.size)
+    if not size > 0.0:
+        return None
+    return off / size, np.array([[size, 0.0, mean[0]], [0.0, size, mean[1]], [0.0, 0.0, 1.0]])
+
+
+def _inverse_similarity(S: Array) -> Array:
+    """The inverse of a similarity without rotation, shape (3, 3)."""
+    size, x, y = S[0, 0], S[0, 2], S[1, 2]
+    return np.asarray(np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, size]]) / size)
+
+
+def transfer(H: Array, points_px: Array) -> Array:
+    """Map points, shape (n, 2) in px, by eq. (17) with its missing scale: λ [u' v' 1] = H [u v 1]."""
+    mapped = points_px @ H[:, :2].T + H[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def transfer_error(H: Array, template_px: Array, frame_px: Array) -> Array:
+    """Δd of eq. (18), shape (n,) in px: distance of each match from where the homography puts it."""
+    off_px = frame_px - transfer(H, template_px)
+    error_px = np.hypot(off_px[:, 0], off_px[:, 1])
+    return np.where(np.isfinite(error_px), error_px, np.inf)
+
+
+def is_plausible(H: Array, size_px: int, settings: MarkerSettings = DEFAULT) -> bool:
+    """Tell whether a homography maps the template's square to a convex shape of similar size.
+
+    The marker is pasted without scaling, so that a shape turned over, folded or of quite another size comes
+    from wrong matches.
+    """
+    corners = transfer(H, square_corners(size_px))
+    if not np.all(np.isfinite(corners)):
+        return False
+    edges = np.concatenate([corners[1:], corners[:1]]) - corners
+    following = np.concatenate([edges[1:], edges[:1]])
+    cross = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
+    area_ratio = cv2.contourArea(corners.astype(np.float32)) / (size_px - 1) ** 2
+    return bool(np.all(cross > 0)) and 1.0 / settings.max_area_ratio < area_ratio < settings.max_area_ratio
+
+
+def square_corners(size_px: int) -> Array:
+    """Corners of a square of pixels, clockwise from the top left, shape (4, 2) in px."""
+    last = size_px - 1.0
+    return np.array([[0.0, 0.0], [last, 0.0], [last, last], [0.0, last]])

@@ -1,1 +1,0 @@
-"""The paper's static virtual marker: its pattern, ORB features and homography."""

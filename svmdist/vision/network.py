@@ -1,0 +1,304 @@
+"""Segmentation by a network in an ONNX file, run by OpenCV's DNN module."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+from threading import Lock
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.errors import ProfileError, did_you_mean
+from svmdist.input_file import open_regular, why
+from svmdist.profile import ClassRegion, OnnxSegmentation
+from svmdist.samples import Image
+from svmdist.vision.colour import field_of_view
+
+MARGIN = 0.02
+"""How far from the border a part may end, over the image's width: optics fade there, and networks are coarse."""
+LEAST_AREA = 0.003
+"""An instrument's least part of the picture, as of `auto`."""
+
+
+def parts_from_border(mask: Image, black: Image) -> Image:
+    """Those connected parts of `mask` that reach the border of the picture; shape (h, w), 0 or 255.
+
+    `black` is what may be black border around the picture, of the same shape.
+    """
+    picture = field_of_view(black)
+    height, width = mask.shape
+    reach = max(2, round(MARGIN * width))
+    # A frame of nothing around the image, so that the image's own edge is border too.
+    framed = cv2.copyMakeBorder(picture, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=0)
+    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    inner = cv2.erode(framed, kernel, borderValue=0)[reach : reach + height, reach : reach + width]
+    count, parts, statistics, _ = cv2.connectedComponentsWithStats(mask & picture)
+    least = LEAST_AREA * cv2.countNonZero(picture)
+    kept = np.zeros(count, np.uint8)
+    kept[np.unique(parts[inner == 0])] = 255
+    kept[statistics[:, cv2.CC_STAT_AREA] < least] = 0
+    kept[0] = 0
+    return np.asarray(kept[parts], np.uint8)
+
+
+Labels = NDArray[np.int32]
+Tensor = NDArray[np.generic]
+
+BLACK_LEVEL = 24
+"""Of 255, in every channel: video codes black as 16, and noise of a few levels lies on it."""
+FINITE = float(np.finfo(np.float32).max)
+"""OpenCV's convolutions give the largest float in place of infinity and of what is no number."""
+MAX_FILE_BYTES = 2 << 30
+"""Protobuf, which ONNX is written in, ends at 2 GiB."""
+
+
+class ClassMasks:
+    """The masks of one image by the class of every pixel, shape (h, w)."""
+
+    def __init__(self, image_bgr: Image, labels: Labels, rules: OnnxSegmentation) -> None:
+        self._image_bgr = image_bgr
+        self._labels = labels
+        self._rules = rules
+
+    @cached_property
+    def tissue(self) -> Image:
+        """Pixels of the tissue's classes, 255, and others, 0; shape (h, w)."""
+        return self._of(self._rules.tissue)
+
+    @cached_property
+    def instrument(self) -> Image:
+        """Pixels of the classes of the instrument's distal part."""
+        return self._kept(self._of(self._rules.instrument))
+
+    @cached_property
+    def shaft(self) -> Image | None:
+        """Pixels of the shaft's classes; None where the profile knows none."""
+        return None if self._rules.shaft is None else self._kept(self._of(self._rules.shaft))
+
+    @cached_property
+    def black(self) -> Image:
+        """Pixels as black as the border around an endoscope's view, which no class represents."""
+        return np.asarray(cv2.inRange(self._image_bgr, np.full(3, 0), np.full(3, BLACK_LEVEL)), np.uint8)
+
+    @property
+    def picture(self) -> None:
+        """None: what is black may be border or shaft."""
+        return None
+
+    @property
+    def seen(self) -> None:
+        """None: classes tell no instruments apart."""
+
+    def _kept(self, mask: Image) -> Image:
+        return mask if self._from_border is None else np.asarray(mask & self._from_border, np.uint8)
+
+    @cached_property
+    def _from_border(self) -> Image | None:
+        """What of the instruments reaches the border of the picture; None where all of it counts."""
+        if not self._rules.from_border:
+            return None
+        union = np.maximum(self._of(self._rules.instrument), self._of(self._rules.shaft))
+        return parts_from_border(union, self.black)
+
+    def _of(self, region: ClassRegion | None) -> Image:
+        if region is None:
+            return np.zeros(self._labels.shape, np.uint8)
+        return np.where(np.isin(self._labels, region.class_ids), 255, 0).astype(np.uint8)
+
+
+class OnnxSegmenter:
+    """`method = "onnx"`: the class of every pixel by a network.
+
+    Raises ProfileError where the file cannot be used: it is read and tried on a black image at once, so that a
+    fault of the profile shows before the first frame.
+    """
+
+    uses_colours = False
+
+    def __init__(self, rules: OnnxSegmentation) -> None:
+        self._rules = rules
+        self._net = _read(rules.model)
+        self._lock = Lock()  # a network holds its input and output while it runs
+        self._output = _output_name(self._net, rules)
+        tried = self._run(np.zeros((rules.height_px, rules.width_px, 3), np.uint8))
+        if tried.ndim == 4 and tried.shape[1] > 1:
+            self._require_classes(tried.shape[1])
+
+    def masks(self, bgr: Image, hsv: Image | None = None, /) -> ClassMasks:  # noqa: ARG002
+        """The masks of an image, shape (h, w, 3) in BGR as recorded."""
+        return ClassMasks(bgr, self.labels(bgr), self._rules)
+
+    def labels(self, image_bgr: Image) -> Labels:
+        """The class of every pixel, shape (h, w), of an image, shape (h, w, 3) in BGR."""
+        height, width = image_bgr.shape[:2]
+        output = self._run(image_bgr)
+        if output.ndim == 4 and output.shape[1] > 1:
+            return best_class(np.asarray(output[0], np.float32), (width, height))
+        labels = np.asarray(output.reshape(output.shape[-2:]), np.int32)
+        return np.asarray(
+            cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST_EXACT), np.int32
+        )
+
+    def scores(self, image_bgr: Image) -> NDArray[np.float32]:
+        """The classes' scores at the network's own resolution, shape (C, h', w'), of an image, shape (h, w, 3) in BGR.
+
+        Raises ProfileError for a network that gives labels.
+        """
+        output = self._run(image_bgr)
+        if output.ndim != 4 or output.shape[1] < 2:
+            raise ProfileError(f"{self._rules.model}: the network gives labels, and no scores of classes")
+        return np.asarray(output[0], np.float32)
+
+    def _run(self, image_bgr: Image) -> Tensor:
+        """The network's output, checked: (1, C, h', w') scores, or (1, 1, h', w') or (1, h', w') labels."""
+        rules = self._rules
+        blob = network_input(image_bgr, rules)
+        try:
+            with self._lock, _quiet():
+                self._net.setInput(blob)
+                output = np.asarray(self._net.forward(self._output))
+        except (cv2.error, MemoryError) as problem:
+            raise ProfileError(f"{rules.model}: {_why_not_run(problem, rules)}") from None
+        if output.ndim not in (3, 4) or output.shape[0] != 1 or 0 in output.shape:
+            raise ProfileError(
+                f"{rules.model}: output {self._output} has shape {_shape(output)}; expected class scores"
+                " (1, C, h, w), or labels (1, 1, h, w) or (1, h, w)"
+            )
+        if not (np.abs(output) < FINITE).all():
+            raise ProfileError(
+                f"{rules.model}: output {self._output} is not finite: are mean and scale right?"
+            )
+        if (output.ndim == 3 or output.shape[1] == 1) and not np.array_equal(output, np.round(output)):
+            raise ProfileError(
+                f"{rules.model}: output {self._output} of shape {_shape(output)} has one channel, so that it should"
+                " hold whole class numbers, and holds fractions; class scores need two channels or more"
+            )
+        return output
+
+    def _require_classes(self, count: int) -> None:
+        for name, region in self._rules.parts.items():
+            beyond = [number for number in region.class_ids if number >= count]
+            if beyond:
+                raise ProfileError(
+                    f"{self._rules.model}: segmentation.{name}.class_ids asks for class {beyond[0]}, and the network"
+                    f" tells {count} classes, 0 to {count - 1}"
+                )
+
+
+def network_input(image_bgr: Image, rules: OnnxSegmentation) -> NDArray[np.float32]:
+    """The network's input, shape (1, 3, h, w): the image stretched to its size, (pixel - mean) * scale.
+
+    Stretched and not framed: networks for segmentation are trained so, and no pixel is wasted on a frame. To keep the
+    aspect ratio, choose an input size of the same ratio.
+    """
+    size = (rules.width_px, rules.height_px)
+    if (image_bgr.shape[1], image_bgr.shape[0]) != size:
+        # Averaging over a pixel's area keeps what is thinner than a pixel from flickering.
+        shrinks = image_bgr.shape[1] >= size[0] and image_bgr.shape[0] >= size[1]
+        image_bgr = np.asarray(
+            cv2.resize(image_bgr, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR),
+            np.uint8,
+        )
+    pixels = image_bgr[..., ::-1] if rules.channels == "rgb" else image_bgr
+    mean, scale = np.array(rules.mean, np.float32), np.array(rules.scale, np.float32)
+    scaled = (pixels.astype(np.float32) - mean) * scale
+    return np.ascontiguousarray(scaled.transpose(2, 0, 1)[None])
+
+
+def best_class(scores: NDArray[np.float32], size: tuple[int, int]) -> Labels:
+    """The class of the highest score, shape (h, w), of scores of shape (C, h', w'), at `size` = (w, h).
+
+    Scores are interpolated before the highest is taken: the border between two classes then runs where their scores
+    are equal, between the network's pixels, where enlarged labels would have steps as large as those.
+    The first class wins a tie. One class is enlarged at a time: twenty at once would be 160 MB of an HD image.
+    """
+    best = _enlarged(scores[0], size)
+    labels = np.zeros(best.shape, np.int32)
+    for number in range(1, len(scores)):
+        score = _enlarged(scores[number], size)
+        better = score > best
+        labels[better] = number
+        np.maximum(best, score, out=best)
+    return labels
+
+
+def _enlarged(score: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    if (score.shape[1], score.shape[0]) == size:
+        return score.copy()
+    return np.asarray(cv2.resize(score, size, interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def _read(path: Path) -> cv2.dnn.Net:
+    try:
+        with open_regular(path) as file:
+            size = file.seek(0, 2)
+    except OSError as problem:
+        raise ProfileError(f"{path}: cannot read the network: {why(problem)}") from None
+    if size > MAX_FILE_BYTES:
+        raise ProfileError(
+            f"{path}: cannot read the network: {size >> 20} MiB; an ONNX file holds at most 2 GiB"
+        )
+    try:
+        with _quiet():
+            net = cv2.dnn.readNetFromONNX(str(path))
+    except MemoryError:
+        raise ProfileError(f"{path}: not enough memory to load the network") from None
+    except cv2.error as problem:
+        if "create layer" in str(problem) or "handleNode" in str(problem):
+            raise ProfileError(
+                f"{path}: OpenCV {cv2.__version__} cannot run this network: {_first_words(problem)}"
+            ) from None
+        raise ProfileError(f"{path}: not an ONNX model that OpenCV {cv2.__version__} can read") from None
+    if net.empty():
+        raise ProfileError(f"{path}: an ONNX model without a network in it")
+    return net
+
+
+def _output_name(net: cv2.dnn.Net, rules: OnnxSegmentation) -> str:
+    names = [str(name) for name in net.getUnconnectedOutLayersNames()]
+    if rules.output is not None:
+        if rules.output not in names:
+            raise ProfileError(
+                f"{rules.model}: no output {rules.output}: {did_you_mean(rules.output, names)}"
+            )
+        return rules.output
+    if len(names) != 1:
+        raise ProfileError(
+            f"{rules.model}: the network has {len(names)} outputs; name one in segmentation.output: {', '.join(names)}"
+        )
+    return names[0]
+
+
+def _why_not_run(problem: Exception, rules: OnnxSegmentation) -> str:
+    size = f"{rules.width_px}x{rules.height_px}"
+    no_memory = isinstance(problem, MemoryError) or getattr(problem, "code", 0) == cv2.Error.StsNoMem
+    if no_memory or "bad_alloc" in str(problem):
+        return f"not enough memory to run the network on {size}"
+    return (
+        f"the network does not run on one {rules.channels.upper()} image of {size}: {_first_words(problem)}"
+    )
+
+
+def _first_words(problem: Exception) -> str:
+    """What OpenCV says, without the source line it says it from, in one line."""
+    text = " ".join(str(getattr(problem, "err", "") or problem).replace(">", " ").split())
+    return text if len(text) <= 160 else f"{text[:157]}..."
+
+
+def _shape(output: Tensor) -> str:
+    return f"({', '.join(str(length) for length in output.shape)})"
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """OpenCV's own log lines are kept off stderr: what is wrong is told once, by the error."""
+    before = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(before)

@@ -1,1 +1,0 @@
-"""AprilTags: found by their corners, and their pose refined on all their pixels."""

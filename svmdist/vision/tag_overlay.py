@@ -1,0 +1,315 @@
+"""A tag's printed pattern laid over the pixels of an image: residuals and their derivatives by pose, blur and light."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.least_squares import NormalEquations, huber_weights, scale_of
+from svmdist.profile.settings import TagSettings
+from svmdist.transforms import Array
+from svmdist.vision.tags import DICTIONARIES
+
+CELL_SAMPLES = 16
+"""Texture samples per cell: three for each pixel of a tag that is seen 40 px wide."""
+PAD_CELLS = 2
+"""Of white around the black square. What is further off is as white as its rim."""
+SHEET_COLUMNS = 64
+BLUR_RATIO = 1.01
+"""Textures are made for blurs at powers of this ratio and kept. Between them the brightness follows the derivative by
+the blur, which is right within 1e-5 of the contrast."""
+KEPT_TEXTURES = 48
+"""Of 0.6 MB each: tags from 30 to 60 px wide at one blur of the image need no more."""
+SMALLEST_BLUR_CELLS = 0.3 / CELL_SAMPLES
+
+
+class TagPattern:
+    """The tag as it is printed, white 1 and black 0, on its plane."""
+
+    def __init__(self, family: str, tag_id: int, size_m: float) -> None:
+        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
+        self.size_m = size_m
+        self.cell_count = dictionary.markerSize + 2
+        cells = cv2.aruco.generateImageMarker(dictionary, tag_id, self.cell_count)
+        self._ink: NDArray[np.float32] = (1.0 - cells / 255.0).astype(np.float32)
+        self._texture = lru_cache(KEPT_TEXTURES)(self._make_texture)
+
+    def sample(self, xy_cells: Array, blur_cells: float) -> Array:
+        """Brightness and its derivatives by x, y and blur, shape (4, n), under a Gaussian blur in cells.
+
+        The points, shape (2, n), are in cells about the tag's middle: x to the right and y up as one reads the tag.
+        """
+        blur_cells = max(blur_cells, SMALLEST_BLUR_CELLS)
+        level = round(math.log(blur_cells) / math.log(BLUR_RATIO))
+        # OpenCV remaps images of at most 32767 columns: the points go in as rows of a sheet.
+        count = xy_cells.shape[1]
+        sheet = np.zeros((2, -(-count // SHEET_COLUMNS) * SHEET_COLUMNS), np.float32)
+        middle = (self.cell_count / 2.0 + PAD_CELLS) * CELL_SAMPLES - 0.5
+        sheet[0, :count] = middle + CELL_SAMPLES * xy_cells[0]
+        sheet[1, :count] = middle - CELL_SAMPLES * xy_cells[1]
+        columns, rows = sheet.reshape(2, -1, SHEET_COLUMNS)
+        texture = self._texture(level)
+        values = cv2.remap(texture, columns, rows, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+        sampled = np.array(values.reshape(-1, 4)[:count].T, np.float64, order="C")
+        sampled[0] += (blur_cells - BLUR_RATIO**level) * sampled[3]
+        return sampled
+
+    def _make_texture(self, level: int) -> NDArray[np.float32]:
+        """Brightness and its three derivatives, shape (h, w, 4), under one of the blurs that textures are made for."""
+        along, by_place, by_blur = self._profiles(BLUR_RATIO**level)
+        # A blurred cell is the product of a profile along the rows and one along the columns; y points up.
+        ink = self._ink
+        across = ink @ along.T
+        planes = (
+            1.0 - along @ across,
+            -(along @ (ink @ by_place.T)),
+            by_place @ across,
+            -(by_blur @ across) - along @ (ink @ by_blur.T),
+        )
+        return np.asarray(cv2.merge(planes), np.float32)
+
+    def _profiles(
+        self, blur_cells: float
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """How much of each sample is each cell's, and the derivatives by place and blur, shape (samples, cells) each.
+
+        A step under a Gaussian blur is the normal distribution's integral, a cell is the difference of two steps.
+        """
+        samples = (self.cell_count + 2 * PAD_CELLS) * CELL_SAMPLES
+        place = (np.arange(samples) + 0.5) / CELL_SAMPLES - PAD_CELLS
+        u = (place[:, None] - np.arange(self.cell_count + 1)) / blur_cells
+        integral = np.interp(u, NORMAL_AT, NORMAL_INTEGRAL)
+        density = np.exp(-0.5 * u * u) / (math.sqrt(2.0 * math.pi) * blur_cells)
+        steps = (integral, density, -u * density)
+        along, by_place, by_blur = ((s[:, :-1] - s[:, 1:]).astype(np.float32) for s in steps)
+        return along, by_place, by_blur
+
+
+NORMAL_AT = np.linspace(-6.0, 6.0, 12001)
+NORMAL_INTEGRAL = np.array([0.5 + 0.5 * math.erf(u / math.sqrt(2.0)) for u in NORMAL_AT])
+"""The normal distribution's integral, right within 1e-7 between its entries."""
+
+
+GREY = 100.0
+"""Grey levels that count as one in a step of brightness or contrast: the elements of a step are then alike in size."""
+RIDGE = 1e-9 * np.eye(9)
+FADE_CELLS = 0.2
+"""Pixels count the less the nearer they are to the rim of what is compared: the loss does not jump when they leave."""
+TINY_LEVEL = 1e-6
+"""Grey levels; keeps what is divided by a standard deviation finite on an image that the pattern fits exactly."""
+
+
+@dataclass(frozen=True, slots=True)
+class TagPixels:
+    """n pixels around a tag: brightness, shape (n,), rays in the camera frame, shape (3, n), and the focal length."""
+
+    brightness: Array
+    rays: Array
+    focal_px: float
+
+    def thinned(self, count: int) -> TagPixels:
+        """About so many of them, or up to twice as many, evenly spread."""
+        every = max(1, len(self.brightness) // count)
+        return TagPixels(self.brightness[::every], np.ascontiguousarray(self.rays[:, ::every]), self.focal_px)
+
+
+@dataclass(frozen=True, slots=True)
+class Overlay:
+    """How the pattern is laid over an image: pose, blur, and the grey levels offset + contrast · pattern."""
+
+    T_camera_tag: Array
+    blur_px: float
+    offset: float
+    contrast: float
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """A robust loss of residuals in grey levels: Huber's, or Tukey's biweight, beyond `limit`."""
+
+    limit: float
+    is_biweight: bool
+
+    def __call__(self, residual: Array, share: Array) -> tuple[Array, float]:
+        """Weights, shape (n,), and the mean loss, of pixels that count by their share, shape (n,)."""
+        if self.is_biweight:
+            inlier = np.maximum(0.0, 1.0 - (residual / self.limit) ** 2)
+            weight = share * inlier * inlier
+            return weight, self.limit**2 / 6.0 * (1.0 - float(weight @ inlier) / float(share.sum()))
+        size = np.abs(residual)
+        within = huber_weights(residual, self.limit)
+        weight = share * within
+        return weight, float(weight @ (size * size * (1.0 - 0.5 * within))) / float(share.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class LaidPattern(NormalEquations):
+    """The pattern laid over n pixels: residual (n,), its derivatives (9, n), weights (n,).
+
+    The derivatives are by the pose in the tag's frame, in tag sides and rad, by the blur in px, and by offset and
+    contrast in GREY. `xy_cells` are the pixels' feet, shape (2, n), and `slope` is the pattern's there, shape (n,) by x
+    and by y. What only the last step of a minimisation is asked for is computed then.
+    """
+
+    overlay: Overlay
+    residual: Array
+    derivatives: Array
+    weight: Array
+    xy_cells: Array
+    slope: tuple[Array, Array]
+    clusters_across: int
+    edge_slope: float
+
+    @property
+    def std(self) -> float:
+        """The residual's standard deviation on the pattern's edges, in grey levels."""
+        return _std_on_edges(self.residual, *self.slope, self.edge_slope)
+
+    @property
+    def cell(self) -> NDArray[np.int64]:
+        """The cluster of each pixel, shape (n,): of the size of a cell about the cells' corners.
+
+        No edge lies between two of them.
+        """
+        column, row = (self.xy_cells + 0.5 * self.clusters_across).astype(np.int64)
+        return np.asarray(row * self.clusters_across + column)
+
+    @property
+    def misfit(self) -> float:
+        """The root mean square of the residual, with its weights, over the contrast."""
+        return math.sqrt(self.variance) / self.overlay.contrast
+
+    @property
+    def variance(self) -> float:
+        """The mean square of the residual, with its weights."""
+        return float((self.weight * self.residual) @ self.residual) / max(len(self.residual) - 9, 1)
+
+    def covariance(self, cluster_inflation: float) -> Array:
+        """Covariance of the parameters, shape (9, 9), by clusters (White 1980; Liang and Zeger 1986).
+
+        What is left over lies along the edges and is alike along each of them, for sampling and printing err
+        together there: pixels of one cell count as one observation, and what they say is taken as it is.
+        """
+        inverse = np.linalg.inv(self.information)
+        weighted = self.weight * self.residual
+        cell = self.cell
+        scores = np.stack([np.bincount(cell, weighted * d) for d in self.derivatives])
+        count = int(np.count_nonzero(np.bincount(cell)))
+        spread = scores @ scores.T * (count / max(count - 9, 1))
+        return np.asarray(cluster_inflation * (inverse @ spread @ inverse) + self.variance * inverse)
+
+
+class _PixelsOnTag(NamedTuple):
+    """Pixels on the tag: brightness (n,) and the share by which each counts (n,).
+
+    In the tag's frame their rays' x/z and y/z, shape (2, n), and their feet in cells, shape (2, n).
+    """
+
+    brightness: Array
+    share: Array
+    slope: Array
+    xy_cells: Array
+
+
+def start_overlay(
+    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings
+) -> tuple[Overlay, float] | None:
+    """The blur, brightness and contrast that fit best at a first pose, and the standard deviation on the edges.
+
+    None where the tag is not on the pixels.
+    """
+    on_tag = _pixels_on_tag(pixels, T_camera_tag, pattern, settings)
+    if on_tag is None:
+        return None
+    px_per_cell = _px_per_cell(pixels, T_camera_tag, pattern)
+    brightness = on_tag.brightness - on_tag.brightness.mean()
+    starts = []
+    for blur_px in settings.blur_starts_px:
+        model, by_x, by_y, _ = pattern.sample(on_tag.xy_cells, blur_px / px_per_cell)
+        centred = model - model.mean()
+        contrast = float(centred @ brightness) / max(float(centred @ centred), 1e-12)
+        residual = brightness - contrast * centred
+        offset = float(on_tag.brightness.mean() - contrast * model.mean())
+        std = _std_on_edges(residual, by_x, by_y, settings.edge_slope)
+        starts.append((float(residual @ residual), std, Overlay(T_camera_tag, blur_px, offset, contrast)))
+    _, std, overlay = min(starts, key=lambda start: start[0])
+    return overlay, std
+
+
+def lay_pattern(
+    pixels: TagPixels, overlay: Overlay, pattern: TagPattern, loss: Loss, settings: TagSettings
+) -> LaidPattern | None:
+    """Residual and derivatives of the pattern laid so; None where it is off the pixels or has no contrast."""
+    T, contrast = overlay.T_camera_tag, overlay.contrast
+    on_tag = _pixels_on_tag(pixels, T, pattern, settings)
+    if on_tag is None or not contrast >= settings.min_contrast:
+        return None
+    px_per_cell = _px_per_cell(pixels, T, pattern)
+    model, by_x, by_y, by_blur = pattern.sample(on_tag.xy_cells, overlay.blur_px / px_per_cell)
+    residual = on_tag.brightness - overlay.offset - contrast * model
+
+    # A ray meets the plane z = 0 at (x, y). A tag that moves by m = δp + δθ x (x, y, 0) moves the foot, in its own
+    # frame, by slope · m_z - (m_x, m_y).
+    x, y = on_tag.xy_cells / pattern.cell_count
+    per_side = contrast * pattern.cell_count
+    J = np.empty((9, len(residual)))
+    J[0], J[1] = -per_side * by_x, -per_side * by_y
+    J[2] = -(J[0] * on_tag.slope[0] + J[1] * on_tag.slope[1])
+    J[3], J[4], J[5] = y * J[2], -x * J[2], x * J[1] - y * J[0]
+    J[6], J[7], J[8] = contrast / px_per_cell * by_blur, GREY, GREY * model
+
+    weight, cost = loss(residual, on_tag.share)
+    weighted = weight * J
+    # The ridge keeps the blur's row regular where an image is sharper than any blur is seen.
+    information = weighted @ J.T + RIDGE
+    clusters_across = pattern.cell_count + 3 + 2 * int(settings.margin_cells)
+    return LaidPattern(
+        cost,
+        weighted @ residual,
+        information,
+        overlay,
+        residual,
+        J,
+        weight,
+        on_tag.xy_cells,
+        (by_x, by_y),
+        clusters_across,
+        settings.edge_slope,
+    )
+
+
+def _std_on_edges(residual: Array, by_x: Array, by_y: Array, edge_slope: float) -> float:
+    steepness = by_x * by_x + by_y * by_y
+    return scale_of(residual[steepness > edge_slope**2 * steepness.max()]) + TINY_LEVEL
+
+
+def _pixels_on_tag(
+    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings
+) -> _PixelsOnTag | None:
+    """The pixels on the tag and some of its margin; None where they are too few, or the tag is behind the camera."""
+    if T_camera_tag[2, 3] <= 0.0:
+        return None
+    R_tag_camera = T_camera_tag[:3, :3].T
+    t_cells = R_tag_camera @ T_camera_tag[:3, 3] * (pattern.cell_count / pattern.size_m)
+    rays = R_tag_camera @ pixels.rays
+    depth_cells = t_cells[2] / rays[2]
+    x, y = rays[0] * depth_cells - t_cells[0], rays[1] * depth_cells - t_cells[1]
+    inward_cells = pattern.cell_count / 2.0 + settings.margin_cells - np.maximum(np.abs(x), np.abs(y))
+    inside = np.flatnonzero(inward_cells > 0.0)
+    if len(inside) < settings.min_pixels:
+        return None
+    share = np.minimum(1.0, inward_cells[inside] / FADE_CELLS)
+    xy_cells = np.stack([x[inside], y[inside]])
+    return _PixelsOnTag(
+        pixels.brightness[inside], share, (xy_cells + t_cells[:2, None]) / t_cells[2], xy_cells
+    )
+
+
+def _px_per_cell(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> float:
+    return pattern.size_m / pattern.cell_count * pixels.focal_px / float(T_camera_tag[2, 3])

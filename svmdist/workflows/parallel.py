@@ -1,0 +1,266 @@
+"""Work in several threads or processes, and how far it is: results do not depend on the number of workers.
+
+Threads work ahead on the frames of one log; processes take whole logs, or parts of a comparison or a simulation.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager
+from typing import Any, TypeVar
+
+import cv2
+
+from svmdist.errors import SvmdistError
+from svmdist.recording.log import Recording
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Progress = Callable[[int, int | None], None]
+"""Is called with how much is done, and how much there is where that is known."""
+
+LOOK_AHEAD = 2
+"""Results per worker that may wait: enough for a slow frame, and few images in memory."""
+LOOK_S = 0.2
+"""Seconds between two looks at the progress of other processes."""
+PRELOADED = ["svmdist.workflows.replay"]
+"""Imported once, by the server that forks workers: a worker then starts in milliseconds."""
+
+
+class WorkerDiedError(SvmdistError):
+    """A worker process was killed."""
+
+    def __init__(self) -> None:
+        super().__init__("a worker process was killed, perhaps for want of memory: try fewer --jobs")
+
+
+def usable_cores() -> int:
+    """Cores that this process may run on."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # macOS and Windows
+        return os.cpu_count() or 1
+
+
+@contextmanager
+def one_opencv_thread() -> Iterator[None]:
+    """Frames are worked on in parallel; OpenCV's own threads inside each would only get in their way."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def in_order(
+    function: Callable[[Item], Result], items: Iterable[Item], workers: int, pool: Executor | None = None
+) -> Generator[Result]:
+    """Yield the function of every item, in the items' order; up to so many workers run ahead of the consumer.
+
+    Workers are threads, or those of `pool`; with one worker and no pool everything runs in the consumer's thread.
+    Items are taken in the consumer's thread, a few ahead. What the function raises is raised here, in its place.
+    """
+    if pool is None and workers <= 1:
+        yield from map(function, items)
+        return
+    waiting: deque[Future[Result]] = deque()
+    with ExitStack() as stack:
+        if pool is None:
+            pool = stack.enter_context(ThreadPoolExecutor(workers, thread_name_prefix="svmdist"))
+        try:
+            for item in items:
+                waiting.append(pool.submit(function, item))
+                if len(waiting) > LOOK_AHEAD * workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+@contextmanager
+def process_pool(
+    workers: int, begin: Callable[..., object] | None = None, arguments: tuple[Any, ...] = ()
+) -> Iterator[ProcessPoolExecutor]:
+    """Give a pool of processes that end with the block: after their tasks, or at once where it is left by an error.
+
+    Each process calls `begin(*arguments)` first. Interrupts are this process's to handle; workers also end where this
+    process is killed. Raises WorkerDiedError where a worker is killed.
+    """
+    with _pools() as make:
+        try:
+            yield make(workers, begin, arguments)
+        except BrokenProcessPool:
+            raise WorkerDiedError from None
+
+
+def each_in_processes(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    workers: int,
+    *,
+    attempts: int = 1,
+    died: Result | None = None,
+    on_step: Callable[[], None] | None = None,
+) -> Generator[tuple[int, Result]]:
+    """Yield (place, what the function gives of the item there) as the items end, measured by so many processes.
+
+    An item whose process is killed is given to another one, until it was tried `attempts` times; then `died` stands
+    in place of its result, or WorkerDiedError is raised where that is None. What the function raises is raised here,
+    and ends all processes at once. `on_step` is called for every `step()` in any of the processes.
+    """
+    waiting = deque((place, 1) for place in range(len(items)))
+    running: dict[Future[Result], tuple[ProcessPoolExecutor, int, int]] = {}
+    with _pools() as make:
+        steps = _context().Value("q", 0) if on_step else None
+        seen = 0
+        idle: list[
+            ProcessPoolExecutor
+        ] = []  # each with one process: one that is killed takes only its own item
+        while waiting or running:
+            while waiting and len(running) < workers:
+                place, attempt = waiting.popleft()
+                pool = idle.pop() if idle else make(1, _count_in, (steps,))
+                running[pool.submit(function, items[place])] = (pool, place, attempt)
+            done, _ = wait(running, LOOK_S if on_step else None, return_when="FIRST_COMPLETED")
+            if on_step and steps is not None:
+                for _ in range(steps.value - seen):
+                    seen += 1
+                    on_step()
+            for future in done:
+                pool, place, attempt = running.pop(future)
+                try:
+                    result = future.result()
+                except BrokenProcessPool:
+                    if attempt < attempts:
+                        waiting.appendleft((place, attempt + 1))
+                    elif died is None:
+                        raise WorkerDiedError from None
+                    else:
+                        yield place, died
+                else:
+                    idle.append(pool)
+                    yield place, result
+
+
+_steps: Any = None
+"""In a worker: the counter of steps that all processes share."""
+
+
+def _count_in(steps: Any) -> None:
+    global _steps  # noqa: PLW0603  (a worker has nothing else that outlives a task)
+    _steps = steps
+
+
+def step() -> None:
+    """Count one step of the work of this worker process."""
+    if _steps is not None:
+        with _steps.get_lock():
+            _steps.value += 1
+
+
+def is_worker() -> bool:
+    """Whether this process is a worker: it starts no others."""
+    return multiprocessing.parent_process() is not None
+
+
+def _context() -> Any:
+    # Not fork: threads of this process, as that of a progress bar, do not survive one.
+    methods = multiprocessing.get_all_start_methods()
+    return multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+
+
+@contextmanager
+def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
+    """Give a function that makes pools; their processes end with the block."""
+    context = _context()
+    if context.get_start_method() == "forkserver":
+        from multiprocessing import forkserver
+
+        context.set_forkserver_preload(PRELOADED)
+        with _no_interrupts():
+            forkserver.ensure_running()
+    pools: list[ProcessPoolExecutor] = []
+    others = set(multiprocessing.active_children())
+
+    def make(workers: int, begin: Callable[..., object] | None, arguments: tuple[Any, ...]) -> Any:
+        pools.append(ProcessPoolExecutor(workers, context, _begin, (begin, arguments)))
+        return pools[-1]
+
+    try:
+        yield make
+    except BaseException:
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        raise
+    finally:
+        for pool in pools:
+            pool.shutdown(cancel_futures=True)
+
+
+def _begin(begin: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
+    """Prepare a worker: the process that began it handles interrupts, and takes it along where it is killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    cv2.setNumThreads(1)
+    if begin is not None:
+        begin(*arguments)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Hold interrupts back: a process that begins meanwhile never gets any, nor do its children."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class Steps:
+    """Counts what is done, in all passes over all recordings, and reports it."""
+
+    def __init__(self, on_progress: Progress | None, total: int | None) -> None:
+        self._on_progress = on_progress
+        self._total = total
+        self._done = 0
+
+    def of(self, items: Iterable[Item]) -> Iterator[Item]:
+        """The items as they come, each a step."""
+        for item in items:
+            yield item
+            self.advance()
+
+    def advance(self) -> None:
+        """Count one step."""
+        self._done += 1
+        if self._on_progress is not None:
+            self._on_progress(self._done, self._total)
+
+
+def image_total(
+    recordings: Sequence[Recording], each: Callable[[Recording], int] = lambda _: 1
+) -> int | None:
+    """The images of recordings, times the steps for each image of a recording; None where it is not known."""
+    counts = [(recording.image_count(), each(recording)) for recording in recordings]
+    return None if any(count is None for count, _ in counts) else sum((n or 0) * m for n, m in counts)

@@ -1,0 +1,192 @@
+"""What is asked of logs: how they are read and measured, resolved and checked once."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from svmdist.camera import Camera
+from svmdist.errors import CalibrationError, UsageError, did_you_mean
+from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
+from svmdist.estimation.plane_mapping import (
+    PUBLISHED_MAPPING,
+    Calibration,
+    Equations,
+    PlaneMapping,
+    degeneracies,
+    load_calibration,
+)
+from svmdist.estimation.scene import Arm
+from svmdist.estimation.tissue import require_tissue
+from svmdist.perturbations.chosen import Perturbations
+from svmdist.perturbations.shape import stated_profile
+from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
+from svmdist.recording.log import KnownLag, Recording
+from svmdist.results import FrameResult
+from svmdist.vision.segmentation import Segmenter, make_segmenter
+
+
+@runtime_checkable
+class OwnMethod(Protocol):
+    """Anything with `estimate(frame)`. A `name` is shown in results; the class's name stands in for it."""
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; one that cannot be measured is a result with a status that says why."""
+
+
+class OwnEstimator:
+    """An own method as the replay takes it: each instrument has a copy, and frames come in the order of the log."""
+
+    keeps_state = True
+    needs = Needs(right_view=True)
+
+    def __init__(self, method: OwnMethod) -> None:
+        self.name = name_of(method)
+        self._method = copy.deepcopy(method)
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; raises TypeError for what is no result."""
+        result = self._method.estimate(frame)
+        if not isinstance(result, FrameResult):
+            raise TypeError(
+                f"{self.name}.estimate(frame): expected a FrameResult, found {type(result).__name__}"
+            )
+        return result
+
+
+def name_of(method: OwnMethod) -> str:
+    """What an own method is called in results."""
+    return str(getattr(method, "name", type(method).__name__))
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything that turns a recording into results. Make it with `prepare`.
+
+    `mapping` leads from pixels to the paper's plane: as published, or the calibration's; None for a method in 3D.
+    """
+
+    profile: Profile
+    method: str
+    equations: Equations
+    calibration: Calibration | None
+    mapping: PlaneMapping | None = None
+    own: OwnMethod | None = None
+    """A user's own method, in place of one of svmdist's."""
+
+    @cached_property
+    def segmenter(self) -> Segmenter:
+        """What tells tissue and instrument apart; raises ProfileError where its network cannot be used."""
+        return make_segmenter(self.profile.segmentation, self.profile.settings.auto)
+
+    def require_camera(self, recording: Recording) -> None:
+        """Raise CalibrationError for a recording of another camera than the calibration's."""
+        if self.equations == "corrected" and self.calibration is not None:
+            self.calibration.require_camera(recording.logged_camera, recording.name)
+
+    def estimator_for(self, arm: Arm) -> Estimator:
+        """Make the estimator of one instrument."""
+        return OwnEstimator(self.own) if self.own else make_estimator(self.method, arm, self.mapping)
+
+    def for_instrument(self, name: str) -> Setup:
+        """The same for one of the profile's instruments."""
+        return replace(self, profile=self.profile.for_instrument(name))
+
+    def perturbed(self, perturbations: Perturbations, seed: int) -> Setup:
+        """The same with a profile that is wrong about instrument, tag and plane."""
+        return replace(self, profile=stated_profile(self.profile, perturbations, seed))
+
+    def knowing(self, lag: KnownLag | None) -> Setup:
+        """The same where the offset between joints and images is known: it may be wrong by what is left of it."""
+        if lag is None:
+            return self
+        std_s = math.hypot(self.profile.settings.filter.given_lag_std_s, lag.std_s)
+        error = self.profile.kinematic_error.model_copy(update={"time_offset_std_s": std_s})
+        return replace(self, profile=self.profile.model_copy(update={"kinematic_error": error}))
+
+    def was_fitted_on(self, recording: Recording) -> bool:
+        """Whether the calibration was fitted on this very recording: then its figures prove nothing."""
+        if self.calibration is None or self.equations == "printed":
+            return False
+        return recording.sha256() in {source.sha256 for source in self.calibration.sources}
+
+    def degeneracies(self, camera: Camera) -> list[str]:
+        """Sentences about where the equations cannot be right for this camera's image."""
+        return degeneracies(self.mapping, camera.width_px, camera.height_px) if self.mapping else []
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Another process makes its own segmenter: a network cannot be sent there."""
+        return {key: value for key, value in self.__dict__.items() if key != "segmenter"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore what was sent."""
+        self.__dict__.update(state)
+
+
+def prepare(
+    profile: str | Path | Profile = DEFAULT_PROFILE,
+    method: str | OwnMethod = "overlay",
+    equations: Equations = "corrected",
+    calibration: Path | None = None,
+    hand_eye: Path | None = None,
+) -> Setup:
+    """Load what a measurement needs, by names and paths; a `Profile`, and an own method, are taken as they are.
+
+    A planar method needs a calibration: the given one, else the one that ships beside the profile. A method
+    that measures in 3D needs none, and knows no other equations. `hand_eye` is a file of camera-to-base transforms in
+    place of the profile's. Raises ProfileError, CalibrationError or
+    UsageError.
+    """
+    if not isinstance(method, str):
+        loaded = profile if isinstance(profile, Profile) else load_profile(profile)
+        return Setup(loaded, name_of(method), equations, None, own=method)
+    if method not in METHODS:
+        raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
+    if equations not in ("corrected", "printed"):
+        raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
+    loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
+    setup = _resolve(profile, loaded, method, equations, calibration)
+    # A network or a mesh that cannot be used is told before a recording is opened.
+    _ = setup.segmenter
+    if method not in PLANAR_METHODS:
+        require_tissue(loaded)
+    return setup
+
+
+def _resolve(
+    profile: str | Path | Profile,
+    loaded: Profile,
+    method: str,
+    equations: Equations,
+    calibration: Path | None,
+) -> Setup:
+    if method not in PLANAR_METHODS:
+        if equations == "printed" or calibration is not None:
+            option = "--equations printed" if equations == "printed" else "--calibration"
+            planar = " and ".join(PLANAR_METHODS)
+            raise UsageError(f"{option} is for the planar methods {planar}; {method} measures in 3D")
+        return Setup(loaded, method, equations, None)
+    if equations == "printed":
+        if calibration is not None:
+            raise UsageError(
+                "--equations printed takes the paper's numbers: it cannot be used with a calibration"
+            )
+        return Setup(loaded, method, equations, None, PUBLISHED_MAPPING)
+    found = load_calibration(calibration or _beside(profile, loaded))
+    return Setup(loaded, method, equations, found, found.mapping)
+
+
+def _beside(profile: str | Path | Profile, loaded: Profile) -> Path:
+    if loaded.calibration is None:
+        raise CalibrationError(
+            f"profile {loaded.name} ships no calibration: make one with `svmdist calibrate` and name it with"
+            " --calibration"
+        )
+    # A profile in hand names no folder: its calibration is a shipped one, or is given.
+    path = profile_path(loaded.name if isinstance(profile, Profile) else profile)
+    return path.parent / loaded.calibration
