@@ -107,7 +107,7 @@ class ToolDetections:
     def tag(self) -> TagPose | None:
         """The tag's pose by the image, its ambiguity decided by nominal kinematics where the image does not."""
         fiducial, R_camera_tag = self._arm.profile.fiducial, None
-        if fiducial is not None and not isinstance(self._robot, Failure) and self._robot.has_camera:
+        if fiducial is not None and not isinstance(self._robot, Failure) and not self._robot.camera_failure:
             R_camera_tag = (self._robot.T_camera_link(fiducial.link) @ fiducial.T_link_tag)[:3, :3]
         return self.tag_turned(R_camera_tag)
 
