@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.masks import instruments_of
-from benchmarks.overlap import iou
+from training.dataset import iou
 from svmdist.errors import ProfileError
 from svmdist.models import INSTRUMENTS, SHIPPED, shipped_file
 from svmdist.profile import OnnxSegmentation, load_profile
