@@ -14,7 +14,7 @@ from pathlib import Path
 
 from svmdist.perturbations.table import TABLE
 from svmdist.profile.settings import MethodSettings, Settings
-from svmdist.report.metric_docs import metrics_page
+from svmdist.report.columns_page import columns_page
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 SETTINGS_HEAD = """# Settings
@@ -108,7 +108,7 @@ def _settings_of(group: type[MethodSettings]) -> list[tuple[str, str, str]]:
 
 
 PAGES: dict[str, Callable[[str], str]] = {
-    "metrics.md": lambda _: metrics_page(),
+    "metrics.md": lambda _: columns_page(),
     "settings.md": settings_page,
     "simulation.md": simulation_page,
 }

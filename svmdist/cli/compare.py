@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from svmdist.cli.console import ExitCode, Summary, require_output, write_summary
+from svmdist.cli.console import ExitCode, require_output, write_results
 from svmdist.cli.degradations import parse_degradations
 from svmdist.cli.many import GroupOption, Many, ResumeOption, SchedulerOption, group_keys, group_name
 from svmdist.cli.options import (
@@ -26,7 +26,6 @@ from svmdist.cli.options import (
     parse_lag,
     topics_of,
 )
-from svmdist.cli.outputs import summary_format
 from svmdist.cli.perturbations import parse_perturb_groups
 from svmdist.cli.plots import ComparePlotOption, require_plot
 from svmdist.cli.progress import progress_bar
@@ -39,6 +38,7 @@ from svmdist.cli.recordings import (
     open_recordings,
     window_of,
 )
+from svmdist.report.writers import Holds, choose_writer
 
 
 def compare_command(
@@ -94,7 +94,7 @@ def compare_command(
     and over all frames. Without FILE, every log in recordings/ is measured.
     """
     from svmdist.cli.lag import told_lag
-    from svmdist.report.scores import FIGURE_NOTE, compare_keys, compare_row, compare_tables
+    from svmdist.report.scores import compare_results
     from svmdist.vision.degradations import require_degradation
     from svmdist.workflows.compare import compare, compared
     from svmdist.workflows.conditions import CLEAN, Condition, LogCondition, PerturbedCondition
@@ -102,7 +102,7 @@ def compare_command(
 
     logs = logs_or_golden(files)
     require_output(output, local_logs(logs))
-    chosen_form = summary_format(form, output)
+    writer = choose_writer(form, output, Holds.FIGURES)
     keys = group_keys(group)
     drawn = require_plot("compare", plot, save_plot, local_logs(logs))
     given = parse_lag(lag)
@@ -136,12 +136,7 @@ def compare_command(
         with progress_bar("comparing", "measurements") as advance:
             scores = compare(recordings, setups, conditions, jobs=jobs, on_progress=advance, by=by)
         code = opened.health_code
-    rows = [compare_row(score) for score in scores]
-    write_summary(
-        Summary(compare_tables(scores), compare_keys(), rows, [FIGURE_NOTE]),
-        chosen_form,
-        output,
-    )
+    write_results(compare_results(scores), writer, output)
     if save_plot and drawn:
         from svmdist.report.plots import save_compare_plot
 

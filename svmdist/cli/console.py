@@ -7,26 +7,23 @@ import io
 import os
 import stat
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from textwrap import wrap
 from typing import TYPE_CHECKING, Protocol, TextIO
 
-from svmdist.cli.options import SummaryFormat
-from svmdist.errors import OutputError, UsageError
+from svmdist.errors import OutputError, UsageError, printable
 from svmdist.files import FALLBACK, write_atomically
 from svmdist.input_file import LogPath, why
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from svmdist.recording.source import Health
-    from svmdist.report.tables import Row
+    from svmdist.report.writers import Results, Writer
 
 
 class ExitCode(IntEnum):
@@ -94,8 +91,6 @@ def say(message: str, at: Verbosity = Verbosity.NORMAL) -> None:
         return
     if _Voice.verbosity < at:
         return
-    from svmdist.report.tables import printable
-
     with suppress(OSError):  # where stderr is full, there is nobody left to tell
         print(printable(message), file=sys.stderr)
 
@@ -168,53 +163,15 @@ def adapt_streams() -> None:
             stream.reconfigure(errors=FALLBACK)
 
 
-def write_tables(tables: Sequence[Table], notes: Sequence[str], output: Path | None) -> None:
-    """Write tables for a person: as wide as the terminal, or as they need in a pipe or a file."""
-    from svmdist.report.tables import render
-
+def write_results(results: Results, writer: Writer, output: Path | None) -> None:
+    """Write what a command gives in a format that holds rows or tables, to stdout or atomically to a file."""
+    if writer.lines is None:
+        assert writer.save is not None
+        writer.save(results, output)
+        return
     width = terminal_width(output)
     colour = width is not None and "NO_COLOR" not in os.environ
-    texts = [render(table, width=width, colour=colour) for table in tables]
-    lines = [line for note in notes for line in (wrap(note, width) if width else [note])]
-    write_lines([*texts, *(f"{line}\n" for line in lines)], output)
-
-
-@dataclass(frozen=True)
-class Summary:
-    """Results to be written in any form: tables and notes for a person, rows and their keys for machines."""
-
-    tables: Sequence[Table]
-    keys: Sequence[str]
-    rows: Sequence[Row]
-    notes: Sequence[str] = ()
-
-
-def write_summary(summary: Summary, form: SummaryFormat, output: Path | None) -> None:
-    """Write tables, in markup too, CSV, or a JSON array of objects."""
-    from svmdist.report.tables import csv_lines, json_text
-
-    match form:
-        case SummaryFormat.TABLE:
-            write_tables(summary.tables, summary.notes, output)
-        case SummaryFormat.CSV:
-            write_lines(csv_lines(summary.keys, summary.rows), output)
-        case SummaryFormat.JSON:
-            write_lines([json_text(list(summary.rows), indent=1) + "\n"], output, is_json=True)
-        case SummaryFormat.LATEX | SummaryFormat.MARKDOWN:
-            write_marked_up(form, summary.tables, summary.notes, output)
-        case SummaryFormat.PARQUET if output is not None:
-            from svmdist.report.tables import write_parquet
-
-            write_parquet(output, summary.keys, summary.rows)
-
-
-def write_marked_up(
-    form: SummaryFormat, tables: Sequence[Table], notes: Sequence[str], output: Path | None
-) -> None:
-    """Write tables as LaTeX or Markdown."""
-    from svmdist.report.tables import latex, markdown
-
-    write_lines((latex if form is SummaryFormat.LATEX else markdown)(tables, notes), output)
+    write_lines(writer.lines(results, width, colour), output, is_json=writer.is_json)
 
 
 def terminal_width(output: Path | None) -> int | None:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from svmdist.cli.console import say
-from svmdist.cli.outputs import FileFormat
 from svmdist.cli.progress import progress_bar
+from svmdist.report.writers import Writer
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
@@ -35,14 +35,10 @@ class DrawnJob:
     jobs: int | None
 
 
-def write_drawn(job: DrawnJob, output: Path, form: FileFormat, tally: Tally, *, force: bool) -> None:
+def write_drawn(job: DrawnJob, output: Path, writer: Writer, tally: Tally, *, force: bool) -> None:
     """Measure a recording and write it with its drawings, in the format of the file's ending."""
     from svmdist.cli.lag import told_lag
-    from svmdist.report.video import require_av, write_video
-    from svmdist.workflows.annotate import drawn_frames, write_annotated
-
-    if form is FileFormat.MP4:
-        require_av()  # before the work rather than after it
+    from svmdist.workflows.annotate import drawn_frames
 
     for warning in job.setup.degeneracies(job.recording.camera):
         say(f"svmdist: warning: {warning}")
@@ -57,11 +53,5 @@ def write_drawn(job: DrawnJob, output: Path, form: FileFormat, tally: Tally, *, 
                 yield frame
                 advance(frame.number + 1, total)
 
-        match form:
-            case FileFormat.MCAP:
-                write_annotated(seen, told(), job.setup, output, force=force)
-            case FileFormat.MP4:
-                camera = seen.logged_camera
-                write_video(told(), output, (camera.width_px, camera.height_px))
-            case FileFormat.HTML:
-                raise AssertionError("a report is written from rows")
+        assert writer.save is not None
+        writer.save(told(), seen, job.setup, output, force)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
-from svmdist.cli.console import ExitCode, Verbosity, say, terminal_width, write_lines
+from svmdist.cli.console import ExitCode, Verbosity, say, terminal_width, write_results
 from svmdist.cli.drawn import DrawnJob, Tally, write_drawn
 from svmdist.cli.estimate_targets import EstimateTargets
 from svmdist.cli.log_summary import LogSummary, SummaryOption
@@ -30,7 +30,6 @@ from svmdist.cli.options import (
     PlotOption,
     ProfileOption,
     ReportOption,
-    RowFormat,
     RowFormatOption,
     TopicOption,
     instruments_of,
@@ -50,6 +49,7 @@ from svmdist.cli.recordings import (
     window_of,
 )
 from svmdist.errors import UsageError
+from svmdist.report.writers import Results
 
 if TYPE_CHECKING:
     from svmdist.cli.estimate_logs import EstimateJob
@@ -113,7 +113,7 @@ def estimate_command(
         require_clearance(setup.method, setup.profile)
     window = window_of(start, end, every)
     wanted = instruments_of(instrument, setup.profile)
-    if targets.form is RowFormat.TUM and setup.method in PLANAR_METHODS:
+    if targets.is_trajectory and setup.method in PLANAR_METHODS:
         raise UsageError(
             f"--format tum writes the tool's pose, and {method} knows none: choose a method in 3D"
         )
@@ -163,7 +163,7 @@ def _estimate_many(many: Many, job: EstimateJob, targets: EstimateTargets, summa
         tally_of_logs,
     )
     from svmdist.estimation.methods import PLANAR_METHODS
-    from svmdist.report.scores import log_table
+    from svmdist.report.scores import log_results
 
     with many.measured(job, "measuring") as outcomes:
         tally = tally_of_logs(outcomes)
@@ -177,7 +177,7 @@ def _estimate_many(many: Many, job: EstimateJob, targets: EstimateTargets, summa
         _summarise(tally)
         if targets.needs_rows_kept:
             measured = measured_again(job, reported_logs(many.logs, each), many.jobs)
-            targets.write_pictures(measured, job.setup, job.rules, many.jobs, log_table(each, together))
+            targets.write_pictures(measured, job.setup, job.rules, many.jobs, log_results(each, together))
         return _code(outcomes.code(), tally)
 
 
@@ -189,22 +189,22 @@ def _code(code: ExitCode, tally: Tally) -> ExitCode:
 
 
 def _require_one_trajectory(targets: EstimateTargets, several: bool) -> None:
-    if targets.form is RowFormat.TUM and several:
+    if targets.is_trajectory and several:
         raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
 
 
 def _write_rows(
     targets: EstimateTargets, rows: Iterator[Row], with_alarms: bool, several: bool, planar: bool
 ) -> None:
-    form = targets.form or RowFormat.TABLE
-    if form is RowFormat.PARQUET and targets.output is not None:
-        from svmdist.report.rows import ESTIMATE_KEYS, ESTIMATE_TYPES
-        from svmdist.report.tables import write_parquet
+    from svmdist.report.rows import ESTIMATE_COLUMNS, shown_columns
+    from svmdist.report.tables import text_lines
 
-        write_parquet(targets.output, ESTIMATE_KEYS, rows, ESTIMATE_TYPES)
-        return
-    lines = _lines(form, rows, with_alarms, several, terminal_width(targets.output), planar)
-    write_lines(lines, targets.output, is_json=form in {RowFormat.JSON, RowFormat.JSONL})
+    def text(width: int | None) -> Iterator[str]:
+        columns = shown_columns(width, planar=planar, several=several, alarms=with_alarms)
+        return text_lines(columns, rows)
+
+    assert targets.form is not None
+    write_results(Results(ESTIMATE_COLUMNS, rows, text), targets.form, targets.output)
 
 
 def _rows(
@@ -267,41 +267,6 @@ def _started(rows: Iterator[Row]) -> Iterator[Row]:
     """Measure the first row at once, so that a log that cannot be read leaves no header behind."""
     first = next(rows, None)
     return iter(()) if first is None else chain([first], rows)
-
-
-def _lines(
-    form: RowFormat,
-    rows: Iterator[Row],
-    with_alarms: bool,
-    several: bool,
-    width: int | None,
-    planar: bool,
-) -> Iterator[str]:
-    from svmdist.report.rows import (
-        ALARM_COLUMNS,
-        ESTIMATE_COLUMNS,
-        ESTIMATE_KEYS,
-        INSTRUMENT_COLUMNS,
-        columns_within,
-        tool_pose_lines,
-    )
-    from svmdist.report.tables import csv_lines, json_array_lines, json_lines, text_lines
-
-    match form:
-        case RowFormat.TABLE:
-            columns = ESTIMATE_COLUMNS + (INSTRUMENT_COLUMNS if several else ())
-            columns += ALARM_COLUMNS if with_alarms else ()
-            return text_lines(columns_within(columns, width, planar), rows)
-        case RowFormat.CSV:
-            return csv_lines(ESTIMATE_KEYS, rows)
-        case RowFormat.JSON:
-            return json_array_lines(ESTIMATE_KEYS, rows)
-        case RowFormat.JSONL:
-            return json_lines(ESTIMATE_KEYS, rows)
-        case RowFormat.TUM:
-            return tool_pose_lines(rows)
-        case RowFormat.PARQUET:
-            raise UsageError("--format parquet is no text: give a file with -o FILE.parquet")
 
 
 def _summarise(tally: Tally) -> None:

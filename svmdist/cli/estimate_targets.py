@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from svmdist.cli.console import require_output
-from svmdist.cli.options import RowFormat
-from svmdist.cli.outputs import FileFormat, command_line, require_parquet, require_report, row_format
+from svmdist.cli.outputs import command_line, require_report
 from svmdist.cli.plots import require_plot
 from svmdist.cli.progress import progress_bar
 from svmdist.errors import UsageError
+from svmdist.report.writers import Holds, Results, Writer, choose_writer
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from svmdist.estimation.alarms import AlarmRules
     from svmdist.workflows.request import Setup
     from svmdist.workflows.validate import Measured
@@ -27,20 +25,18 @@ class EstimateTargets:
     """What was asked for. `form` is that of the rows, None where none are written; `drawn` is a file with drawings."""
 
     output: Path | None
-    form: RowFormat | None
-    drawn: tuple[Path, FileFormat] | None
+    form: Writer | None
+    drawn: tuple[Path, Writer] | None
     report: Path | None
     plot: Path | None
 
     @staticmethod
-    def of(
-        form: RowFormat | None, output: Path | None, report: Path | None, plot: Path | None
-    ) -> EstimateTargets:
+    def of(form: str | None, output: Path | None, report: Path | None, plot: Path | None) -> EstimateTargets:
         """Sort the options; raises UsageError where two of them contradict each other."""
-        chosen = row_format(form, output)
-        if isinstance(chosen, RowFormat) or output is None:
-            return EstimateTargets(output, RowFormat(chosen), None, report, plot)
-        if chosen is FileFormat.HTML:
+        chosen = choose_writer(form, output, Holds.ROWS | Holds.FRAMES | Holds.REPORT)
+        if chosen.holds & Holds.ROWS or output is None:
+            return EstimateTargets(output, chosen, None, report, plot)
+        if chosen.holds & Holds.REPORT:
             if report is not None:
                 raise UsageError(
                     f"--report {report} and -o {output}: both are the report; leave out one of them"
@@ -56,10 +52,13 @@ class EstimateTargets:
             require_output(target, files)
         require_report(self.report)
         require_plot("estimate", None, self.plot, files)
-        if self.form is RowFormat.PARQUET:
-            require_parquet(self.output)
         if self.drawn and count > 1:
             raise UsageError(f"{self.drawn[0]}: holds one recording, and {count} are given")
+
+    @property
+    def is_trajectory(self) -> bool:
+        """Whether the rows are written as one trajectory."""
+        return self.form is not None and self.form.name == "tum"
 
     @property
     def needs_rows_kept(self) -> bool:
@@ -72,7 +71,7 @@ class EstimateTargets:
         setup: Setup,
         rules: AlarmRules | None,
         jobs: int | None,
-        logs: Table | None = None,
+        logs: Results | None = None,
     ) -> None:
         """Write the plot and the report, where they are asked for; `logs` is a table of all logs for the report."""
         if self.plot:

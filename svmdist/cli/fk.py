@@ -5,28 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from svmdist.cli.console import require_output, say, terminal_width, write_lines
+from svmdist.cli.console import require_output, say, terminal_width, write_results
 from svmdist.cli.many import Many, Outcomes, ResumeOption, SchedulerOption, heard_notes, measurement
 from svmdist.cli.options import (
     Files,
     HandEyeOption,
     JobsOption,
     OutputOption,
+    PoseFormatOption,
     ProfileOption,
     TopicOption,
     topics_of,
 )
-from svmdist.cli.outputs import by_ending, require_parquet
 from svmdist.cli.progress import progress_bar, tracked
 from svmdist.cli.recordings import local_logs, named_logs, open_log, open_recordings, window_of
 from svmdist.errors import UsageError
+from svmdist.report.writers import Holds, Results, Writer, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
@@ -35,15 +35,6 @@ if TYPE_CHECKING:
     from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
     from svmdist.workflows.fk import PoseErrors
     from svmdist.workflows.parallel import Progress
-
-
-class PoseFormat(StrEnum):
-    """`--format` of poses."""
-
-    CSV = "csv"
-    JSON = "json"
-    TUM = "tum"
-    PARQUET = "parquet"
 
 
 def fk_command(
@@ -61,15 +52,7 @@ def fk_command(
             "--in-camera", help="In the camera's frame, by the transform of hand-eye or of the log."
         ),
     ] = False,
-    form: Annotated[
-        PoseFormat | None,
-        typer.Option(
-            "--format",
-            "-f",
-            help="Format of the data; tum is the format of evo. Default: by the ending of the output file, else csv.",
-            show_default=False,
-        ),
-    ] = None,
+    form: PoseFormatOption = None,
     output: OutputOption = None,
     start: Annotated[
         float,
@@ -103,8 +86,8 @@ def fk_command(
 
     logs = named_logs(files)
     require_output(output, local_logs(logs))
-    chosen = pose_format(form, output)
-    if chosen is PoseFormat.TUM and len(logs) > 1:
+    writer = choose_writer(form, output, Holds.POSES)
+    if writer.name == "tum" and len(logs) > 1:
         raise UsageError(f"--format tum writes one trajectory, and {len(logs)} logs are given")
     window = window_of(start, end, every)
     loaded = load_profile(profile, hand_eye)
@@ -113,50 +96,29 @@ def fk_command(
     job = FkJob(loaded, topics, in_camera, window)
     if len(logs) > 1 or many.is_asked_for:
         with many.measured(job, "computing") as outcomes:
-            _write(chosen, _rows_of_logs(outcomes), output, several=len(logs) > 1)
+            _write(writer, _rows_of_logs(outcomes), output, several=len(logs) > 1)
             raise typer.Exit(outcomes.code())
     opened = open_recordings(logs, loaded, topics)
     sums = ErrorSums()
     with progress_bar("reading", "joint states") as advance:
         rows = _started(pose_rows_of(opened.recordings[0], job, sums, advance))
-    _write(chosen, _written(rows, output, sums.joint_count), output, several=False)
+    _write(writer, _written(rows, output, sums.joint_count), output, several=False)
     sums.tell()
     raise typer.Exit(opened.health_code())
 
 
-def _write(form: PoseFormat, rows: Iterator[Row], output: Path | None, *, several: bool) -> None:
-    from svmdist.report.rows import POSE_KEYS, tum_lines
-    from svmdist.report.tables import csv_lines, json_array_lines
+def _write(writer: Writer, rows: Iterator[Row], output: Path | None, *, several: bool) -> None:
+    from svmdist.metrics import TEXT
+    from svmdist.report.rows import POSE_COLUMNS
+    from svmdist.report.tables import Column
 
-    keys = (*POSE_KEYS, "recording") if several else POSE_KEYS
-    match form:
-        case PoseFormat.CSV:
-            write_lines(csv_lines(keys, rows), output)
-        case PoseFormat.JSON:
-            write_lines(json_array_lines(keys, rows), output, is_json=True)
-        case PoseFormat.TUM:
-            write_lines(tum_lines(rows), output)
-        case PoseFormat.PARQUET:
-            from svmdist.report.tables import write_parquet
-
-            types = {key: "int64" if key == "stamp_ns" else "string" if key == "recording" else "float64"
-                     for key in keys}  # fmt: skip
-            assert output is not None
-            write_parquet(output, keys, rows, types)
+    columns = (*POSE_COLUMNS, Column("recording", TEXT)) if several else POSE_COLUMNS
+    write_results(Results(columns, rows), writer, output)
 
 
 def _written(rows: Iterator[Row], output: Path | None, count: int | None) -> Iterator[Row]:
     """The rows, with progress told, but where they show on a terminal by themselves."""
     return rows if terminal_width(output) is not None else tracked(rows, "writing", "poses", count)
-
-
-def pose_format(given: PoseFormat | None, output: Path | None) -> PoseFormat:
-    """The format of poses: the given one, else that of the file's ending, else CSV; raises UsageError."""
-    endings = {f".{form}": form for form in PoseFormat}
-    chosen = by_ending(endings, PoseFormat.CSV, output, "CSV") if given is None else given
-    if chosen is PoseFormat.PARQUET:
-        require_parquet(output)
-    return chosen
 
 
 def _rows_of_logs(outcomes: Outcomes[FkResult]) -> Iterator[Row]:
@@ -258,7 +220,7 @@ def pose_rows_of(
     recording: Recording, job: FkJob, sums: ErrorSums, on_progress: Progress | None = None
 ) -> Iterator[Row]:
     """The rows of one recording; `sums` gets their errors, and `on_progress` hears of joint states as they are read."""
-    from svmdist.report.rows import block_rows
+    from svmdist.report.rows import pose_rows
     from svmdist.workflows.fk import fk_blocks
 
     profile = job.profile.for_instrument(recording.instruments[0])
@@ -268,4 +230,4 @@ def pose_rows_of(
             sums.joint_count = block.joint_count
             if block.errors is not None:
                 sums.add(block.errors)
-            yield from block_rows(block.stamps_ns, block.poses)
+            yield from pose_rows(block.stamps_ns, block.poses)

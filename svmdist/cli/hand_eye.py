@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from svmdist.cli.console import report_health, require_output, say, write_lines
+from svmdist.cli.console import report_health, require_output, say, write_results
 from svmdist.cli.options import (
     InstrumentOption,
     JobsOption,
     LagOption,
     ProfileOption,
-    TableFormat,
     TableFormatOption,
     TopicOption,
     instruments_of,
@@ -24,6 +23,7 @@ from svmdist.cli.options import (
 from svmdist.cli.progress import progress_bar
 from svmdist.cli.recordings import EndOption, EveryOption, StartOption, window_of
 from svmdist.errors import RecordingError, UsageError
+from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
@@ -93,8 +93,7 @@ def hand_eye_command(
     from svmdist.profile import load_profile
     from svmdist.profile.hand_eye import save_hand_eye
     from svmdist.recording.log import Reading, open_recording
-    from svmdist.report.info import HAND_EYE_KEYS, hand_eye_file, hand_eye_lines, hand_eye_row
-    from svmdist.report.tables import csv_lines, json_text
+    from svmdist.report.info import hand_eye_file, hand_eye_results
     from svmdist.results import Failure
     from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
     from svmdist.workflows.request import prepare
@@ -126,14 +125,7 @@ def hand_eye_command(
             break
     else:
         raise RecordingError(f"{file}: no transform can be told: {'; '.join(failures)}")
-    match form or TableFormat.TABLE:
-        case TableFormat.TABLE:
-            write_lines((line for result in results for line in hand_eye_lines(result)), None)
-        case TableFormat.CSV:
-            write_lines(csv_lines(HAND_EYE_KEYS, map(hand_eye_row, results)), None)
-        case TableFormat.JSON:
-            rows = [hand_eye_row(result) for result in results]
-            write_lines([json_text(rows, indent=1) + "\n"], None, is_json=True)
+    write_results(hand_eye_results(results), choose_writer(form, None, Holds.TABLES), None)
     for failure in failures:
         say(f"svmdist: note: {failure}")
     if output is not None:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from svmdist.cli.console import (
-    Summary,
     report_health,
     require_output,
-    terminal_width,
-    write_lines,
-    write_summary,
+    write_results,
 )
 from svmdist.cli.many import Many, ResumeOption, SchedulerOption, heard_notes
 from svmdist.cli.options import (
@@ -22,15 +20,13 @@ from svmdist.cli.options import (
     JobsOption,
     OutputOption,
     ProfileOption,
-    SummaryFormat,
-    TableFormat,
     TableFormatOption,
     TopicOption,
     topics_of,
 )
-from svmdist.cli.outputs import table_format
 from svmdist.cli.recordings import local_logs, named_logs
 from svmdist.errors import RecordingError
+from svmdist.report.writers import Holds, Writer, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
@@ -56,25 +52,18 @@ def info_command(
     recordings there is a line each; csv has the topics of all, and json an array with everything.
     """
     from svmdist.profile import load_profile
-    from svmdist.report.info import TOPIC_KEYS, info_document, info_lines, topic_row
-    from svmdist.report.tables import csv_lines, json_text
+    from svmdist.report.info import info_results
 
     logs = named_logs(files)
     require_output(output, local_logs(logs))
     loaded = load_profile(profile, hand_eye)
-    chosen = table_format(form, output)
+    writer = choose_writer(form, output, Holds.TABLES)
+    looks_for_tag = writer.name != "csv"
     many = Many(logs, jobs, scheduler, resume)
     if len(logs) > 1 or many.is_asked_for:
-        _info_of_logs(many, InfoJob(loaded, topics_of(topic), chosen is not TableFormat.CSV), chosen, output)
-    summary, tags = _inspect(logs[0], loaded, topics_of(topic), looks_for_tag=chosen is not TableFormat.CSV)
-    match chosen:
-        case TableFormat.TABLE:
-            write_lines(info_lines(summary, loaded, terminal_width(output), tags), output)
-        case TableFormat.CSV:
-            write_lines(csv_lines(TOPIC_KEYS, (topic_row(entry) for entry in summary.topics)), output)
-        case TableFormat.JSON:
-            document = info_document(summary, loaded, tags)
-            write_lines([json_text(document, indent=1) + "\n"], output, is_json=True)
+        _info_of_logs(many, InfoJob(loaded, topics_of(topic), looks_for_tag), writer, output)
+    summary, tags = _inspect(logs[0], loaded, topics_of(topic), looks_for_tag=looks_for_tag)
+    write_results(info_results(summary, loaded, tags), writer, output)
     raise typer.Exit(report_health([summary]))
 
 
@@ -95,22 +84,12 @@ def _inspect(
         return summary, None
 
 
-def _info_of_logs(many: Many, job: InfoJob, form: TableFormat, output: Any) -> None:
-    from svmdist.report.info import LOG_COLUMNS, LOG_KEYS, TOPIC_KEYS, log_row
-    from svmdist.report.tables import rich_table
+def _info_of_logs(many: Many, job: InfoJob, writer: Writer, output: Path | None) -> None:
+    from svmdist.report.info import logs_results
 
     with many.measured(job, "inspecting") as outcomes:
         found = [(one.log.name, result.document) for one, result in outcomes.measured]
-        if form is TableFormat.CSV:
-            keys = (*TOPIC_KEYS, "recording")
-            rows = [topic | {"recording": name} for name, document in found for topic in document["topics"]]
-            write_summary(Summary([], keys, rows), SummaryFormat.CSV, output)
-        elif form is TableFormat.JSON:
-            write_summary(Summary([], (), [document for _, document in found]), SummaryFormat.JSON, output)
-        else:
-            rows = [log_row(name, document) for name, document in found]
-            table = rich_table("", LOG_COLUMNS, rows)
-            write_summary(Summary([table], LOG_KEYS, rows), SummaryFormat.TABLE, output)
+        write_results(logs_results(found), writer, output)
         raise typer.Exit(outcomes.code())
 
 

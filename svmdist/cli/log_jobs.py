@@ -12,8 +12,7 @@ from svmdist.cli.recordings import open_log
 from svmdist.workflows.blur_bench import BlurTally, blur_tallies
 from svmdist.workflows.calibrate import CalibrationPart, collect_part
 from svmdist.workflows.compare import GroupedRun, grouped_runs
-from svmdist.workflows.conditions import Condition, LogCondition
-from svmdist.workflows.degradation_grid import GridRun, grid_runs
+from svmdist.workflows.conditions import LogCondition
 from svmdist.workflows.validate import Scored, score_recording
 
 if TYPE_CHECKING:
@@ -93,36 +92,6 @@ class CompareJob:
 
 def _named_group(metadata: Mapping[str, str], keys: tuple[str, ...]) -> str:
     return group_name(metadata, keys)
-
-
-@dataclass(frozen=True)
-class GridRuns:
-    """The runs of one log under the conditions of a grid."""
-
-    runs: tuple[GridRun, ...]
-
-
-@dataclass(frozen=True)
-class GridJob:
-    """Measures a log with one method under every condition of a grid."""
-
-    setup: Setup
-    conditions: tuple[Condition, ...]
-    topics: dict[str, str]
-    window: Window | None
-
-    @property
-    def result_type(self) -> type[GridRuns]:
-        """The type of a result."""
-        return GridRuns
-
-    def measure(self, log: LogFile, threads: int, _: RowWriter) -> Measurement[GridRuns]:
-        """Measure a log."""
-        with heard_notes() as notes:
-            recording = open_log(log, self.setup.profile, self.topics, self.window)
-            runs = grid_runs([recording], self.setup, self.conditions, jobs=threads)
-        # What a log was degraded by when it was recorded is told below the table.
-        return measurement(recording, GridRuns(tuple(runs)), notes, grouped=True)
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from svmdist.cli.console import Summary, require_output, write_summary
+from svmdist.cli.console import require_output, write_results
 from svmdist.cli.many import group_keys
-from svmdist.cli.outputs import summary_format
 from svmdist.errors import UsageError
+from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.input_file import LogPath
@@ -48,10 +48,7 @@ class LogSummary:
                 )
             return LogSummary(None, ())
         require_output(output, inputs)
-        if output.suffix.lower() == ".parquet":
-            from svmdist.report.tables import require_pyarrow
-
-            require_pyarrow()
+        choose_writer(None, output, Holds.FIGURES)
         return LogSummary(output, keys)
 
     @property
@@ -61,10 +58,8 @@ class LogSummary:
 
     def write(self, each: Sequence[LogFigures], together: Sequence[LogFigures]) -> None:
         """Write the figures, where they are asked for."""
-        from svmdist.report.scores import LOG_KEYS, log_rows, log_table
+        from svmdist.report.scores import log_results
 
-        if self.output is None:
-            return
-        rows = log_rows(each, together)
-        summary = Summary([log_table(each, together)], LOG_KEYS, rows)
-        write_summary(summary, summary_format(None, self.output), self.output)
+        if self.output is not None:
+            writer = choose_writer(None, self.output, Holds.FIGURES)
+            write_results(log_results(each, together), writer, self.output)

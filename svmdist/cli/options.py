@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from svmdist.errors import UsageError, did_you_mean
+from svmdist.report.writers import Holds, names_of
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
@@ -39,36 +40,6 @@ class EquationsChoice(StrEnum):
 
     CORRECTED = "corrected"
     PRINTED = "printed"
-
-
-class TableFormat(StrEnum):
-    """`--format` of summaries."""
-
-    TABLE = "table"
-    CSV = "csv"
-    JSON = "json"
-
-
-class SummaryFormat(StrEnum):
-    """`--format` of summaries of figures, which papers and pages want too."""
-
-    TABLE = "table"
-    CSV = "csv"
-    JSON = "json"
-    LATEX = "latex"
-    MARKDOWN = "markdown"
-    PARQUET = "parquet"
-
-
-class RowFormat(StrEnum):
-    """`--format` of row streams."""
-
-    TABLE = "table"
-    CSV = "csv"
-    JSON = "json"
-    JSONL = "jsonl"
-    TUM = "tum"
-    PARQUET = "parquet"
 
 
 Files = Annotated[
@@ -203,16 +174,25 @@ ReportOption = Annotated[
     ),
 ]
 MAX_LAG_S = 3600.0
-FORMAT_HELP = "Format of the data. Default: by the ending of the output file, else table."
-TableFormatOption = Annotated[
-    TableFormat | None, typer.Option("--format", "-f", help=FORMAT_HELP, show_default=False)
-]
-SummaryFormatOption = Annotated[
-    SummaryFormat | None, typer.Option("--format", "-f", help=FORMAT_HELP, show_default=False)
-]
-RowFormatOption = Annotated[
-    RowFormat | None, typer.Option("--format", "-f", help=FORMAT_HELP, show_default=False)
-]
+
+
+def format_option(holds: Holds) -> Any:
+    """`--format` of a command: the formats that can hold what it gives, the first one where no file is named."""
+    names = names_of(holds)
+    return typer.Option(
+        "--format",
+        "-f",
+        metavar="|".join(names),
+        autocompletion=lambda incomplete: [name for name in names if name.startswith(incomplete)],
+        help=f"Format of the data. Default: by the ending of the output file, else {names[0]}.",
+        show_default=False,
+    )
+
+
+TableFormatOption = Annotated[str | None, format_option(Holds.TABLES)]
+SummaryFormatOption = Annotated[str | None, format_option(Holds.FIGURES)]
+RowFormatOption = Annotated[str | None, format_option(Holds.ROWS)]
+PoseFormatOption = Annotated[str | None, format_option(Holds.POSES)]
 
 
 def topics_of(options: list[str] | None) -> dict[str, str]:

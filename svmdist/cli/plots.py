@@ -21,7 +21,6 @@ class PlotKind(StrEnum):
     RESIDUALS = "residuals"
     BLAND_ALTMAN = "bland-altman"
     CALIBRATION = "calibration"
-    BLUR = "blur"
     COMPARE = "compare"
 
 
@@ -31,7 +30,6 @@ PLOTS = {
         *(PlotKind.FIG6, PlotKind.TIME, PlotKind.RESIDUALS, PlotKind.BLAND_ALTMAN, PlotKind.CALIBRATION),
     ),
     "compare": (PlotKind.COMPARE,),
-    "blur-bench --grid": (PlotKind.BLUR,),
 }
 """What each command draws; the first is drawn where none is asked for."""
 MEANINGS = {
@@ -40,7 +38,6 @@ MEANINGS = {
     PlotKind.RESIDUALS: "residuals over time and distance",
     PlotKind.BLAND_ALTMAN: "bland-altman",
     PlotKind.CALIBRATION: "calibration of the interval",
-    PlotKind.BLUR: "blur, error and coverage over severity",
     PlotKind.COMPARE: "compare, methods side by side",
 }
 
@@ -59,7 +56,6 @@ def _option(command: str) -> Any:
 
 ValidatePlotOption = Annotated[PlotKind | None, _option("validate")]
 ComparePlotOption = Annotated[PlotKind | None, _option("compare")]
-GridPlotOption = Annotated[PlotKind | None, _option("blur-bench --grid")]
 
 
 def require_plot(
@@ -78,7 +74,7 @@ def require_plot(
         if kind is not None:
             raise UsageError(f"--plot {kind}: says what --save-plot FILE draws, which is not given")
         return None
-    from svmdist.report.plots import plot_format
+    from svmdist.report.writers import plot_format
 
     plot_format(path)
     require_output(path, inputs)

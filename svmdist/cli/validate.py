@@ -13,9 +13,7 @@ from svmdist.cli.console import (
     ExitCode,
     require_output,
     say,
-    write_lines,
-    write_marked_up,
-    write_tables,
+    write_results,
 )
 from svmdist.cli.many import GroupOption, Many, ResumeOption, SchedulerOption, group_keys
 from svmdist.cli.options import (
@@ -33,14 +31,13 @@ from svmdist.cli.options import (
     PlotOption,
     ProfileOption,
     ReportOption,
-    SummaryFormat,
     SummaryFormatOption,
     TopicOption,
     instruments_of,
     parse_lag,
     topics_of,
 )
-from svmdist.cli.outputs import command_line, require_report, summary_format
+from svmdist.cli.outputs import command_line, require_report
 from svmdist.cli.plots import PlotKind, ValidatePlotOption, require_plot
 from svmdist.cli.progress import progress_bar
 from svmdist.cli.recordings import (
@@ -51,6 +48,7 @@ from svmdist.cli.recordings import (
     logs_or_golden,
     window_of,
 )
+from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.workflows.request import Setup
@@ -154,6 +152,7 @@ def validate_command(
     """
     from svmdist.cli.log_jobs import ValidateJob
     from svmdist.cli.validate_logs import score_logs
+    from svmdist.report.scores import validation_results
     from svmdist.workflows.request import prepare
     from svmdist.workflows.scoring.baseline import (
         load_baseline,
@@ -168,7 +167,7 @@ def validate_command(
         require_output(target, local_logs(logs))
     keys = group_keys(group)
     require_report(report)
-    chosen_form = summary_format(form, output)
+    writer = choose_writer(form, output, Holds.FIGURES)
     drawn = require_plot("validate", plot, save_plot, local_logs(logs))
     alarms = alarm_rules(alarm_below, alarm_confidence, method.value)
     stored = load_baseline(baseline) if baseline else None
@@ -183,7 +182,9 @@ def validate_command(
     job = ValidateJob(setup, topics_of(topic), window, rules, parse_lag(lag), alarms, wanted, bool(keys))
     scored = score_logs(Many(logs, jobs, scheduler, resume), job, keys, keeps_frames=frames)
     result, measured = scored.validation, scored.measured
-    _write(result, chosen_form, output)
+    for note in result.notes:
+        say(f"svmdist: note: {note}")
+    write_results(validation_results(result), writer, output)
     if save_plot and drawn:
         _save_plot(result, measured, setup, rules, drawn, save_plot)
     if report:
@@ -233,27 +234,3 @@ def _save_plot(
     ]
     below_m = result.alarm_rules.below_m if result.alarm_rules else None
     save_series_plot(series, SeriesPlot(kind.value), path, below_m)
-
-
-def _write(result: Validation, form: SummaryFormat, output: Path | None) -> None:
-    from svmdist.report.scores import remarks, score_keys, score_row, validation_document, validation_tables
-    from svmdist.report.tables import csv_lines, json_text
-
-    for note in result.notes:
-        say(f"svmdist: note: {note}")
-    match form:
-        case SummaryFormat.TABLE:
-            tables = validation_tables(result)
-            write_tables(tables, remarks(result), output)
-        case SummaryFormat.LATEX | SummaryFormat.MARKDOWN:
-            write_marked_up(form, validation_tables(result), remarks(result), output)
-        case SummaryFormat.CSV:
-            scores = (*result.scores, *result.groups, *result.overall)
-            write_lines(csv_lines(score_keys(), (score_row(score) for score in scores)), output)
-        case SummaryFormat.PARQUET if output is not None:
-            from svmdist.report.tables import write_parquet
-
-            every = (*result.scores, *result.groups, *result.overall)
-            write_parquet(output, score_keys(), [score_row(score) for score in every])
-        case SummaryFormat.JSON:
-            write_lines([json_text(validation_document(result), indent=1) + "\n"], output, is_json=True)

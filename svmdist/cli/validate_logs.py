@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from rich.table import Table
-
 from svmdist.cli.console import ExitCode, hearing, say
 from svmdist.cli.estimate_logs import MAX_REPORTED
 from svmdist.cli.log_jobs import ValidateJob
 from svmdist.cli.many import Many, Outcomes, group_name
 from svmdist.cli.progress import progress_bar
 from svmdist.cli.recordings import open_log, open_recordings
-from svmdist.report.scores import LogFigures, log_table, pooled_log_figures, ranked
+from svmdist.report.scores import LogFigures, log_results, pooled_log_figures, ranked
+from svmdist.report.writers import Results
 from svmdist.workflows.batch.task import LogFile, Outcome
 from svmdist.workflows.validate import (
     Measured,
@@ -35,7 +34,7 @@ class ScoredLogs:
 
     validation: Validation
     measured: list[Measured]
-    ranking: Table | None
+    ranking: Results | None
     finish: Callable[[], ExitCode]
 
 
@@ -73,7 +72,7 @@ def validation_of(outcomes: Outcomes[Scored], job: ValidateJob, keys: Sequence[s
     return combine([result for _, result in outcomes.measured], job.setup, job.rules, job.alarms, groups)
 
 
-def log_ranking(outcomes: Outcomes[Scored], keys: Sequence[str]) -> tuple[Table, list[LogFile]]:
+def log_ranking(outcomes: Outcomes[Scored], keys: Sequence[str]) -> tuple[Results, list[LogFile]]:
     """A table of all logs, what went wrong most first; and those that are shown frame by frame."""
     each = [_figures(one, keys) for one in outcomes.all]
     worst = ranked(each)
@@ -84,7 +83,7 @@ def log_ranking(outcomes: Outcomes[Scored], keys: Sequence[str]) -> tuple[Table,
         names = names[:MAX_REPORTED]
     else:
         names = list(by_name)
-    return log_table(worst, pooled_log_figures(each)), [by_name[name] for name in names]
+    return log_results(worst, pooled_log_figures(each)), [by_name[name] for name in names]
 
 
 def measured_again(job: ValidateJob, logs: Sequence[LogFile], jobs: int | None) -> list[Measured]:

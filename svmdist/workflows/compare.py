@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 from svmdist.errors import RecordingError
-from svmdist.estimation.scene import Clock
+from svmdist.estimation.frame import Clock
 from svmdist.metrics import coverage
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording

@@ -10,16 +10,18 @@ number of workers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from svmdist.estimation.frame import Frame, Needs, frames_of, prefetch, prefetch_masks
+from svmdist.estimation.frame import Clock, Frame, Needs, prefetch
 from svmdist.estimation.methods import Estimator
-from svmdist.estimation.scene import Arm, Clock, CostLedger, Scene
+from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile import AutoSegmentation
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation
@@ -103,8 +105,11 @@ def replay(
     the recording has no topics of, and CalibrationError for another camera. Where the lag of a recording is known,
     methods take the offset of its joints for as well known.
     """
-    replaying = _Replay(recording, setups, conditions, wanted, clock)
+    replaying = _Replay(recording, setups, conditions, wanted, clock or time.thread_time)
     return replaying.run(usable_cores() if jobs is None else jobs)
+
+
+NOTHING: Mapping[str, float] = MappingProxyType({})
 
 
 class MultiInstrumentEstimator:
@@ -124,13 +129,18 @@ class MultiInstrumentEstimator:
         """Whether a result depends on earlier frames."""
         return self._estimators[0].keeps_state
 
-    def estimate(self, frames: Sequence[Frame]) -> Replayed:
-        """Measure one image: a frame for each instrument."""
+    def estimate(
+        self, frames: Sequence[Frame], spent_s: Mapping[str, float] = NOTHING, clock: Clock = time.thread_time
+    ) -> Replayed:
+        """Measure one image: a frame for each instrument; `spent_s`: what detections computed ahead took."""
+        needs = self.needs
+        shared_s = sum(spent_s.get(name, 0.0) for name in needs.scene + needs.frame) / len(frames)
         results: list[FrameResult] = []
         seconds: list[float] = []
         for estimator, arm, frame in zip(self._estimators, self._arms, frames, strict=True):
-            with frame.scene.ledger.method(seconds.append):
-                result = estimator.estimate(frame)
+            start_s = clock()
+            result = estimator.estimate(frame)
+            seconds.append(shared_s + clock() - start_s)
             named = replace(_through_lens(result, frame), instrument=arm.profile.instrument_name)
             results.append(named.doubted(frame.doubt) if frame.doubt else named)
         if len(results) > 1:
@@ -168,6 +178,7 @@ class _Ahead:
     scene: Scene
     frames: list[Frame] | None
     measured: tuple[Replayed | None, ...]
+    spent_s: Mapping[str, float]
 
 
 class _Replay:
@@ -179,7 +190,7 @@ class _Replay:
         setups: Sequence[Setup],
         conditions: Sequence[ReplayCondition],
         wanted: Sequence[str] | None,
-        clock: Clock | None,
+        clock: Clock,
     ) -> None:
         self._recording = recording
         setups = [setup.knowing(recording.lag) for setup in setups]
@@ -233,19 +244,19 @@ class _Replay:
 
     def _look(self, at: int, number: int, found: tuple[Observation, ...]) -> _Ahead:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
-        ledger = CostLedger() if self._clock is None else CostLedger(self._clock)
         seen = self._conditions[at].apply(found[0], number)
-        scene = Scene(seen, self._setup.profile, self._segmenters[at], ledger, self._row_offset_px)
-        prefetch(scene, self._needs.scene)
+        scene = Scene(seen, self._setup.profile, self._segmenters[at], self._row_offset_px)
+        spent_s = prefetch(scene, self._needs.scene, self._clock)
         lanes = self._lanes[at]
         if self._associations[at] is not None:
-            prefetch_masks(scene)
-            return _Ahead(scene, None, (None,) * len(lanes))
-        robots = [arm.state_at(seen) for arm, seen in zip(self._arms, found, strict=True)]
-        frames = frames_of(scene, self._arms, found, robots, [(None, None)])
-        prefetch(frames[0].tool, self._needs.tool)
-        measured = [None if lane.keeps_state else lane.estimate(frames) for lane in lanes]
-        return _Ahead(scene, frames, tuple(measured))
+            prefetch(scene, ("left.masks.seen", "right.masks.seen"))
+            return _Ahead(scene, None, (None,) * len(lanes), spent_s)
+        frames = [Frame.of(scene, self._arms[0], found[0], self._arms[0].state_at(seen))]
+        spent_s |= prefetch(frames[0], self._needs.frame, self._clock)
+        measured = [
+            None if lane.keeps_state else lane.estimate(frames, spent_s, self._clock) for lane in lanes
+        ]
+        return _Ahead(scene, frames, tuple(measured), spent_s)
 
     def _measure(self, prepared: _Prepared) -> Iterator[Replayed]:
         found = self._recording.record_losses(prepared.decoded)
@@ -263,5 +274,5 @@ class _Replay:
             assert every is not None  # one instrument, or an association
             chosen = [every[place] for place in self._places]
             for lane, known in zip(lanes, ahead.measured, strict=True):
-                replayed = lane.estimate(chosen) if known is None else known
+                replayed = known or lane.estimate(chosen, ahead.spent_s, self._clock)
                 yield replace(replayed, image_bgr=found[0].image_bgr)
