@@ -1,8 +1,8 @@
 """IoU of instruments on public images with masks: `auto` and the network that ships, side by side.
 
 `uv run python -m benchmarks.masks FOLDER [--renders N]` runs on whatever of the sets is in FOLDER (`git clone` of the
-repositories in SETS), and on N pictures that are drawn as those of the training are, with other seeds. It prints a table
-in Markdown. Where a set has no masks, `outlines.json` has outlines drawn by hand, in px of the image. Nothing of the
+repositories in SETS), and on N pictures that are drawn as those of the training are, with other seeds. It prints
+a table. Where a set has no masks, `outlines.json` has outlines drawn by hand, in px of the image. Nothing of the
 network is trained on these sets or chosen by them.
 """
 
