@@ -10,7 +10,7 @@ import typer
 
 from svmdist.cli.console import ExitCode, Verbosity, require_output, say
 from svmdist.cli.degradations import parse_degradations
-from svmdist.cli.options import ProfileOption, parse_length_m
+from svmdist.cli.options import ProfileOption
 from svmdist.cli.perturbations import parse_perturb
 from svmdist.cli.progress import progress_bar
 from svmdist.errors import UsageError
@@ -35,14 +35,6 @@ class WorldName(StrEnum):
 
     IDEAL = "ideal"
     REAL = "real"
-
-
-class Renderer(StrEnum):
-    """`--renderer`: software, the same everywhere; OpenGL, faster; or path tracing, slower."""
-
-    TINY = "tiny"
-    EGL = "egl"
-    MITSUBA = "mitsuba"
 
 
 def record_command(
@@ -102,15 +94,6 @@ def record_command(
             "2° and 5 mm from camera to base.",
         ),
     ] = 0.0,
-    relief: Annotated[
-        str | None,
-        typer.Option(
-            "--relief",
-            metavar="LENGTH",
-            help="Largest height of bumps, folds and raised vessels on the tissue, as in 0.5mm. Default: none.",
-            show_default=False,
-        ),
-    ] = None,
     degrade: Annotated[
         list[str] | None,
         typer.Option(
@@ -149,14 +132,7 @@ def record_command(
             show_default=False,
         ),
     ] = None,
-    renderer: Annotated[
-        Renderer,
-        typer.Option(
-            "--renderer",
-            help="tiny: software, the same result everywhere; egl: OpenGL, faster; mitsuba: path tracing, seconds an "
-            "image (pip install 'svmdist[photo]').",
-        ),
-    ] = Renderer.TINY,
+    renderer: Annotated[str, typer.Option("--renderer", hidden=True)] = "tiny",
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -205,45 +181,39 @@ def record_command(
     """
     from svmdist.perturbations.chosen import World, draw_world
     from svmdist.profile import load_profile
-    from svmdist.simulation.extras import Extras
-    from svmdist.simulation.motion.scenarios import Scenario
+    from svmdist.simulation.scenarios import Scenario
+    from svmdist.simulation.scene import Options
     from svmdist.workflows.record import record
 
-    relief_m = 0.0 if relief is None else parse_length_m("--relief", relief)
+    if renderer != "tiny":
+        raise UsageError(f"--renderer {renderer}: images are drawn by tiny only; leave the option out")
     if skip_existing and (episodes is None or force):
         raise UsageError("--skip-existing goes with --episodes, and without --force")
-    path = output or Path() if episodes else output or Path(f"{scenario.value}-{seed}.mcap")
-    if episodes is None:
-        require_output(path)
-    plan = Scenario(scenario.value, seed, duration, rate)
-    extras = Extras(
+    motion, described = Scenario(scenario.value, seed, duration, rate), load_profile(profile)
+    given = parse_perturb("--perturb", perturb)
+    options = Options(
         stereo,
         tag,
         kinematic_error,
         parse_degradations("--degrade", degrade),
         arms,
-        relief_m,
-        draw_world(World(world.value), seed, parse_perturb("--perturb", perturb)),
+        draw_world(World(world.value), seed, given),
         World(world.value),
     )
     if episodes is not None:
         from svmdist.workflows.episodes import Episodes
 
-        chosen = parse_perturb("--perturb", perturb)
-        drawn = renderer.value, noise, jpeg, force, skip_existing
-        raise typer.Exit(
-            _record_episodes(
-                Episodes(plan, load_profile(profile), extras, chosen, *drawn), path, episodes, jobs
-            )
-        )
+        series = Episodes(motion, described, options, given, noise, jpeg, force, skip_existing)
+        raise typer.Exit(_record_episodes(series, output or Path(), episodes, jobs))
+    path = output or Path(f"{scenario.value}-{seed}.mcap")
+    require_output(path)
     with progress_bar(f"{scenario.value}, seed {seed}", "frames") as advance:
         result = record(
-            plan,
-            load_profile(profile),
+            motion,
+            described,
             path,
-            renderer=renderer.value,
             noise=noise,
-            extras=extras,
+            options=options,
             force=force,
             jpeg_quality=jpeg,
             jobs=jobs,
@@ -260,7 +230,7 @@ def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | N
     paths = episode_paths(output, scenario.name, scenario.seed, count)
     with progress_bar(f"{scenario.name}, {count} seeds", "recordings") as advance:
         found = record_episodes(episodes, paths, jobs, advance)
-    made = [one.recorded for one in found if one.recorded]
+    made = [one for one in found if not one.failure]
     were_there = sum(one.was_there for one in made)
     left = f", {were_there} of them were there" if were_there else ""
     say(
