@@ -262,7 +262,7 @@ def super_deep(folder: Path, out: Path) -> Iterator[str]:
     No calibration comes with it: f = 800 px is assumed, so that figures are pixels.
     """
     views = (folder / SUPER_DEEP, "--side-by-side", "--rate", 1, "--camera", "800,800,359.5,287.5")
-    log, path = make_log(out / "superdeep.mcap", *views, "--baseline", "5mm")
+    log, path = make_log(out / "superdeep.mcap", *views)
     profile = load_profile(path)
     sides = {profile.instrument_name: profile.entry or "left"}
     sides |= {other.name: other.entry or "right" for other in profile.other_instruments}
