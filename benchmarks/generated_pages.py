@@ -13,7 +13,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from svmdist.perturbations.table import TABLE
-from svmdist.profile.settings import MethodSettings, Settings
+from svmdist.profile.settings import Settings
+from svmdist.profile.toml import StrictModel
 from svmdist.report.columns_page import columns_page
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -49,7 +50,7 @@ def settings_page(_: str) -> str:
     )
 
 
-def meanings(group: type[MethodSettings]) -> dict[str, str]:
+def meanings(group: type[StrictModel]) -> dict[str, str]:
     """The docstring below each field of a group, read from its source."""
     (definition,) = ast.parse(textwrap.dedent(inspect.getsource(group))).body
     assert isinstance(definition, ast.ClassDef)
@@ -97,7 +98,7 @@ def table_in(page: str, name: str) -> str:
     return page.partition(f"<!-- {name}:begin -->\n")[2].partition(f"<!-- {name}:end -->")[0]
 
 
-def _settings_of(group: type[MethodSettings]) -> list[tuple[str, str, str]]:
+def _settings_of(group: type[StrictModel]) -> list[tuple[str, str, str]]:
     said = meanings(group)
     found = []
     for key, field in group.model_fields.items():
