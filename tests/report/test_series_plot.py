@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from tests.report.test_html import make_series
 
 from svmdist.cli.estimate_targets import EstimateTargets
 from svmdist.errors import OutputError, UsageError
 from svmdist.report.charts import LEVELS, pooled, rejected_spans
 from svmdist.report.plots import COLUMN_IN, PAGE_IN, SeriesPlot, draw_series
 from tests.cli.conftest import Cli, cli
+from tests.report.test_html import make_series
 
 __all__ = ["cli"]
 NOWHERE = Path("figure.png")
