@@ -15,7 +15,7 @@ from svmdist.report.writers import Writer
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
     from svmdist.recording.log import Recording
-    from svmdist.workflows.annotate import DrawnFrame
+    from svmdist.workflows.frame_drawing import DrawnFrame
     from svmdist.workflows.lag import Lag
     from svmdist.workflows.request import Setup
 
@@ -38,7 +38,7 @@ class DrawnJob:
 def write_drawn(job: DrawnJob, output: Path, writer: Writer, tally: Tally, *, force: bool) -> None:
     """Measure a recording and write it with its drawings, in the format of the file's ending."""
     from svmdist.cli.lag import told_lag
-    from svmdist.workflows.annotate import drawn_frames
+    from svmdist.workflows.frame_drawing import drawn_frames
 
     for warning in job.setup.degeneracies(job.recording.camera):
         say(f"svmdist: warning: {warning}")

@@ -17,7 +17,7 @@ from svmdist.workflows.batch.task import LogFile, Measurement, Outcome, RowWrite
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.recording.log import Window
+    from svmdist.recording.observations import Window
     from svmdist.report.tables import Row
     from svmdist.workflows.lag import Lag
     from svmdist.workflows.request import Setup

@@ -30,7 +30,8 @@ from svmdist.report.writers import Holds, Results, Writer, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
-    from svmdist.recording.log import Recording, Window
+    from svmdist.recording.log import Recording
+    from svmdist.recording.observations import Window
     from svmdist.report.tables import Row
     from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
     from svmdist.workflows.fk import PoseErrors

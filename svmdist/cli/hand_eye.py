@@ -92,7 +92,8 @@ def hand_eye_command(
     from svmdist.cli.lag import told_lag
     from svmdist.profile import load_profile
     from svmdist.profile.hand_eye import save_hand_eye
-    from svmdist.recording.log import Reading, open_recording
+    from svmdist.recording.log import open_recording
+    from svmdist.recording.observations import Reading
     from svmdist.report.info import hand_eye_file, hand_eye_results
     from svmdist.results import Failure
     from svmdist.workflows.hand_eye import HandEyeResult, hand_eye

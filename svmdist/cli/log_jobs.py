@@ -18,7 +18,7 @@ from svmdist.workflows.validate import Scored, score_recording
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
     from svmdist.profile import Profile
-    from svmdist.recording.log import Window
+    from svmdist.recording.observations import Window
     from svmdist.workflows.lag import Lag
     from svmdist.workflows.request import Setup
     from svmdist.workflows.scoring.truth import TruthRules

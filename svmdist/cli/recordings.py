@@ -20,7 +20,8 @@ from svmdist.remote_file import RemoteFile, is_url
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
-    from svmdist.recording.log import Recording, Window
+    from svmdist.recording.log import Recording
+    from svmdist.recording.observations import Window
     from svmdist.workflows.batch.task import LogFile
 
 LOG_ENDINGS = (".mcap", ".bag")
@@ -45,7 +46,7 @@ def window_of(start_s: float, end_s: float | None, every: int) -> Window | None:
         return None
     if end_s is not None and end_s < start_s:
         raise UsageError(f"--end {end_s:g}: is before --start {start_s:g}")
-    from svmdist.recording.log import Window
+    from svmdist.recording.observations import Window
 
     return Window(start_s, math.inf if end_s is None else end_s, every)
 
@@ -99,7 +100,8 @@ def open_log(
     log: LogFile, profile: Profile, topics: dict[str, str], window: Window | None = None
 ) -> Recording:
     """Open a log under its name; raises RecordingError."""
-    from svmdist.recording.log import Reading, open_recording
+    from svmdist.recording.log import open_recording
+    from svmdist.recording.observations import Reading
 
     return open_recording(log.path, profile, topics=topics).read_as(Reading(log.name, window))
 
@@ -118,7 +120,7 @@ def named_logs(files: Sequence[str | Path]) -> list[LogFile]:
 
     Raises UsageError for a glob that nothing matches, and RecordingError where a store cannot be asked.
     """
-    from svmdist.recording.log import unique_names
+    from svmdist.input_file import unique_names
     from svmdist.workflows.batch.task import LogFile
 
     found: dict[object, LogPath] = {}
@@ -171,7 +173,7 @@ def _urls_of(url: str) -> list[RemoteFile]:
 
 
 def _is_log(path: Path) -> bool:
-    from svmdist.recording.rosbag import METADATA_FILE
+    from svmdist.recording.source import METADATA_FILE
 
     return path.suffix.lower() in LOG_ENDINGS or (path.is_dir() and (path / METADATA_FILE).is_file())
 

@@ -95,17 +95,12 @@ def show_command(
         raise UsageError(
             "--worst needs what a method measured, and --masks shows what was segmented before it"
         )
-    from svmdist.profile import load_profile
     from svmdist.recording.log import open_recording
     from svmdist.report.panels import write_picture
-    from svmdist.workflows.request import Setup, prepare
-    from svmdist.workflows.show import image_stamps_ns, spread
+    from svmdist.workflows.frame_drawing import Segmented, image_stamps_ns, spread
+    from svmdist.workflows.request import prepare
 
-    setup = (
-        Setup(load_profile(profile), "shaft", "corrected", None)
-        if masks
-        else prepare(profile, method.value, "corrected", calibration)
-    )
+    setup = prepare(profile, Segmented() if masks else method.value, "corrected", calibration)
     loaded = setup.profile
     recording = open_recording(file, loaded, topics=topics_of(topic))
     stamps_ns = image_stamps_ns(recording)
@@ -127,8 +122,7 @@ def show_command(
     except OSError as problem:
         raise OutputError(f"{output}: cannot make the folder: {problem.strerror or problem}") from None
     drawn = 0
-    pictures = _masks(recording, setup, numbers) if masks else _phases(recording, setup, numbers, jobs)
-    for number, picture in pictures:
+    for number, picture in _drawn(recording, setup, numbers, jobs, masks=masks):
         path = output if is_one else output / f"{recording.name}-{number:05d}.png"
         write_picture(path, picture)
         write_lines([f"{path}\n"], None)
@@ -151,24 +145,21 @@ def _is_one_picture(output: Path, count: int) -> bool:
     return True
 
 
-def _masks(recording: Recording, setup: Setup, numbers: set[int]) -> Iterator[Picture]:
-    from svmdist.report.panels import picture_of
-    from svmdist.workflows.show import shown_frames
-
-    for shown in shown_frames(recording, setup, lambda number, _: number in numbers, max(numbers)):
-        yield shown.number, picture_of(shown, ["masks"], recording.name)
-
-
-def _phases(recording: Recording, setup: Setup, numbers: set[int], jobs: int | None) -> Iterator[Picture]:
-    from svmdist.report.panels import phases_picture
-    from svmdist.workflows.annotate import drawn_frames
+def _drawn(
+    recording: Recording, setup: Setup, numbers: set[int], jobs: int | None, *, masks: bool
+) -> Iterator[Picture]:
+    from svmdist.report.panels import masks_picture, phases_picture
+    from svmdist.workflows.frame_drawing import drawn_frames
     from svmdist.workflows.parallel import Steps
 
     with progress_bar(f"drawing {recording.name}", "images") as advance:
         steps = Steps(advance, max(numbers) + 1)
         for shown in drawn_frames(recording, setup, jobs=jobs, numbers=numbers, on_image=steps.advance):
-            title = f"{recording.name}  frame {shown.number}  method {setup.method}"
-            yield shown.number, phases_picture(shown, setup.method, title)
+            where = f"{recording.name}  frame {shown.number}"
+            if masks:
+                yield shown.number, masks_picture(shown, f"{where}  {shown.seconds:.2f} s  masks")
+            else:
+                yield shown.number, phases_picture(shown, f"{where}  method {setup.method}", setup.method)
 
 
 def _worst(recording: Recording, setup: Setup, count: int, total: int, jobs: int | None) -> set[int]:

@@ -19,7 +19,7 @@ from svmdist.cli.many import Outcomes, group_keys, group_name, heard_notes
 from svmdist.cli.validate_logs import validation_of
 from svmdist.errors import OutputError, RecordingError, UsageError
 from svmdist.profile import load_profile
-from svmdist.recording.log import Window
+from svmdist.recording.observations import Window
 from svmdist.report.scores import LogFigures
 from svmdist.vision.degradations import Blur
 from svmdist.workflows.batch.identity import fingerprint

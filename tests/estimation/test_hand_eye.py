@@ -89,13 +89,14 @@ def test_outliers_are_left_out() -> None:
 
 
 @pytest.mark.parametrize("shared", [0, 2])
-def test_errors_are_within_the_stated_ellipsoid(shared: int) -> None:
+def test_errors_are_within_the_stated_ellipsoid(shared: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Over 100 draws, noise and errors that all frames share leave 90 % or more in the 95 % ellipsoid."""
     rng = np.random.default_rng(4)
-    settings = HandEyeSettings(position_floor_m=1e-9, trials=20)
+    monkeypatch.setattr("svmdist.estimation.hand_eye.POSITION_FLOOR_M", 1e-9)
+    monkeypatch.setattr("svmdist.estimation.hand_eye.TRIALS", 20)
     distances = []
     for _ in range(100):
-        fit = _fitted(_places(rng, 40, 5e-4, shared), settings)
+        fit = _fitted(_places(rng, 40, 5e-4, shared))
         error = _error(fit)
         distances.append(error @ np.linalg.solve(fit.covariance, error))
     inside = np.mean(np.array(distances) < 12.6)  # chi square of 6 degrees of freedom, 95 %
@@ -119,7 +120,7 @@ def test_effects_are_what_shared_errors_do_to_the_transform() -> None:
         assert np.linalg.norm(moved[:3]) > 5e-4
 
 
-def test_directions_help_a_small_motion() -> None:
+def test_directions_help_a_small_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the tool moves by a few mm, the shaft's direction makes the rotation surer."""
     rng = np.random.default_rng(5)
     places = _places(rng, 40, 3e-4)
@@ -128,7 +129,8 @@ def test_directions_help_a_small_motion() -> None:
     nominal = (small - T_CAMERA_BASE[:3, 3]) @ T_CAMERA_BASE[:3, :3]
     noise = places.seen_m - transform_points(T_CAMERA_BASE, places.nominal_m)
     places = replace(places, seen_m=small + noise, nominal_m=nominal)
-    loose = HandEyeSettings(max_turn_std_rad=3.0, axis_tilt_floor_rad=0.02)
+    loose = HandEyeSettings(max_turn_std_rad=3.0)
+    monkeypatch.setattr("svmdist.estimation.hand_eye.AXIS_TILT_FLOOR_RAD", 0.02)
     without = _fitted(places, loose)
     with_axes = _fitted(replace(places, axis_std_rad=np.full(40, 0.02)), loose)
     worst = [np.linalg.eigvalsh(fit.covariance[3:, 3:])[-1] for fit in (without, with_axes)]

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from svmdist.estimation.dome import DomeModel, fit_dome
+from svmdist.estimation.dome import SMOOTH_FRACTION, DomeModel, fit_dome
 from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import TissuePose, tissue_frame
 from svmdist.estimation.tissue_tracking import DEFAULT as TRACKING
-from svmdist.estimation.tissue_tracking import TissueTracker
+from svmdist.estimation.tissue_tracking import SHAPE_COUNT, TissueTracker
 from svmdist.geometry.separation import separation
 from svmdist.geometry.surfaces import Capsules, Mesh, Plane
 from svmdist.profile import Dome
-from svmdist.profile.settings import StereoSettings
 from svmdist.transforms import Array, transform_points
 
 RULE = Dome(height_m=0.008, gauge_exponent=2.3, height_exponent=0.62, height_std_m=1.5e-4, apex_std_m=2e-3)
@@ -102,7 +101,7 @@ def test_fitted_shapes_are_as_sure_as_they_say() -> None:
     squares = []
     for _ in range(60):
         truth = DOME.shaped(rng.multivariate_normal(DOME.shape, DOME.covariance), DOME.covariance)
-        error_m = smooth @ rng.normal(0.0, StereoSettings().smooth_fraction * 3.6e-4, basis.shape[1])
+        error_m = smooth @ rng.normal(0.0, SMOOTH_FRACTION * 3.6e-4, basis.shape[1])
         found = fit_dome(DOME, cloud(truth, error_m, flat_m))
         assert found is not None
         off = found.shape - truth.shape
@@ -127,7 +126,7 @@ def test_shape_is_remembered_until_the_tissue_moves() -> None:
     tracker = TissueTracker()
     seen = DOME.shaped(np.array([2e-3, 0.0, 8.2e-3, 2.2, 0.6]), 0.1 * DOME.covariance)
     fix = TissuePose(ORIGIN_M, 1e-10 * np.eye(3), DOME.mesh(), 0.0, DOME)
-    for _ in range(TRACKING.shape_count):
+    for _ in range(SHAPE_COUNT):
         assert tracker.wants_shape
         known = tracker.add(fix)
         tracker.add_shape(seen)

@@ -13,7 +13,7 @@ SETTINGS = ExposureSettings()
 
 
 def normalised(image: np.ndarray) -> np.ndarray:
-    return apply_exposure(image, exposure_of(image, SETTINGS), SETTINGS)
+    return apply_exposure(image, exposure_of(image, SETTINGS))
 
 
 def _scene(border: bool = False) -> np.ndarray:

@@ -67,7 +67,6 @@ def test_settings_say_what_counts_as_combed() -> None:
     """With a threshold above its contrast a moving disc is left as it is woven."""
     image = woven(with_disc(300.0), with_disc(310.0))
     assert first_field(image, InterlaceSettings(comb_levels=200.0)) is image
-    assert first_field(image, InterlaceSettings(min_pixels=300_000)) is image
 
 
 def test_both_views_are_mended() -> None:

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.profile import ColourRegion
-from svmdist.profile.settings import OutlineSettings
-from svmdist.vision.regions import find_region
+from svmdist.vision.regions import SPECK_FRACTION, find_region
 
 
 def rule(min_area_px: int = 10, components: str = "all", occlusion: str = "none") -> ColourRegion:
@@ -120,7 +119,7 @@ def test_specks_of_colour_elsewhere_are_ignored():
     clean = find_region(mask, rule(occlusion="hull"))
     assert clean is not None
     mask[5:10, 150:155] = 255
-    assert OutlineSettings().speck_fraction * clean.area_px > 25
+    assert SPECK_FRACTION * clean.area_px > 25
     speckled = find_region(mask, rule(occlusion="hull"))
     assert speckled is not None
     assert speckled.area_px == clean.area_px

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.estimation.surface import fit_surface
-from svmdist.profile.settings import StereoSettings
+from svmdist.estimation.surface import SMOOTHING_PX, fit_surface
 
 HEIGHT, WIDTH = 240, 320
 
@@ -53,7 +52,7 @@ def test_the_mismatch_is_that_of_the_noise() -> None:
     """Noise that the alignment's smoothing leaves, over the texture's slope: by so much a pixel seems shifted."""
     region = np.zeros((HEIGHT, WIDTH), np.uint8)
     region[30:210, 80:280] = 255
-    smoothing_px = StereoSettings().smoothing_px
+    smoothing_px = SMOOTHING_PX
     for noise in (2.0, 6.0):
         left, right = _pair(noise, seed=4)
         surface = fit_surface(left, right, region, np.full_like(region, 255), 10, 60)
@@ -88,17 +87,17 @@ def test_nothing_to_match() -> None:
     assert fit_surface(left, right, region, region, 10, 60) is None
 
 
-def test_matching_at_reduced_size_places_the_surface_alike() -> None:
+def test_matching_at_reduced_size_places_the_surface_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether matching is reduced or not, surfaces differ by less than the 0.1 px by which each may be wrong."""
     left, right = _pair(2.0, seed=6)
     region = np.zeros((HEIGHT, WIDTH), np.uint8)
     cv2.ellipse(region, (175, 120), (100, 90), 0, 0, 360, 255, -1)
     everywhere = np.full_like(region, 255)
     points = np.array([[120.0, 100.0], [180.0, 120.0], [240.0, 160.0]])
-    found = [
-        fit_surface(left, right, region, everywhere, 10, 60, StereoSettings(matched_disparities=count))
-        for count in (16, 32, 64)
-    ]
+    found = []
+    for count in (16, 32, 64):
+        monkeypatch.setattr("svmdist.vision.stereo.MATCHED_DISPARITIES", count)
+        found.append(fit_surface(left, right, region, everywhere, 10, 60))
     for surface in found[:-1]:
         assert surface is not None
         assert found[-1] is not None

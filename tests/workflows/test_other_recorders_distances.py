@@ -15,7 +15,7 @@ from svmdist.recording.log import open_recording
 from svmdist.results import FrameResult
 from svmdist.samples import Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, rotation_z
-from svmdist.workflows.calibrate import calibrate
+from svmdist.workflows.calibrate import collect_part, fit_parts
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.request import Setup, prepare
 from svmdist.workflows.scoring.truth import Reference, truth_rules
@@ -24,7 +24,6 @@ from tests.measuring import flat
 from tests.recording.builders import Entry
 from tests.recording.other_recorders import (
     ros_messages,
-    write_foxglove_json,
     write_ros2_mcap,
     write_rosbag1,
     write_rosbag2,
@@ -49,7 +48,6 @@ RECORDERS: dict[str, Callable[[Path, list[Entry]], Path]] = {
     ),
     "ros1 bag": lambda folder, entries: write_rosbag1(folder / "a.bag", ros_messages(entries)),
     "ros1 bag lz4": lambda folder, entries: write_rosbag1(folder / "a.bag", ros_messages(entries), LZ4),
-    "foxglove json": lambda folder, entries: write_foxglove_json(folder / "a.mcap", entries),
 }
 RULES = ("camera:tool", "camera:tissue")
 
@@ -84,7 +82,9 @@ def setup(native: Path) -> Setup:
     path = write_log(native.with_name("calibration.mcap"), frame_count=20)
     profile = prepare().profile
     calibration = native.with_suffix(".toml")
-    save_calibration(calibrate([open_recording(path, profile)], profile), calibration)
+    save_calibration(
+        fit_parts([collect_part(open_recording(path, profile), profile, "overlay")], "overlay"), calibration
+    )
     return prepare(calibration=calibration)
 
 

@@ -16,8 +16,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from svmdist.errors import SvmdistError
-from svmdist.input_file import LogPath
-from svmdist.recording.log import content_sha256
+from svmdist.input_file import LogPath, content_sha256
 from svmdist.remote_file import RemoteFile
 
 PACKAGES = ("numpy", "opencv-python-headless", "simplejpeg", "av", "onnxruntime")

@@ -6,12 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.estimation.coloured_regions import ColouredRegions, DarkPixels, ShaftAxis
+from svmdist.estimation.coloured_regions import (
+    GROWN_PX,
+    LIKELY_DARK,
+    UNLIKELY_DARK,
+    ColouredRegions,
+    DarkPixels,
+    ShaftAxis,
+)
 from svmdist.profile import AreaGate
-from svmdist.profile.settings import AssociationSettings
 from svmdist.samples import Image
 
-SETTINGS = AssociationSettings()
 GATE = AreaGate(min_area_px=100)
 SHAPE = (240, 320)
 DISCS = [(80, 100, 15), (220, 140, 20)]
@@ -29,7 +34,7 @@ def drawn(*discs: tuple[int, int, int]) -> Image:
 
 @pytest.fixture
 def regions() -> ColouredRegions:
-    return ColouredRegions.of(drawn(*DISCS, FRAGMENT, STRAY), GATE, SETTINGS)
+    return ColouredRegions.of(drawn(*DISCS, FRAGMENT, STRAY), GATE)
 
 
 def index_of(regions: ColouredRegions, disc: tuple[int, int, int]) -> int:
@@ -73,7 +78,7 @@ def test_one_s_own_region_is_never_marked(regions: ColouredRegions, disc: tuple[
     assert not others[mine].any()
     (other,) = (name for name in regions.names if name != regions.names[at])
     assert others[regions.labels == other].all()
-    reach = SETTINGS.grown_px // 2
+    reach = GROWN_PX // 2
     rest = np.asarray(cv2.subtract(regions.mask, np.where(mine, regions.mask, 0).astype(np.uint8)))
     grown = cv2.dilate(rest, np.ones((2 * reach + 1,) * 2, np.uint8))
     assert not others[grown == 0].any()
@@ -118,7 +123,7 @@ def bar(x: slice, y: slice) -> DarkPixels:
 
 def test_evidence_is_the_two_logarithms_at_its_ends() -> None:
     """All dark: log(0.85 / 0.3); all light: log(0.15 / 0.7). No approximation lies between: 1e-12."""
-    likely, unlikely = SETTINGS.likely_dark, SETTINGS.unlikely_dark
+    likely, unlikely = LIKELY_DARK, UNLIKELY_DARK
     dark, light = bar(slice(100, 220), slice(112, 128)), bar(slice(100, 220), slice(20, 36))
     assert dark.evidence(AXIS) == pytest.approx(np.log(likely / unlikely), abs=1e-12)
     assert light.evidence(AXIS) == pytest.approx(np.log((1 - likely) / (1 - unlikely)), abs=1e-12)

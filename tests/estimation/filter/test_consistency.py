@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.estimation.instrument.consistency import Consistency, GatingResult
+from svmdist.estimation.instrument.consistency import (
+    MAX_REFUSED_FRAMES,
+    MAX_REFUSED_SHARE,
+    MAX_YOUNG_REFUSED_SHARE,
+    PROBATION_S,
+    USUAL_CONSTANT_DEVIATIONS,
+    WINDOW_SOLVES,
+    Consistency,
+    GatingResult,
+)
 from svmdist.profile.settings import FilterSettings
 
 SETTINGS = FilterSettings()
@@ -55,7 +64,7 @@ def test_most_of_what_was_measured_refused_is_a_contradiction_that_names_it() ->
         watch.add(
             frame * STEP_NS, [judged(0.5), judged(400.0, False, "edge +1"), judged(90.0, False, "edge -1")]
         )
-    assert watch.refused_share > SETTINGS.max_refused_share
+    assert watch.refused_share > MAX_REFUSED_SHARE
     assert "edge +1, edge -1" in watch.contradiction
     for frame in range(9, 60):
         watch.add(frame * STEP_NS, [judged(1.0)])
@@ -68,7 +77,7 @@ def test_a_constant_far_from_what_is_stated_widens_and_then_contradicts() -> Non
     watch.watch_constants([("focal length", -1.0), ("tag size", 2.0)])
     assert watch.widening == 1.0
     watch.watch_constants([("focal length", -4.0), ("tag size", 2.0)])
-    assert watch.widening == pytest.approx((4.0 / SETTINGS.usual_constant_deviations) ** 2)
+    assert watch.widening == pytest.approx((4.0 / USUAL_CONSTANT_DEVIATIONS) ** 2)
     assert not watch.contradiction
     watch.watch_constants([("focal length", -1.0), ("tag size", 6.0)])
     assert watch.contradiction == "tag size is 6.0 stated deviations from its stated value"
@@ -95,7 +104,7 @@ def test_after_a_contradiction_nothing_is_trusted_for_a_while(rate_hz: int) -> N
         if trusted_ns is None and not watch.doubt:
             trusted_ns = frame * step_ns
     assert trusted_ns is not None
-    assert abs(trusted_ns / 1e9 - SETTINGS.probation_s) <= 1.0 / rate_hz
+    assert abs(trusted_ns / 1e9 - PROBATION_S) <= 1.0 / rate_hz
 
 
 def test_joints_far_later_than_stated_are_a_contradiction_until_it_is_cleared() -> None:
@@ -116,7 +125,7 @@ def test_a_young_filter_may_refuse_less() -> None:
     """A quarter refused: too much in the first frames, as long as they are solved for anew, and none later."""
     watch = Consistency(SETTINGS)
     told = []
-    for frame in range(max(SETTINGS.window_solves) + 2):
+    for frame in range(max(WINDOW_SOLVES) + 2):
         watch.add(frame * STEP_NS, [judged(1.0)] * 3 + [judged(90.0, False)])
         told.append(bool(watch.contradiction))
     assert told[:2] == [True, True]
@@ -134,7 +143,7 @@ def test_one_source_alone_may_be_wrong_in_the_first_frames() -> None:
         alone.add(stamp_ns, [shadow, GatingResult("edge -1", 1.0, 3, True, "shaft")])
         alone.add(stamp_ns, [scene, scene], of_tool=False)
     assert not with_tag.contradiction
-    assert with_tag.refused_share > SETTINGS.max_young_refused_share
+    assert with_tag.refused_share > MAX_YOUNG_REFUSED_SHARE
     assert "edge +1" in alone.contradiction
 
 
@@ -154,7 +163,7 @@ def test_tissue_that_never_agreed_with_its_plane_is_a_contradiction() -> None:
     never.add(0, [refused], of_tool=False)
     assert "tissue height" in never.contradiction
     after.add(0, [agreed], of_tool=False)
-    for frame in range(1, SETTINGS.max_refused_frames + 1):
+    for frame in range(1, MAX_REFUSED_FRAMES + 1):
         assert not after.contradiction
         after.add(frame * STEP_NS, [judged(1.0)] * 4)
         after.add(frame * STEP_NS, [refused], of_tool=False)

@@ -22,7 +22,7 @@ from svmdist.estimation.instrument.two_views import (
 )
 from svmdist.estimation.stereo import nominal_orientation_pose
 from svmdist.profile import CameraError
-from svmdist.profile.settings import ShaftSettings, StereoSettings
+from svmdist.profile.settings import ShaftSettings
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse, make_transform, rotation_of
 from svmdist.vision.edges import Disc
@@ -161,9 +161,10 @@ def test_nothing_seen_is_a_failure() -> None:
     assert isinstance(fit_two_views(seen, MODEL), Failure)
 
 
-def test_the_watch_doubts_what_is_off_in_most_frames() -> None:
+def test_the_watch_doubts_what_is_off_in_most_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three deviations once in a while are chance, in most frames they are not; what passes is forgotten."""
-    watch = DisparityWatch(StereoSettings(watch_frames=6))
+    monkeypatch.setattr("svmdist.estimation.instrument.two_views.WATCH_FRAMES", 6)
+    watch = DisparityWatch()
     assert watch.doubt == 0.0
     for off in (0.0, 0.15, 0.01, -0.02, 0.0):
         watch.add(DisparityCheck(off, 0.05))

@@ -66,7 +66,7 @@ RESIDUALS: dict[str, Callable[[ShaftState], Residual]] = {
     "outline's end": lambda state: rim_residual(
         replace(RIM, is_outline=True), state, MODEL, CAMERA, ShaftSettings()
     ),
-    "tip": lambda state: tip_residual(TIP, BentTool.of(state, MODEL), MODEL, CAMERA, ShaftSettings()),
+    "tip": lambda state: tip_residual(TIP, BentTool.of(state, MODEL), MODEL, CAMERA),
     "marker": lambda state: marker_residuals(MARKER, BentTool.of(state, MODEL), MODEL, CAMERA)[0],
     "size": lambda state: marker_residuals(MARKER, BentTool.of(state, MODEL), MODEL, CAMERA)[1],
     "prior": lambda state: prior_residual(state, np.eye(4), MODEL),

@@ -16,7 +16,6 @@ from svmdist.estimation.tissue_tracking import TissueHeight, by_constants, measu
 from svmdist.geometry.rays import meet_plane, pixel_rays
 from svmdist.geometry.surfaces import Plane
 from svmdist.profile import CameraError, Dome, Tissue
-from svmdist.profile.settings import Settings
 from svmdist.samples import RightView
 from svmdist.transforms import Array, make_transform, rotation_of, transform_points
 from svmdist.vision.stereo import rectified_pair
@@ -59,7 +58,6 @@ def surface(lifted_m: float = 0.0, radius: float = 0.8) -> Array:
 
 
 def measure(points_m: Array, deviations: Deviations = DEVIATIONS):
-    settings = Settings()
     return measured_height(
         StereoSurface(points_m, 4e-4),
         DOME,
@@ -67,8 +65,6 @@ def measure(points_m: Array, deviations: Deviations = DEVIATIONS):
         CAMERA,
         RIGHT,
         deviations,
-        settings.stereo,
-        settings.tissue,
     )
 
 

@@ -77,7 +77,7 @@ def test_the_picture_inside_its_border(border: str) -> None:
     """A border of any shape is found to a pixel or two, and is never shaft nor tissue."""
     for seed in range(3):
         one = surgery_image(seed, border=border)
-        assert iou(picture_of(one.bgr, SETTINGS), one.picture) > 0.97
+        assert iou(picture_of(one.bgr), one.picture) > 0.97
         masks = AutoSegmenter().masks(one.bgr)
         outside = ~_near(one.picture)
         assert masks.shaft is not None

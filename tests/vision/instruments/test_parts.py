@@ -67,7 +67,7 @@ def test_a_blob_has_no_bar() -> None:
     judgements = [judged(bar, part, image) for bar, part in bars_in(mask, image, 0.5, 3)]
     assert all(one is None for one in judgements)
     (contour,), _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    assert best_bar(contour[:20].reshape(-1, 2), np.ones(20, bool), 320, SETTINGS) is None
+    assert best_bar(contour[:20].reshape(-1, 2), np.ones(20, bool), 320) is None
 
 
 def test_a_shadow_is_no_instrument() -> None:

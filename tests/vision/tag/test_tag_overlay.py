@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from svmdist.estimation.instrument.tag_pose import on_tag
-from svmdist.profile.settings import TagSettings
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.tag_overlay import (
     GREY,
@@ -20,7 +19,6 @@ from svmdist.vision.tag_overlay import (
 )
 
 PATTERN = TagPattern("36h11", 0, 0.007)
-SETTINGS = TagSettings()
 T = make_transform(rotation_of([2.8, 0.3, 0.2]), [0.004, -0.003, 0.09])
 FOCAL_PX = 554.0
 EVEN = Loss(1e9, is_biweight=False)
@@ -41,7 +39,7 @@ def inner() -> TagPixels:
 
 
 def laid(overlay: Overlay, pixels: TagPixels) -> LaidPattern:
-    found = lay_pattern(pixels, overlay, PATTERN, EVEN, SETTINGS)
+    found = lay_pattern(pixels, overlay, PATTERN, EVEN)
     assert found is not None
     return found
 
@@ -77,7 +75,7 @@ def test_a_pattern_on_itself_leaves_nothing_over() -> None:
     inside = laid(truth, pixels)
     shown = np.flatnonzero(np.isin(np.arange(len(image)), _indices(pixels)))
     image[shown] = -inside.residual
-    start = start_overlay(TagPixels(image, pixels.rays, FOCAL_PX), T, PATTERN, SETTINGS)
+    start = start_overlay(TagPixels(image, pixels.rays, FOCAL_PX), T, PATTERN)
     assert start is not None
     overlay, std = start
     assert overlay.blur_px == pytest.approx(0.8)
@@ -88,8 +86,8 @@ def test_a_pattern_on_itself_leaves_nothing_over() -> None:
 def _indices(pixels: TagPixels) -> Array:
     """Which pixels are on the tag, by their brightness: each gets its number."""
     numbered = TagPixels(np.arange(len(pixels.brightness), dtype=np.float64), pixels.rays, FOCAL_PX)
-    found = lay_pattern(numbered, Overlay(T, 0.8, 0.0, 200.0), PATTERN, EVEN, SETTINGS)
-    black = lay_pattern(grid(), Overlay(T, 0.8, 0.0, 200.0), PATTERN, EVEN, SETTINGS)
+    found = lay_pattern(numbered, Overlay(T, 0.8, 0.0, 200.0), PATTERN, EVEN)
+    black = lay_pattern(grid(), Overlay(T, 0.8, 0.0, 200.0), PATTERN, EVEN)
     assert found is not None
     assert black is not None
     return np.round(found.residual - black.residual)
@@ -99,9 +97,9 @@ def test_where_there_is_no_tag_nothing_is_laid() -> None:
     behind = make_transform(np.eye(3), [0.0, 0.0, -0.1])
     beside = make_transform(T[:3, :3], [0.2, 0.0, 0.09])
     for pose in (behind, beside):
-        assert lay_pattern(grid(), Overlay(pose, 0.8, 0.0, 100.0), PATTERN, EVEN, SETTINGS) is None
-        assert start_overlay(grid(), pose, PATTERN, SETTINGS) is None
-    assert lay_pattern(grid(), Overlay(T, 0.8, 0.0, 1.0), PATTERN, EVEN, SETTINGS) is None
+        assert lay_pattern(grid(), Overlay(pose, 0.8, 0.0, 100.0), PATTERN, EVEN) is None
+        assert start_overlay(grid(), pose, PATTERN) is None
+    assert lay_pattern(grid(), Overlay(T, 0.8, 0.0, 1.0), PATTERN, EVEN) is None
 
 
 @pytest.mark.parametrize("is_biweight", [False, True])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.recording.log import Window
+from svmdist.recording.observations import Window
 from svmdist.workflows.batch.identity import code_version, fingerprint, log_identity
 from svmdist.workflows.batch.store import ResultStore
 from svmdist.workflows.batch.task import LogFile
