@@ -12,8 +12,11 @@ from svmdist.estimation.surface import DEGREE, StereoSurface
 from svmdist.geometry.surfaces import Mesh
 from svmdist.least_squares import median, scale_of
 from svmdist.profile import Dome
-from svmdist.profile.settings import StereoSettings
 from svmdist.transforms import Array, inverse, transform_points
+
+INNER_RADIUS = 0.9  # of the dome, normalised: beyond it the rim is too steep for a surface of low order
+SMOOTH_FRACTION = 0.4  # as smooth as a dome; seven organs' shapes stand 0.11 mm off without a prior
+MAX_SPREAD = 3.0  # points that scatter about the dome by so many of their deviations are no view of it
 
 FULL_TURN = 2.0 * np.pi
 
@@ -253,7 +256,6 @@ def _signed_area(polygon_m: Array) -> float:
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-DEFAULT = StereoSettings()
 MIN_POINTS = 100
 FREEDOM = (DEGREE + 1) * (DEGREE + 2) / 2
 """Coefficients of the disparity surface: so many of its points err independently, and no more."""
@@ -262,7 +264,7 @@ STEP_SETTLED = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
 """A step below it moves no point of the dome by more than a micrometre."""
 
 
-def fit_dome(dome: DomeModel, surface: StereoSurface, settings: StereoSettings = DEFAULT) -> DomeModel | None:
+def fit_dome(dome: DomeModel, surface: StereoSurface) -> DomeModel | None:
     """The dome with apex, height and exponents as the surface shows them; None where it shows something else.
 
     The most probable shape given the dome's own and the points' heights (Gauss–Newton, Cauchy's weights). The
@@ -270,7 +272,7 @@ def fit_dome(dome: DomeModel, surface: StereoSurface, settings: StereoSettings =
     of which the smooth part looks like another shape. What has no deviation stays as it is.
     """
     points_m = dome.to_tissue_frame(surface.points_m)
-    inner = dome.normalised_radius(points_m[:, :2], np.zeros(2)) < settings.inner_radius
+    inner = dome.normalised_radius(points_m[:, :2], np.zeros(2)) < INNER_RADIUS
     flat_m, height_m = points_m[inner, :2], points_m[inner, 2]
     free = np.flatnonzero(np.diag(dome.covariance) > 0.0)
     if len(flat_m) < MIN_POINTS or len(free) == 0:
@@ -283,10 +285,7 @@ def fit_dome(dome: DomeModel, surface: StereoSurface, settings: StereoSettings =
         std_m = max(surface.std_m, scale_of(error_m - median(error_m)))
         J = now.derivative(flat_m)[:, free]
         weight = (
-            FREEDOM
-            / len(flat_m)
-            / (settings.smooth_fraction * std_m) ** 2
-            / (1.0 + (error_m / (2.0 * std_m)) ** 2)
+            FREEDOM / len(flat_m) / (SMOOTH_FRACTION * std_m) ** 2 / (1.0 + (error_m / (2.0 * std_m)) ** 2)
         )
         weighted = J * weight[:, None]
         information = prior + weighted.T @ J
@@ -297,7 +296,7 @@ def fit_dome(dome: DomeModel, surface: StereoSurface, settings: StereoSettings =
         now = now.shaped(now.shape + step, dome.covariance)
         if np.abs(step / STEP_SETTLED).max() < 1.0:
             break
-    if std_m > settings.max_spread * surface.std_m or not now.shape[2] > 0.0:
+    if std_m > MAX_SPREAD * surface.std_m or not now.shape[2] > 0.0:
         return None
     covariance = np.zeros_like(dome.covariance)
     covariance[at] = np.linalg.inv(information)

@@ -26,6 +26,8 @@ from svmdist.transforms import Array, inverse, skew
 if TYPE_CHECKING:
     from svmdist.estimation.instrument.shaft_detection import ShaftDetection
 
+NEAR_M = 0.2  # up to here that deviation holds; beyond, it grows in proportion
+
 
 class KinematicEstimator:
     """`--method kinematic`: nothing of the tool is taken from the image. Keeps the tissue's pose between frames."""
@@ -184,7 +186,7 @@ class ShaftEstimator:
         if isinstance(fit, Failure):
             return result.rejected(_status(frame.left.shaft), fit.reason)
         std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
-        farther = max(1.0, float(np.linalg.norm(fit.pose.position_m)) / self._settings.near_m)
+        farther = max(1.0, float(np.linalg.norm(fit.pose.position_m)) / NEAR_M)
         if not std_m <= farther * self._settings.max_position_std_m:
             detail = f"the position is uncertain by {std_m * 1e3:.1f} mm"
             return result.rejected(Status.UNCERTAIN, detail)

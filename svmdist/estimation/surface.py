@@ -14,6 +14,13 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.stereo import RectifiedPair, match_region
 
+MIN_AGREEING_MATCHES = 0.8  # that lie on the surface: of matched noise two of three, of tissue nearly all
+MARGIN_PX = 7  # matches this close to the tissue's edge mix two surfaces within one block
+# Both views are smoothed before they are aligned, so that a step of a pixel stays on a slope
+SMOOTHING_PX = 1.5
+SURFACE_STD_PX = 0.12  # of an aligned low-order surface: measured 0.36 mm at 105 mm, 5 mm baseline
+CLEAN_MISMATCH_PX = 0.36  # in those measurements; JPEG and noise shift pixels and surface in proportion
+
 DEFAULT = StereoSettings()
 DEGREE = 3
 SCALE_PX = 100.0
@@ -68,7 +75,7 @@ def fit_surface(
     `right_region` is the same region's mask in the right image: what leaves it there is hidden. `min_px` and `max_px`
     bound the search.
     """
-    side_px = 2 * settings.margin_px + 1
+    side_px = 2 * MARGIN_PX + 1
     core = np.asarray(cv2.erode(region, np.ones((side_px, side_px), np.uint8)), np.uint8)
     matches = match_region(left_grey, right_grey, core, min_px, max_px, settings)
     if matches is None:
@@ -92,7 +99,6 @@ def fit_surface(
         is_matched[thinned, thinned],
         centre_px,
         start,
-        settings,
     )
     matched_fraction = count / max(int(np.count_nonzero(matches.is_core)), 1)
     error_px = matches.disparity_px[is_matched][few] - _basis(points_px[few], centre_px) @ coefficients
@@ -127,15 +133,14 @@ def _align(
     is_used: NDArray[np.bool_],
     centre_px: Array,
     coefficients: Array,
-    settings: StereoSettings,
 ) -> tuple[Array, float]:
     """Gauss–Newton on right(u - d(u, v), v) - left(u, v), with a free, smooth field of brightness between the images.
 
     `columns`, `rows` and `is_used`, shape (h, w), make the grid of the left image's pixels that are aligned. Gives the
     coefficients and the mismatch that they leave, in px.
     """
-    left, slope = _smoothed_with_slope(left_grey, columns, rows, settings.smoothing_px)
-    right, first_row = _smoothed_where_seen(right_grey, right_region, rows, settings)
+    left, slope = _smoothed_with_slope(left_grey, columns, rows, SMOOTHING_PX)
+    right, first_row = _smoothed_where_seen(right_grey, right_region, rows)
     u, v = (
         np.vander((px - middle) / SCALE_PX, 2 * DEGREE + 1, increasing=True)
         for px, middle in ((columns, centre_px[0]), (rows, centre_px[1]))
@@ -199,13 +204,13 @@ def _smoothed_with_slope(
 
 
 def _smoothed_where_seen(
-    grey: Image, region: Image, rows: NDArray[np.intp], settings: StereoSettings
+    grey: Image, region: Image, rows: NDArray[np.intp]
 ) -> tuple[NDArray[np.float32], int]:
     """Rows of the smoothed image, NaN where the region's edge is near or passed, and which row is the first."""
-    margin = max(int(4 * settings.smoothing_px) + 2, settings.margin_px)
+    margin = max(int(4 * SMOOTHING_PX) + 2, MARGIN_PX)
     top, bottom = max(int(rows[0]) - margin, 0), int(rows[-1]) + margin + 1
-    smooth = cv2.GaussianBlur(grey[top:bottom], (0, 0), settings.smoothing_px).astype(np.float32)
-    side_px = max(settings.margin_px, 1)
+    smooth = cv2.GaussianBlur(grey[top:bottom], (0, 0), SMOOTHING_PX).astype(np.float32)
+    side_px = max(MARGIN_PX, 1)
     inside = cv2.erode(region[top:bottom], np.ones((side_px, side_px), np.uint8))
     smooth[inside == 0] = np.nan
     return np.asarray(smooth, np.float32), top
@@ -268,11 +273,11 @@ def detect_stereo_surface(
     )
     bounds = (int(np.floor(far_px)), int(np.ceil(near_px)))
     surface = fit_surface(left_grey, right_grey, *masks, *bounds, settings)
-    if surface is None or surface.agreeing_fraction < settings.min_agreeing_matches:
+    if surface is None or surface.agreeing_fraction < MIN_AGREEING_MATCHES:
         return None
     points_m = _cloud(surface, hull, pair, masks[0].shape, settings.far_m)
     depth_m = float(np.median(points_m[:, 2]))
-    std_px = settings.surface_std_px * max(1.0, surface.mismatch_px / settings.clean_mismatch_px)
+    std_px = SURFACE_STD_PX * max(1.0, surface.mismatch_px / CLEAN_MISMATCH_PX)
     return StereoSurface(points_m, depth_m / pair.disparity_at(depth_m) * std_px)
 
 

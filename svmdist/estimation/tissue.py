@@ -22,6 +22,10 @@ from svmdist.transforms import Array, make_transform
 from svmdist.vision.regions import CompletedOutline, Region, complete_outline, find_region
 from svmdist.vision.segmentation import Masks
 
+# Parts below this fraction of the tissue may be blood on an instrument, as red as tissue
+BLOOD_FRACTION = 0.1
+BLOOD_RING_FRACTION = 0.5  # share of dark shaft around such a part above which it is blood
+
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ACROSS = 0.99
 """Cosine between normal and axis from which on the axis has no direction on the plane."""
@@ -206,7 +210,7 @@ def detect_tissue(masks: Masks, profile: Profile, camera: Camera) -> TissueDetec
     mask, settings = masks.tissue, profile.settings.outline
     region = find_region(mask, rule, settings)
     if region is not None and region.part_count > 1 and masks.shaft is not None:
-        mask = _without_blood(mask, masks.shaft, region.area_px, settings)
+        mask = _without_blood(mask, masks.shaft, region.area_px)
         region = find_region(mask, rule, settings)
     if region is None:
         return None
@@ -227,7 +231,7 @@ def _with_doubt(
     return replace(outline, covariance_px2=outline.covariance_px2 + np.outer(off_px, off_px))
 
 
-def _without_blood(mask: Image, shaft: Image, area_px: int, settings: OutlineSettings) -> Image:
+def _without_blood(mask: Image, shaft: Image, area_px: int) -> Image:
     """The mask, shape (h, w), without small parts that the instrument's dark shaft surrounds.
 
     Blood on an instrument is as red as tissue, and far from it. What an instrument cuts off the tissue has the shaft on
@@ -237,12 +241,12 @@ def _without_blood(mask: Image, shaft: Image, area_px: int, settings: OutlineSet
     kept = mask.copy()
     for label in range(1, count):
         x, y, width, height, size_px = statistics[label]
-        if size_px > settings.blood_fraction * area_px:
+        if size_px > BLOOD_FRACTION * area_px:
             continue
         box = np.s_[max(0, y - RING_PX) : y + height + RING_PX, max(0, x - RING_PX) : x + width + RING_PX]
         part = (labels[box] == label).astype(np.uint8)
         ring = cv2.dilate(part, np.ones((2 * RING_PX + 1, 2 * RING_PX + 1), np.uint8)) - part
         on_shaft = np.count_nonzero(ring & (shaft[box] > 0))
-        if on_shaft > settings.blood_ring_fraction * np.count_nonzero(ring):
+        if on_shaft > BLOOD_RING_FRACTION * np.count_nonzero(ring):
             kept[box][part > 0] = 0
     return kept

@@ -23,6 +23,12 @@ from svmdist.vision.working_image import (
     learnt_from,
 )
 
+MOST_AREA = 0.45  # what is larger is background that shares the instrument's colour
+LEAST_EVIDENCE = 0.2  # evidence, from 0 to 1, of two straight edges: what has less is tissue
+# Evidence that the surest bar of an image must have for anything to be learnt from it
+TEACHING_EVIDENCE = 0.44
+SURE_EVIDENCE = 0.4  # evidence from which on a bar's colours are learnt
+
 PERCENTILES = (4, 8, 13, 19, 26, 34)
 """Of each channel in the picture: thresholds under which instruments are sought. They cover 3 to 40 % of a picture."""
 RATIO_LEVELS = (0.0, 1.0, 2.0)
@@ -93,7 +99,7 @@ def find_instruments(
         for level in RATIO_LEVELS
         for one in _judged_bars(_above(ratio, level, image) if level else likely, image, 3, ratio)
     ]
-    bars += [one for one in sought if one.evidence > settings.sure_evidence]
+    bars += [one for one in sought if one.evidence > SURE_EVIDENCE]
     bars.sort(key=lambda one: -one.evidence)
     bars = [JudgedBar(sharpened(one.bar, image), one.evidence) for one in bars]
     taken = np.zeros(image.core.shape, bool)
@@ -126,11 +132,8 @@ def _above(ratio: Floats, level: float, image: WorkingImage) -> Image:
 def _judged_bars(
     mask: Image, image: WorkingImage, most_bars: int, ratio: Floats | None = None
 ) -> list[JudgedBar]:
-    settings = image.settings
-    every = (
-        judged(bar, part, image, ratio) for bar, part in bars_in(mask, image, settings.most_area, most_bars)
-    )
-    return [one for one in every if one is not None and one.evidence > settings.least_evidence]
+    every = (judged(bar, part, image, ratio) for bar, part in bars_in(mask, image, MOST_AREA, most_bars))
+    return [one for one in every if one is not None and one.evidence > LEAST_EVIDENCE]
 
 
 def _apart(sought: list[JudgedBar], image: WorkingImage) -> list[JudgedBar]:
@@ -147,10 +150,10 @@ def _apart(sought: list[JudgedBar], image: WorkingImage) -> list[JudgedBar]:
 
 def _of_bars(image: WorkingImage, sought: Sequence[JudgedBar]) -> Example | None:
     """What the sure bars of an image teach; what is near to any bar may be either, and teaches nothing."""
-    if not sought or sought[0].evidence < image.settings.teaching_evidence:
+    if not sought or sought[0].evidence < TEACHING_EVIDENCE:
         return None
     shape = image.core.shape[0], image.core.shape[1]
-    least = min(0.6 * sought[0].evidence, image.settings.sure_evidence)
+    least = min(0.6 * sought[0].evidence, SURE_EVIDENCE)
     inside, near = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
     for one in sought:
         strip = one.bar.filled(shape)

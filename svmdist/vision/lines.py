@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.least_squares import huber_weights, scale_of
-from svmdist.profile.settings import ShaftSettings
 from svmdist.transforms import Array, cross, skew
 
-DEFAULT = ShaftSettings()
+# Neighbouring edge points share pixels: points closer than this along the edge err alike
+POINT_CORRELATION_PX = 2.0
+MIN_POINT_STD_PX = 0.05  # what pixel grid and interpolation leave even without noise
+
 HUBER = 1.5
 """Deviations beyond which a point counts singly, at 95 % efficiency on normal errors about 1.35 (Huber 1964)."""
 FIT_STEPS, TRIALS, SEED = 6, 120, 7
@@ -67,8 +69,8 @@ def fit_line(
     min_count: int = 8,
     inlier_px: float = 1.0,
     systematic_px: float = 0.0,
-    correlation_px: float = DEFAULT.point_correlation_px,
-    min_point_std_px: float = DEFAULT.min_point_std_px,
+    correlation_px: float = POINT_CORRELATION_PX,
+    min_point_std_px: float = MIN_POINT_STD_PX,
 ) -> Line | None:
     """The line through most of the points, shape (n, 2): RANSAC, then total least squares with Huber's weights.
 

@@ -15,6 +15,10 @@ from svmdist.profile.settings import MarkerSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
 
+REFIT_THRESHOLDS_PX = (1.5, 1.0, 0.7, 0.5, 0.3)  # the fine pyramid levels agree best and should decide
+# Fewer matches than this are not fitted again: five times the four that determine a homography
+REFIT_MIN_COUNT = 20
+
 CELL_COUNT = 12
 """Cells along a side: margin, frame, eight of data, frame, margin."""
 
@@ -185,9 +189,7 @@ class Homography:
     inliers: NDArray[np.bool_]
 
 
-def fit_homography(
-    matches: Matches, reprojection_px: float, settings: MarkerSettings = DEFAULT
-) -> Homography | None:
+def fit_homography(matches: Matches, reprojection_px: float) -> Homography | None:
     """Fit a homography robustly (MAGSAC, Barath 2019); None where the points allow none.
 
     Inliers are counted here by eq. (18), not taken from OpenCV, so that the number means what the paper
@@ -211,21 +213,21 @@ def fit_homography(
         return None
     if fitted is None or not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
         return None
-    H, error_px = _refit(np.asarray(fitted / fitted[2, 2], np.float64), matches, settings)
+    H, error_px = _refit(np.asarray(fitted / fitted[2, 2], np.float64), matches)
     inliers = error_px <= reprojection_px
     return Homography(H, inliers) if np.count_nonzero(inliers) >= 4 else None
 
 
-def _refit(H: Array, matches: Matches, settings: MarkerSettings) -> tuple[Array, Array]:
+def _refit(H: Array, matches: Matches) -> tuple[Array, Array]:
     """Refit by least squares on the matches within shrinking thresholds, while they are many and agree.
 
     Gives the homography and each match's transfer error in px, shape (n,).
     """
     error_px = transfer_error(H, matches.template_px, matches.frame_px)
     fitted_on: NDArray[np.bool_] | None = None
-    for threshold_px in settings.refit_thresholds_px:
+    for threshold_px in REFIT_THRESHOLDS_PX:
         close = error_px <= threshold_px
-        if np.count_nonzero(close) < settings.refit_min_count:
+        if np.count_nonzero(close) < REFIT_MIN_COUNT:
             break
         if fitted_on is not None and np.array_equal(close, fitted_on):
             continue  # the same matches give the same homography

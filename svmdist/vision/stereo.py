@@ -15,6 +15,9 @@ from svmdist.results import Failure
 from svmdist.samples import Image, RightView
 from svmdist.transforms import Array
 
+MATCHED_DISPARITIES = 32  # views are reduced to so many: matching places the surface within a pixel or two
+MIN_ROW_POINTS = 40  # points in all these pairs that must agree on an offset
+
 MAX_OFF_AXIS = 0.02
 """A right camera this far above, below, before or behind the left one, over the baseline, counts as beside it: rows of
 both views then differ by half a pixel at a disparity of 25 px. Further off, both views are turned."""
@@ -168,15 +171,15 @@ def row_differences(
     return np.asarray(rows_px[index[is_match], nearest[is_match]], np.float64)
 
 
-def agreed_offset(differences_px: Array, settings: StereoSettings = DEFAULT) -> RowOffset | None:
+def agreed_offset(differences_px: Array) -> RowOffset | None:
     """The offset that most differences, shape (n,), agree on; None where too few do."""
-    if len(differences_px) < settings.min_row_points:
+    if len(differences_px) < MIN_ROW_POINTS:
         return None
     ordered = np.sort(differences_px)
     inside = np.searchsorted(ordered, ordered + 2.0 * PEAK_PX, "right") - np.arange(len(ordered))
     first = int(np.argmax(inside))
     peak = ordered[first : first + int(inside[first])]
-    if len(peak) < max(settings.min_row_points, MIN_PEAK_SHARE * len(ordered)):
+    if len(peak) < max(MIN_ROW_POINTS, MIN_PEAK_SHARE * len(ordered)):
         return None
     middle_px = median(peak)
     # Points of one texture err alike: a tenth of them count.
@@ -209,7 +212,7 @@ def match_region(
     """Matches in the region's core, on images reduced until the search spans the settings' number of disparities."""
     # Matching costs most of all; only the region's rows, and the columns that its matches can lie in, are needed.
     x, y, width, height = cv2.boundingRect(core)
-    step = max(1, round((max_px - min_px) / settings.matched_disparities))
+    step = max(1, round((max_px - min_px) / MATCHED_DISPARITIES))
     low, high = int(np.floor(min_px / step)), int(np.ceil(max_px / step))
     least_px = step * _least_width_px(low, high, settings.block_px)
     left_px = max(0, min(x - max(max_px, 0), core.shape[1] - least_px))

@@ -12,9 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.least_squares import NormalEquations, huber_weights, scale_of
-from svmdist.profile.settings import TagSettings
 from svmdist.transforms import Array
 from svmdist.vision.tags import DICTIONARIES
+
+MARGIN_CELLS = 0.6  # of the white margin that is compared; what lies behind shines into the rest
+BLUR_STARTS_PX = (0.8, 1.6, 3.2)  # of the image's blur, the best one starts the search: sharp, soft, moving
+EDGE_SLOPE = 0.2  # of the pattern's largest: residuals on edges tell the standard deviation
+MIN_PIXELS = 50  # pixels on the tag below which there is no pose
+MIN_CONTRAST = 4.0  # grey levels between black and white below which there is no pattern to compare
 
 CELL_SAMPLES = 16
 """Texture samples per cell: three for each pixel of a tag that is seen 40 px wide."""
@@ -218,37 +223,35 @@ class _PixelsOnTag(NamedTuple):
 
 
 def start_overlay(
-    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings
+    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern
 ) -> tuple[Overlay, float] | None:
     """The blur, brightness and contrast that fit best at a first pose, and the standard deviation on the edges.
 
     None where the tag is not on the pixels.
     """
-    on_tag = _pixels_on_tag(pixels, T_camera_tag, pattern, settings)
+    on_tag = _pixels_on_tag(pixels, T_camera_tag, pattern)
     if on_tag is None:
         return None
     px_per_cell = _px_per_cell(pixels, T_camera_tag, pattern)
     brightness = on_tag.brightness - on_tag.brightness.mean()
     starts = []
-    for blur_px in settings.blur_starts_px:
+    for blur_px in BLUR_STARTS_PX:
         model, by_x, by_y, _ = pattern.sample(on_tag.xy_cells, blur_px / px_per_cell)
         centred = model - model.mean()
         contrast = float(centred @ brightness) / max(float(centred @ centred), 1e-12)
         residual = brightness - contrast * centred
         offset = float(on_tag.brightness.mean() - contrast * model.mean())
-        std = _std_on_edges(residual, by_x, by_y, settings.edge_slope)
+        std = _std_on_edges(residual, by_x, by_y, EDGE_SLOPE)
         starts.append((float(residual @ residual), std, Overlay(T_camera_tag, blur_px, offset, contrast)))
     _, std, overlay = min(starts, key=lambda start: start[0])
     return overlay, std
 
 
-def lay_pattern(
-    pixels: TagPixels, overlay: Overlay, pattern: TagPattern, loss: Loss, settings: TagSettings
-) -> LaidPattern | None:
+def lay_pattern(pixels: TagPixels, overlay: Overlay, pattern: TagPattern, loss: Loss) -> LaidPattern | None:
     """Residual and derivatives of the pattern laid so; None where it is off the pixels or has no contrast."""
     T, contrast = overlay.T_camera_tag, overlay.contrast
-    on_tag = _pixels_on_tag(pixels, T, pattern, settings)
-    if on_tag is None or not contrast >= settings.min_contrast:
+    on_tag = _pixels_on_tag(pixels, T, pattern)
+    if on_tag is None or not contrast >= MIN_CONTRAST:
         return None
     px_per_cell = _px_per_cell(pixels, T, pattern)
     model, by_x, by_y, by_blur = pattern.sample(on_tag.xy_cells, overlay.blur_px / px_per_cell)
@@ -268,7 +271,7 @@ def lay_pattern(
     weighted = weight * J
     # The ridge keeps the blur's row regular where an image is sharper than any blur is seen.
     information = weighted @ J.T + RIDGE
-    clusters_across = pattern.cell_count + 3 + 2 * int(settings.margin_cells)
+    clusters_across = pattern.cell_count + 3 + 2 * int(MARGIN_CELLS)
     return LaidPattern(
         cost,
         weighted @ residual,
@@ -280,7 +283,7 @@ def lay_pattern(
         on_tag.xy_cells,
         (by_x, by_y),
         clusters_across,
-        settings.edge_slope,
+        EDGE_SLOPE,
     )
 
 
@@ -289,9 +292,7 @@ def _std_on_edges(residual: Array, by_x: Array, by_y: Array, edge_slope: float) 
     return scale_of(residual[steepness > edge_slope**2 * steepness.max()]) + TINY_LEVEL
 
 
-def _pixels_on_tag(
-    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings
-) -> _PixelsOnTag | None:
+def _pixels_on_tag(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> _PixelsOnTag | None:
     """The pixels on the tag and some of its margin; None where they are too few, or the tag is behind the camera."""
     if T_camera_tag[2, 3] <= 0.0:
         return None
@@ -300,9 +301,9 @@ def _pixels_on_tag(
     rays = R_tag_camera @ pixels.rays
     depth_cells = t_cells[2] / rays[2]
     x, y = rays[0] * depth_cells - t_cells[0], rays[1] * depth_cells - t_cells[1]
-    inward_cells = pattern.cell_count / 2.0 + settings.margin_cells - np.maximum(np.abs(x), np.abs(y))
+    inward_cells = pattern.cell_count / 2.0 + MARGIN_CELLS - np.maximum(np.abs(x), np.abs(y))
     inside = np.flatnonzero(inward_cells > 0.0)
-    if len(inside) < settings.min_pixels:
+    if len(inside) < MIN_PIXELS:
         return None
     share = np.minimum(1.0, inward_cells[inside] / FADE_CELLS)
     xy_cells = np.stack([x[inside], y[inside]])

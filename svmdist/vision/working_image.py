@@ -14,6 +14,13 @@ from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.colour import field_of_view
 
+# A black border differs from the darkest thing in the image by no more: noise and compression
+BORDER_LEVELS = 6.0
+BORDER_FLOOR_LEVEL = 10.0  # what is darker than this is border, whatever the darkest thing is
+BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haze may lift it
+# Added to levels before their logarithm is taken: noise of one or two levels must not be a colour
+LEVEL_OFFSET = 8.0
+
 Floats = NDArray[np.float32]
 Hint = Callable[[Image], Floats]
 """Gives log odds of instrument, shape (h, w), of an image, shape (h, w, 3)."""
@@ -43,7 +50,7 @@ class WorkingImage:
         size = (round(scale * width), round(scale * height))
         how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
         small = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
-        return cls(small, picture_of(small, settings), scale, settings, hinting)
+        return cls(small, picture_of(small), scale, settings, hinting)
 
     @cached_property
     def hint(self) -> Floats:
@@ -75,7 +82,7 @@ class WorkingImage:
     @cached_property
     def colours(self) -> Floats:
         """log(R/G), log(G/B) and the mean of all three logarithms, shape (h, w, 3): light scales only the last."""
-        return colour_logs(self._softened, self.settings.level_offset)
+        return colour_logs(self._softened, LEVEL_OFFSET)
 
     @cached_property
     def warmth(self) -> Floats:
@@ -85,8 +92,8 @@ class WorkingImage:
     @cached_property
     def channels(self) -> tuple[Floats, ...]:
         """What instruments may be low in, shape (h, w) each: warmth, twice, chroma, light, and darkness."""
-        keen = colour_logs(self._softened, 0.5 * self.settings.level_offset)
-        blunt = colour_logs(self._softened, 3.0 * self.settings.level_offset)
+        keen = colour_logs(self._softened, 0.5 * LEVEL_OFFSET)
+        blunt = colour_logs(self._softened, 3.0 * LEVEL_OFFSET)
         light = self.colours[..., 2]
         return (
             keen[..., 0] + 0.5 * keen[..., 1],
@@ -101,16 +108,16 @@ class WorkingImage:
         return np.asarray(cv2.GaussianBlur(self.bgr, (0, 0), 0.8), np.uint8)
 
 
-def picture_of(bgr: Image, settings: AutoSettings) -> Image:
+def picture_of(bgr: Image) -> Image:
     """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border.
 
     A border is the darkest thing in the image; haze lifts both alike. A shaft is brighter, if only by a little.
     """
     value = bgr.max(axis=2)
     floor = float(np.percentile(value, 0.5))
-    level = max(floor + settings.border_levels, settings.border_floor_level)
+    level = max(floor + BORDER_LEVELS, BORDER_FLOOR_LEVEL)
     above = value[value > level]
-    if not len(above) or floor > settings.border_fraction * float(np.median(above)):
+    if not len(above) or floor > BORDER_FRACTION * float(np.median(above)):
         return np.full_like(value, 255)
     black = value <= level
     view = field_of_view(np.asarray(255 * black, np.uint8))

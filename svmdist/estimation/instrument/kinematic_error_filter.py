@@ -11,7 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.instrument.consistency import Consistency, GatingResult, chi_square_bound
+from svmdist.estimation.instrument.consistency import (
+    USUAL_CONSTANT_DEVIATIONS,
+    WINDOW_SOLVES,
+    Consistency,
+    GatingResult,
+    chi_square_bound,
+)
 from svmdist.estimation.instrument.corrected_links import Correction
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
@@ -23,6 +29,11 @@ from svmdist.profile import KinematicError
 from svmdist.profile.settings import FilterSettings
 from svmdist.results import ToolPose, across_std_rad
 from svmdist.transforms import Array
+
+MAX_ITERATIONS = 8  # gauss–Newton steps; two or three are usual, more where frames are cm off
+DEPTH_UNKNOWN_STD_M = 0.01  # standard deviation of the tool's depth above which it counts as unknown
+MAX_REJECTIONS = 8  # frames in a row with nothing accepted: the filter has lost the arm and restarts
+MAX_CONTRADICTIONS = 25  # frames in a row: a filter that went astray recovers by starting anew
 
 SETTLED, NEARLY_SETTLED = 1e-3, 0.1
 """Of its standard deviation: an element of the state that moves by less has come to rest, or will with a next step."""
@@ -55,11 +66,11 @@ def most_probable(
     """
     size = sum(len(part.residual) for part in parts)
     bound = chi_square_bound(size, settings.gate_z)
-    best = _descend(state, measurements, np.zeros(len(state.P)), settings, parts)
+    best = _descend(state, measurements, np.zeros(len(state.P)), parts)
     if best is not None and best.nis <= bound:
         return best
     for start in _other_depths(state, settings):
-        found = _descend(state, measurements, start, settings)
+        found = _descend(state, measurements, start)
         if found is not None and (best is None or found.nis < best.nis):
             best = found
         if best is not None and best.nis <= bound:
@@ -75,7 +86,7 @@ def _other_depths(state: ErrorState, settings: FilterSettings) -> Iterator[Array
     tool = state.link(None)
     along = state.P[:, : state.model.size] @ tool.derivative[2]
     variance_m2 = float(tool.derivative[2] @ along[: state.model.size])
-    if variance_m2 > settings.depth_unknown_std_m**2:
+    if variance_m2 > DEPTH_UNKNOWN_STD_M**2:
         for depth_m in settings.depth_candidates_m:
             yield along * (depth_m - tool.T_camera_link[2, 3]) / variance_m2
 
@@ -84,7 +95,6 @@ def _descend(
     state: ErrorState,
     measurements: Sequence[LinkMeasurement],
     x: Array,
-    settings: FilterSettings,
     parts: Sequence[Linearised] | None = None,
 ) -> MostProbable | None:
     """x ← K (r + H x) until x rests; None where a measurement's link leaves the view.
@@ -96,7 +106,7 @@ def _descend(
     R = block_diagonal([measurement.covariance for measurement in measurements])
     deviations = np.sqrt(np.diag(P) + 1e-18)
     there, moved = state, np.inf
-    for _ in range(settings.max_iterations):
+    for _ in range(MAX_ITERATIONS):
         if parts is None:
             there = state.retracted(x)
             parts = there.linearise(measurements)
@@ -189,10 +199,10 @@ class KinematicErrorFilter:
             self._keep_in_window(measurements)
         elif measurements:
             self._rejections += 1
-        if self._contradictions >= self._settings.max_contradictions:
+        if self._contradictions >= MAX_CONTRADICTIONS:
             self._start()
             self.consistency.distrust(self._state.robot.stamp_ns)
-        elif self._rejections >= self._settings.max_rejections:
+        elif self._rejections >= MAX_REJECTIONS:
             self._start()
         return tuple(results)
 
@@ -295,7 +305,7 @@ class KinematicErrorFilter:
         The first frames are linearised tens of millimetres off, where a camera is far from linear; a Kalman
         filter can never take back a linearisation, a batch can.
         """
-        solves = self._settings.window_solves
+        solves = WINDOW_SOLVES
         if len(self._window) < max(solves):
             self._window.add(MeasurementsAt(self._state.robot, tuple(measurements)))
             if len(self._window) in solves:
@@ -310,7 +320,7 @@ class KinematicErrorFilter:
         """
         before, far = copy(self._state), self._furthest_constant()
         self._replay(at)
-        if self._furthest_constant() > max(far, self._settings.usual_constant_deviations):
+        if self._furthest_constant() > max(far, USUAL_CONSTANT_DEVIATIONS):
             self._state = before
 
     def _furthest_constant(self) -> float:

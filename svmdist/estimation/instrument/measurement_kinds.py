@@ -225,7 +225,7 @@ class SizeMeasurement(ConstantBias):
 
 
 EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s
-POSE_CORRELATION_TIME_S = FilterSettings().pose_correlation_time_s
+POSE_CORRELATION_TIME_S = 0.5
 
 
 class _MatrixBias(ConstantBias):

@@ -28,6 +28,9 @@ from svmdist.results import Failure, ToolPose, across_std_rad
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.lines import CylinderAxis, apparent_radius_px, axis_of_cylinder, undistorted
 
+GATE_CHI2 = 12.0  # squared deviation that one in 400 true measurements of two numbers exceeds
+DOUBT_SQUARE = 2.25  # of the marker's size against the depth by the shaft: 1.5 deviations, more than chance
+
 MAX_TURN_RAD = 0.5
 """Of one step: beyond it the derivatives of the residuals say nothing."""
 
@@ -186,7 +189,7 @@ def fit_shaft(
     for trusted in _readings(Landmarks(shaft, marker)):
         fit = _fit(trusted, model, camera, settings, deviations)
         if isinstance(fit, ShaftFit):
-            return _with_doubt(fit, marker, model, camera, settings, deviations)
+            return _with_doubt(fit, marker, model, camera, deviations)
         failure = failure or fit
     return failure or Failure("nothing of the shaft is to be seen")
 
@@ -228,7 +231,7 @@ def _fit(
             found += marker_residuals(seen.marker, BentTool.of(state, model), model, camera, deviations)
         if seen.shaft.wrist is not None:
             tool = BentTool.of(state, model)
-            found.append(tip_residual(seen.shaft.wrist, tool, model, camera, settings))
+            found.append(tip_residual(seen.shaft.wrist, tool, model, camera))
         return [*found, prior_residual(state, start, model)]
 
     least = minimise(
@@ -239,7 +242,7 @@ def _fit(
     found = residuals(least.state)
     squares = [normalised_square(residual) for residual in found]
     worst = int(np.argmax(squares))
-    if squares[worst] > settings.gate_chi2:
+    if squares[worst] > GATE_CHI2:
         return Failure(f"{found[worst].name} does not fit the rest")
     tool = BentTool.of(least.state, model)
     of_state = np.asarray(np.linalg.inv(least.equations.information))
@@ -254,7 +257,6 @@ def _with_doubt(
     marker: DistalMarker | None,
     model: ShaftModel,
     camera: Camera,
-    settings: ShaftSettings,
     deviations: Deviations,
 ) -> ShaftFit:
     """The fit, as uncertain in depth as the size of a whole marker contradicts it, whether it took that or not.
@@ -268,7 +270,7 @@ def _with_doubt(
     expected_px = float(apparent_radius_px(tool_m, model.knuckle_radius_m, camera))
     off_px = marker.radius_px - expected_px
     std_px = float(np.hypot(marker.radius_std_px, deviations.marker_radius_fraction * expected_px))
-    if off_px**2 < settings.doubt_square * std_px**2:
+    if off_px**2 < DOUBT_SQUARE * std_px**2:
         return fit
     covariance = fit.pose.covariance.copy()
     covariance[:3, :3] += (off_px / expected_px) ** 2 * np.outer(tool_m, tool_m)
