@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from benchmarks.masks import instruments_of
-from benchmarks.overlap import iou
 from svmdist.errors import ProfileError
 from svmdist.models import INSTRUMENTS, SHIPPED, shipped_file
 from svmdist.profile import OnnxSegmentation, load_profile
 from svmdist.vision.network import LEAST_AREA, OnnxSegmenter, network_input, parts_from_border
 from tests.surgery_images import surgery_image
+from training.dataset import iou
 from training.instruments import DISTAL, SHAFT, TISSUE
 from training.scene import HEIGHT, MIDDLE, WIDTH, layers
 
