@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 import textwrap
 from collections.abc import Callable
 from itertools import pairwise
@@ -20,13 +21,15 @@ from svmdist.report.columns_page import columns_page
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 SETTINGS_HEAD = """# Settings
 
-What a user may have reason to change in detectors and estimators; the defaults serve most logs. `stereo.near_m` is the key
-`near_m` of a profile's table `[settings.stereo]`. A value outside its bounds is an error. Settings of earlier profiles that
-became constants are named in one line of warning, and ignored.
+What a user may have reason to change; the defaults serve most logs. `stereo.near_m` is the key `near_m` of a profile's
+table `[settings.stereo]`. A value outside its bounds is an error. Settings of earlier profiles that became constants are
+named in one line of warning, and ignored.
 
 | setting | default | meaning |
 |---|---|---|
 """
+REASON = re.compile(r"(?<!\d): .*$")
+"""What follows a colon says why, which is for who reads the code."""
 PERTURBATIONS_HEAD = """| name | unit | meaning | `--world real` |
 |---|---|---|---|
 """
@@ -36,7 +39,9 @@ def settings_page(_: str) -> str:
     """One row per setting."""
     groups = Settings()
     return SETTINGS_HEAD + "".join(
-        table_row((f"`{name}.{key}`", str(getattr(group, key)), meanings(type(group))[key]))
+        table_row(
+            (f"`{name}.{key}`", str(getattr(group, key)), REASON.sub(".", meanings(type(group))[key], 1))
+        )
         for name, group in ((name, getattr(groups, name)) for name in Settings.model_fields)
         for key in type(group).model_fields
     )
