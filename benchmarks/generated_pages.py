@@ -22,7 +22,7 @@ DOCS = Path(__file__).resolve().parent.parent / "docs"
 SETTINGS_HEAD = """# Settings
 
 What a user may have reason to change; the defaults serve most logs. `stereo.near_m` is the key `near_m` of a profile's
-table `[settings.stereo]`. A value outside its bounds is an error. Settings of earlier profiles that became constants are
+table `[settings.stereo]`. A value outside its bounds is an error. Settings that became constants are
 named in one line of warning, and ignored.
 
 | setting | default | meaning |
