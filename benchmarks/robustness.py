@@ -21,9 +21,9 @@ from svmdist.workflows.scoring.score import Pairs, pooled
 
 METHODS = ("fiducial", "shaft", "stereo", "fused")
 WORLDS = (
-    *("focal=1", "principal_point=5", "baseline=0.2", "right_yaw=0.3", "right_pitch=0.3", "right_roll=0.3"),
-    *("shaft_radius=5", "knuckle_radius=5", "tag_size=2", "tag_mount=0.5", "wrist_length=1"),
-    *("backlash=0.5", "lag=80", "lag_drift=5", "joint_drift=0.5", "plane=1", "plane_tilt=2", "zoom=1.1"),
+    *("focal=1", "principal_point=5", "baseline=0.2", "right_yaw=0.3", "right_roll=0.3"),
+    *("shaft_radius=5", "knuckle_radius=5", "tag_size=2", "wrist_length=1"),
+    *("backlash=0.5", "lag=80", "plane=1", "zoom=1.1"),
 )
 FAR_STDS = 5.0
 """So many standard deviations off is not bad luck: one frame in two million, if the deviations are right."""

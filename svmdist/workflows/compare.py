@@ -129,7 +129,7 @@ def measure_runs(
         for name in _with_truth(recording):
             recording.for_instrument(name).distance_track()
     may_fork = jobs > 1 and not is_worker()
-    if may_fork and clock is None and all(recording.origin for recording in recordings):
+    if may_fork and clock is None:
         parts = _parts(recordings, setups, conditions, jobs)
         if len(parts) > 1:
             yield from _in_processes(parts, recordings, jobs, advance)
