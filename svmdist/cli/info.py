@@ -3,143 +3,113 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from svmdist.cli.console import (
+from svmdist.cli.logs import Logs
+from svmdist.cli.options import LogOptions, ReadOptions, TableFormat, format_option, output_option
+from svmdist.cli.output import (
+    TABLE_ENDINGS,
     Summary,
-    report_health,
+    by_ending,
     require_output,
     terminal_width,
     write_lines,
     write_summary,
 )
-from svmdist.cli.many import Many, ResumeOption, SchedulerOption, heard_notes
-from svmdist.cli.options import (
-    Files,
-    HandEyeOption,
-    JobsOption,
-    OutputOption,
-    ProfileOption,
-    SummaryFormat,
-    TableFormat,
-    TableFormatOption,
-    TopicOption,
-    topics_of,
-)
-from svmdist.cli.outputs import table_format
-from svmdist.cli.recordings import local_logs, named_logs
 from svmdist.errors import RecordingError
 
 if TYPE_CHECKING:
-    from svmdist.profile import Profile
+    from svmdist.recording.log import Recording
     from svmdist.recording.summary import RecordingSummary
-    from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
     from svmdist.workflows.capabilities import TagCheck
+    from svmdist.workflows.request import Request
 
 
-def info_command(
-    files: Files,
-    profile: ProfileOption = "psm13",
-    hand_eye: HandEyeOption = None,
-    topic: TopicOption = None,
-    form: TableFormatOption = None,
-    output: OutputOption = None,
-    jobs: JobsOption = None,
-    scheduler: SchedulerOption = None,
-    resume: ResumeOption = None,
-) -> None:
+class InfoOptions(LogOptions, ReadOptions):
+    """What `info` takes."""
+
+    form: TableFormat | None = format_option()
+    output: Path | None = output_option()
+
+
+def info_command(given: InfoOptions) -> None:
     """Show topics, rates, cameras, frames and health.
 
     It also lists the commands and methods that the recording can serve, and what is missing for the others. Of several
     recordings there is a line each; csv has the topics of all, and json an array with everything.
+
+    Examples:
+      Topics, cameras, and the methods that the log can serve:
+        svmdist info log.mcap
+      The same of a log with a profile of one's own:
+        svmdist info log.mcap --profile mine.toml
+      For a program:
+        svmdist info log.mcap -f json
     """
     from svmdist.profile import load_profile
-    from svmdist.report.info import TOPIC_KEYS, info_document, info_lines, topic_row
-    from svmdist.report.tables import csv_lines, json_text
-
-    logs = named_logs(files)
-    require_output(output, local_logs(logs))
-    loaded = load_profile(profile, hand_eye)
-    chosen = table_format(form, output)
-    many = Many(logs, jobs, scheduler, resume)
-    if len(logs) > 1 or many.is_asked_for:
-        _info_of_logs(many, InfoJob(loaded, topics_of(topic), chosen is not TableFormat.CSV), chosen, output)
-    summary, tags = _inspect(logs[0], loaded, topics_of(topic), looks_for_tag=chosen is not TableFormat.CSV)
-    match chosen:
-        case TableFormat.TABLE:
-            write_lines(info_lines(summary, loaded, terminal_width(output), tags), output)
-        case TableFormat.CSV:
-            write_lines(csv_lines(TOPIC_KEYS, (topic_row(entry) for entry in summary.topics)), output)
-        case TableFormat.JSON:
-            document = info_document(summary, loaded, tags)
-            write_lines([json_text(document, indent=1) + "\n"], output, is_json=True)
-    raise typer.Exit(report_health([summary]))
-
-
-def _inspect(
-    log: LogFile, profile: Profile, topics: dict[str, str], *, looks_for_tag: bool
-) -> tuple[RecordingSummary, TagCheck | None]:
-    """Read a whole log, and look for the profile's tag in some of its images."""
-    from svmdist.recording.log import open_recording
-    from svmdist.recording.summary import inspect_recording
-    from svmdist.workflows.capabilities import look_for_tag
-
-    summary = inspect_recording(log.path, profile, topics=topics)
-    if not looks_for_tag or not {"image", "camera_info"} <= set(summary.roles):
-        return summary, None
-    try:
-        return summary, look_for_tag(open_recording(log.path, profile, topics=topics), profile)
-    except RecordingError:  # a calibration that is not usable: the summary tells of it
-        return summary, None
-
-
-def _info_of_logs(many: Many, job: InfoJob, form: TableFormat, output: Any) -> None:
     from svmdist.report.info import LOG_COLUMNS, LOG_KEYS, TOPIC_KEYS, log_row
     from svmdist.report.tables import rich_table
+    from svmdist.workflows.batch import Job
+    from svmdist.workflows.request import Request, Setup
 
-    with many.measured(job, "inspecting") as outcomes:
-        found = [(one.log.name, result.document) for one, result in outcomes.measured]
-        if form is TableFormat.CSV:
-            keys = (*TOPIC_KEYS, "recording")
-            rows = [topic | {"recording": name} for name, document in found for topic in document["topics"]]
-            write_summary(Summary([], keys, rows), SummaryFormat.CSV, output)
-        elif form is TableFormat.JSON:
-            write_summary(Summary([], (), [document for _, document in found]), SummaryFormat.JSON, output)
-        else:
-            rows = [log_row(name, document) for name, document in found]
-            table = rich_table("", LOG_COLUMNS, rows)
-            write_summary(Summary([table], LOG_KEYS, rows), SummaryFormat.TABLE, output)
-        raise typer.Exit(outcomes.code())
+    logs = Logs(given)
+    require_output(given.output, logs.paths)
+    setup = Setup(load_profile(given.profile, given.hand_eye), "kinematic", "corrected", None)
+    form = by_ending(given.form, TABLE_ENDINGS, TableFormat.TABLE, given.output)
+    looks_for_tag = form is not TableFormat.CSV
+    width = terminal_width(given.output)
+    job = Job(inspect_log, Request(setup, given.topics), InspectedLog, (looks_for_tag, width))
+    run = logs.run(job, "inspecting")
+    found = [(log.name, result.document) for log, _, result in run.measured]
+    if form is TableFormat.TABLE and logs.is_one:
+        write_lines(run.results[0].lines, given.output)
+    elif form is TableFormat.CSV:
+        several = () if logs.is_one else ("recording",)
+        topics = [topic | {"recording": name} for name, document in found for topic in document["topics"]]
+        write_summary(Summary([], (*TOPIC_KEYS, *several), topics), form, given.output)
+    else:
+        rows = [log_row(name, document) for name, document in found]
+        documents: Any = [document for _, document in found]
+        document = documents[0] if logs.is_one else documents
+        write_summary(
+            Summary([rich_table("", LOG_COLUMNS, rows)], LOG_KEYS, rows, (), document), form, given.output
+        )
+    raise typer.Exit(run.exit_code())
 
 
 @dataclass(frozen=True)
-class InfoResult:
-    """The document of a log."""
+class InspectedLog:
+    """The document of a log, and the lines for a terminal of some width."""
 
     document: dict[str, Any]
+    lines: list[str]
 
 
-@dataclass(frozen=True)
-class InfoJob:
-    """Inspects a log."""
+def inspect_log(
+    recording: Recording, request: Request, _threads: int, looks_for_tag: bool, width: int | None
+) -> InspectedLog:
+    """Read a whole log, and look for the profile's tag in some of its images."""
+    from svmdist.recording.summary import inspect_recording
+    from svmdist.report.info import info_document, info_lines
 
-    profile: Profile
-    topics: dict[str, str]
-    looks_for_tag: bool
+    profile = request.setup.profile
+    summary = inspect_recording(recording.path, profile, topics=dict(request.topics))
+    tags = _look_for_tag(recording, request, summary) if looks_for_tag else None
+    recording.health.join(summary.health)
+    return InspectedLog(
+        info_document(summary, profile, tags), list(info_lines(summary, profile, width, tags))
+    )
 
-    @property
-    def result_type(self) -> type[InfoResult]:
-        """The type of a result."""
-        return InfoResult
 
-    def measure(self, log: LogFile, _: int, __: RowWriter) -> Measurement[InfoResult]:
-        """Inspect a log."""
-        from svmdist.report.info import info_document
-        from svmdist.workflows.batch.task import Measurement
+def _look_for_tag(recording: Recording, request: Request, summary: RecordingSummary) -> TagCheck | None:
+    from svmdist.workflows.capabilities import look_for_tag
 
-        with heard_notes() as notes:
-            summary, tags = _inspect(log, self.profile, self.topics, looks_for_tag=self.looks_for_tag)
-        document = info_document(summary, self.profile, tags)
-        return Measurement(InfoResult(document), summary.health, {}, tuple(notes))
+    if not {"image", "camera_info"} <= set(summary.roles):
+        return None
+    try:
+        return look_for_tag(recording, request.setup.profile)
+    except RecordingError:  # a calibration that is not usable: the summary says so
+        return None

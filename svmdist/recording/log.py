@@ -79,9 +79,13 @@ class Window:
 
     def of(self, images: Iterable[Stamped]) -> Iterator[Stamped]:
         """The images inside."""
+        return (image for _, _, image in self.numbered(images))
+
+    def numbered(self, images: Iterable[Stamped]) -> Iterator[tuple[int, int, Stamped]]:
+        """The images inside, each with its number among all and its time since the first one in ns."""
         first_ns: int | None = None
         count = 0
-        for image in images:
+        for number, image in enumerate(images):
             first_ns = image.stamp_ns if first_ns is None else first_ns
             # In whole nanoseconds: an image at exactly 0.1 s is inside of a window that begins at 0.1 s.
             at_ns = image.stamp_ns - first_ns
@@ -90,7 +94,7 @@ class Window:
             if not round(self.start_s * 1e9) <= at_ns <= self.end_s * 1e9 + 0.5:
                 continue
             if count % self.every == 0:
-                yield image
+                yield number, at_ns, image
             count += 1
 
     def count_of(self, image_count: int) -> int | None:
@@ -476,11 +480,17 @@ class Recording:
         The caller holds what is not decoded yet, and bounds how many. Frames of a video are decoded here,
         for they refer to each other.
         """
+        return (one for _, _, one in self.numbered_observations(names, needs))
+
+    def numbered_observations(
+        self, names: Sequence[str], needs: Needs = EVERYTHING
+    ) -> Iterator[tuple[int, int, EncodedObservation]]:
+        """Yield the same, each with its image's number in the log and its time since the log's first image in ns."""
         arms = [self._arm(name) for name in names]
         images = self._observer.observations(
             self._choice.require(Role.IMAGE), self.camera, lambda: self.right_camera, arms, needs
         )
-        return images if self._how.window is None else self._how.window.of(images)
+        return (self._how.window or Window()).numbered(images)
 
     def record_losses(self, decoded: Decoded) -> tuple[Observation, ...] | Rejection:
         """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back."""

@@ -208,6 +208,7 @@ class _Curves:
     pairs: Pairs
     title: str
     truth_label: str
+    start_ns: int
 
 
 def _curves(score: Score) -> _Curves:
@@ -215,13 +216,13 @@ def _curves(score: Score) -> _Curves:
     label = _reference_label(score.reference)
     for distance, in_3d in (("clearance", score.clearance), ("spatial distance", score.spatial)):
         if in_3d is not None:
-            return _Curves(distance, in_3d.pairs, _title_3d(score, distance, in_3d), label)
-    return _Curves("distance", score.pairs, _title(score), label)
+            return _Curves(distance, in_3d.pairs, _title_3d(score, distance, in_3d), label, score.start_ns)
+    return _Curves("distance", score.pairs, _title(score), label, score.start_ns)
 
 
 def _draw_panel(upper: Axes, lower: Axes, curves: _Curves) -> None:
     pairs = curves.pairs
-    seconds = (pairs.stamps_ns - (pairs.stamps_ns[0] if len(pairs.stamps_ns) else 0)) / 1e9
+    seconds = (pairs.stamps_ns - curves.start_ns) / 1e9
     time, truth, estimate, half = with_breaks(
         seconds, pairs.truth_m * 1e3, pairs.estimate_m * 1e3, deviations_at(0.95) * pairs.std_m * 1e3
     )

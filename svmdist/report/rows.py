@@ -135,10 +135,9 @@ def estimate_row(
     estimate: FrameResult,
     method: str,
     equations: str,
-    start_ns: int,
     alarm: AlarmState | None = None,
 ) -> Row:
-    """One row; `time_s` counts from the recording's first image and is for a person only."""
+    """One row; `time_s` counts from the recording's first image and is for tables only."""
     alarm = alarm or AlarmState()
     return {
         **_fields(estimate),
@@ -146,7 +145,7 @@ def estimate_row(
         "recording": recording,
         "method": method,
         "equations": equations,
-        "time_s": (estimate.stamp_ns - start_ns) / 1e9,
+        "time_s": estimate.seconds,
         "alarm": None if alarm.alarm is None else int(alarm.alarm),
         "closing_speed_m_s": alarm.closing_speed_m_s,
         "time_to_contact_s": alarm.time_to_contact_s,

@@ -57,7 +57,8 @@ def drawn_frames(
     """
     last = max(numbers, default=-1) if numbers is not None else None
     watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
-    for number, (replayed,) in enumerate(replay(recording, [setup], wanted=wanted, jobs=jobs)):
+    for (replayed,) in replay(recording, [setup], wanted=wanted, jobs=jobs):
+        number = replayed.results[0].number
         alarms = {
             result.instrument: watches[result.instrument].watch(result)
             for result in replayed.results
@@ -91,7 +92,7 @@ def write_annotated(
         for frame in frames:
             for topic, sample in copies.until(frame.drawing.stamp_ns):
                 writer.write(topic, sample)
-            for topic, message in _annotations(recording, frame, setup):
+            for topic, message in _annotations(recording, frame, setup, is_first=count == 0):
                 writer.write(topic, message)
             count += 1
         for topic, sample in copies.rest():
@@ -123,11 +124,11 @@ class _Copies:
 
 
 def _annotations(
-    recording: Recording, frame: DrawnFrame, setup: Setup
+    recording: Recording, frame: DrawnFrame, setup: Setup, *, is_first: bool
 ) -> Iterator[tuple[str, EncodedSample]]:
     drawing, stamp_ns = frame.drawing, frame.drawing.stamp_ns
     frame_id = recording.logged_camera.frame_id
-    if frame.number == 0:
+    if is_first:
         text = f"svmdist {version('svmdist')}, method {setup.method}, profile {setup.profile.name}"
         yield LOG_TOPIC, log_line(text, stamp_ns, is_warning=False)
     yield f"{recording.topic_of(Role.IMAGE)}/{ANNOTATIONS}", image_annotations(drawing)

@@ -10,16 +10,17 @@ number of workers.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
 from svmdist.estimation.frame import Frame, Needs, frames_of, prefetch, prefetch_masks
 from svmdist.estimation.methods import Estimator
-from svmdist.estimation.scene import Arm, Clock, CostLedger, Scene
+from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile import AutoSegmentation
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation
@@ -59,8 +60,9 @@ def spread_observations(recording: Recording, count: int) -> list[tuple[int, Obs
     needs = ReadNeeds(joints=False, transforms=False, right=True)
     kept: list[tuple[int, EncodedObservation]] = []
     stride = 1
-    for frame, one in enumerate(recording.encoded_observations(recording.instruments[:1], needs)):
-        if frame % stride == 0:
+    numbered = recording.numbered_observations(recording.instruments[:1], needs)
+    for at, (frame, _, one) in enumerate(numbered):
+        if at % stride == 0:
             kept.append((frame, one))
         if len(kept) > 2 * count:
             kept, stride = kept[::2], 2 * stride
@@ -93,7 +95,6 @@ def replay(
     *,
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
-    clock: Clock | None = None,
 ) -> Iterator[tuple[Replayed, ...]]:
     """Yield for each image what every setup gave under every condition, conditions first, in order.
 
@@ -103,8 +104,15 @@ def replay(
     the recording has no topics of, and CalibrationError for another camera. Where the lag of a recording is known,
     methods take the offset of its joints for as well known.
     """
-    replaying = _Replay(recording, setups, conditions, wanted, clock)
+    replaying = _Replay(recording, setups, conditions, wanted)
     return replaying.run(usable_cores() if jobs is None else jobs)
+
+
+class Place(TypedDict):
+    """Which image of a log a result is of: its number from 0, and its time since the first one."""
+
+    number: int
+    seconds: float
 
 
 class MultiInstrumentEstimator:
@@ -124,14 +132,16 @@ class MultiInstrumentEstimator:
         """Whether a result depends on earlier frames."""
         return self._estimators[0].keeps_state
 
-    def estimate(self, frames: Sequence[Frame]) -> Replayed:
+    def estimate(self, frames: Sequence[Frame], place: Place) -> Replayed:
         """Measure one image: a frame for each instrument."""
         results: list[FrameResult] = []
         seconds: list[float] = []
         for estimator, arm, frame in zip(self._estimators, self._arms, frames, strict=True):
-            with frame.scene.ledger.method(seconds.append):
-                result = estimator.estimate(frame)
-            named = replace(_through_lens(result, frame), instrument=arm.profile.instrument_name)
+            start_s = time.thread_time()
+            result = estimator.estimate(frame)
+            seconds.append(time.thread_time() - start_s)
+            name = arm.profile.instrument_name
+            named = replace(_through_lens(result, frame), instrument=name, **place)
             results.append(named.doubted(frame.doubt) if frame.doubt else named)
         if len(results) > 1:
             from svmdist.estimation.distances import with_clearance_between
@@ -154,6 +164,7 @@ def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
 class _Prepared:
     """A decoded frame, and what of it is known for each condition before the frame before it is done."""
 
+    place: Place
     decoded: Decoded
     conditions: tuple[_Ahead, ...] = ()
 
@@ -162,12 +173,14 @@ class _Prepared:
 class _Ahead:
     """A scene; the frame of its only instrument, None where instruments are to be told apart; what is measured.
 
-    `measured` has an entry for each method, None for one that waits for the frame before.
+    `measured` has an entry for each method, None for one that waits for the frame before. `shared_s` is the part of
+    the processor time of their common detections that goes to each method and instrument.
     """
 
     scene: Scene
     frames: list[Frame] | None
     measured: tuple[Replayed | None, ...]
+    shared_s: float
 
 
 class _Replay:
@@ -179,12 +192,10 @@ class _Replay:
         setups: Sequence[Setup],
         conditions: Sequence[ReplayCondition],
         wanted: Sequence[str] | None,
-        clock: Clock | None,
     ) -> None:
         self._recording = recording
         setups = [setup.knowing(recording.lag) for setup in setups]
         self._setup = setups[0]
-        self._clock = clock
         for setup in setups:
             setup.require_camera(recording)
         every = recording.instruments
@@ -216,43 +227,51 @@ class _Replay:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
         logged = ReadNeeds(joints=robot, transforms=robot, right=right)
-        numbered = enumerate(self._recording.encoded_observations(self._recording.instruments, logged))
+        numbered = self._recording.numbered_observations(self._recording.instruments, logged)
         with one_opencv_thread():
             for prepared in in_order(self._prepare, numbered, jobs):
                 yield tuple(self._measure(prepared))
 
-    def _prepare(self, numbered: tuple[int, EncodedObservation]) -> _Prepared:
+    def _prepare(self, numbered: tuple[int, int, EncodedObservation]) -> _Prepared:
         """Whatever of a frame needs no other one."""
-        number, encoded = numbered
+        number, at_ns, encoded = numbered
+        place = Place(number=number, seconds=at_ns * 1e-9)
         decoded = encoded.decode()
         found = decoded.found
         if isinstance(found, Rejection):
-            return _Prepared(decoded)
-        ahead = [self._look(at, number, found) for at in range(len(self._conditions))]
-        return _Prepared(decoded, tuple(ahead))
+            return _Prepared(place, decoded)
+        return _Prepared(
+            place, decoded, tuple(self._look(at, place, found) for at in range(len(self._conditions)))
+        )
 
-    def _look(self, at: int, number: int, found: tuple[Observation, ...]) -> _Ahead:
+    def _look(self, at: int, place: Place, found: tuple[Observation, ...]) -> _Ahead:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
-        ledger = CostLedger() if self._clock is None else CostLedger(self._clock)
-        seen = self._conditions[at].apply(found[0], number)
-        scene = Scene(seen, self._setup.profile, self._segmenters[at], ledger, self._row_offset_px)
-        prefetch(scene, self._needs.scene)
+        seen = self._conditions[at].apply(found[0], place["number"])
         lanes = self._lanes[at]
+        start_s = time.thread_time()
+        scene = Scene(seen, self._setup.profile, self._segmenters[at], row_offset_px=self._row_offset_px)
+        prefetch(scene, self._needs.scene)
+        frames = None
         if self._associations[at] is not None:
             prefetch_masks(scene)
-            return _Ahead(scene, None, (None,) * len(lanes))
-        robots = [arm.state_at(seen) for arm, seen in zip(self._arms, found, strict=True)]
-        frames = frames_of(scene, self._arms, found, robots, [(None, None)])
-        prefetch(frames[0].tool, self._needs.tool)
-        measured = [None if lane.keeps_state else lane.estimate(frames) for lane in lanes]
-        return _Ahead(scene, frames, tuple(measured))
+        else:
+            robots = [arm.state_at(seen) for arm, seen in zip(self._arms, found, strict=True)]
+            frames = frames_of(scene, self._arms, found, robots, [(None, None)])
+            prefetch(frames[0].tool, self._needs.tool)
+        shared_s = (time.thread_time() - start_s) / (len(lanes) * len(self._wanted))
+        measured = [
+            None if frames is None or lane.keeps_state else lane.estimate(frames, place) for lane in lanes
+        ]
+        return _Ahead(scene, frames, tuple(measured), shared_s)
 
     def _measure(self, prepared: _Prepared) -> Iterator[Replayed]:
         found = self._recording.record_losses(prepared.decoded)
         if isinstance(found, Rejection):
-            lost = tuple(FrameResult.of_rejection(found, name) for name in self._wanted)
-            for _ in self._conditions:
-                yield from (Replayed(lost, (0.0,) * len(lost)) for _ in self._lanes[0])
+            lost = tuple(
+                replace(FrameResult.of_rejection(found, name), **prepared.place) for name in self._wanted
+            )
+            for lanes in self._lanes:
+                yield from (Replayed(lost, (0.0,) * len(lost)) for _ in lanes)
             return
         for ahead, association, lanes in zip(
             prepared.conditions, self._associations, self._lanes, strict=True
@@ -261,7 +280,8 @@ class _Replay:
             if every is None and association is not None:
                 every = association.frames(ahead.scene, found)
             assert every is not None  # one instrument, or an association
-            chosen = [every[place] for place in self._places]
+            chosen = [every[at] for at in self._places]
             for lane, known in zip(lanes, ahead.measured, strict=True):
-                replayed = lane.estimate(chosen) if known is None else known
-                yield replace(replayed, image_bgr=found[0].image_bgr)
+                replayed = lane.estimate(chosen, prepared.place) if known is None else known
+                seconds = tuple(own_s + ahead.shared_s for own_s in replayed.seconds)
+                yield replace(replayed, seconds=seconds, image_bgr=found[0].image_bgr)
