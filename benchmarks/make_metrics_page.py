@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from svmdist.report.metric_docs import metrics_page
+from svmdist.report.columns_page import columns_page
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "metrics.md"
 
 if __name__ == "__main__":
-    PAGE.write_text(metrics_page(), "utf-8")
+    PAGE.write_text(columns_page(), "utf-8")

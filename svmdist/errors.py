@@ -6,6 +6,7 @@ that the command line can print it as it stands.
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterable
 from typing import Any
 
@@ -84,3 +85,13 @@ def optional_package(name: str, extra: str, what: str, error: type[SvmdistError]
     if name == "av":
         package.logging.set_level(package.logging.PANIC)  # svmdist reports decoding errors, once
     return package
+
+
+def printable(text: str) -> str:
+    """Text with U+FFFD for control, format and surrogate characters, which could drive a terminal."""
+    return "".join("\N{REPLACEMENT CHARACTER}" if _is_unsafe(character) else character for character in text)
+
+
+def _is_unsafe(character: str) -> bool:
+    # Cc: control, such as ESC; Cf: format, such as the bidirectional overrides; Zl, Zp: line breaks.
+    return unicodedata.category(character) in {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}

@@ -16,6 +16,25 @@ from svmdist.transforms import Array
 
 
 @dataclass(frozen=True, slots=True)
+class Unit:
+    """The unit of a value, the one a person is shown, and how: the value times `factor` with so many digits.
+
+    Without digits the value is shown as it is: a count or a text.
+    """
+
+    name: str = ""
+    shown: str = ""
+    factor: float = 1.0
+    digits: int | None = None
+
+
+TEXT, COUNT = Unit("text"), Unit()
+RATIO, SHARE = Unit("1", digits=4), Unit("1", "%", 100.0, 1)
+LENGTH, SPEED = Unit("m", "mm", 1e3, 2), Unit("m/s", "mm/s", 1e3, 1)
+PIXELS, SECONDS, RADIANS = Unit("px", "px", digits=1), Unit("s", "s", digits=2), Unit("rad", "rad", digits=4)
+
+
+@dataclass(frozen=True, slots=True)
 class Interval:
     """The bounds of a 95 % bootstrap interval."""
 

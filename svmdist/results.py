@@ -80,8 +80,9 @@ class ToolEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """A distance in m, with its standard deviation where the method states one.
+    """A distance in m, with its standard deviation where the method gives one.
 
+    Where surfaces seem to overlap, `std_m` has the overlap in it, and `without_overlap_std_m` has not.
     `direction`, a unit vector of the camera frame, points along the shortest separation, away from the instrument, and
     `start_m` is the point of the instrument where the separation begins, in m in the camera frame.
     """
@@ -90,6 +91,7 @@ class Distance:
     std_m: float | None = None
     direction: Vector | None = None
     start_m: Vector | None = None
+    without_overlap_std_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import math
-
 from typing import Annotated, Any, get_args
 
 import numpy as np

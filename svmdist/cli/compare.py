@@ -19,7 +19,6 @@ from svmdist.cli.options import (
     LagOption,
     Method,
     ReadOptions,
-    SummaryFormat,
     WindowOptions,
     format_option,
     group_name,
@@ -29,14 +28,13 @@ from svmdist.cli.options import (
     parse_perturbations,
 )
 from svmdist.cli.output import (
-    Summary,
     progress_bar,
     require_output,
     require_plot,
-    summary_format,
-    write_summary,
+    write_results,
 )
 from svmdist.errors import UsageError, did_you_mean
+from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
@@ -47,9 +45,7 @@ if TYPE_CHECKING:
     from svmdist.workflows.request import Request, Setup
 
 
-class CompareOptions(
-    GoldenLogOptions, CalibrationOption, ReadOptions, LagOption, WindowOptions, GroupOption
-):
+class CompareOptions(GoldenLogOptions, CalibrationOption, ReadOptions, LagOption, WindowOptions, GroupOption):
     """What `compare` takes."""
 
     method: list[Method] | None = option(
@@ -69,7 +65,7 @@ class CompareOptions(
         "Also measure in a world that is not as log and profile say, as in focal=1 or lag=30. May be "
         "repeated; each is applied alone, NAME=STRENGTH,NAME=STRENGTH together. Names: docs/simulation.md.",
     )
-    form: SummaryFormat | None = format_option()
+    form: str | None = format_option(Holds.FIGURES)
     output: Path | None = output_option()
     save_plot: Path | None = PLOT
 
@@ -83,7 +79,9 @@ class CompareOptions(
         for text in self.degrade or []:
             grid = [(str(name), severity) for name in Degradation for severity in SEVERITIES]
             chosen = grid if text == "all" else parse_degradations("--degrade", [text])
-            conditions += [Condition(require_degradation(name, severity), severity) for name, severity in chosen]
+            conditions += [
+                Condition(require_degradation(name, severity), severity) for name, severity in chosen
+            ]
         conditions += [PerturbedCondition(world) for world in parse_perturbations("--perturb", self.perturb)]
         return list(dict.fromkeys(conditions))
 
@@ -104,7 +102,7 @@ def compare_command(given: CompareOptions) -> None:
       A table and a figure for a paper:
         svmdist compare log.mcap -f latex --save-plot methods.pdf
     """
-    from svmdist.report.scores import FIGURE_NOTE, compare_keys, compare_row, compare_tables
+    from svmdist.report.scores import compare_results
     from svmdist.workflows.batch import Job
     from svmdist.workflows.compare import compared
     from svmdist.workflows.request import Request, prepare
@@ -112,7 +110,8 @@ def compare_command(given: CompareOptions) -> None:
     logs = Logs(given)
     require_output(given.output, logs.paths)
     require_plot(given.save_plot, logs.paths)
-    form, keys, lag = summary_format(given.form, given.output), given.group_keys, given.given_lag
+    writer = choose_writer(given.form, given.output, Holds.FIGURES)
+    keys, lag = given.group_keys, given.given_lag
     conditions = given.conditions
     planar = (Method.OVERLAY, Method.CENTROID)
     methods = list(dict.fromkeys(given.method or Method))
@@ -126,13 +125,10 @@ def compare_command(given: CompareOptions) -> None:
         )
         for method in methods
     )
-    request = Request(
-        setups[0], given.topics, given.window, lag=lag, conditions=tuple(conditions)
-    )
+    request = Request(setups[0], given.topics, given.window, lag=lag, conditions=tuple(conditions))
     run = logs.run(Job(compare_log, request, ComparedLog, (setups, keys)), "comparing")
     scores = compared([one for result in run.results for one in result.runs], [one.method for one in setups])
-    summary = Summary(compare_tables(scores), compare_keys(), [compare_row(one) for one in scores], [FIGURE_NOTE])
-    write_summary(summary, form, given.output)
+    write_results(compare_results(scores), writer, given.output)
     if given.save_plot:
         from svmdist.report.plots import save_compare_plot
 
@@ -159,9 +155,7 @@ def compare_log(
     with progress_bar("comparing", "measurements") as advance:
         total = image_total([recording], lambda _: len(request.conditions) * len(setups))
         steps = Steps(advance, total)
-        runs = measure_runs(
-            seen, setups, request.conditions, jobs=threads, by=by, advance=steps.advance
-        )
+        runs = measure_runs(seen, setups, request.conditions, jobs=threads, by=by, advance=steps.advance)
     if seen is not recording:
         recording.health.join(seen.health)
     return ComparedLog(tuple(runs))
@@ -173,7 +167,7 @@ class BlurOptions(GoldenLogOptions, CalibrationOption, ReadOptions, WindowOption
     kernel: list[str] | None = option(
         None, "--kernel", "BLUR=PX", "Kernel size of one blur, an odd number; may be repeated."
     )
-    form: SummaryFormat | None = format_option()
+    form: str | None = format_option(Holds.FIGURES)
     output: Path | None = output_option()
 
 
@@ -189,25 +183,20 @@ def blur_bench_command(given: BlurOptions) -> None:
       Every fifth image, with a larger Gaussian:
         svmdist blur-bench log.mcap --every 5 --kernel gaussian=9
     """
-    from svmdist.report.scores import BLUR_COLUMNS, BLUR_KEYS, BLUR_NOTE, blur_row
-    from svmdist.report.tables import counted, rich_table
+    from svmdist.report.scores import blur_results
     from svmdist.workflows.batch import Job
     from svmdist.workflows.blur_bench import blur_rows
     from svmdist.workflows.request import Request, prepare
 
     logs = Logs(given)
     require_output(given.output, logs.paths)
-    form = summary_format(given.form, given.output)
+    writer = choose_writer(given.form, given.output, Holds.FIGURES)
     kernels_px = _kernels(given.kernel or [])
     setup = prepare(given.profile, "overlay", "corrected", given.calibration, given.hand_eye)
     request = Request(setup, given.topics, given.window)
     run = logs.run(Job(blur_log, request, BlurredLog, (kernels_px,)), "measuring")
     measured = blur_rows([result.tallies for result in run.results], kernels_px)
-    title = f"{measured[0].frame_count} frames of {counted(len(run.results), 'recording')}"
-    rows = [blur_row(row) for row in measured]
-    write_summary(
-        Summary([rich_table(title, BLUR_COLUMNS, rows)], BLUR_KEYS, rows, [BLUR_NOTE]), form, given.output
-    )
+    write_results(blur_results(measured, len(run.results)), writer, given.output)
     raise typer.Exit(run.exit_code())
 
 
@@ -218,9 +207,7 @@ class BlurredLog:
     tallies: dict[Blur, BlurTally]
 
 
-def blur_log(
-    recording: Recording, request: Request, threads: int, kernels_px: dict[Blur, int]
-) -> BlurredLog:
+def blur_log(recording: Recording, request: Request, threads: int, kernels_px: dict[Blur, int]) -> BlurredLog:
     """Measure a log under every blur, with progress."""
     from svmdist.workflows.blur_bench import blur_tallies
     from svmdist.workflows.parallel import Steps

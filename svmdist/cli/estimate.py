@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -19,7 +19,6 @@ from svmdist.cli.options import (
     GroupOption,
     LogOptions,
     MeasureOptions,
-    RowFormat,
     format_option,
     option,
     output_option,
@@ -27,27 +26,20 @@ from svmdist.cli.options import (
 from svmdist.cli.output import (
     LOG,
     ExitCode,
-    FileFormat,
-    Summary,
     command_line,
     no_progress,
     progress_bar,
     require_output,
     require_plot,
     require_report,
-    row_format,
-    started,
-    summary_format,
     terminal_width,
     tracked,
-    write_lines,
-    write_summary,
+    write_results,
 )
 from svmdist.errors import UsageError
+from svmdist.report.writers import Holds, Results, Writer, choose_writer
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from svmdist.recording.log import Recording
     from svmdist.report.tables import Row
     from svmdist.workflows.annotate import DrawnFrame
@@ -58,7 +50,7 @@ if TYPE_CHECKING:
 class EstimateOptions(LogOptions, MeasureOptions, GroupOption):
     """What `estimate` takes."""
 
-    form: RowFormat | None = format_option()
+    form: str | None = format_option(Holds.ROWS)
     output: Path | None = output_option()
     force: bool = option(
         False, "--force", None, "Replace a recording that exists. Other files are replaced anyway."
@@ -94,16 +86,17 @@ def estimate_command(given: EstimateOptions) -> None:
       Seconds 2 to 5, every fourth image, as a video:
         svmdist estimate log.mcap --start 2 --end 5 --every 4 -o seen.mp4
     """
+    from svmdist.report.scores import log_results, pooled_log_figures, ranked
     from svmdist.workflows.batch import Job
 
     logs = Logs(given)
-    form = row_format(given.form, given.output)
     output, report = given.output, given.report
-    if form is FileFormat.HTML:
+    writer = choose_writer(given.form, output, Holds.ROWS | Holds.FRAMES | Holds.REPORT)
+    if writer.holds is Holds.REPORT:
         if report is not None:
             raise UsageError(f"--report {report} and -o {output}: both are the report; leave out one of them")
         output, report = None, output
-    elif isinstance(form, FileFormat):
+    elif writer.holds is Holds.FRAMES:
         if report or given.save_plot:
             raise UsageError(f"--report and --save-plot go with rows: write {output} by itself")
         if len(logs.files) > 1:
@@ -119,25 +112,29 @@ def estimate_command(given: EstimateOptions) -> None:
             f"--group {given.group}: groups the figures of logs: say where they go with --summary FILE"
         )
     require_output(given.summary, logs.paths)
-    summary_form = summary_format(None, given.summary)
+    summary_writer = choose_writer(None, given.summary, Holds.FIGURES)
     request = given.request()
-    if form is RowFormat.TUM and request.setup.is_planar:
+    if writer.name == "tum" and request.setup.is_planar:
         raise UsageError(
             f"--format tum writes the tool's pose, and {given.method} knows none: choose a method in 3D"
         )
-    if isinstance(form, FileFormat) and form is not FileFormat.HTML and output is not None:
-        raise typer.Exit(_write_drawn(logs, request, output, form, force=given.force))
+    if writer.holds is Holds.FRAMES and output is not None:
+        raise typer.Exit(_write_drawn(logs, request, output, writer, force=given.force))
     run = Run(logs, Job(measure_rows, request, EstimateResult), "measuring")
     measured: list[Measured] = []
     keeps = report is not None or given.save_plot is not None
-    _write_rows(run, run.rows(measured.append if keeps else None), request, form, output)
+    _write_rows(run, run.rows(measured.append if keeps else None), request, writer, output)
     each = run.figures(keys)
-    table = _write_summary(each, given.summary, summary_form) if given.summary or not logs.is_one else None
+    figures = log_results(ranked(each), pooled_log_figures(each))
+    if given.summary is not None:
+        write_results(figures, summary_writer, given.summary)
     tally = sum((Counter(result.tally) for result in run.results), Counter[tuple[str, str]]())
     _log_tally(tally)
     if keeps:
         run.measure_again(measured.append)
-        _write_pictures(measured, request, logs.jobs, table, report, given.save_plot)
+        _write_pictures(
+            measured, request, logs.jobs, None if logs.is_one else figures, report, given.save_plot
+        )
     raise typer.Exit(_code(run.exit_code(), tally))
 
 
@@ -207,71 +204,36 @@ def corrected(recording: Recording, request: Request, jobs: int | None) -> Recor
 
 
 def _write_rows(
-    run: Run[EstimateResult],
-    rows: Iterator[Row],
-    request: Request,
-    form: RowFormat | FileFormat,
-    output: Path | None,
+    run: Run[EstimateResult], rows: Iterator[Row], request: Request, writer: Writer, output: Path | None
 ) -> None:
-    from svmdist.report.rows import ESTIMATE_KEYS, ESTIMATE_TYPES
-    from svmdist.report.tables import write_parquet
+    from svmdist.report.rows import ESTIMATE_COLUMNS, shown_columns
+    from svmdist.report.tables import text_lines
 
-    width = terminal_width(output)
+    if writer.holds is Holds.REPORT:
+        deque(rows, maxlen=0)
+        return
     # Rows on a terminal show by themselves how far the command is.
-    with no_progress() if width is not None and form is not FileFormat.HTML else nullcontext():
-        if form is FileFormat.HTML:
-            deque(rows, maxlen=0)
-            return
-        head = list(islice(started(rows), 2))
+    with no_progress() if terminal_width(output) is not None else nullcontext():
+        head = list(islice(rows, 2))  # so that a log that cannot be read leaves no header behind
         several = len({row.get("instrument") for row in head}) > 1 or any(
             len(result.instruments) > 1 for result in run.results
         )
-        if form is RowFormat.TUM and several:
+        if writer.name == "tum" and several:
             raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
-        rows = chain(head, rows)
-        if form is RowFormat.PARQUET and output is not None:
-            write_parquet(output, ESTIMATE_KEYS, rows, ESTIMATE_TYPES)
-            return
-        lines = _lines(form, rows, request, several, width)
-        write_lines(lines, output, is_json=form in {RowFormat.JSON, RowFormat.JSONL})
+        every = chain(head, rows)
 
+        def text(width: int | None) -> Iterator[str]:
+            planar, alarms = request.setup.is_planar, request.alarms is not None
+            return text_lines(shown_columns(width, planar=planar, several=several, alarms=alarms), every)
 
-def _lines(
-    form: RowFormat | FileFormat, rows: Iterator[Row], request: Request, several: bool, width: int | None
-) -> Iterator[str]:
-    from svmdist.report import rows as table
-    from svmdist.report.tables import csv_lines, json_array_lines, json_lines, text_lines
-
-    match form:
-        case RowFormat.CSV:
-            return csv_lines(table.ESTIMATE_KEYS, rows)
-        case RowFormat.JSON:
-            return json_array_lines(table.ESTIMATE_KEYS, rows)
-        case RowFormat.JSONL:
-            return json_lines(table.ESTIMATE_KEYS, rows)
-        case RowFormat.TUM:
-            return table.tool_pose_lines(rows)
-    columns = table.ESTIMATE_COLUMNS + (table.INSTRUMENT_COLUMNS if several else ())
-    columns += table.ALARM_COLUMNS if request.alarms else ()
-    return text_lines(table.columns_within(columns, width, request.setup.is_planar), rows)
-
-
-def _write_summary(each: Any, output: Path | None, form: Any) -> Table:
-    """Write the figures of logs where they are asked for; gives their table."""
-    from svmdist.report.scores import LOG_KEYS, log_rows, log_table, pooled_log_figures, ranked
-
-    ordered, together = ranked(each), pooled_log_figures(each)
-    table = log_table(ordered, together)
-    if output is not None:
-        write_summary(Summary([table], LOG_KEYS, log_rows(ordered, together)), form, output)
-    return table
+        write_results(Results(ESTIMATE_COLUMNS, every, text), writer, output)
 
 
 def _write_pictures(
     measured: list[Measured],
     request: Request,
     jobs: int | None,
-    logs: Table | None,
+    logs: Results | None,
     report: Path | None,
     plot: Path | None,
 ) -> None:
@@ -296,13 +258,10 @@ def _write_pictures(
         write_report(page, report)
 
 
-def _write_drawn(logs: Logs, request: Request, output: Path, form: FileFormat, *, force: bool) -> ExitCode:
+def _write_drawn(logs: Logs, request: Request, output: Path, writer: Writer, *, force: bool) -> ExitCode:
     """Measure a recording and write it with its drawings, as a recording or a video."""
-    from svmdist.report.video import require_av, write_video
-    from svmdist.workflows.annotate import drawn_frames, write_annotated
+    from svmdist.workflows.annotate import drawn_frames
 
-    if form is FileFormat.MP4:
-        require_av()  # before the work rather than after it
     (log,) = logs.files
     recording = request.open(log.path, log.name)
     seen = corrected(recording, request, logs.jobs)
@@ -318,11 +277,8 @@ def _write_drawn(logs: Logs, request: Request, output: Path, form: FileFormat, *
                 yield frame
                 advance(count, total)
 
-        if form is FileFormat.MCAP:
-            write_annotated(seen, counted(), request.setup, output, force=force)
-        else:
-            camera = seen.logged_camera
-            write_video(counted(), output, (camera.width_px, camera.height_px))
+        assert writer.save is not None
+        writer.save(counted(), seen, request.setup, output, force)
     _log_tally(tally)
     return _code(log_losses(recording.path, recording.health), tally)
 

@@ -50,9 +50,9 @@ class Logs:
         return len(self.files) == 1 and self.scheduler is None and self.resume is None
 
     def run(self, job: Job[Result], title: str) -> Run[Result]:
-        """Measure all logs with a job that has no rows; raises RecordingError where none could be measured."""
+        """Measure the logs with a job that has no rows."""
         run = Run(self, job, title)
-        deque(run.rows(), maxlen=0)
+        run.finish()
         return run
 
 
@@ -93,6 +93,10 @@ class Run(Generic[Result]):
         self._require_any()
         for _, one in self.outcomes:
             yield from one.rows() if one.failure is None else ()
+
+    def finish(self, keep: Callable[[Any], None] | None = None) -> None:
+        """Measure the logs with a job that has no rows; raises RecordingError where none could be measured."""
+        deque(self.rows(keep), maxlen=0)
 
     @property
     def measured(self) -> list[tuple[LogFile, Outcome[Result], Result]]:

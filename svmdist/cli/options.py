@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from svmdist.errors import UsageError, did_you_mean
+from svmdist.report.writers import Holds, names_of
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
@@ -96,40 +97,15 @@ class EquationsChoice(StrEnum):
     PRINTED = "printed"
 
 
-class TableFormat(StrEnum):
-    """`--format` of what has a table, and a document for programs."""
-
-    TABLE = "table"
-    CSV = "csv"
-    JSON = "json"
-
-
-class SummaryFormat(StrEnum):
-    """`--format` of summaries of figures, which papers and pages want too."""
-
-    TABLE = "table"
-    CSV = "csv"
-    JSON = "json"
-    LATEX = "latex"
-    MARKDOWN = "markdown"
-    PARQUET = "parquet"
-
-
-class RowFormat(StrEnum):
-    """`--format` of row streams."""
-
-    TABLE = "table"
-    CSV = "csv"
-    JSON = "json"
-    JSONL = "jsonl"
-    TUM = "tum"
-    PARQUET = "parquet"
-
-
-def format_option(default: str = "table", text: str = "Format of the data.") -> Any:
-    """Declare `--format`."""
+def format_option(holds: Holds, more: str = "") -> Any:
+    """Declare `--format`: the formats that can hold what a command gives, the first one where no file is named."""
+    names = names_of(holds)
     return option(
-        None, "--format -f", None, f"{text} Default: by the ending of the output file, else {default}."
+        None,
+        "--format -f",
+        "|".join(names),
+        f"Format of the data{more}. Default: by the ending of the output file, else {names[0]}.",
+        autocompletion=lambda incomplete: [name for name in names if name.startswith(incomplete)],
     )
 
 
@@ -184,18 +160,9 @@ class GoldenLogOptions(LogOptions):
     )
 
 
-class ReadOptions(Options):
-    """How a log is read."""
+class TopicOption(Options):
+    """Which topics are read."""
 
-    profile: str = option(
-        "psm13", "--profile", "NAME|FILE", "Scene profile: the name of one that ships, or a TOML file."
-    )
-    hand_eye: Path | None = option(
-        None,
-        "--hand-eye",
-        "FILE",
-        "Camera-to-base transforms of `svmdist hand-eye`, in place of the profile's and the log's.",
-    )
     topic: list[str] | None = option(
         None,
         "--topic",
@@ -214,6 +181,25 @@ class ReadOptions(Options):
                 raise UsageError(f"--topic {text}: expected ROLE=TOPIC, as in image=/left/image_raw")
             found[role] = topic
         return found
+
+
+class ProfileOptions(TopicOption):
+    """How a log is read."""
+
+    profile: str = option(
+        "psm13", "--profile", "NAME|FILE", "Scene profile: the name of one that ships, or a TOML file."
+    )
+
+
+class ReadOptions(ProfileOptions):
+    """The same, with camera-to-base transforms."""
+
+    hand_eye: Path | None = option(
+        None,
+        "--hand-eye",
+        "FILE",
+        "Camera-to-base transforms of `svmdist hand-eye`, in place of the profile's and the log's.",
+    )
 
 
 class WindowOptions(Options):

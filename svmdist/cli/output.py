@@ -10,27 +10,23 @@ import shlex
 import stat
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from enum import IntEnum, StrEnum
+from enum import IntEnum
 from itertools import chain
 from pathlib import Path
-from textwrap import wrap
 from typing import TYPE_CHECKING, TextIO, TypeVar
 
-from svmdist.cli.options import RowFormat, SummaryFormat, TableFormat
-from svmdist.errors import OutputError, UsageError
+from svmdist.errors import OutputError, UsageError, printable
 from svmdist.files import FALLBACK, write_atomically
 from svmdist.input_file import LogPath, why
+from svmdist.report.writers import plot_format
+from svmdist.report.writers import require_report as require_report_packages
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from svmdist.report.tables import Row
+    from svmdist.report.writers import Results, Writer
 
 Item = TypeVar("Item")
-Form = TypeVar("Form", bound=StrEnum)
 
 LOG = logging.getLogger("svmdist")
 """What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
@@ -53,8 +49,6 @@ class _Stderr(logging.Handler):
     """Prints one line for each record, without markup or control characters."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        from svmdist.report.tables import printable
-
         with suppress(OSError):  # where stderr is full, there is nobody left to tell
             print(printable(f"svmdist: {record.getMessage()}"), file=sys.stderr)
 
@@ -225,111 +219,15 @@ def terminal_width(output: Path | None) -> int | None:
     return os.get_terminal_size().columns if output is None and sys.stdout.isatty() else None
 
 
-@dataclass(frozen=True)
-class Summary:
-    """Results to be written in any form: tables and notes to read, rows and their keys, or a document, for programs."""
-
-    tables: Sequence[Table]
-    keys: Sequence[str]
-    rows: Sequence[Row]
-    notes: Sequence[str] = ()
-    document: object = None
-    """What JSON has in place of the rows."""
-
-
-def write_summary(summary: Summary, form: StrEnum, output: Path | None) -> None:
-    """Write tables, in markup too, CSV, Parquet, or JSON."""
-    from svmdist.report.tables import csv_lines, json_text, latex, markdown, render, write_parquet
-
-    match str(form):
-        case "table":
-            width = terminal_width(output)
-            colour = width is not None and "NO_COLOR" not in os.environ
-            texts = [render(table, width=width, colour=colour) for table in summary.tables]
-            notes = [line for note in summary.notes for line in (wrap(note, width) if width else [note])]
-            write_lines([*texts, *(f"{line}\n" for line in notes)], output)
-        case "csv":
-            write_lines(csv_lines(summary.keys, summary.rows), output)
-        case "json":
-            document = list(summary.rows) if summary.document is None else summary.document
-            write_lines([json_text(document, indent=1) + "\n"], output, is_json=True)
-        case "latex":
-            write_lines(latex(summary.tables, summary.notes), output)
-        case "markdown":
-            write_lines(markdown(summary.tables, summary.notes), output)
-        case "parquet" if output is not None:
-            write_parquet(output, summary.keys, summary.rows)
-
-
-class FileFormat(StrEnum):
-    """What is written to a file only, by its ending."""
-
-    MCAP = "mcap"
-    MP4 = "mp4"
-    HTML = "html"
-
-
-ROW_ENDINGS = {f".{form}": form for form in RowFormat if form is not RowFormat.TABLE}
-SUMMARY_ENDINGS = {
-    ".csv": SummaryFormat.CSV,
-    ".json": SummaryFormat.JSON,
-    ".tex": SummaryFormat.LATEX,
-    ".md": SummaryFormat.MARKDOWN,
-    ".parquet": SummaryFormat.PARQUET,
-}
-TABLE_ENDINGS = {f".{form}": form for form in TableFormat if form is not TableFormat.TABLE}
-FILE_ENDINGS = {f".{form}": form for form in FileFormat} | {".htm": FileFormat.HTML}
-TEXT_ENDINGS = frozenset({"", ".txt", ".log", ".out"})
-"""Files to read: a table."""
-
-
-def row_format(given: RowFormat | None, output: Path | None) -> RowFormat | FileFormat:
-    """The format of rows, as `by_ending`, or a file's; raises UsageError for a given format with such a file."""
-    ending = "" if output is None else output.suffix.lower()
-    if ending in FILE_ENDINGS:
-        if given is not None:
-            raise UsageError(
-                f"--format {given}: {output} is written as {FILE_ENDINGS[ending]}; leave out one of them"
-            )
-        return FILE_ENDINGS[ending]
-    return by_ending(given, ROW_ENDINGS, RowFormat.TABLE, output, others=FILE_ENDINGS)
-
-
-def summary_format(given: SummaryFormat | None, output: Path | None) -> SummaryFormat:
-    """The format of a summary, as `by_ending`."""
-    return by_ending(given, SUMMARY_ENDINGS, SummaryFormat.TABLE, output)
-
-
-def by_ending(
-    given: Form | None,
-    endings: Mapping[str, Form],
-    plain: Form,
-    output: Path | None,
-    name: str = "a table",
-    others: Iterable[str] = (),
-) -> Form:
-    """The given format, else that of a file's ending, else `plain` for text and stdout.
-
-    Raises UsageError for another ending (a table in a file that is called .avi is not what was meant), and for Parquet
-    on stdout; OutputError for Parquet where pyarrow is missing.
-    """
-    ending = "" if output is None else output.suffix.lower()
-    is_text = ending in TEXT_ENDINGS or (output is not None and output.parent == Path("/dev"))
-    chosen = given or endings.get(ending) or (plain if is_text else None)
-    if chosen is None:
-        choices = ", ".join(sorted({*endings, *others}))
-        hint = "; svmdist validate --report FILE.html writes a report" if ending in {".html", ".htm"} else ""
-        raise UsageError(
-            f"-o {output}: no format has the ending {ending}: the choices are {choices}, and .txt for {name};"
-            f" or give --format{hint}"
-        )
-    if chosen == "parquet":
-        from svmdist.report.tables import require_pyarrow
-
-        if output is None:
-            raise UsageError("--format parquet is no text: give a file with -o FILE.parquet")
-        require_pyarrow()
-    return chosen
+def write_results(results: Results, writer: Writer, output: Path | None) -> None:
+    """Write what a command gives in a format that holds rows or tables, to stdout or atomically to a file."""
+    if writer.lines is None:
+        assert writer.save is not None
+        writer.save(results, output)
+        return
+    width = terminal_width(output)
+    colour = width is not None and "NO_COLOR" not in os.environ
+    write_lines(writer.lines(results, width, colour), output, is_json=writer.is_json)
 
 
 def require_output(output: Path | None, inputs: Iterable[LogPath] = ()) -> None:
@@ -371,16 +269,12 @@ def require_report(report: Path | None, inputs: Iterable[LogPath] = ()) -> None:
     require_output(report, inputs)
     if report.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--report {report}: a report is a page: give it the ending .html")
-    from svmdist.report.html import require_plotly
-
-    require_plotly()
+    require_report_packages()
 
 
 def require_plot(path: Path | None, inputs: Iterable[LogPath] = ()) -> None:
     """Raise OutputError for a plot that cannot be written, or has another ending than png, svg or pdf."""
     if path is not None:
-        from svmdist.report.plots import plot_format
-
         plot_format(path)
         require_output(path, inputs)
 

@@ -16,7 +16,6 @@ from svmdist.cli.options import (
     GoldenLogOptions,
     GroupOption,
     MeasureOptions,
-    SummaryFormat,
     format_option,
     option,
     output_option,
@@ -24,16 +23,15 @@ from svmdist.cli.options import (
 from svmdist.cli.output import (
     LOG,
     ExitCode,
-    Summary,
     command_line,
     progress_bar,
     require_output,
     require_plot,
     require_report,
-    summary_format,
-    write_summary,
+    write_results,
 )
 from svmdist.errors import UsageError
+from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
@@ -65,7 +63,7 @@ class PlotKind(StrEnum):
 class ValidateOptions(GoldenLogOptions, MeasureOptions, GroupOption):
     """What `validate` takes."""
 
-    form: SummaryFormat | None = format_option()
+    form: str | None = format_option(Holds.FIGURES)
     output: Path | None = output_option()
     truth: list[TruthChoice] | None = option(
         None,
@@ -116,6 +114,7 @@ def validate_command(given: ValidateOptions) -> None:
       In CI: fail where a figure gets worse:
         svmdist validate log.mcap --baseline baseline.json
     """
+    from svmdist.report.scores import validation_results
     from svmdist.workflows.batch import Job
     from svmdist.workflows.scoring.baseline import (
         load_baseline,
@@ -133,7 +132,7 @@ def validate_command(given: ValidateOptions) -> None:
         raise UsageError(f"--plot {given.plot}: says what --save-plot FILE draws, which is not given")
     require_plot(given.save_plot, logs.paths)
     keys = given.group_keys
-    form = summary_format(given.form, given.output)
+    writer = choose_writer(given.form, given.output, Holds.FIGURES)
     stored = load_baseline(given.baseline) if given.baseline else None
     if stored:
         require_same_alarms(stored, given.rules(given.method.value))
@@ -143,12 +142,13 @@ def validate_command(given: ValidateOptions) -> None:
     draws_series = given.save_plot is not None and given.plot not in (None, PlotKind.FIG6)
     keep = measured.append if given.report or draws_series else None
     run = Run(logs, Job(score_log, request, Scored), "validating")
-    for _ in run.rows(keep):
-        pass
+    run.finish(keep)
     result = combine(run.results, request, run.groups(keys))
     if keep is not None:
         run.measure_again(keep)
-    _write(result, form, given.output)
+    for note in result.notes:
+        LOG.info("note: %s", note)
+    write_results(validation_results(result), writer, given.output)
     if given.save_plot:
         _save_plot(result, measured, request, given.plot or PlotKind.FIG6, given.save_plot)
     if given.report:
@@ -182,18 +182,6 @@ def score_log(recording: Recording, request: Request, threads: int, keep: Keep |
         return score_recording(recording, request, threads, steps, keep)
 
 
-def _write(result: Validation, form: SummaryFormat, output: Path | None) -> None:
-    from svmdist.report.scores import remarks, score_keys, score_row, validation_document, validation_tables
-
-    for note in result.notes:
-        LOG.info("note: %s", note)
-    rows = [score_row(score) for score in (*result.scores, *result.groups, *result.overall)]
-    document = validation_document(result) if form is SummaryFormat.JSON else None
-    write_summary(
-        Summary(validation_tables(result), score_keys(), rows, remarks(result), document), form, output
-    )
-
-
 def _save_plot(
     result: Validation, measured: list[Measured], request: Request, kind: PlotKind, path: Path
 ) -> None:
@@ -209,9 +197,7 @@ def _save_plot(
         for one in measured
         for made in make_series(one.rows, one.recording, request.setup, request.rules, reference, one.lag)
     ]
-    save_series_plot(
-        series, SeriesPlot(kind.value), path, request.alarms.below_m if request.alarms else None
-    )
+    save_series_plot(series, SeriesPlot(kind.value), path, request.alarms.below_m if request.alarms else None)
 
 
 def _write_report(
@@ -224,10 +210,10 @@ def _write_report(
     path: Path,
 ) -> None:
     from svmdist.report.html import validation_report, write_report
-    from svmdist.report.scores import log_table, pooled_log_figures, ranked
+    from svmdist.report.scores import log_results, pooled_log_figures, ranked
 
     each = run.figures(keys)
-    ranking = None if logs.is_one else log_table(ranked(each), pooled_log_figures(each))
+    ranking = None if logs.is_one else log_results(ranked(each), pooled_log_figures(each))
     with progress_bar("drawing the worst frames", "images") as advance:
         page = validation_report(
             result, measured, request.setup, request.rules, command_line(), logs.jobs, ranking, advance

@@ -16,7 +16,7 @@ from svmdist.estimation.coloured_regions import (
     ShaftAxis,
     nominal_instrument,
 )
-from svmdist.estimation.frame import Frame, OtherMasks, frames_of
+from svmdist.estimation.frame import Frame, OtherMasks
 from svmdist.estimation.region_tracking import Identity, RegionTracker, assignments
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.kinematics.robot_state import RobotState
@@ -181,7 +181,18 @@ class Association:
         others: Sequence[OtherMasks] = [(None, None)]
         if len(self._arms) > 1:
             others = self._others(scene, nominal)
-        return frames_of(scene, self._arms, observations, robots, others)
+        return self._frames(scene, observations, robots, others)
+
+    def _frames(
+        self,
+        scene: Scene,
+        observations: Sequence[Observation],
+        robots: Sequence[RobotState | Failure],
+        others: Sequence[OtherMasks],
+        doubts: Sequence[str] | None = None,
+    ) -> list[Frame]:
+        each = zip(self._arms, observations, robots, others, doubts or [""] * len(others), strict=True)
+        return [Frame.of(scene, *one) for one in each]
 
     def _by_entries(
         self, scene: Scene, observations: Sequence[Observation], robots: Sequence[RobotState | Failure]
@@ -193,7 +204,7 @@ class Association:
             right, right_doubts = self._named("right", scene.observation.stamp_ns, scene.right)
             doubts = [doubt or other for doubt, other in zip(doubts, right_doubts, strict=True)]
         others = list(zip(left, right, strict=True))
-        return frames_of(scene, self._arms, observations, robots, others, doubts)
+        return self._frames(scene, observations, robots, others, doubts)
 
     def _named(self, name: str, stamp_ns: int, context: FrameContext) -> tuple[list[Image | None], list[str]]:
         """For each instrument the mask, shape (h, w), of the others seen, and why its name is in doubt."""

@@ -66,8 +66,13 @@ def measured(
         capsules = frame.arm.body.posed(pose, tool.joints, tool.has_plate)
         gap = separation(capsules, tissue.surface)
         std_m = float(np.hypot(clearance_std_m(gap, pose, tissue, coupling), frame.arm.body.surface_std_m))
-        std_m = _with_overlap(gap.distance_m, std_m)
-        clearance = Distance(gap.distance_m, std_m, as_vector(gap.direction), as_vector(gap.on_instrument_m))
+        clearance = Distance(
+            gap.distance_m,
+            _with_overlap(gap.distance_m, std_m),
+            as_vector(gap.direction),
+            as_vector(gap.on_instrument_m),
+            std_m,
+        )
     distances = Distances(planar, spatial, clearance)
     return replace(with_tool(result, frame, tool), status=Status.OK, distances=distances)
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svmdist.estimation.scene import Arm, Scene, View, detected
+from svmdist.camera import Camera
+from svmdist.estimation.scene import Arm, Scene
 from svmdist.image_input import require_bgr
 from svmdist.results import Failure
 from svmdist.samples import Image, JointSample, Observation
 from svmdist.transforms import Array
+from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.regions import Region, find_region
-from svmdist.vision.segmentation import Segmenter
+from svmdist.vision.segmentation import InstrumentMasks, Masks, Segmenter
 
 if TYPE_CHECKING:
     from svmdist.estimation.instrument.shaft_detection import DistalMarker, ShaftDetection
@@ -25,145 +29,83 @@ if TYPE_CHECKING:
     from svmdist.vision.silhouette import Silhouette
 
 
-class ToolDetections:
-    """The detections of one instrument in one frame."""
+class View:
+    """One camera's image as the methods of one instrument see it, and what it shows of that instrument.
 
-    def __init__(
-        self,
-        arm: Arm,
-        scene: Scene,
-        left: View,
-        right: View | None,
-        robot: RobotState | Failure,
-    ) -> None:
-        self.ledger = scene.ledger
-        self.found: dict[str, Any] = {}
+    Every detection is computed when it is first asked for. `others`, shape (h, w), marks the pixels that have an
+    instrument's colours and belong to another one, or to none that is known; None where there is one instrument only.
+    """
+
+    def __init__(self, arm: Arm, camera: Camera, context: FrameContext, others: Image | None = None) -> None:
+        self.camera = camera
+        self.context = context
         self._arm = arm
         self._settings = arm.profile.settings
-        self._scene = scene
-        self._left = left
-        self._right = right
-        self._robot = robot
+        self._others = others
 
-    @detected
+    @property
+    def found(self) -> dict[str, Any]:
+        """The detections that were asked for, by name."""
+        return self.__dict__
+
+    @cached_property
+    def masks(self) -> Masks:
+        """What is what, at normalised exposure, without the other instruments."""
+        masks = self.context.masks
+        return masks if self._others is None else InstrumentMasks(masks, self._others)
+
+    @cached_property
+    def masks_as_recorded(self) -> Masks:
+        """The same of the image as it is, for the paper's methods."""
+        masks = self.context.masks_as_recorded
+        return masks if self._others is None else InstrumentMasks(masks, self._others)
+
+    @property
     def tag_corners_px(self) -> Array | None:
         """The corners of the instrument's own tag, shape (4, 2)."""
         fiducial = self._arm.profile.fiducial
-        return None if fiducial is None else self._scene.tags.get(fiducial.id)
+        return None if fiducial is None else self.context.tags.get(fiducial.id)
 
-    @detected
-    def right_tag_corners_px(self) -> Array | None:
-        """The same in the right view."""
-        fiducial = self._arm.profile.fiducial
-        return None if fiducial is None else self._scene.right_tags.get(fiducial.id)
-
-    @detected
+    @cached_property
     def region(self) -> Region | None:
         """The coloured region of the instrument's distal part."""
-        return self._region(self._left)
+        rule = self._arm.profile.segmentation.instrument
+        return find_region(self.masks.instrument, rule, self._settings.outline)
 
-    @detected
+    @cached_property
     def regions_as_recorded(self) -> tuple[Region | None, Region | None]:
         """Tissue and distal part by the image as it is, as the paper's methods find them.
 
         First loop: the tissue's region, if larger than its gate (eqs. 1, 2). Second loop: the instrument's (eqs. 7, 8).
         """
-        rules, masks = self._arm.profile.segmentation, self._left.masks_as_recorded
-        outline = self._settings.outline
+        rules, masks, outline = self._arm.profile.segmentation, self.masks_as_recorded, self._settings.outline
         return (
             find_region(masks.tissue, rules.tissue, outline),
             find_region(masks.instrument, rules.instrument, outline),
         )
 
-    @detected
-    def right_region(self) -> Region | None:
-        """The same in the right view."""
-        return None if self._right is None else self._region(self._right)
-
-    def _region(self, view: View) -> Region | None:
-        rule = self._arm.profile.segmentation.instrument
-        return find_region(view.masks.instrument, rule, self._settings.outline)
-
-    @detected
+    @cached_property
     def distal_marker(self) -> DistalMarker | None:
         """The coloured marker about the tool's origin; None of a tip that has none."""
-        return self._marker(self._left, self.region)
-
-    @detected
-    def right_distal_marker(self) -> DistalMarker | None:
-        """The same in the right view."""
-        return None if self._right is None else self._marker(self._right, self.right_region)
-
-    def _marker(self, view: View, region: Region | None) -> DistalMarker | None:
         from svmdist.estimation.instrument.shaft_detection import detect_distal_marker
 
-        if region is None or view.masks.seen is not None:  # told by shape, it has no colour
+        region = self.region
+        if region is None or self.masks.seen is not None:  # found by shape, it has no colour
             return None
-        return detect_distal_marker(
-            view.context.hsv, view.masks.instrument, region, self._settings.distal_marker
-        )
+        settings = self._settings.distal_marker
+        return detect_distal_marker(self.context.hsv, self.masks.instrument, region, settings)
 
-    @detected
-    def tag(self) -> TagPose | None:
-        """The tag's pose by the image, its ambiguity decided by nominal kinematics where the image does not."""
-        fiducial, R_camera_tag = self._arm.profile.fiducial, None
-        if fiducial is not None and not isinstance(self._robot, Failure) and self._robot.has_camera:
-            R_camera_tag = (self._robot.T_camera_link(fiducial.link) @ fiducial.T_link_tag)[:3, :3]
-        return self.tag_turned(R_camera_tag)
-
-    def tag_turned(self, R_camera_tag: Array | None, std_rad: float = np.inf) -> TagPose | None:
-        """The tag's pose near a predicted rotation, shape (3, 3), of a standard deviation in rad."""
-        from svmdist.estimation.instrument.tag_pose import find_tag_pose
-
-        corners_px, pattern = self.tag_corners_px, self._arm.tag_pattern
-        if corners_px is None or pattern is None:
-            return None
-        return find_tag_pose(
-            self._left.context.grey,
-            corners_px,
-            self._left.camera,
-            pattern,
-            R_camera_tag,
-            std_rad,
-            self._settings.tag,
-        )
-
-    @detected
-    def shaft(self) -> ShaftDetection:
-        """The shaft's edges and end."""
-        return self._shaft(self._left, self.silhouette, self.tag_corners_px)
-
-    @detected
-    def right_shaft(self) -> ShaftDetection | None:
-        """The same in the right view; None where there is none."""
-        right = self._right
-        if right is None:
-            return None
-        corners_px = None if right.masks.seen is not None else self.right_tag_corners_px
-        return self._shaft(right, self._silhouette(right), corners_px)
-
-    def _shaft(self, view: View, silhouette: Silhouette | None, corners_px: Array | None) -> ShaftDetection:
-        from svmdist.estimation.instrument.shaft_detection import detect_shaft, detect_silhouette
-
-        if view.masks.seen is not None:
-            return detect_silhouette(silhouette, view.camera, self._settings.shaft)
-        region = self.shaft_region if view is self._left else self._shaft_region(view, corners_px)
-        return detect_shaft(view.context.brightness, region, view.camera, self._settings.shaft)
-
-    @detected
+    @cached_property
     def silhouette(self) -> Silhouette | None:
-        """The silhouette of the instrument's shaft, where the segmentation tells instruments by their shape."""
-        return self._silhouette(self._left)
-
-    def _silhouette(self, view: View) -> Silhouette | None:
+        """The silhouette of the instrument's shaft, where the segmentation finds instruments by their shape."""
         from svmdist.estimation.instrument.shaft_model import wrist_shape
         from svmdist.vision.silhouette import find_silhouette
 
-        masks, instrument = view.masks, self._arm.profile.instrument
+        masks, instrument = self.masks, self._arm.profile.instrument
         if not masks.seen or instrument is None:
             return None
         return find_silhouette(
-            view.context.bgr_as_recorded,
+            self.context.bgr_as_recorded,
             masks.seen[0],
             masks.picture,
             wrist_shape(self._arm.required_chain, instrument),
@@ -171,47 +113,31 @@ class ToolDetections:
             self._settings.shaft,
         )
 
-    @detected
+    @cached_property
     def shaft_region(self) -> ShaftRegion | None:
         """The dark bar that comes in from the border, without the tag's plate on it."""
-        return self._shaft_region(self._left, self.tag_corners_px)
-
-    def _shaft_region(self, view: View, corners_px: Array | None) -> ShaftRegion | None:
         from svmdist.vision.shaft_segmentation import bright_fraction, find_shaft
         from svmdist.vision.tags import tag_plate
 
-        rule, masks = self._arm.profile.segmentation.shaft, view.masks
+        profile, masks, corners_px = self._arm.profile, self.masks, self.tag_corners_px
+        rule, settings = profile.segmentation.shaft, self._settings.shaft
         if rule is None or masks.shaft is None:
             return None
-        settings = self._settings.shaft
         covered = None if corners_px is None else tag_plate(corners_px, masks.shaft.shape, self._settings.tag)
         region = find_shaft(masks.shaft, rule, covered, masks.black, settings)
-        if region is None or self._arm.profile.fiducial is None or covered is not None or not region.is_stub:
+        if region is None or profile.fiducial is None or covered is not None or not region.is_stub:
             return region
         # The border may cut the plate, whose black print is then as wide as the shaft and ends where it does.
         return None if bright_fraction(region, masks.shaft) > settings.max_printed_fraction else region
 
-    @detected
-    def shaft_fit(self) -> ShaftFit | Failure:
-        """The tool's pose by the shaft and the distal marker, through the wrist."""
-        from svmdist.estimation.instrument.shaft_detection import wrist_marker
-        from svmdist.estimation.instrument.shaft_fit import fit_shaft
-        from svmdist.estimation.instrument.shaft_model import shaft_model
+    @cached_property
+    def shaft(self) -> ShaftDetection:
+        """The shaft's edges and end."""
+        from svmdist.estimation.instrument.shaft_detection import detect_shaft, detect_silhouette
 
-        profile, chain = self._arm.profile, self._arm.required_chain
-        if profile.instrument is None:
-            return Failure(f"profile {profile.name} has no [instrument]")
-        model = shaft_model(
-            self._robot, chain, profile.instrument, profile.kinematic_error, self._settings.shaft
-        )
-        return fit_shaft(
-            self.shaft,
-            self.distal_marker or wrist_marker(self.shaft),
-            model,
-            self._left.camera,
-            self._settings.shaft,
-            self._arm.deviations,
-        )
+        if self.masks.seen is not None:
+            return detect_silhouette(self.silhouette, self.camera, self._settings.shaft)
+        return detect_shaft(self.context.brightness, self.shaft_region, self.camera, self._settings.shaft)
 
 
 OtherMasks = tuple[Image | None, Image | None]
@@ -220,10 +146,10 @@ OtherMasks = tuple[Image | None, Image | None]
 
 @dataclass(frozen=True)
 class Needs:
-    """What a method takes: of the log, and which detections, by name, so that they can be computed ahead of it."""
+    """What a method takes of the log, and the detections of scene and frame, by name, that may be computed ahead."""
 
     scene: tuple[str, ...] = ()
-    tool: tuple[str, ...] = ()
+    frame: tuple[str, ...] = ()
     robot: bool = True
     """Whether it uses joints or transforms."""
     right_view: bool = False
@@ -233,7 +159,7 @@ class Needs:
         """What several methods take."""
         return Needs(
             tuple(dict.fromkeys(self.scene + other.scene)),
-            tuple(dict.fromkeys(self.tool + other.tool)),
+            tuple(dict.fromkeys(self.frame + other.frame)),
             self.robot or other.robot,
             self.right_view or other.right_view,
         )
@@ -243,7 +169,7 @@ class Needs:
 class Frame:
     """What an estimator may use of one instant; it has no field for ground truth.
 
-    `robot` holds joints and nominal poses, or says what of them the log lacks. `scene` and `tool` compute their
+    `robot` holds joints and nominal poses, or says what of them the log lacks. `scene` and the views compute their
     detections when they are first asked for; all methods share them.
     """
 
@@ -253,9 +179,25 @@ class Frame:
     right: View | None
     joints: JointSample | None
     robot: RobotState | Failure
-    tool: ToolDetections
     doubt: str = ""
     """Why it is not sure which instrument this is; empty where it is."""
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        arm: Arm,
+        observation: Observation,
+        robot: RobotState | Failure,
+        others: OtherMasks = (None, None),
+        doubt: str = "",
+    ) -> Frame:
+        """The frame of one instrument: what it reported, without the pixels that belong to others."""
+        seen, right = scene.observation, None
+        left = View(arm, seen.camera, scene.left, others[0])
+        if scene.right is not None and seen.right is not None:
+            right = View(arm, seen.right.camera, scene.right, others[1])
+        return cls(scene, arm, left, right, observation.joints, robot, doubt)
 
     @property
     def stamp_ns(self) -> int:
@@ -269,33 +211,40 @@ class Frame:
             return self.robot
         return self.robot.camera_failure or self.robot
 
+    @cached_property
+    def tag(self) -> TagPose | None:
+        """The tag's pose by the left view, its ambiguity decided by nominal kinematics where the image does not."""
+        fiducial, R_camera_tag = self.arm.profile.fiducial, None
+        if fiducial is not None and not isinstance(self.robot, Failure) and not self.robot.camera_failure:
+            R_camera_tag = (self.robot.T_camera_link(fiducial.link) @ fiducial.T_link_tag)[:3, :3]
+        return self.tag_near(R_camera_tag)
 
-def frames_of(
-    scene: Scene,
-    arms: Iterable[Arm],
-    observations: Iterable[Observation],
-    robots: Iterable[RobotState | Failure],
-    others: Iterable[OtherMasks],
-    doubts: Iterable[str] | None = None,
-) -> list[Frame]:
-    """A frame for each instrument, of what it reported and of the pixels that belong to others.
+    def tag_near(self, R_camera_tag: Array | None, std_rad: float = np.inf) -> TagPose | None:
+        """The tag's pose near a predicted rotation, shape (3, 3), of a standard deviation in rad."""
+        from svmdist.estimation.instrument.tag_pose import find_tag_pose
 
-    `doubts` say for each why it may be another one.
-    """
-    seen = scene.observation
-    frames = []
-    arms = list(arms)
-    doubts = [""] * len(arms) if doubts is None else doubts
-    for arm, observation, robot, (in_left, in_right), doubt in zip(
-        arms, observations, robots, others, doubts, strict=True
-    ):
-        left = View(seen.camera, scene.left, in_left)
-        right = None
-        if scene.right is not None and seen.right is not None:
-            right = View(seen.right.camera, scene.right, in_right)
-        tool = ToolDetections(arm, scene, left, right, robot)
-        frames.append(Frame(scene, arm, left, right, observation.joints, robot, tool, doubt))
-    return frames
+        left, pattern, settings = self.left, self.arm.tag_pattern, self.arm.profile.settings.tag
+        corners_px = left.tag_corners_px
+        if corners_px is None or pattern is None:
+            return None
+        return find_tag_pose(
+            left.context.grey, corners_px, left.camera, pattern, R_camera_tag, std_rad, settings
+        )
+
+    @cached_property
+    def shaft_fit(self) -> ShaftFit | Failure:
+        """The tool's pose by the shaft and the distal marker of the left view, through the wrist."""
+        from svmdist.estimation.instrument.shaft_detection import wrist_marker
+        from svmdist.estimation.instrument.shaft_fit import fit_shaft
+        from svmdist.estimation.instrument.shaft_model import shaft_model
+
+        arm, left, settings = self.arm, self.left, self.arm.profile.settings.shaft
+        instrument, error = arm.profile.instrument, arm.profile.kinematic_error
+        if instrument is None:
+            return Failure(f"profile {arm.profile.name} has no [instrument]")
+        model = shaft_model(self.robot, arm.required_chain, instrument, error, settings)
+        marker = left.distal_marker or wrist_marker(left.shaft)
+        return fit_shaft(left.shaft, marker, model, left.camera, settings, arm.deviations)
 
 
 def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
@@ -307,17 +256,21 @@ def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
     if observation.right is not None:
         require_bgr(observation.right.image_bgr, observation.right.camera, "right.image_bgr")
     scene = Scene(observation, arm.profile, segmenter)
-    return frames_of(scene, [arm], [observation], [arm.state_at(observation)], [(None, None)])[0]
+    return Frame.of(scene, arm, observation, arm.state_at(observation))
 
 
-def prefetch(source: object, names: Sequence[str]) -> None:
-    """Compute detections of a scene, or of a frame's tool, before they are asked for."""
+Clock = Callable[[], float]
+
+
+def prefetch(source: object, names: Iterable[str], clock: Clock = time.thread_time) -> dict[str, float]:
+    """Compute detections of a scene or a frame before they are asked for; gives by name what each took, in s.
+
+    Names may go through views: `right.shaft` is computed only where there is a right view.
+    """
+    seconds = {}
     for name in names:
-        getattr(source, name)
-
-
-def prefetch_masks(scene: Scene) -> None:
-    """Find whole instruments in a scene's images before they are told apart, where segmentation does so."""
-    for context in (scene.left, scene.right):
-        if context is not None:
-            _ = context.masks.seen
+        start_s, found = clock(), source
+        for part in name.split("."):
+            found = None if found is None else getattr(found, part)
+        seconds[name] = clock() - start_s
+    return seconds

@@ -46,7 +46,7 @@ def measurements(frame: Frame, robot: RobotState, predicted: ToolPose) -> list[L
 
 def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
     """The distal marker's centre is a point on the tool, as certain as its region is whole; and its disparity."""
-    profile, region, camera = frame.arm.profile, frame.tool.region, frame.left.camera
+    profile, region, camera = frame.arm.profile, frame.left.region, frame.left.camera
     settings, stereo, instrument = profile.settings.distal_marker, profile.settings.stereo, profile.instrument
     radius_m = instrument.knuckle_radius_m if instrument is not None else 0.0
     if region is None:
@@ -60,7 +60,7 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
         place_m, place_std_m = np.array(instrument.knuckle_position_m), instrument.knuckle_position_std_m
     point_std_m = float(np.hypot(settings.visible_middle * radius_m, place_std_m))
     shading_px = settings.shading_bias * radius_px if radius_m > 0.0 else 0.0
-    centre_px, blur_px = marker_centre(region, _disc(frame.tool.distal_marker), camera, depth_m, radius_m)
+    centre_px, blur_px = marker_centre(region, _disc(frame.left.distal_marker), camera, depth_m, radius_m)
     std_px = float(np.hypot(whole_std_px, settings.border_std_per_blur * blur_px))
     covariance = std_px**2 * np.eye(2)
     lasts_s = profile.settings.filter.point_correlation_time_s
@@ -79,9 +79,10 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
         delay_std_s=delay_std_s,
     )
 
-    right, other, geometry = frame.right, frame.tool.right_region, frame.scene.observation.right
-    if right is None or other is None or geometry is None:
+    right, geometry = frame.right, frame.scene.observation.right
+    if right is None or right.region is None or geometry is None:
         return
+    other = right.region
     if abs(other.centroid_px[1] - region.centroid_px[1]) > stereo.row_tolerance_px:
         return
     if _centroid_std_px(right.camera, other, predicted, radius_m, profile.settings) is None:
@@ -96,7 +97,7 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
             max(0.0, uneven - stereo.even_area_fraction),
         )
     )
-    other_px, _ = marker_centre(other, _disc(frame.tool.right_distal_marker), right.camera, depth_m, radius_m)
+    other_px, _ = marker_centre(other, _disc(right.distal_marker), right.camera, depth_m, radius_m)
     yield DisparityMeasurement(
         "disparity",
         None,
@@ -120,7 +121,7 @@ def _wrist(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
 
     Half of the variance lasts: how jaws and clevis divide an outline changes as they turn, and no faster.
     """
-    wrist, right, other = frame.tool.shaft.wrist, frame.right, frame.tool.right_shaft
+    wrist, right = frame.left.shaft.wrist, frame.right
     geometry, settings = frame.scene.observation.right, frame.arm.profile.settings
     camera = frame.left.camera
     depth_m = float(predicted.position_m[2])
@@ -140,18 +141,19 @@ def _wrist(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
         correlation_time_s=lasts_s,
         deviations=frame.arm.deviations,
     )
-    if right is None or other is None or other.wrist is None or geometry is None:
+    if right is None or right.shaft.wrist is None or geometry is None:
         return
-    if abs(other.wrist.pixel[1] - wrist.pixel[1]) > settings.stereo.row_tolerance_px + wrist.std_px:
+    other = right.shaft.wrist
+    if abs(other.pixel[1] - wrist.pixel[1]) > settings.stereo.row_tolerance_px + wrist.std_px:
         return
-    variance_px2 = wrist.std_px**2 + other.wrist.std_px**2
+    variance_px2 = wrist.std_px**2 + other.std_px**2
     yield DisparityMeasurement(
         "disparity",
         None,
         camera,
         right.camera,
         inverse(geometry.T_left_right),
-        float(wrist.pixel[0] - other.wrist.pixel[0]),
+        float(wrist.pixel[0] - other.pixel[0]),
         np.array([[0.5 * variance_px2]]),
         bias_name="wrist",
         correlation_time_s=lasts_s,
@@ -186,7 +188,7 @@ def _size(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
     depth_std_m = np.sqrt(predicted.covariance[2, 2])
     if instrument is None or depth_std_m < settings.min_relative_depth_std * predicted.position_m[2]:
         return
-    marker = frame.tool.distal_marker
+    marker = frame.left.distal_marker
     if marker is not None and marker.radius_px is not None:
         yield SizeMeasurement(
             "size",
@@ -204,12 +206,12 @@ def _size(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
 def _tag(frame: Frame, robot: RobotState, predicted: ToolPose) -> Iterator[LinkMeasurement]:
     """The tag's pose; the predicted tool tells how the tag is turned, but for the wrist's joints between them."""
     fiducial = frame.arm.profile.fiducial
-    if fiducial is None or frame.tool.tag_corners_px is None:
+    if fiducial is None or frame.left.tag_corners_px is None:
         return
     T_base_tag = robot.T_base_link(fiducial.link) @ fiducial.T_link_tag
     R_camera_tag = predicted.T_camera_tool[:3, :3] @ robot.T_base_tool[:3, :3].T @ T_base_tag[:3, :3]
     std_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[3:, 3:])[-1]))
-    tag = frame.tool.tag_turned(R_camera_tag, std_rad)
+    tag = frame.tag_near(R_camera_tag, std_rad)
     if tag is not None:
         share = frame.arm.profile.settings.fused.lasting_share
         yield PoseMeasurement(
@@ -227,7 +229,7 @@ def _tag(frame: Frame, robot: RobotState, predicted: ToolPose) -> Iterator[LinkM
 
 def _contours(frame: Frame) -> Iterator[LinkMeasurement]:
     """Both edges of a shaft that is longer than wide; on a stub something else is easily taken for one."""
-    instrument, axis, shaft = frame.arm.profile.instrument, frame.arm.shaft_axis, frame.tool.shaft
+    instrument, axis, shaft = frame.arm.profile.instrument, frame.arm.shaft_axis, frame.left.shaft
     if instrument is None or axis is None or shaft.is_stub:
         return
     share = frame.arm.profile.settings.fused.lasting_share
@@ -267,8 +269,8 @@ class FusedEstimator:
     name = "fused"
     keeps_state = True
     needs = Needs(
-        scene=("tissue", "tags", "stereo_surface"),
-        tool=("distal_marker", "right_distal_marker", "shaft"),
+        scene=("tissue", "left.tags", "stereo_surface"),
+        frame=("left.distal_marker", "right.distal_marker", "left.shaft"),
         right_view=True,
     )
 
@@ -293,8 +295,8 @@ class FusedEstimator:
         height = self._followed.measure_height(frame, self._filter)
 
         # The tool with the error found, and the distances from there.
-        self._has_plate |= frame.tool.tag_corners_px is not None
-        region, consistency = frame.tool.region, self._filter.consistency
+        self._has_plate |= frame.left.tag_corners_px is not None
+        region, consistency = frame.left.region, self._filter.consistency
         result = replace(result, detail=_detail(gating, height), consistency=consistency.ratio).with_image(
             tool_area_px=region.area_px if region else None,
             match_count=len(gating),

@@ -1,8 +1,10 @@
-"""The estimators by name, behind one interface."""
+"""The methods: one table of what makes each, what it needs of log and profile, what it draws and what it measures."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Literal, Protocol, cast
 
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.estimation.frame import Frame, Needs
@@ -30,54 +32,114 @@ class Estimator(Protocol):
         """Measure one frame. A frame that cannot be measured is an outcome, not an exception."""
 
 
-PLANAR_METHODS = ("overlay", "centroid")
-"""Methods of the paper's plane: they need the mapping from pixels to it."""
+Input = Literal[
+    "calibration",
+    "camera_to_base",
+    "fiducial",
+    "instrument",
+    "joints",
+    "right_image",
+    "robot",
+    "shaft",
+    "tag",
+    "tissue",
+]
+"""What a method may need besides left images: topics of the log, tables of the profile, and the tag in the images."""
 
-SPATIAL_METHODS = ("fiducial", "shaft", "stereo", "kinematic", "fused")
-"""Methods that measure in 3D."""
+Phase = Literal[
+    "segmentation",
+    "contours",
+    "marker",
+    "matches",
+    "outline and distance",
+    "edges",
+    "tip",
+    "tag",
+    "surface",
+    "distance",
+]
+"""A picture of one step of a method."""
 
-METHODS = (*PLANAR_METHODS, *SPATIAL_METHODS)
+
+@dataclass(frozen=True)
+class Method:
+    """One method; `estimator` is the class, by its path in this package, imported when it is made."""
+
+    name: str
+    estimator: str
+    inputs: tuple[Input, ...]
+    draws: tuple[Phase, ...]
+    measures: tuple[Literal["planar", "spatial", "clearance"], ...] = ("planar", "spatial", "clearance")
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether it measures in the paper's plane only, and needs the mapping from pixels to it."""
+        return self.measures == ("planar",)
 
 
-def make_estimator(method: str, arm: Arm, mapping: PlaneMapping | None = None) -> Estimator:
+_TABLE = (
+    Method(
+        "overlay",
+        "planar.OverlayEstimator",
+        ("calibration",),
+        ("segmentation", "contours", "marker", "matches", "outline and distance"),
+        ("planar",),
+    ),
+    Method(
+        "centroid",
+        "planar.CentroidEstimator",
+        ("calibration",),
+        ("segmentation", "contours", "distance"),
+        ("planar",),
+    ),
+    Method(
+        "fiducial",
+        "one_view.FiducialEstimator",
+        ("joints", "fiducial", "tissue", "tag"),
+        ("segmentation", "tag", "distance"),
+    ),
+    Method(
+        "shaft",
+        "one_view.ShaftEstimator",
+        ("shaft", "instrument", "robot", "tissue"),
+        ("segmentation", "edges", "tip", "distance"),
+    ),
+    Method(
+        "stereo",
+        "stereo.StereoEstimator",
+        ("right_image", "robot", "tissue"),
+        ("segmentation", "tip", "surface", "distance"),
+    ),
+    Method(
+        "kinematic",
+        "one_view.KinematicEstimator",
+        ("joints", "camera_to_base", "tissue"),
+        ("segmentation", "distance"),
+    ),
+    Method(
+        "fused",
+        "fused.FusedEstimator",
+        ("joints", "camera_to_base", "tissue"),
+        ("segmentation", "edges", "tip", "tag", "surface", "distance"),
+    ),
+)
+
+REGISTRY = {method.name: method for method in _TABLE}
+METHODS = tuple(REGISTRY)
+PLANAR_METHODS = tuple(method.name for method in _TABLE if method.is_planar)
+SPATIAL_METHODS = tuple(method.name for method in _TABLE if not method.is_planar)
+
+
+def make_estimator(name: str, arm: Arm, mapping: PlaneMapping | None = None) -> Estimator:
     """Make the estimator of that name; raises UsageError that lists the names.
 
     A planar method needs a mapping; one in 3D takes none. Only the modules of the method are imported.
     """
-    if method not in METHODS:
-        raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
-    if method in PLANAR_METHODS and mapping is None:
-        raise UsageError(f"method {method} is planar: it needs a calibration")
-    return _made(method, arm, mapping)
-
-
-def _made(method: str, arm: Arm, mapping: PlaneMapping | None) -> Estimator:  # noqa: PLR0911
-    match method, mapping:
-        case "overlay", PlaneMapping():
-            from svmdist.estimation.planar import OverlayEstimator
-
-            return OverlayEstimator(arm.profile, mapping)
-        case "centroid", PlaneMapping():
-            from svmdist.estimation.planar import CentroidEstimator
-
-            return CentroidEstimator(mapping)
-        case "fiducial", _:
-            from svmdist.estimation.one_view import FiducialEstimator
-
-            return FiducialEstimator(arm)
-        case "shaft", _:
-            from svmdist.estimation.one_view import ShaftEstimator
-
-            return ShaftEstimator(arm)
-        case "stereo", _:
-            from svmdist.estimation.stereo import StereoEstimator
-
-            return StereoEstimator(arm)
-        case "kinematic", _:
-            from svmdist.estimation.one_view import KinematicEstimator
-
-            return KinematicEstimator(arm)
-        case _:
-            from svmdist.estimation.fused import FusedEstimator
-
-            return FusedEstimator(arm)
+    if name not in REGISTRY:
+        raise UsageError(f"no method {name}: {did_you_mean(name, METHODS)}")
+    method = REGISTRY[name]
+    if method.is_planar and mapping is None:
+        raise UsageError(f"method {name} is planar: it needs a calibration")
+    module, _, kind = method.estimator.rpartition(".")
+    make: Any = getattr(import_module(f"svmdist.estimation.{module}"), kind)
+    return cast("Estimator", make(arm, mapping) if method.is_planar else make(arm))

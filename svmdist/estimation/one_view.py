@@ -95,7 +95,9 @@ def _joint_covariance(robot: RobotState, link: str, R_camera_base: Array, error:
         z, at_m = robot.joint_axes[index]
         turning, sliding = np.concatenate([np.cross(z, tool_m - at_m), z]), np.concatenate([z, np.zeros(3)])
         if row.a_m != 0.0:
-            columns.append(error.length_std_m * np.concatenate([robot.frames[index][:3, 0], np.zeros(3)]))
+            # Along x of its own frame; modified DH moves before it turns, along x of the frame before.
+            x_row = index - 1 if chain.convention == "modified" else index
+            columns.append(error.length_std_m * np.concatenate([robot.frames[x_row][:3, 0], np.zeros(3)]))
         if row.joint == "fixed":
             continue
         is_turning = row.joint == "revolute"
@@ -116,7 +118,7 @@ class FiducialEstimator:
 
     name = "fiducial"
     keeps_state = False
-    needs = Needs(scene=("tissue", "tags"), tool=("tag",))
+    needs = Needs(scene=("tissue", "left.tags"), frame=("tag",))
 
     def __init__(self, arm: Arm) -> None:
         profile = arm.profile
@@ -137,11 +139,11 @@ class FiducialEstimator:
             return result
 
         # The tag: corners, then both poses that they allow, and the one of them that is true.
-        if frame.tool.tag_corners_px is None:
+        if frame.left.tag_corners_px is None:
             return result.rejected(Status.NO_FIDUCIAL)
         if isinstance(frame.robot, Failure):
             return result.rejected(Status.NO_JOINTS, frame.robot.reason)
-        tag = frame.tool.tag
+        tag = frame.tag
         if tag is None:
             return result.rejected(Status.AMBIGUOUS_POSE)
 
@@ -156,7 +158,7 @@ class ShaftEstimator:
 
     name = "shaft"
     keeps_state = True
-    needs = Needs(scene=("tissue", "tags"), tool=("shaft_fit",))
+    needs = Needs(scene=("tissue", "left.tags"), frame=("shaft_fit",))
 
     def __init__(self, arm: Arm) -> None:
         profile = arm.profile
@@ -177,10 +179,10 @@ class ShaftEstimator:
             return result
 
         # The shaft's edges and end, the distal marker, and the pose that fits them through the wrist.
-        self._has_plate |= frame.tool.tag_corners_px is not None
-        fit = frame.tool.shaft_fit
+        self._has_plate |= frame.left.tag_corners_px is not None
+        fit = frame.shaft_fit
         if isinstance(fit, Failure):
-            return result.rejected(_status(frame.tool.shaft), fit.reason)
+            return result.rejected(_status(frame.left.shaft), fit.reason)
         std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
         farther = max(1.0, float(np.linalg.norm(fit.pose.position_m)) / self._settings.near_m)
         if not std_m <= farther * self._settings.max_position_std_m:

@@ -10,8 +10,9 @@ import numpy as np
 
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.plane_mapping import PlaneMapping, planar_distance_m
+from svmdist.estimation.scene import Arm
 from svmdist.profile import Features as FeatureRules
-from svmdist.profile import Marker, Profile
+from svmdist.profile import Marker
 from svmdist.profile.settings import MarkerSettings
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings, as_pixel
 from svmdist.samples import Image, Status
@@ -36,7 +37,7 @@ from svmdist.vision.regions import Region, find_region
 
 def locate(frame: Frame) -> tuple[FrameResult, Region | None, Region | None]:
     """Tissue and instrument by their colours as recorded, and the result so far; rejected if one is missing."""
-    tissue, instrument = frame.tool.regions_as_recorded
+    tissue, instrument = frame.left.regions_as_recorded
     status = Status.OK
     if tissue is None or instrument is None:
         status = Status.NO_TISSUE if tissue is None else Status.NO_INSTRUMENT
@@ -157,10 +158,11 @@ class OverlayEstimator:
     """`--method overlay`: the paper's three phases. Keeps no state between frames."""
 
     name = "overlay"
-    needs = Needs(tool=("regions_as_recorded",), robot=False)
+    needs = Needs(frame=("left.regions_as_recorded",), robot=False)
     keeps_state = False
 
-    def __init__(self, profile: Profile, mapping: PlaneMapping) -> None:
+    def __init__(self, arm: Arm, mapping: PlaneMapping) -> None:
+        profile = arm.profile
         self._marker = profile.marker
         self._rules = profile.features
         self._settings = profile.settings.marker
@@ -193,10 +195,10 @@ class CentroidEstimator:
     """`--method centroid`: the instrument's centroid is the tool's position. Keeps no state between frames."""
 
     name = "centroid"
-    needs = Needs(tool=("regions_as_recorded",), robot=False)
+    needs = Needs(frame=("left.regions_as_recorded",), robot=False)
     keeps_state = False
 
-    def __init__(self, mapping: PlaneMapping) -> None:
+    def __init__(self, _: Arm, mapping: PlaneMapping) -> None:
         self._mapping = mapping
 
     def estimate(self, frame: Frame) -> FrameResult:

@@ -1,4 +1,4 @@
-"""The paper's mapping from screen to plane, eqs. (3)-(6) and (21)-(27), and the calibration file that refits it."""
+"""The paper's mapping from screen to plane, eqs. (3)-(6), (21)-(27) and (33)-(35), and the file that refits it."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ Equations = Literal["corrected", "printed"]
 
 CM_PER_PIXEL = 0.0254
 """One pixel at 100 dpi: 2.54 cm / 100, which eqs. (3) and (4) give as 0.0245 cm."""
+PUBLISHED_TISSUE_M = (0.099, 0.043)
+"""The numbers of eqs. (33) and (34): they can only be the tissue's x and y in m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +58,21 @@ def screen_cm_as_published(pixel: Array | float) -> Array | float:
 def screen_cm_corrected(pixel: Array | float) -> Array | float:
     """eqs. (3) and (4) corrected: S = 0.0254 T cm, one pixel at 100 dpi."""
     return CM_PER_PIXEL * np.asarray(pixel)
+
+
+def displacement_cm_as_published(p_m: Array) -> Array:
+    """eqs. (33), (34) as published, shape (..., 2): metres divided by 100, called cm, 10^4 too small."""
+    return (np.array(PUBLISHED_TISSUE_M) - p_m[..., :2]) / 100.0
+
+
+def displacement_cm_corrected(p_m: Array, tissue_m: Array) -> Array:
+    """eqs. (33), (34) corrected, shape (..., 2) in cm: tissue from the recording, metres times 100."""
+    return np.asarray((tissue_m[..., :2] - p_m[..., :2]) * 100.0)
+
+
+def planar_distance_cm(displacement_cm: Array) -> Array:
+    """eq. (35), shape (...), in cm: distance in the camera's xy plane; z is not in it."""
+    return np.hypot(displacement_cm[..., 0], displacement_cm[..., 1])
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
+from typing import TYPE_CHECKING, Any
 
-from svmdist.camera import Camera
 from svmdist.errors import ProfileError
 from svmdist.profile import Profile
 from svmdist.results import Failure
-from svmdist.samples import Image, Observation
-from svmdist.transforms import Array
+from svmdist.samples import Observation
 from svmdist.vision.frame_context import FrameContext, as_pinholes, with_first_fields
-from svmdist.vision.segmentation import InstrumentMasks, Masks, Segmenter
+from svmdist.vision.segmentation import Segmenter
 
 if TYPE_CHECKING:
     from svmdist.estimation.instrument.measurement import Deviations
@@ -93,112 +87,6 @@ class Arm:
         )
 
 
-Value = TypeVar("Value")
-Key = tuple[int, str]
-Clock = Callable[[], float]
-
-
-class CostLedger:
-    """What the detections of one frame cost in s, each without those that it is made of.
-
-    A frame is worked on by one thread at a time; `clock` is by default that thread's processor time, so that what
-    other threads do meanwhile counts for nothing.
-    """
-
-    def __init__(self, clock: Clock = time.thread_time) -> None:
-        self._clock = clock
-        self._own_s: dict[Key, float] = {}
-        self._parts: dict[Key, set[Key]] = {}
-        self._open: list[tuple[set[Key], float]] = []
-
-    def computed(self, key: Key, make: Callable[[], Value]) -> Value:
-        """Compute a detection and note its cost."""
-        self._open.append((set(), 0.0))
-        start_s = self._clock()
-        try:
-            return make()
-        finally:
-            elapsed_s = self._clock() - start_s
-            parts, inner_s = self._open.pop()
-            self._own_s[key] = elapsed_s - inner_s
-            self._parts[key] = {key}.union(*(self._parts[part] for part in parts))
-            self._charge(key, elapsed_s)
-
-    def used(self, key: Key) -> None:
-        """Note that a detection was asked for which is known already."""
-        self._charge(key, 0.0)
-
-    def _charge(self, key: Key, elapsed_s: float) -> None:
-        if self._open:
-            asked, inner_s = self._open[-1]
-            asked.add(key)
-            self._open[-1] = asked, inner_s + elapsed_s
-
-    @contextmanager
-    def method(self, add_s: Callable[[float], None]) -> Any:
-        """Tell what the steps inside cost, as if every detection had been computed for them."""
-        self._open.append((set(), 0.0))
-        start_s = self._clock()
-        try:
-            yield
-        finally:
-            elapsed_s = self._clock() - start_s
-            asked, inner_s = self._open.pop()
-            every = set[Key]().union(*(self._parts[key] for key in asked))
-            add_s(elapsed_s - inner_s + sum(self._own_s[key] for key in every))
-
-
-class detected(Generic[Value]):  # noqa: N801  (used as a decorator)
-    """A property that is computed once an object, whose cost goes to the object's `ledger`."""
-
-    def __init__(self, make: Callable[[Any], Value]) -> None:
-        self._make = make
-        self._name = make.__name__
-        self.__doc__ = make.__doc__
-
-    @overload
-    def __get__(self, instance: None, owner: type) -> detected[Value]: ...
-    @overload
-    def __get__(self, instance: object, owner: type) -> Value: ...
-
-    def __get__(self, instance: Any, owner: type) -> Value | detected[Value]:
-        """Give the value, computed now or before."""
-        if instance is None:
-            return self
-        key = (id(instance), self._name)
-        values: dict[str, Value] = instance.found
-        if self._name in values:
-            instance.ledger.used(key)
-        else:
-            values[self._name] = instance.ledger.computed(key, lambda: self._make(instance))
-        return values[self._name]
-
-
-@dataclass(frozen=True)
-class View:
-    """A camera, its image, and the pixels of other instruments in it.
-
-    `others`, shape (h, w), marks the pixels that have an instrument's colours and belong to another one, or to none
-    that is known; None where there is one instrument only.
-    """
-
-    camera: Camera
-    context: FrameContext
-    others: Image | None = None
-
-    @cached_property
-    def masks(self) -> Masks:
-        """What is what, at normalised exposure, without the other instruments."""
-        masks = self.context.masks
-        return masks if self.others is None else InstrumentMasks(masks, self.others)
-
-    @cached_property
-    def masks_as_recorded(self) -> Masks:
-        """The same of the image as it is, for the paper's methods."""
-        masks = self.context.masks_as_recorded
-        return masks if self.others is None else InstrumentMasks(masks, self.others)
-
-
 class Scene:
     """One moment of a log before the instruments are told apart; all methods and instruments share its detections.
 
@@ -211,7 +99,6 @@ class Scene:
         observation: Observation,
         profile: Profile,
         segmenter: Segmenter,
-        ledger: CostLedger | None = None,
         row_offset_px: float = 0.0,
     ) -> None:
         self.lens = observation.camera
@@ -219,22 +106,25 @@ class Scene:
         observation = with_first_fields(observation, profile.settings.interlace)
         self.is_interlaced = observation is not recorded
         self.observation = observation = as_pinholes(observation, row_offset_px)
-        self.ledger = ledger or CostLedger()
-        self.found: dict[str, Any] = {}
         self._profile = profile
-        exposure = profile.settings.exposure
-        self.left = FrameContext(observation.image_bgr, segmenter, exposure)
-        right = observation.right
-        self.right = None if right is None else FrameContext(right.image_bgr, segmenter, exposure)
+        right, settings = observation.right, profile.settings
+        rules = segmenter, settings.exposure, profile.fiducial and profile.fiducial.family, settings.tag
+        self.left = FrameContext(observation.image_bgr, *rules)
+        self.right = None if right is None else FrameContext(right.image_bgr, *rules)
 
-    @detected
+    @property
+    def found(self) -> dict[str, Any]:
+        """The detections that were asked for, by name."""
+        return self.__dict__
+
+    @cached_property
     def tissue(self) -> TissueDetection | None:
         """The tissue's outline and pose, by the left view."""
         from svmdist.estimation.tissue import detect_tissue
 
         return detect_tissue(self.left.masks, self._profile, self.observation.camera)
 
-    @detected
+    @cached_property
     def stereo_pair(self) -> RectifiedPair | Failure:
         """The geometry of both views, where they are a rectified pair."""
         from svmdist.vision.stereo import rectified_pair
@@ -242,7 +132,7 @@ class Scene:
         right = self.observation.right
         return Failure("no right view") if right is None else rectified_pair(self.observation.camera, right)
 
-    @detected
+    @cached_property
     def stereo_surface(self) -> StereoSurface | None:
         """The tissue's surface by both views; None where it is not seen, or they do not agree."""
         from svmdist.estimation.surface import detect_stereo_surface
@@ -258,19 +148,3 @@ class Scene:
             (self.left.masks.tissue, self.right.masks.tissue),
             self._profile.stereo_in_range,
         )
-
-    @detected
-    def tags(self) -> dict[int, Array]:
-        """Corners, shape (4, 2) in px, of every tag of the fiducial's family in the left view, by number."""
-        return self._tags(self.left)
-
-    @detected
-    def right_tags(self) -> dict[int, Array]:
-        """The same in the right view."""
-        return {} if self.right is None else self._tags(self.right)
-
-    def _tags(self, view: FrameContext) -> dict[int, Array]:
-        from svmdist.vision.tags import find_tags
-
-        fiducial = self._profile.fiducial
-        return {} if fiducial is None else find_tags(view.grey, fiducial.family, self._profile.settings.tag)

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.estimation.distances import measured, with_tissue
-from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.frame import Frame, Needs, View
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.measurement import Deviations
-from svmdist.estimation.instrument.shaft_detection import NO_SHAFT, DistalMarker, ShaftDetection, wrist_marker
+from svmdist.estimation.instrument.shaft_detection import wrist_marker
 from svmdist.estimation.instrument.shaft_model import Landmarks, shaft_model
 from svmdist.estimation.instrument.stereo_fit import fit_two_views
 from svmdist.estimation.instrument.two_views import DisparityWatch, StereoMatch, TwoViews, match_distal_marker
@@ -66,12 +66,9 @@ class StereoEstimator:
         self._uses_shaft = profile.segmentation.shaft is not None and profile.instrument is not None
         self._has_plate = False
         self._watch = DisparityWatch(profile.settings.stereo)
-        tool = (
-            "distal_marker",
-            "right_distal_marker",
-            *(("shaft", "right_shaft") if self._uses_shaft else ()),
-        )
-        self.needs = Needs(scene=("tissue", "stereo_surface", "tags"), tool=tool, right_view=True)
+        parts = ("distal_marker", "shaft") if self._uses_shaft else ("distal_marker",)
+        views = tuple(f"{view}.{part}" for part in parts for view in ("left", "right"))
+        self.needs = Needs(("tissue", "stereo_surface", "left.tags"), views, right_view=True)
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; a frame that cannot be measured says why."""
@@ -138,10 +135,10 @@ class StereoEstimator:
         stereo = self._profile.stereo_in_range
         instrument = self._profile.instrument
         radius_m = instrument.knuckle_radius_m if instrument else None
-        left, right = frame.tool.distal_marker, frame.tool.right_distal_marker
+        left, right = frame.left.distal_marker, frame.right and frame.right.distal_marker
         radius_std = instrument.knuckle_radius_std_fraction if instrument else 0.0
         match = match_distal_marker(left, right, pair, radius_m, frame.left.camera, stereo, radius_std)
-        self._has_plate |= frame.tool.tag_corners_px is not None
+        self._has_plate |= frame.left.tag_corners_px is not None
         find = self._fitted if self._uses_shaft else self._triangulated
         pose: ToolPose | Rejection | Failure = find(frame, pair, match)
         if isinstance(pose, Failure):
@@ -155,14 +152,14 @@ class StereoEstimator:
         return pose
 
     def _fitted(self, frame: Frame, pair: RectifiedPair, match: StereoMatch | Failure) -> ToolPose | Failure:
-        if frame.tool.region is None and frame.tool.right_region is None:
-            # What hides the distal part ends the shaft, too: its end is then anywhere.
-            return Failure("the instrument's distal part is hidden in both views")
         instrument, settings = self._profile.instrument, self._profile.settings
         right, right_view = frame.scene.observation.right, frame.right
         assert instrument is not None
         assert right is not None  # the pair has one
         assert right_view is not None
+        if frame.left.region is None and right_view.region is None:
+            # What hides the distal part ends the shaft, too: its end is then anywhere.
+            return Failure("the instrument's distal part is hidden in both views")
         model = shaft_model(
             frame.robot, self._chain, instrument, self._profile.kinematic_error, settings.shaft
         )
@@ -171,8 +168,8 @@ class StereoEstimator:
             place_m = settings.stereo.other_part_place * instrument.knuckle_radius_m
             model = replace(model, marker_std_m=float(np.hypot(model.marker_std_m, place_m)))
         seen = TwoViews(
-            _landmarks(frame.tool.shaft, frame.tool.distal_marker),
-            _landmarks(frame.tool.right_shaft or NO_SHAFT, frame.tool.right_distal_marker),
+            _landmarks(frame.left),
+            _landmarks(right_view),
             None if isinstance(match, Failure) else match,
             frame.left.camera,
             right_view.camera,
@@ -209,6 +206,6 @@ class StereoEstimator:
         return nominal_orientation_pose(match, pair, nominal)
 
 
-def _landmarks(shaft: ShaftDetection, marker: DistalMarker | None) -> Landmarks:
-    """What one view shows; the outline of the wrist tells the tool's origin where no marker has a colour."""
-    return Landmarks(shaft, marker or wrist_marker(shaft))
+def _landmarks(view: View) -> Landmarks:
+    """What one view shows; the outline of the wrist gives the tool's origin where no marker has a colour."""
+    return Landmarks(view.shaft, view.distal_marker or wrist_marker(view.shaft))

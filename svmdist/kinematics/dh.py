@@ -7,7 +7,6 @@ Both conventions are here because logs use both: *standard* (Denavit & Hartenber
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -21,6 +20,8 @@ from svmdist.transforms import Array
 
 JointType = Literal["revolute", "prismatic", "fixed"]
 Convention = Literal["standard", "modified"]
+CHUNK = 2048
+"""Joint vectors that are worked on together: more links at once leave the processor's cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,118 +43,47 @@ class DHRow:
     aliases: tuple[str, ...] = ()
 
 
-def twist(row: DHRow) -> tuple[float, float]:
-    """Cosine and sine of the row's α; that of a quarter turn is exact, where floating point gives 6e-17."""
-    cosine, sine = float(np.cos(row.alpha_rad)), float(np.sin(row.alpha_rad))
-    return _snap(cosine), _snap(sine)
-
-
-def _snap(value: float) -> float:
-    nearest = float(np.round(value))
-    return nearest if abs(value - nearest) < 1e-15 else value
-
-
-CHUNK = 2048
-"""Joint vectors that are worked on together, so that their columns stay in the processor's second-level cache."""
-X, Y, Z, ORIGIN = np.vstack([np.eye(3), np.zeros(3)])[:, :, None]
-"""Of the base frame, shape (3, 1) each."""
-
-
-@dataclass(frozen=True, slots=True)
-class FrameColumns:
-    """Many frames in the base frame, by columns: axes x, y, z and origin p, shape (3, n), or (3, 1) where all agree."""
-
-    x: Array
-    y: Array
-    z: Array
-    p: Array
-
-    def write(self, T: Array) -> None:
-        """Into transforms, shape (n, 4, 4), whose last rows are filled already."""
-        for column, values in enumerate((self.x, self.y, self.z, self.p)):
-            T[:, :3, column] = values.T
-
-    def twisted(self, row: DHRow) -> FrameColumns:
-        """Behind Trans_x(a) Rot_x(α) of a row."""
-        p = self.p if row.a_m == 0.0 else self.p + row.a_m * self.x
-        cosine, sine = twist(row)
-        if sine == 0.0 and cosine == 1.0:
-            return FrameColumns(self.x, self.y, self.z, p)
-        if cosine == 0.0:
-            return FrameColumns(self.x, sine * self.z, -sine * self.y, p)
-        return FrameColumns(self.x, cosine * self.y + sine * self.z, cosine * self.z - sine * self.y, p)
-
-    def turned(self, row: DHRow, value: Array | float) -> FrameColumns:
-        """Behind Rot_z(θ) Trans_z(d) of a row at joint values, shape (n,)."""
-        x, y, p = self.x, self.y, self.p
-        theta = row.theta_rad + value if row.joint == "revolute" else row.theta_rad
-        d = row.d_m + value if row.joint == "prismatic" else row.d_m
-        if row.joint == "prismatic" or row.d_m != 0.0:
-            p = p + d * self.z
-        if row.joint == "revolute" or row.theta_rad != 0.0:
-            c, s = np.cos(theta), np.sin(theta)
-            x, y = c * x + s * y, c * y - s * x
-        return FrameColumns(x, y, self.z, p)
-
-
-def last_frame(rows: tuple[DHRow, ...], convention: Convention, q: Array) -> FrameColumns:
-    """The frame of the last row for joints of shape (n, n_joints)."""
-    frame = FrameColumns(X, Y, Z, ORIGIN)
-    joints = iter(np.ascontiguousarray(q.T))
-    for row in rows:
-        value = 0.0 if row.joint == "fixed" else next(joints)
-        if convention == "standard":
-            frame = frame.turned(row, value).twisted(row)
-        else:
-            frame = frame.twisted(row).turned(row, value)
-    return frame
-
-
-__all__ = [
-    "Convention",
-    "DHChain",
-    "DHRow",
-    "JointType",
-    "forward_kinematics",
-    "frame_transforms",
-    "link_transforms",
-    "running_product",
-    "select_joints",
-]
-MANY = 128
-"""From so many joint vectors on, arrays of one number of all of them are faster than stacks of matrices."""
-
-
 @dataclass(frozen=True, eq=False)
 class DHChain:
-    """A serial chain from a base frame to a tool frame, with a constant transform behind the last row."""
+    """A serial chain from a base frame to a tool frame, with a constant transform behind the last row.
+
+    Joints may be reported beyond their limits by `limit_tolerance_rad` (revolute) or `limit_tolerance_m` (prismatic).
+    """
 
     rows: tuple[DHRow, ...]
     convention: Convention = "standard"
     T_last_tool: Array = field(default_factory=lambda: np.eye(4))
     limit_tolerance_rad: float = np.inf
-    """How far beyond its limits a joint that turns may be reported."""
     limit_tolerance_m: float = np.inf
-    """The same of a joint that slides."""
+
+    @cached_property
+    def moving_rows(self) -> NDArray[np.intp]:
+        """Indices of the rows with a joint, base first, shape (n_joints,)."""
+        return np.array([i for i, row in enumerate(self.rows) if row.joint != "fixed"], np.intp)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """The names of the joints that move, base first."""
-        return tuple(row.name for row in self.rows if row.joint != "fixed")
+        return tuple(self.rows[i].name for i in self.moving_rows)
 
     @cached_property
     def lower(self) -> Array:
         """Lower joint limits in rad or m, shape (n_joints,)."""
-        return _constant([row.lower for row in self.rows if row.joint != "fixed"])
+        return np.array([self.rows[i].lower for i in self.moving_rows])
 
     @cached_property
     def upper(self) -> Array:
         """Upper joint limits in rad or m, shape (n_joints,)."""
-        return _constant([row.upper for row in self.rows if row.joint != "fixed"])
+        return np.array([self.rows[i].upper for i in self.moving_rows])
+
+    @cached_property
+    def is_revolute(self) -> NDArray[np.bool_]:
+        """Which joints are revolute, shape (n_joints,); the others are prismatic."""
+        return np.array([self.rows[i].joint == "revolute" for i in self.moving_rows], np.bool_)
 
     @cached_property
     def limit_tolerance(self) -> Array:
-        """How far beyond its limits each joint may be reported, in rad or m, shape (n_joints,)."""
+        """The tolerance of each joint's limits in rad or m, shape (n_joints,)."""
         return np.where(self.is_revolute, self.limit_tolerance_rad, self.limit_tolerance_m)
 
     def are_within_limits(self, q: Array) -> NDArray[np.bool_]:
@@ -162,24 +92,22 @@ class DHChain:
         return np.asarray((q >= self.lower - tolerance) & (q <= self.upper + tolerance))
 
     @cached_property
-    def moving_rows(self) -> NDArray[np.intp]:
-        """Indices of the rows with a joint, base first, shape (n_joints,)."""
-        return np.array([i for i, row in enumerate(self.rows) if row.joint != "fixed"], np.intp)
-
-    @cached_property
-    def is_revolute(self) -> NDArray[np.bool_]:
-        """Which joints turn, shape (n_joints,); the others slide."""
-        return np.array([row.joint == "revolute" for row in self.rows if row.joint != "fixed"], np.bool_)
-
-    @cached_property
     def row_indices(self) -> dict[str, int]:
-        """The place of each row in the table by its name."""
+        """The index of each row by its name."""
         return {row.name: index for index, row in reversed(list(enumerate(self.rows)))}
 
     @cached_property
     def terms(self) -> LinkTerms:
         """What is constant in the rows' transforms."""
         return LinkTerms.of(self.rows, self.convention)
+
+
+def chain_of(robot: Robot) -> DHChain:
+    """The chain of a profile's robot, from base to tool."""
+    rows = tuple(DHRow(*dict(joint).values()) for joint in robot.joints)
+    return DHChain(
+        rows, robot.convention, robot.T_last_tool, robot.limit_tolerance_rad, robot.limit_tolerance_m
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +131,7 @@ class LinkTerms:
     def of(cls, rows: tuple[DHRow, ...], convention: Convention) -> LinkTerms:
         """Take the rows apart."""
         a = np.array([row.a_m for row in rows])
-        ca, sa = np.array([twist(row) for row in rows]).reshape(-1, 2).T
+        ca, sa = _cosine_and_sine(np.array([row.alpha_rad for row in rows]))
         constant, cosine, sine, shift = np.zeros((4, len(rows), 4, 4))
         constant[:, 3, 3] = 1.0
         if convention == "standard":
@@ -247,26 +175,19 @@ def forward_kinematics(chain: DHChain, q: ArrayLike) -> Array:
 
     eq. (31), as a matrix product. Raises KinematicsError for a wrong number of joints.
     """
-    q = _checked_joints(chain, q)
-    if math.prod(q.shape[:-1]) < MANY:
-        links = link_transforms(chain, q)
-        T = links[..., 0, :, :]
-        for index in range(1, len(chain.rows)):
-            T = T @ links[..., index, :, :]
-        return np.asarray(T @ chain.T_last_tool)
-    T = np.empty((*q.shape[:-1], 4, 4))
-    T[..., 3, :] = 0.0, 0.0, 0.0, 1.0
-    flat, joints = T.reshape(-1, 4, 4), q.reshape(-1, q.shape[-1])
-    for at in range(0, len(joints), CHUNK):
-        last_frame(chain.rows, chain.convention, joints[at : at + CHUNK]).write(flat[at : at + CHUNK])
-    return np.asarray((T.reshape(-1, 4) @ chain.T_last_tool).reshape(T.shape))
+    q = np.asarray(q, np.float64)
+    if q.ndim > 1 and len(q) > CHUNK:
+        parts = [forward_kinematics(chain, q[at : at + CHUNK]) for at in range(0, len(q), CHUNK)]
+        return np.concatenate(parts)
+    links = link_transforms(chain, q)
+    T = links[..., 0, :, :]
+    for index in range(1, len(chain.rows)):
+        T = T @ links[..., index, :, :]
+    return np.asarray(T @ chain.T_last_tool)
 
 
 def frame_transforms(chain: DHChain, q: ArrayLike) -> Array:
-    """Poses of all row frames in the base frame, shape (..., n_rows, 4, 4), for joints (..., n_joints).
-
-    Always products of matrices: recordings are made with them, and repeat bit for bit.
-    """
+    """Poses of all row frames in the base frame, shape (..., n_rows, 4, 4), for joints (..., n_joints)."""
     return running_product(link_transforms(chain, q))
 
 
@@ -284,65 +205,43 @@ def running_product(links: Array) -> Array:
 def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) -> Array:
     """Bring positions, shape (..., len(names)), into the chain's order; joints it lacks are dropped.
 
-    A joint is found by its name or by an alias. Raises KinematicsError that names the joints the log does
-    not have.
+    A joint is found by its name or by an alias. Raises KinematicsError that names the joints that `names` lacks.
     """
-    order, missing = [], []
-    for row in chain.rows:
-        if row.joint == "fixed":
-            continue
-        found = next((name for name in (row.name, *row.aliases) if name in names), None)
-        if found is None:
-            missing.append(row.name)
-        else:
-            order.append(names.index(found))
+    rows = [chain.rows[index] for index in chain.moving_rows]
+    found = {
+        row.name: next((name for name in (row.name, *row.aliases) if name in names), None) for row in rows
+    }
+    missing = [name for name, logged in found.items() if logged is None]
     if missing:
         raise KinematicsError(
             f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
         )
-    return np.asarray(positions, np.float64)[..., order]
-
-
-def _constant(values: list[float]) -> Array:
-    array = np.array(values)
-    array.setflags(write=False)
-    return array
-
-
-def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:
-    q = np.asarray(q, np.float64)
-    count = len(chain.joint_names)
-    if q.ndim == 0 or q.shape[-1] != count:
-        raise KinematicsError(f"expected {count} joint values on the last axis, found shape {q.shape}")
-    return q
-
-
-def pose_jacobian(chain: DHChain, q: ArrayLike, row: str | None = None) -> Array:
-    """Derivative of a frame's pose in the base frame by the joints, shape (..., 6, n_joints), at `q` (..., n_joints).
-
-    Rows are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with
-    R' = exp([δθ]) R, both in the base frame, per joint unit. The frame is that of the DH row `row`, or the
-    tool. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a joint behind the
-    frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
-    """
-    return jacobian_of_frames(chain, frame_transforms(chain, q), row)
+    return np.asarray(positions, np.float64)[
+        ..., [names.index(logged) for logged in found.values() if logged]
+    ]
 
 
 def jacobian_of_frames(chain: DHChain, frames: Array, row: str | None = None) -> Array:
-    """The same from the poses of all row frames, shape (..., n_rows, 4, 4)."""
+    """Derivative of a frame's pose in the base frame by the joints, shape (..., 6, n_joints).
+
+    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames; `row` names one of them, None is the tool.
+    Rows are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with R' = exp([δθ]) R, both in
+    the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a
+    joint behind the frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
+    """
     last = len(chain.rows) - 1 if row is None else row_index(chain, row)
     T_base_frame = frames[..., last, :, :] @ chain.T_last_tool if row is None else frames[..., last, :, :]
-    moving = [index for index, joint in enumerate(chain.rows) if joint.joint != "fixed"]
-    axes = [joint_axis(chain, frames, index) for index in moving]
+    axes = [joint_axis(chain, frames, index) for index in chain.moving_rows]
     shape = (*frames.shape[:-3], 3)
     z = np.stack([np.broadcast_to(axis, shape) for axis, _ in axes], -1)
     arm = T_base_frame[..., :3, 3, None] - np.stack([np.broadcast_to(at, shape) for _, at in axes], -1)
-    revolute = np.array([chain.rows[index].joint == "revolute" for index in moving])
-    before = np.array([index <= last for index in moving])
+    before = chain.moving_rows <= last
     zx, zy, zz = z[..., 0, :], z[..., 1, :], z[..., 2, :]
     x, y, h = arm[..., 0, :], arm[..., 1, :], arm[..., 2, :]
     swing = np.stack([zy * h - zz * y, zz * x - zx * h, zx * y - zy * x], -2)
-    return np.concatenate([np.where(revolute, swing, z) * before, z * (revolute & before)], -2)
+    return np.concatenate(
+        [np.where(chain.is_revolute, swing, z) * before, z * (chain.is_revolute & before)], -2
+    )
 
 
 def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:
@@ -388,7 +287,7 @@ def shaft_of(chain: DHChain) -> ShaftAxis | None:
 
 @dataclass(frozen=True, slots=True)
 class WristRows:
-    """Indices of the rows that turn the shaft about itself and bend the wrist; `jaw` is None without one."""
+    """Indices of the rows that turn the shaft about itself, bend the wrist, and open the jaw, where there is one."""
 
     roll: int
     pitch: int
@@ -397,40 +296,31 @@ class WristRows:
 
 
 def wrist_rows(chain: DHChain) -> WristRows | None:
-    """The revolute rows behind the last one that slides: roll, wrist pitch, wrist yaw, and a jaw where it is there.
-
-    That is the wrist of the da Vinci's instruments. None for a chain that slides nowhere, or has fewer behind it.
-    """
+    """The wrist of the da Vinci's instruments; None for a chain with fewer than three rows behind the insertion."""
     turns = rows_behind_insertion(chain)
     if len(turns) < 3:
         return None
-    roll, pitch, yaw = turns[:3]
-    return WristRows(roll, pitch, yaw, turns[3] if len(turns) > 3 else None)
+    roll, pitch, yaw, *jaw = turns
+    return WristRows(roll, pitch, yaw, jaw[0] if jaw else None)
 
 
 def rows_behind_insertion(chain: DHChain) -> list[int]:
-    """Indices of the revolute rows behind the last one that slides, the shaft's roll first; none if none slides."""
+    """Indices of the revolute rows behind the last prismatic one, the shaft's roll first; none without one."""
     slides = [index for index, row in enumerate(chain.rows) if row.joint == "prismatic"]
-    if not slides:
-        return []
-    return [index for index, row in enumerate(chain.rows) if row.joint == "revolute" and index > slides[-1]]
+    behind = range(slides[-1] + 1, len(chain.rows)) if slides else ()
+    return [index for index in behind if chain.rows[index].joint == "revolute"]
 
 
-def chain_of(robot: Robot) -> DHChain:
-    """Build the chain from base to tool; the profile has been checked when it was read."""
-    rows = tuple(
-        DHRow(
-            joint.name,
-            joint.type,
-            joint.a_m,
-            joint.alpha_rad,
-            joint.d_m,
-            joint.theta_rad,
-            joint.lower,
-            joint.upper,
-            joint.aliases,
-        )
-        for joint in robot.joints
-    )
-    tolerance = (robot.limit_tolerance_rad, robot.limit_tolerance_m)
-    return DHChain(rows, robot.convention, robot.T_last_tool, *tolerance)
+def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:
+    q = np.asarray(q, np.float64)
+    count = len(chain.joint_names)
+    if q.ndim == 0 or q.shape[-1] != count:
+        raise KinematicsError(f"expected {count} joint values on the last axis, found shape {q.shape}")
+    return q
+
+
+def _cosine_and_sine(angles_rad: Array) -> Array:
+    """Shape (2, n); those of quarter turns are exact, where floating point gives 6e-17."""
+    values = np.stack([np.cos(angles_rad), np.sin(angles_rad)])
+    nearest = np.round(values)
+    return np.where(np.abs(values - nearest) < 1e-15, nearest, values)

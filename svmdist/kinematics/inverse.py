@@ -1,8 +1,4 @@
-"""Inverse kinematics of a DH chain: damped least squares on the tool's position, many targets at once.
-
-Only the joints that the caller frees may move; the others keep their values, so that a wrist can follow
-its own motion while the arm carries it along a path.
-"""
+"""Inverse kinematics of a DH chain: damped least squares on the tool's position, many targets at once."""
 
 from __future__ import annotations
 
@@ -28,21 +24,12 @@ def solve_position(
 ) -> Array:
     """Find joints, shape (n, n_joints), that bring the tool's origin to targets in the base frame, (n, 3).
 
-    `q_start`, shape (n, n_joints), gives the first guess of the free joints and the values of all others.
-    `damping` is in the unit of the Jacobian; 1e-4 m is far below the lever arms of a surgical robot, so
-    that it slows convergence down near singularities only. Raises KinematicsError for a target that is
-    out of reach or needs a joint outside its limits.
+    `q_start`, shape (n, n_joints), has the first guess of the free joints and the values of all others, which stay.
+    `damping` is in the unit of the Jacobian; 1e-4 m is far below the lever arms of a surgical robot: it slows
+    convergence near singularities only. Raises KinematicsError for a target that is out of reach or needs a joint
+    outside its limits.
     """
-    q = np.array(q_start, np.float64)
-    targets_m = np.asarray(p_base_tool_m, np.float64)
-    if q.ndim != 2 or targets_m.shape != (len(q), 3):
-        raise KinematicsError(
-            f"expected joints (n, {len(chain.joint_names)}) and targets (n, 3), "
-            f"found {q.shape} and {targets_m.shape}"
-        )
-    missing = [name for name in free_joints if name not in chain.joint_names]
-    if missing:
-        raise KinematicsError(f"the chain has no joint {', '.join(missing)}; it has {chain.joint_names}")
+    q, targets_m = np.array(q_start, np.float64), np.asarray(p_base_tool_m, np.float64)
     free = [chain.joint_names.index(name) for name in free_joints]
     for _ in range(max_iterations):
         frames = frame_transforms(chain, q)
@@ -59,15 +46,9 @@ def solve_position(
             f"position {worst} is out of reach: {np.linalg.norm(error_m[worst]):.3g} m are left "
             f"after {max_iterations} steps"
         )
-    _check_limits(chain, q)
-    return q
-
-
-def _check_limits(chain: DHChain, q: Array) -> None:
-    outside = (q < chain.lower) | (q > chain.upper)
-    if outside.any():
-        row, column = (int(index[0]) for index in np.nonzero(outside))
+    for row, joint in np.argwhere((q < chain.lower) | (q > chain.upper)):
         raise KinematicsError(
-            f"joint {chain.joint_names[column]} would have to go to {q[row, column]:.4g}, outside its limits "
-            f"{chain.lower[column]:.4g} to {chain.upper[column]:.4g}"
+            f"joint {chain.joint_names[joint]} would have to go to {q[row, joint]:.4g}, outside its limits "
+            f"{chain.lower[joint]:.4g} to {chain.upper[joint]:.4g}"
         )
+    return q

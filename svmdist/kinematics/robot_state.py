@@ -11,7 +11,6 @@ from svmdist.errors import KinematicsError
 from svmdist.kinematics.dh import (
     DHChain,
     frame_transforms,
-    jacobian_of_frames,
     joint_axis,
     row_index,
     select_joints,
@@ -25,24 +24,13 @@ NO_JOINTS = Failure("no joints near the image")
 NO_CAMERA = Failure("no transform from the camera to the base")
 
 
-def _outside(chain: DHChain, q: Array, joint: int) -> Failure:
-    """Why joints are not believed: the first one that is where it cannot be."""
-    unit = "rad" if chain.is_revolute[joint] else "m"
-    lower, upper = (limits[joint] for limits in (chain.lower, chain.upper))
-    return Failure(
-        f"joint {chain.joint_names[joint]} is at {q[joint]:.6g} {unit}, outside its limits {lower:.4g} to {upper:.4g}"
-        f" {unit} and the tolerance {chain.limit_tolerance[joint]:.4g} {unit}"
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class RobotState:
-    """Joints of a chain at a stamp, and where the camera stands: the nominal (uncorrected) kinematics of one frame.
+    """Joints of a chain at a stamp, and the camera's pose: the nominal (uncorrected) kinematics of one frame.
 
-    `q`, shape (n_joints,), is in the chain's order, in rad or m. `T_camera_base`, shape (4, 4), maps the base's
-    coordinates to the camera's. Without it (`has_camera` is false, `camera_failure` says why) everything in the base
-    frame is still there, and what needs the camera raises ValueError. `track` holds the joints around the stamp, in
-    the chain's order, where the log has them: `time_offset_s` says how much later than the stamp `q` was read there.
+    `q`, shape (n_joints,), is in the chain's order, in rad or m. Without `T_camera_base`, shape (4, 4), everything in
+    the base frame is there, and what needs the camera raises ValueError. `track` holds the joints around the stamp,
+    in the chain's order, where the log has them: `q` is their value `time_offset_s` after the stamp.
     """
 
     chain: DHChain
@@ -61,34 +49,24 @@ class RobotState:
         stamp_ns: int,
         track: JointTrack | None = None,
     ) -> RobotState | Failure:
-        """The state by a sample's joints, or what they lack; the camera's transform may be missing."""
+        """The state by a sample's joints, or why there is none; the camera's transform may be missing."""
         if joints is None:
             return NO_JOINTS
-        has_track = track is not None and track.names == joints.names
-        rows = (
-            np.vstack([joints.positions, track.positions]) if track and has_track else joints.positions[None]
-        )
+        if track is None or track.names != joints.names:
+            track = JointTrack(np.zeros(0, np.int64), joints.names, np.zeros((0, len(joints.names))))
         try:
-            selected = select_joints(chain, joints.names, rows)
+            selected = select_joints(chain, joints.names, np.vstack([joints.positions, track.positions]))
         except KinematicsError as problem:
             return Failure(str(problem))
         within = chain.are_within_limits(selected)
-        q, around = selected[0], selected[1:]
         if not within[0].all():
-            return _outside(chain, q, int(np.argmin(within[0])))
-        of_chain = None
-        if track is not None and has_track:
-            usable = within[1:].all(axis=1)  # one stray sample beside the image shall not stop it
-            of_chain = JointTrack(track.stamps_ns[usable], chain.joint_names, around[usable])
-        return cls(
-            chain, stamp_ns, q, T_camera_base, of_chain if of_chain and len(of_chain.stamps_ns) else None
-        )
+            return _outside(chain, selected[0], int(np.argmin(within[0])))
+        usable = within[1:].all(axis=1)  # one stray sample beside the image shall not stop it
+        around = JointTrack(track.stamps_ns[usable], chain.joint_names, selected[1:][usable])
+        return cls(chain, stamp_ns, selected[0], T_camera_base, around if usable.any() else None)
 
     def shifted(self, time_offset_s: float) -> RobotState:
-        """The state with the joints that were stamped so much later; the same where the log does not have them.
-
-        Beyond the joints around the stamp they go on at their rate.
-        """
+        """The state with the joints at a time offset; extrapolated at their rate, unchanged without a track."""
         if self.track is None or time_offset_s == self.time_offset_s:
             return self
         q = self.track.near(self.stamp_ns + round(1e9 * time_offset_s))
@@ -102,14 +80,9 @@ class RobotState:
         return self.track.rate_near(self.stamp_ns + round(1e9 * self.time_offset_s))
 
     @property
-    def has_camera(self) -> bool:
-        """Whether poses in the camera frame can be told."""
-        return self.T_camera_base is not None
-
-    @property
     def camera_failure(self) -> Failure | None:
-        """Why no pose in the camera frame can be told; None where it can."""
-        return None if self.has_camera else NO_CAMERA
+        """Why there is no pose in the camera frame; None where there is."""
+        return None if self.T_camera_base is not None else NO_CAMERA
 
     @cached_property
     def frames(self) -> Array:
@@ -135,10 +108,7 @@ class RobotState:
 
     @cached_property
     def joint_axes(self) -> tuple[tuple[Array, Array], ...]:
-        """For each row the direction and a point of the axis that its joint moves about or along, in the base frame.
-
-        Shapes (3,); a fixed row has the axis that a joint there would have.
-        """
+        """For each row direction and a point, (3,) each, of the axis that a joint there has, in the base frame."""
         return tuple(joint_axis(self.chain, self.frames, index) for index in range(len(self.chain.rows)))
 
     def T_base_link(self, link: str | None) -> Array:
@@ -151,20 +121,18 @@ class RobotState:
             return self.T_camera_tool
         return np.asarray(self.frames_in_camera[row_index(self.chain, link)])
 
-    def jacobian(self, link: str | None = None) -> Array:
-        """Derivative of a link's (δp, δθ) in the base frame by the joints, shape (6, n_joints)."""
-        cached = self._jacobians.get(link)
-        if cached is None:
-            cached = self._jacobians[link] = jacobian_of_frames(self.chain, self.frames, link)
-        return cached
-
-    @cached_property
-    def _jacobians(self) -> dict[str | None, Array]:
-        return {}
-
     @property
     def base_in_camera(self) -> Array:
         """`T_camera_base`, shape (4, 4); raises ValueError without it."""
         if self.T_camera_base is None:
             raise ValueError(NO_CAMERA.reason)
         return self.T_camera_base
+
+
+def _outside(chain: DHChain, q: Array, joint: int) -> Failure:
+    unit = "rad" if chain.is_revolute[joint] else "m"
+    lower, upper = (limits[joint] for limits in (chain.lower, chain.upper))
+    return Failure(
+        f"joint {chain.joint_names[joint]} is at {q[joint]:.6g} {unit}, outside its limits {lower:.4g} to {upper:.4g}"
+        f" {unit} and the tolerance {chain.limit_tolerance[joint]:.4g} {unit}"
+    )

@@ -18,16 +18,16 @@ from typing import Any
 
 import cv2
 import numpy as np
-from rich.table import Table
 
-from svmdist.errors import OutputError
+from svmdist.errors import printable
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import write_atomically
 from svmdist.recording.log import Recording
 from svmdist.report.panels import draw_on
 from svmdist.report.plots import LEVELS, distance_name, held_shares, pooled, rejected_spans
 from svmdist.report.scores import remarks, validation_tables
-from svmdist.report.tables import printable
+from svmdist.report.tables import Table
+from svmdist.report.writers import Results, require_report
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.workflows.annotate import drawn_frames
@@ -533,18 +533,8 @@ def _asset(name: str) -> str:
     return files("svmdist.report").joinpath(name).read_text("utf-8")
 
 
-def require_plotly() -> None:
-    """Raise OutputError where plotly is not installed, which carries the code that draws the figures."""
-    try:
-        import plotly  # noqa: F401
-    except ImportError:
-        raise OutputError(
-            "a report needs the package plotly, which is not installed: pip install 'svmdist[report]'"
-        ) from None
-
-
 def _plotly() -> str:
-    require_plotly()
+    require_report()
     from plotly.offline import get_plotlyjs
 
     return str(get_plotlyjs()).replace("</script", "<\\/script")
@@ -561,7 +551,7 @@ def validation_report(
     rules: TruthRules,
     command: str,
     jobs: int | None = None,
-    logs: Table | None = None,
+    logs: Results | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
     """The report of a validation. The worst frames are measured once more, to draw them.
@@ -575,13 +565,13 @@ def validation_report(
         for one in measured
         for made in make_series(one.rows, one.recording, setup, rules, reference, one.lag)
     ]
-    tables = [_of_rich(table) for table in validation_tables(validation)]
+    tables = [_of_table(table) for table in validation_tables(validation)]
     lags = _lag_table(validation)
     below_m = validation.alarm_rules.below_m if validation.alarm_rules else None
     return Report(
         title=f"svmdist validate: {setup.method}",
         series=[made for _, made in series],
-        tables=[*([_of_rich(logs)] if logs else []), *tables, *([lags] if lags else [])],
+        tables=[*([_of_table(logs.tables[0])] if logs else []), *tables, *([lags] if lags else [])],
         frames=_worst(
             [(one.read, made) for one, made in series], setup, validation.alarm_rules, jobs, on_progress
         ),
@@ -597,7 +587,7 @@ def estimate_report(
     command: str,
     alarms: AlarmRules | None = None,
     jobs: int | None = None,
-    logs: Table | None = None,
+    logs: Results | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
     """The report of estimates, for logs with or without a truth; where there is ground truth, it is shown.
@@ -610,7 +600,7 @@ def estimate_report(
     return Report(
         title=f"svmdist estimate: {setup.method}",
         series=[made for _, made in series],
-        tables=[*([_of_rich(logs)] if logs else []), _counts(series)],
+        tables=[*([_of_table(logs.tables[0])] if logs else []), _counts(series)],
         frames=_worst([(one.read, made) for one, made in series], setup, alarms, jobs, on_progress),
         facts=facts(setup, [one.recording for one in measured], command),
         alarm_below_m=alarms.below_m if alarms else None,
@@ -725,9 +715,8 @@ def _lag_table(validation: Validation) -> ReportTable | None:
     return ReportTable("Lag before and after: planar distance", headings, rows)
 
 
-def _of_rich(table: object) -> ReportTable:
+def _of_table(table: Table) -> ReportTable:
     """A table for the terminal as one for the page."""
-    assert isinstance(table, Table)
-    cells = [[str(cell) for cell in column.cells] for column in table.columns]
-    headings = [str(column.header).strip() for column in table.columns]
-    return ReportTable(str(table.title or ""), headings, list(zip(*cells, strict=True)))
+    return ReportTable(
+        table.title, [heading.strip() for heading in table.headings], (*table.rows, *table.overall)
+    )

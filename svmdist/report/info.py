@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.errors import printable
+from svmdist.metrics import COUNT, LENGTH, RADIANS, RATIO, SECONDS, TEXT, Unit
 from svmdist.profile import Profile
 from svmdist.profile.hand_eye import FORMAT, HandEyeFile, Source
 from svmdist.recording.log import Recording
-from svmdist.recording.summary import RecordingSummary, TopicSummary
-from svmdist.report.tables import Cell, Column, number, printable, render, rich_table
+from svmdist.recording.summary import RecordingSummary
+from svmdist.report.tables import Column, Table, render, row_of
+from svmdist.report.writers import Results
 from svmdist.transforms import quaternion_xyzw_from_rotation
 from svmdist.workflows.capabilities import (
     Capability,
@@ -25,76 +29,71 @@ from svmdist.workflows.hand_eye import HandEyeResult
 
 SCHEMA = "svmdist.info/1"
 
-TOPIC_KEYS = (
-    "topic",
-    "schema",
-    "message_encoding",
-    "kind",
-    "message_count",
-    "rate_hz",
-    "start_ns",
-    "end_ns",
-    "largest_gap_s",
-    "gap_count",
-    "out_of_order_count",
-    "undecodable_count",
-)
-
 TOPIC_COLUMNS = (
-    Column("topic", "topic", is_text=True),
-    Column("schema", "schema", is_text=True),
-    Column("message_encoding", "encoding", is_text=True),
-    Column("message_count", "messages"),
-    Column("rate_hz", "rate [Hz]", number(1)),
-    Column("gap_count", "gaps"),
-    Column("largest_gap_s", "largest gap [s]", number(3)),
-    Column("out_of_order_count", "out of order"),
-    Column("undecodable_count", "unreadable"),
+    Column("topic", TEXT, "topic"),
+    Column("schema", TEXT, "schema"),
+    Column("message_encoding", TEXT, "encoding"),
+    Column("kind", TEXT),
+    Column("message_count", COUNT, "messages"),
+    Column("rate_hz", Unit("Hz", "Hz", digits=1), "rate [Hz]"),
+    Column("start_ns", Unit("ns")),
+    Column("end_ns", Unit("ns")),
+    Column("largest_gap_s", Unit("s", "s", digits=3), "largest gap [s]"),
+    Column("gap_count", COUNT, "gaps"),
+    Column("out_of_order_count", COUNT, "out of order"),
+    Column("undecodable_count", COUNT, "unreadable"),
 )
 
 
-LOG_KEYS = ("recording", "duration_s", "size_bytes", "images", "messages", "methods", "loss_count")
+def _image_count(log: dict[str, Any]) -> int:
+    image = log["roles"].get("image")
+    return next((int(topic["message_count"]) for topic in log["topics"] if topic["topic"] == image), 0)
+
+
 LOG_COLUMNS = (
-    Column("recording", "recording", is_text=True),
-    Column("duration_s", "duration [s]", number(2)),
-    Column("size_bytes", "size [MB]", number(2, 1e-6)),
-    Column("images", "images"),
-    Column("messages", "messages"),
-    Column("methods", "methods", is_text=True),
-    Column("loss_count", "losses"),
-)
+    Column("recording", TEXT, "recording", itemgetter("recording")),
+    Column("duration_s", SECONDS, "duration [s]", itemgetter("duration_s")),
+    Column("size_bytes", Unit("B", "MB", 1e-6, 2), "size [MB]", itemgetter("size_bytes")),
+    Column("images", COUNT, "images", _image_count),
+    Column("messages", COUNT, "messages", lambda log: sum(topic["message_count"] for topic in log["topics"])),
+    Column("methods", TEXT, "methods",
+           lambda log: ", ".join(name for name, of in log["methods"].items() if of["served"]) or "none"),
+    Column("loss_count", COUNT, "losses", lambda log: len(log["losses"])),
+)  # fmt: skip
 
 
-def log_row(name: str, document: dict[str, Any]) -> dict[str, Cell]:
-    """One of several recordings, by its document, with the keys of `LOG_KEYS`."""
-    counts = {topic["topic"]: int(topic["message_count"]) for topic in document["topics"]}
-    return {
-        "recording": name,
-        "duration_s": document["duration_s"],
-        "size_bytes": document["size_bytes"],
-        "images": counts.get(document["roles"].get("image", ""), 0),
-        "messages": sum(counts.values()),
-        "methods": ", ".join(method for method, of in document["methods"].items() if of["served"]) or "none",
-        "loss_count": len(document["losses"]),
-    }
+def info_results(summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None) -> Results:
+    """A recording: its topics as rows, what can be done with it in lines for a person, and all as a JSON document."""
+    rows = [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics]
+    document = info_document(summary, profile, tags)
+    return Results(
+        TOPIC_COLUMNS, rows, lambda width: _info_lines(summary, document, width), document=document
+    )
 
 
-def topic_row(topic: TopicSummary) -> dict[str, Cell]:
-    """One topic, flat, with the keys of `TOPIC_KEYS`."""
-    return {key: getattr(topic, key) for key in TOPIC_KEYS}
+def logs_results(documents: Sequence[tuple[str, dict[str, Any]]]) -> Results:
+    """Several recordings by names and documents: a table of one line each, the topics of all as rows."""
+    topics = [topic | {"recording": name} for name, document in documents for topic in document["topics"]]
+    logs = [row_of(LOG_COLUMNS, document | {"recording": name}) for name, document in documents]
+    return Results(
+        (*TOPIC_COLUMNS, Column("recording", TEXT)),
+        topics,
+        tables=[Table.of("", LOG_COLUMNS, logs)],
+        document=[document for _, document in documents],
+    )
 
 
 def info_document(
     summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
 ) -> dict[str, Any]:
-    """The JSON document."""
+    """The JSON document `svmdist.info/1`."""
     return {
         "schema": SCHEMA,
         "path": str(summary.path),
         "size_bytes": summary.size_bytes,
         "duration_s": summary.duration_s,
         "metadata": summary.metadata,
-        "topics": [topic_row(topic) for topic in summary.topics],
+        "topics": [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics],
         "roles": summary.roles,
         "instruments": list(instruments_in(summary, profile)),
         "cameras": {topic: _camera_document(camera) for topic, camera in summary.cameras.items()},
@@ -102,141 +101,129 @@ def info_document(
         "joint_names": {topic: list(names) for topic, names in summary.joint_names.items()},
         "is_clean": summary.health.is_clean,
         "losses": [str(loss) for loss in summary.health.losses],
-        "commands": {
-            capability.name: _capability_document(capability)
-            for capability in capabilities(summary, profile, tags)
-        },
-        "methods": {
-            capability.name: _capability_document(capability)
-            for capability in method_capabilities(summary, profile, tags)
-        },
+        "commands": _capability_documents(capabilities(summary, profile, tags)),
+        "methods": _capability_documents(method_capabilities(summary, profile, tags)),
     }
 
 
-def info_lines(
-    summary: RecordingSummary, profile: Profile, width: int | None = None, tags: TagCheck | None = None
-) -> Iterator[str]:
-    """The summary for a person."""
-    yield f"{printable(str(summary.path))}: {summary.size_bytes / 1e6:.2f} MB, {summary.duration_s:.2f} s\n"
+def _capability_documents(found: Iterable[Capability]) -> dict[str, dict[str, Any]]:
+    return {
+        one.name: {
+            "served": one.served,
+            "missing": list(one.missing),
+            **({"note": one.note} if one.note else {}),
+        }
+        for one in found
+    }
+
+
+def _camera_document(camera: Camera) -> dict[str, Any]:
+    K, D = camera.K.tolist(), camera.D.tolist()
+    return {
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "K": K,
+        "D": D,
+        "frame_id": camera.frame_id,
+    }
+
+
+def _info_lines(summary: RecordingSummary, document: dict[str, Any], width: int | None) -> Iterator[str]:
+    """The document for a person."""
+
+    def line(name: str, text: str) -> str:
+        return f"{name:<11} {printable(text)}\n"
+
+    yield f"{printable(document['path'])}: {summary.size_bytes / 1e6:.2f} MB, {summary.duration_s:.2f} s\n"
     if summary.metadata:
-        pairs = ", ".join(f"{key} {value}" for key, value in summary.metadata.items())
-        yield f"made with   {printable(pairs)}\n"
-    yield render(rich_table("", TOPIC_COLUMNS, [topic_row(topic) for topic in summary.topics]), width=width)
+        yield line("made with", ", ".join(f"{key} {value}" for key, value in summary.metadata.items()))
+    shown = [column for column in TOPIC_COLUMNS if column.heading]
+    yield render(Table.of("", shown, document["topics"]), width=width)
     for topic, camera in summary.cameras.items():
-        yield f"camera      {printable(topic)}: {_camera_line(camera)}\n"
+        yield line("camera", f"{topic}: {_camera_in_words(camera)}")
     if summary.frames:
-        yield f"frames      {printable(', '.join(summary.frames))}\n"
+        yield line("frames", ", ".join(summary.frames))
     for topic, names in summary.joint_names.items():
-        yield f"joints      {printable(topic)}: {printable(', '.join(names))}\n"
+        yield line("joints", f"{topic}: {', '.join(names)}")
     roles = ", ".join(f"{role} {topic}" for role, topic in summary.roles.items())
-    yield f"roles       {printable(roles) or 'none of the topics is one that svmdist reads'}\n"
-    yield f"instruments {printable(', '.join(instruments_in(summary, profile)))}\n"
-    for capability in capabilities(summary, profile, tags):
-        note = f", {capability.note}" if capability.note else ""
-        answer = f"yes{note}" if capability.served else f"no: it lacks {'; '.join(capability.missing)}"
-        yield f"{capability.name:<11} {printable(answer)}\n"
-    methods = method_capabilities(summary, profile, tags)
-    yield f"methods     {', '.join(each.name for each in methods if each.served) or 'none'}\n"
-    for each in methods:
-        if not each.served:
-            yield f"  {each.name:<9} no: it lacks {printable('; '.join(each.missing))}\n"
-    losses = len(summary.health.losses)
-    yield f"health      {'clean' if summary.health.is_clean else f'{losses} losses'}\n"
+    yield line("roles", roles or "none of the topics is one that svmdist reads")
+    yield line("instruments", ", ".join(document["instruments"]))
+    for name, found in document["commands"].items():
+        yield line(
+            name,
+            f"yes{f', {note}' if (note := found.get('note')) else ''}"
+            if found["served"]
+            else _missing(found),
+        )
+    methods = document["methods"]
+    yield line("methods", ", ".join(name for name, found in methods.items() if found["served"]) or "none")
+    for name, found in methods.items():
+        if not found["served"]:
+            yield f"  {name:<9} {_missing(found)}\n"
+    yield line("health", "clean" if summary.health.is_clean else f"{len(summary.health.losses)} losses")
 
 
-def _capability_document(capability: Capability) -> dict[str, Any]:
-    note = {"note": capability.note} if capability.note else {}
-    return {"served": capability.served, "missing": list(capability.missing), **note}
+def _missing(found: dict[str, Any]) -> str:
+    return printable(f"no: it lacks {'; '.join(found['missing'])}")
 
 
-def _camera_line(camera: Camera) -> str:
-    K = camera.K
-    distortion = (
-        "no distortion" if not camera.D.any() else f"distortion {' '.join(f'{d:.4g}' for d in camera.D)}"
-    )
+def _camera_in_words(camera: Camera) -> str:
+    K, D = camera.K, camera.D
+    distortion = f"distortion {' '.join(f'{d:.4g}' for d in D)}" if D.any() else "no distortion"
     return (
         f"{camera.width_px}x{camera.height_px}, fx {K[0, 0]:.2f}, fy {K[1, 1]:.2f}, cx {K[0, 2]:.2f},"
         f" cy {K[1, 2]:.2f} px, {distortion}, frame {camera.frame_id}"
     )
 
 
-def _camera_document(camera: Camera) -> dict[str, Any]:
-    return {
-        "width_px": camera.width_px,
-        "height_px": camera.height_px,
-        "K": camera.K.tolist(),
-        "D": camera.D.tolist(),
-        "frame_id": camera.frame_id,
-    }
+def _deviation(at: int) -> Callable[[HandEyeResult], float]:
+    return lambda result: float(np.sqrt(max(result.hand_eye.covariance[at][at], 0.0)))
 
 
-HAND_EYE_KEYS = (
-    "instrument",
-    "camera",
-    "base",
-    "x_m",
-    "y_m",
-    "z_m",
-    "qx",
-    "qy",
-    "qz",
-    "qw",
-    "x_std_m",
-    "y_std_m",
-    "z_std_m",
-    "turn_x_std_rad",
-    "turn_y_std_rad",
-    "turn_z_std_rad",
-    "tool_std_m",
-    "method",
-    "reference",
-    "frame_count",
-    "inlier_count",
-    "residual_rms_m",
-    "log_turn_rad",
-    "log_shift_m",
+def _pose_column(key: str, unit: Unit, at: int) -> Column:
+    """One of the seven numbers of a pose."""
+
+    def read(result: HandEyeResult) -> float:
+        T = result.hand_eye.T_camera_base
+        return float(T[at, 3] if at < 3 else quaternion_xyzw_from_rotation(T[:3, :3])[at - 3])
+
+    return Column(key, unit, of=read)
+
+
+def _found(key: str, unit: Unit) -> Column:
+    return Column(key, unit, of=attrgetter(f"hand_eye.{key}"))
+
+
+HAND_EYE_COLUMNS = (
+    *(_found(key, TEXT) for key in ("instrument", "camera", "base")),
+    *(_pose_column(f"{axis}_m", LENGTH, at) for at, axis in enumerate("xyz")),
+    *(_pose_column(f"q{axis}", RATIO, at) for at, axis in enumerate("xyzw", 3)),
+    *(Column(f"{axis}_std_m", LENGTH, of=_deviation(at)) for at, axis in enumerate("xyz")),
+    *(Column(f"turn_{axis}_std_rad", RADIANS, of=_deviation(at)) for at, axis in enumerate("xyz", 3)),
+    Column("tool_std_m", LENGTH),
+    *(_found(key, TEXT) for key in ("method", "reference")),
+    *(_found(key, COUNT) for key in ("frame_count", "inlier_count")),
+    _found("residual_rms_m", LENGTH),
+    Column("log_turn_rad", RADIANS, of=lambda result: result.from_log[0] if result.from_log else None),
+    Column("log_shift_m", LENGTH, of=lambda result: result.from_log[1] if result.from_log else None),
 )
 
 
-def hand_eye_row(result: HandEyeResult) -> dict[str, Cell]:
-    """One instrument, flat, with the keys of `HAND_EYE_KEYS`."""
+def hand_eye_results(results: Sequence[HandEyeResult]) -> Results:
+    """A row per instrument, and for a person the transforms with what they rest on."""
+    rows = [row_of(HAND_EYE_COLUMNS, result) for result in results]
+    lines = [line for result in results for line in _hand_eye_lines(result, row_of(HAND_EYE_COLUMNS, result))]
+    return Results(HAND_EYE_COLUMNS, rows, lambda _: lines, document=rows)
+
+
+def _hand_eye_lines(result: HandEyeResult, row: dict[str, Any]) -> Iterator[str]:
     found = result.hand_eye
-    T = found.T_camera_base
-    std = np.sqrt(np.maximum(np.diag(np.array(found.covariance)), 0.0))
-    turn_rad, shift_m = result.from_log if result.from_log is not None else (None, None)
-    values: tuple[Cell, ...] = (
-        found.instrument,
-        found.camera,
-        found.base,
-        *(float(value) for value in T[:3, 3]),
-        *(float(value) for value in quaternion_xyzw_from_rotation(T[:3, :3])),
-        *(float(value) for value in std),
-        result.tool_std_m,
-        found.method,
-        found.reference,
-        found.frame_count,
-        found.inlier_count,
-        found.residual_rms_m,
-        turn_rad,
-        shift_m,
-    )
-    return dict(zip(HAND_EYE_KEYS, values, strict=True))
-
-
-def hand_eye_lines(result: HandEyeResult) -> Iterator[str]:
-    """For a person: the transform with its deviations, and what it rests on."""
-    found, row = result.hand_eye, hand_eye_row(result)
-    std = np.sqrt(np.maximum(np.diag(np.array(found.covariance)), 0.0))
+    place = (f"{axis} {row[f'{axis}_m'] * 1e3:.1f} ± {row[f'{axis}_std_m'] * 1e3:.1f}" for axis in "xyz")
+    turn = (f"{axis} ± {np.degrees(row[f'turn_{axis}_std_rad']):.2f}" for axis in "xyz")
     yield f"{found.instrument}: {found.base} in {found.camera}, by {found.method} against {found.reference}\n"
-    place = ", ".join(
-        f"{axis} {value * 1e3:.1f} ± {deviation * 1e3:.1f}"
-        for axis, value, deviation in zip("xyz", found.translation_m, std[:3], strict=True)
-    )
-    yield f"  translation [mm]     {place}\n"
-    quaternion = ", ".join(f"{row[key]:.5f}" for key in ("qx", "qy", "qz", "qw"))
-    yield f"  rotation (xyzw)      {quaternion}\n"
-    turn = ", ".join(f"{axis} ± {np.degrees(value):.2f}" for axis, value in zip("xyz", std[3:], strict=True))
-    yield f"  about the axes [°]   {turn}\n"
+    yield f"  translation [mm]     {', '.join(place)}\n"
+    yield f"  rotation (xyzw)      {', '.join(f'{row[key]:.5f}' for key in ('qx', 'qy', 'qz', 'qw'))}\n"
+    yield f"  about the axes [°]   {', '.join(turn)}\n"
     yield f"  at the tool [mm]     ± {result.tool_std_m * 1e3:.2f} in the worst direction\n"
     yield (
         f"  frames               {found.inlier_count} of {found.frame_count} agree, within"

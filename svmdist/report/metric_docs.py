@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from svmdist.workflows.scoring.metric_table import Metric, Output, Tolerance, figure_metrics, score_metrics
 
 INTRODUCTION = """# Metrics
@@ -28,9 +26,9 @@ def metrics_page() -> str:
 
 def metrics_table() -> str:
     """One row per metric and what differs between its columns: where it stands, and its tolerance."""
-    metrics: list[Metric[Any]] = [*score_metrics(), *figure_metrics()]
+    metrics: list[Metric] = [*score_metrics(), *figure_metrics()]
     by_key = {metric.key: metric for metric in metrics}
-    rows: dict[tuple[object, ...], list[Metric[Any]]] = {}
+    rows: dict[tuple[object, ...], list[Metric]] = {}
     for metric in by_key.values():
         if commands := [name for output, name in COMMANDS.items() if output & metric.outputs]:
             same = (metric.meaning, metric.unit, metric.tolerance, *commands)
@@ -38,7 +36,7 @@ def metrics_table() -> str:
     return HEADER + "".join(_row(metrics) for metrics in rows.values())
 
 
-def _row(metrics: list[Metric[Any]]) -> str:
+def _row(metrics: list[Metric]) -> str:
     first = metrics[0]
     commands = (name for output, name in COMMANDS.items() if output & first.outputs)
     cells = (

@@ -11,6 +11,7 @@ import numpy as np
 
 from svmdist.drawing import ALARM_COLOUR, COLOURS, Form, FrameDrawing, Part, Rgb, Shape
 from svmdist.errors import OutputError
+from svmdist.estimation.methods import REGISTRY, Phase
 from svmdist.files import atomic_file
 from svmdist.report.tables import printable
 from svmdist.samples import Image
@@ -315,7 +316,7 @@ def phases_picture(frame: DrawnFrame, method: str, title: str) -> Image:
 
 def phases_of(method: str) -> Sequence[str]:
     """The names of a method's phases, in order."""
-    return METHOD_PHASES[method]
+    return REGISTRY[method].draws
 
 
 def _image(frame: DrawnFrame) -> Image:
@@ -332,7 +333,7 @@ def _segmentation(frame: DrawnFrame) -> Image:
     """Masks as tints on the image that was segmented, which has no distortion."""
     first = frame.replayed.frames[0]
     pixels = np.array(first.scene.observation.image_bgr)
-    recorded = "regions_as_recorded" in first.tool.found
+    recorded = "regions_as_recorded" in first.left.found
     tissue = first.left.masks_as_recorded.tissue if recorded else first.left.masks.tissue
     parts = [(Part.TISSUE, tissue)]
     for one in frame.replayed.frames:
@@ -417,7 +418,7 @@ def _result(frame: DrawnFrame) -> Image:
     return draw_on(_image(frame), frame.drawing, parts=parts, lines=False)
 
 
-_PHASES: dict[str, Callable[[DrawnFrame], Image]] = {
+_PHASES: dict[Phase, Callable[[DrawnFrame], Image]] = {
     "segmentation": _segmentation,
     "contours": _only(Part.TISSUE, Part.INSTRUMENT),
     "marker": _marker,
@@ -428,15 +429,6 @@ _PHASES: dict[str, Callable[[DrawnFrame], Image]] = {
     "tag": _only(Part.TAG),
     "surface": _surface,
     "distance": _result,
-}
-METHOD_PHASES: dict[str, tuple[str, ...]] = {
-    "overlay": ("segmentation", "contours", "marker", "matches", "outline and distance"),
-    "centroid": ("segmentation", "contours", "distance"),
-    "fiducial": ("segmentation", "tag", "distance"),
-    "shaft": ("segmentation", "edges", "tip", "distance"),
-    "stereo": ("segmentation", "tip", "surface", "distance"),
-    "kinematic": ("segmentation", "distance"),
-    "fused": ("segmentation", "edges", "tip", "tag", "surface", "distance"),
 }
 
 

@@ -15,16 +15,16 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import atomic_file
 from svmdist.metrics import deviations_at, interval_coverage
 from svmdist.report.tables import counted, printable
+from svmdist.report.writers import plot_format
 from svmdist.transforms import Array
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
-from svmdist.workflows.degradation_grid import GridCell
 from svmdist.workflows.scoring.score import DistanceScore, Pairs, Score
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.series import Series
@@ -33,7 +33,6 @@ from svmdist.workflows.validate import Validation
 COLUMN_IN, PAGE_IN, PANEL_IN = 3.5, 7.16, 2.2
 """Widths of a column and of a page in print, and the height of a panel, in inches."""
 DPI = 300
-FORMATS = ("png", "svg", "pdf")
 MARKERS = "osD^v<>Ph*Xd"
 """Markers that differ at a size of 4 points, in the order in which they are taken."""
 GREYS = ("0.0", "0.35", "0.6")
@@ -51,15 +50,6 @@ LOOKS: Any = {
     "legend.fontsize": 7,
     "svg.hashsalt": "svmdist",  # ids would differ between two runs on the same data
 }
-
-
-def plot_format(path: Path) -> str:
-    """The format of a path's ending; raises OutputError, which lists the choices, for another one."""
-    suffix = path.suffix.lstrip(".").lower()
-    if suffix not in FORMATS:
-        found = f"a .{suffix}" if suffix else "a file without an ending"
-        raise OutputError(f"{path}: cannot draw {found}: the choices are {', '.join(FORMATS)}")
-    return suffix
 
 
 @contextmanager
@@ -297,16 +287,6 @@ def save_compare_plot(scores: Sequence[MethodScore], path: Path) -> None:
         write_figure(draw_compare(scores), path)
 
 
-def save_blur_plot(cells: Sequence[GridCell], path: Path) -> None:
-    """Draw error and coverage over severity and write the figure.
-
-    Raises OutputError for a wrong ending, for nothing to draw, and where writing fails.
-    """
-    plot_format(path)
-    with print_looks():
-        write_figure(draw_blur(cells, path), path)
-
-
 def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     """A line per method. Above: frames measured, and RMSE of each distance; below: time, and truths in the interval.
 
@@ -365,57 +345,6 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     if len(groups) > 1:
         known = dict(zip(*reversed(axes[0, 0].get_legend_handles_labels()), strict=True))
         figure.legend(known.values(), known.keys(), loc="outside lower left", ncols=4)
-    return figure
-
-
-def draw_blur(cells: Sequence[GridCell], path: Path = Path("figure")) -> Figure:
-    """Frames measured, RMSE and truths in the interval over severity, a line per degradation; 0 is as recorded.
-
-    The error is that of the clearance, else of the spatial distance, else of the planar one.
-    """
-    clean = next((cell.figures for cell in cells if cell.condition.name is None), None)
-    names = list(dict.fromkeys(str(cell.condition.name) for cell in cells if cell.condition.name is not None))
-    distance = next((name for name in reversed(OF) if any(OF[name](cell.figures) for cell in cells)), None)
-    if not names or distance is None:
-        lacking = "no image is degraded" if not names else "no frame was measured where there is a truth"
-        raise OutputError(f"{path}: nothing to draw: {lacking}")
-    of = OF[distance]
-    panels: list[tuple[str, Callable[[Figures], float | None]]] = [
-        ("frames measured [%]", lambda figures: 100.0 * figures.coverage),
-        (f"RMSE of the {NAMES[distance]} [mm]", lambda figures: _rmse_mm(of(figures))),
-    ]
-    if any(_held(of(cell.figures)) is not None for cell in cells):
-        panels.append(("truths in 95 % interval [%]", lambda figures: _held(of(figures))))
-    legend_rows = -(-len(names) // 4)
-    figure = Figure(figsize=(PAGE_IN, PANEL_IN + 0.17 * legend_rows + 0.2), layout="constrained")
-    axes = figure.subplots(1, len(panels))
-    shown: list[float] = []
-    for (title, value), panel in zip(panels, axes, strict=True):
-        for at, name in enumerate(names):
-            points = [(0, value(clean))] if clean else []
-            points += [
-                (cell.condition.severity, value(cell.figures))
-                for cell in sorted(cells, key=lambda one: one.condition.severity)
-                if str(cell.condition.name) == name
-            ]
-            numbers = [np.nan if found is None else found for _, found in points]
-            panel.plot([severity for severity, _ in points], numbers, label=name.replace("_", " "), linewidth=0.9,
-                       marker=MARKERS[at % len(MARKERS)], markersize=3.5, markerfacecolor="none",
-                       linestyle=DASHES[at % len(DASHES)], color=GREYS[at % len(GREYS)])  # fmt: skip
-            if title.startswith("RMSE"):
-                shown += numbers
-        panel.set(xlabel="severity", ylabel=title)
-        panel.xaxis.set_major_locator(MaxNLocator(integer=True))
-        if not title.startswith("RMSE"):
-            panel.set_ylim(-3, 103)
-    _decades(axes[1], shown, vertical=True)
-    if len(panels) > 2:
-        axes[2].axhline(NOMINAL, color="0.0", linewidth=0.8, linestyle="--")
-    frames = counted(cells[0].figures.frame_count, "frame")
-    figure.suptitle(
-        f"{plain_name(cells[0].method)}: {frames}, severity 0 as recorded", fontsize=8, x=0.01, ha="left"
-    )
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4)
     return figure
 
 

@@ -1,128 +1,163 @@
-"""Estimates and poses as rows: their columns, for machines in SI and for a person in mm."""
+"""Rows of estimates and of poses: the one table of their columns, and trajectories as evo reads them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.drawing import EstimateValues
 from svmdist.estimation.alarms import AlarmState
-from svmdist.report.tables import Cell, Column, Row, number, text_width
-from svmdist.results import FrameResult, as_vector
-from svmdist.samples import Vector
+from svmdist.metrics import COUNT, LENGTH, PIXELS, RADIANS, RATIO, SECONDS, SPEED, TEXT, Unit
+from svmdist.report.tables import Cell, Column, Row, keys_of, row_of, text_width
+from svmdist.results import FrameResult, ToolPose
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
-from svmdist.workflows.fk import ForwardKinematics
 
-ESTIMATE_KEYS = (
-    "recording",
-    "stamp_ns",
-    "status",
-    "distance_m",
-    "tool_x_px",
-    "tool_y_px",
-    "tissue_x_px",
-    "tissue_y_px",
-    "tool_area_px",
-    "tissue_area_px",
-    "keypoint_count",
-    "match_count",
-    "inlier_count",
-    "method",
-    "equations",
-    "spatial_m",
-    "clearance_m",
-    "distance_std_m",
-    "spatial_std_m",
-    "clearance_std_m",
-    "tool_x_m",
-    "tool_y_m",
-    "tool_z_m",
-    "axis_x",
-    "axis_y",
-    "axis_z",
-    "direction_x",
-    "direction_y",
-    "direction_z",
-    "alarm",
-    "closing_speed_m_s",
-    "time_to_contact_s",
-    "instrument",
-    "instrument_clearance_m",
-    "instrument_clearance_std_m",
-    "instrument_direction_x",
-    "instrument_direction_y",
-    "instrument_direction_z",
-    "detail",
-    "tool_std_m",
-    "axis_std_rad",
-    "consistency",
+
+@dataclass(frozen=True)
+class Estimate:
+    """What columns are read from: a result of a recording."""
+
+    recording: str
+    result: FrameResult
+    method: str
+    equations: str
+    alarm: AlarmState
+
+    @cached_property
+    def pose(self) -> ToolPose | None:
+        """The tool's pose in a frame that was measured."""
+        return self.result.tool.pose if self.result.tool and self.result.measured else None
+
+    @cached_property
+    def quaternion_xyzw(self) -> Array | None:
+        """The tool's orientation in the camera frame."""
+        return quaternion_xyzw_from_rotation(self.pose.T_camera_tool[:3, :3]) if self.pose else None
+
+
+def _at(path: str) -> Callable[[Any], Cell]:
+    """The getter of a path of attributes and indices: None where one of them leads nowhere."""
+
+    def read(value: Any) -> Cell:
+        for step in path.split("."):
+            if value is None:
+                return None
+            value = value[int(step)] if step.isdecimal() else getattr(value, step)
+        return float(value) if isinstance(value, float) else value  # type: ignore[no-any-return]
+
+    return read
+
+
+def _several(
+    keys: str, paths: str, names: str, unit: Unit, meaning: str, given_by: str, heading: str = ""
+) -> Iterator[Column]:
+    """Columns that differ by a name: `{}` stands for it in keys and headings, and for its number in paths."""
+    for at, name in enumerate(names.split()):
+        of = _at(paths.format(at))
+        yield Column(keys.format(name), unit, heading.format(name), of, meaning, given_by)
+
+
+# fmt: off
+ESTIMATE_COLUMNS: tuple[Column, ...] = (
+    Column("recording", TEXT, "recording", None,
+           "the file's name without its suffix; with as many folders as are needed to tell logs apart", "all"),
+    Column("stamp_ns", Unit("ns"), "", _at("result.stamp_ns"), "stamp of the image", "all"),
+    Column("time_s", Unit("s", "s", digits=3), "t [s]", lambda e: e.result.seconds, stored=False),
+    Column("status", TEXT, "status", lambda e: str(e.result.status), "`ok`, or why there is no distance", "all"),
+    Column("distance_m", LENGTH, "distance [mm]", _at("result.distances.planar.value_m"),
+           "planar distance: tool origin to tissue origin in the camera's xy plane", "all", "planar_m"),
+    *_several("tool_{}_px", "result.image.tool_px.{}", "x y", PIXELS, "the tool in the image", "all", "tool {} [px]"),
+    *_several("tissue_{}_px", "result.image.tissue_px.{}", "x y", PIXELS,
+              "centroid of the tissue's completed outline", "all", "tissue {} [px]"),
+    Column("tool_area_px", COUNT, "tool [px²]", _at("result.image.tool_area_px"),
+           "area of the segmented instrument, in pixels", "planar methods, `fused`"),
+    Column("tissue_area_px", COUNT, "tissue [px²]", _at("result.image.tissue_area_px"),
+           "area of the segmented tissue, in pixels", "all"),
+    Column("keypoint_count", COUNT, "keypoints", _at("result.image.keypoint_count"),
+           "ORB keypoints in the window around the pasted marker", "`overlay`"),
+    Column("match_count", COUNT, "matches", _at("result.image.match_count"),
+           "matches of these; with `fused`, measurements of the tool", "`overlay`, `fused`"),
+    Column("inlier_count", COUNT, "inliers", _at("result.image.inlier_count"),
+           "inliers of the homography; with `fused`, measurements that passed the gate", "`overlay`, `fused`"),
+    Column("method", TEXT, "", None, "method of the estimate", "all"),
+    Column("equations", TEXT, "", None, "reading of the paper's equations", "all"),
+    Column("spatial_m", LENGTH, "spatial [mm]", _at("result.distances.spatial.value_m"),
+           "tool origin to tissue origin in 3D", "3D", "spatial_m"),
+    Column("clearance_m", LENGTH, "clearance [mm]", _at("result.distances.clearance.value_m"),
+           "smallest distance between the surfaces of instrument and tissue; negative: penetration depth",
+           "3D, with `[instrument]`", "clearance_m"),
+    Column("distance_std_m", LENGTH, "", _at("result.distances.planar.std_m"),
+           "standard deviation of `distance_m`", "3D", "planar_std_m"),
+    Column("spatial_std_m", LENGTH, "", _at("result.distances.spatial.std_m"),
+           "standard deviation of `spatial_m`", "3D", "spatial_std_m"),
+    Column("clearance_std_m", LENGTH, "± [mm]", _at("result.distances.clearance.std_m"),
+           "standard deviation of `clearance_m`; ±1.96 of it is the 95 % interval", "3D", "clearance_std_m"),
+    *_several("tool_{}_m", "pose.position_m.{}", "x y z", LENGTH, "the tool's origin in the camera frame", "3D"),
+    *_several("axis_{}", "pose.axis.{}", "x y z", RATIO,
+              "unit vector along the shaft towards the tip, in the camera frame", "3D"),
+    *_several("direction_{}", "result.distances.clearance.direction.{}", "x y z", RATIO,
+              "unit vector of the shortest separation from instrument to tissue, in the camera frame",
+              "with `clearance_m`"),
+    Column("alarm", COUNT, "alarm", lambda e: None if e.alarm.alarm is None else int(e.alarm.alarm),
+           "1 or 0; empty without a clearance, which does not mean that the frame is safe", "`--alarm-below`"),
+    Column("closing_speed_m_s", SPEED, "closing [mm/s]", _at("alarm.closing_speed_m_s"),
+           "speed at which the clearance shrinks, over the last 0.5 s; negative where it grows", "`--alarm-below`",
+           "closing_speed_m_s"),
+    Column("time_to_contact_s", SECONDS, "contact [s]", _at("alarm.time_to_contact_s"),
+           "clearance over closing speed; empty below 1 mm/s", "`--alarm-below`", "time_to_contact_s"),
+    Column("instrument", TEXT, "instrument", _at("result.instrument"), "the instrument", "all", width=10),
+    Column("instrument_clearance_m", LENGTH, "to other [mm]", _at("result.distances.to_instrument.value_m"),
+           "smallest distance from the surface of another instrument", "3D, two instruments", "to_instrument_m"),
+    Column("instrument_clearance_std_m", LENGTH, "± [mm]", _at("result.distances.to_instrument.std_m"),
+           "its standard deviation", "3D, two instruments", "to_instrument_std_m"),
+    *_several("instrument_direction_{}", "result.distances.to_instrument.direction.{}", "x y z", RATIO,
+              "its direction towards the other instrument, in the camera frame", "3D, two instruments"),
+    Column("detail", TEXT, "", lambda e: e.result.detail or None,
+           "more about the frame: why it was rejected, which measurements were outliers", "all"),
+    Column("tool_std_m", LENGTH, "", _at("pose.position_std_m"),
+           "standard deviation of the tool's position along its most uncertain direction", "3D"),
+    Column("axis_std_rad", RADIANS, "", _at("pose.shaft_std_rad"),
+           "standard deviation of the shaft's direction about the worse of two axes across it", "3D"),
+    Column("consistency", RATIO, "", _at("result.consistency"),
+           "normalised innovations squared, averaged over 1.5 s; 1 or less is as expected", "`fused`", "consistency"),
+    *(Column(f"tool_q{axis}", RATIO, "", _at(f"quaternion_xyzw.{at}"), stored=False) for at, axis in enumerate("xyzw")),
 )
 """The contract: columns may be added at the end, none is renamed or removed."""
+# fmt: on
+ESTIMATE_KEYS = keys_of(ESTIMATE_COLUMNS)
 
-_TEXT = frozenset({"recording", "status", "method", "equations", "instrument", "detail"})
-_WHOLE = frozenset(
-    ("stamp_ns", "alarm", "tool_area_px", "tissue_area_px", "keypoint_count", "match_count", "inlier_count")
+SHOWN = (
+    *("recording", "time_s", "status", "distance_m", "spatial_m", "clearance_m", "clearance_std_m"),
+    *("tool_x_px", "tool_y_px", "tissue_x_px", "tissue_y_px", "tool_area_px", "tissue_area_px"),
+    *("keypoint_count", "match_count", "inlier_count"),
 )
-ESTIMATE_TYPES = {
-    key: "string" if key in _TEXT else "int64" if key in _WHOLE else "float64" for key in ESTIMATE_KEYS
-}
-"""The types of the columns in Parquet."""
-
-QUATERNION_KEYS = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
-
-ALARM_COLUMNS = (
-    Column("alarm", "alarm", number(0)),
-    Column("closing_speed_m_s", "closing [mm/s]", number(1, 1e3)),
-    Column("time_to_contact_s", "contact [s]", number(2)),
-)
-"""Shown where alarms are asked for."""
-
-INSTRUMENT_COLUMNS = (
-    Column("instrument", "instrument", is_text=True, min_width=10),
-    Column("instrument_clearance_m", "to other [mm]", number(2, 1e3)),
-    Column("instrument_clearance_std_m", "± [mm]", number(2, 1e3)),
-)
-"""Shown to a person where a log has several instruments."""
-
-ESTIMATE_COLUMNS = (
-    Column("recording", "recording", is_text=True),
-    Column("time_s", "t [s]", number(3)),
-    Column("status", "status", is_text=True),
-    Column("distance_m", "distance [mm]", number(2, 1e3)),
-    Column("spatial_m", "spatial [mm]", number(2, 1e3)),
-    Column("clearance_m", "clearance [mm]", number(2, 1e3)),
-    Column("clearance_std_m", "± [mm]", number(2, 1e3)),
-    Column("tool_x_px", "tool x [px]", number(1)),
-    Column("tool_y_px", "tool y [px]", number(1)),
-    Column("tissue_x_px", "tissue x [px]", number(1)),
-    Column("tissue_y_px", "tissue y [px]", number(1)),
-    Column("tool_area_px", "tool [px²]", number(0)),
-    Column("tissue_area_px", "tissue [px²]", number(0)),
-    Column("keypoint_count", "keypoints", number(0)),
-    Column("match_count", "matches", number(0)),
-    Column("inlier_count", "inliers", number(0)),
-)
-
+"""The columns for a person, in their order."""
+OF_SEVERAL = ("instrument", "instrument_clearance_m", "instrument_clearance_std_m")
+"""Shown too where a log has several instruments."""
+OF_ALARMS = ("alarm", "closing_speed_m_s", "time_to_contact_s")
+"""Shown too where alarms are asked for."""
 DISPENSABLE = (
     *("keypoint_count", "match_count", "inlier_count", "tool_area_px", "tissue_area_px"),
-    *("tissue_x_px", "tissue_y_px", "tool_x_px", "tool_y_px", "recording"),
+    *("tissue_x_px", "tissue_y_px", "tool_x_px", "tool_y_px", "recording", "instrument_clearance_std_m"),
 )
-"""Columns that a narrow terminal leaves out, in this order. CSV and JSON have all columns."""
-
+"""Columns that a narrow terminal leaves out, in this order; then come those of the other kind of method."""
 DISPENSABLE_IN_3D = (
-    *("instrument_clearance_std_m", "distance_m", "spatial_m"),
-    *("closing_speed_m_s", "instrument_clearance_m", "clearance_std_m"),
+    *("distance_m", "spatial_m", "closing_speed_m_s", "instrument_clearance_m", "clearance_std_m"),
 )
-DISPENSABLE_IN_THE_PLANE = (
-    *("instrument_clearance_std_m", "instrument_clearance_m"),
-    *("clearance_std_m", "clearance_m", "spatial_m"),
-)
-"""Columns that are left out next, by method: a planar method has no values in the columns of the 3D methods."""
+DISPENSABLE_IN_THE_PLANE = ("instrument_clearance_m", "clearance_std_m", "clearance_m", "spatial_m")
 
 
-def columns_within(columns: Sequence[Column], width: int | None, planar: bool = False) -> Sequence[Column]:
-    """The columns that fit a terminal of `width` characters, without those that are dispensable; all for None."""
+def shown_columns(
+    width: int | None, *, planar: bool = False, several: bool = False, alarms: bool = False
+) -> Sequence[Column]:
+    """The columns for a person that fit a terminal of `width` characters; all for None."""
+    by_key = {column.key: column for column in ESTIMATE_COLUMNS}
+    keys = (*SHOWN, *(OF_SEVERAL if several else ()), *(OF_ALARMS if alarms else ()))
+    columns = [by_key[key] for key in keys]
     for key in (*DISPENSABLE, *(DISPENSABLE_IN_THE_PLANE if planar else DISPENSABLE_IN_3D)):
         if width is None or text_width(columns) <= width:
             break
@@ -132,108 +167,52 @@ def columns_within(columns: Sequence[Column], width: int | None, planar: bool = 
 
 def estimate_row(
     recording: str,
-    estimate: FrameResult,
+    result: FrameResult,
     method: str,
     equations: str,
     alarm: AlarmState | None = None,
 ) -> Row:
-    """One row; `time_s` counts from the recording's first image and is for tables only."""
-    alarm = alarm or AlarmState()
-    return {
-        **_fields(estimate),
-        **_quaternion(estimate),
-        "recording": recording,
-        "method": method,
-        "equations": equations,
-        "time_s": estimate.seconds,
-        "alarm": None if alarm.alarm is None else int(alarm.alarm),
-        "closing_speed_m_s": alarm.closing_speed_m_s,
-        "time_to_contact_s": alarm.time_to_contact_s,
-    }
+    """The row of a result."""
+    estimate = Estimate(recording, result, method, equations, alarm or AlarmState())
+    return row_of(ESTIMATE_COLUMNS, estimate)
 
 
-def tool_pose_lines(rows: Iterable[Row]) -> Iterator[str]:
-    """The tool's poses in the camera frame as TUM trajectories have them, for evo: a line per measured frame."""
-    yield "# timestamp tx ty tz qx qy qz qw\n"
-    keys = ("tool_x_m", "tool_y_m", "tool_z_m", *QUATERNION_KEYS)
+def estimate_values(
+    result: FrameResult, method: str, bounds_m: tuple[float, float] | None, alarm: AlarmState | None = None
+) -> EstimateValues:
+    """A result as the numbers of `svmdist.DistanceEstimate`, with the bounds of the clearance's 95 % interval."""
+    estimate = Estimate("", result, method, "", alarm or AlarmState())
+    numbers = {column.field: column.value(estimate) for column in ESTIMATE_COLUMNS if column.field}
+    numbers["clearance_low_m"], numbers["clearance_high_m"] = bounds_m or (None, None)
+    status, raised = str(result.status), estimate.alarm.alarm
+    return EstimateValues(result.instrument, method, status, result.detail, numbers, raised)  # type: ignore[arg-type]
+
+
+POSE_COLUMNS: tuple[Column, ...] = (
+    Column("stamp_ns", Unit("ns")),
+    *(Column(f"{axis}_m", LENGTH) for axis in "xyz"),
+    *(Column(f"q{axis}", RATIO) for axis in "xyzw"),
+)
+POSE_KEYS = keys_of(POSE_COLUMNS)
+
+
+def pose_rows(stamps_ns: NDArray[np.int64], poses: Array) -> Iterator[dict[str, Cell]]:
+    """The rows of some poses, shape (n, 4, 4), at their stamps, shape (n,)."""
+    numbers = np.hstack([poses[:, :3, 3], quaternion_xyzw_from_rotation(poses[:, :3, :3])])
+    for stamp_ns, values in zip(stamps_ns.tolist(), numbers.tolist(), strict=True):
+        yield dict(zip(POSE_KEYS, (stamp_ns, *values), strict=True))
+
+
+def tum_lines(keys: Sequence[str], rows: Iterable[Row]) -> Iterator[str]:
+    """A trajectory as evo reads it, a line per row with a pose: `timestamp x y z qx qy qz qw`.
+
+    Time is in s with all nine decimals. Of estimates, these are the tool's poses in the camera frame.
+    """
+    of_tool = "tool_x_m" in keys
+    if of_tool:
+        yield "# timestamp tx ty tz qx qy qz qw\n"
     for row in rows:
-        numbers = [row.get(key) for key in keys]
+        numbers = [row.get(f"tool_{key}" if of_tool else key) for key in POSE_KEYS[1:]]
         if all(isinstance(number, float) for number in numbers):
             seconds, nanoseconds = divmod(int(row["stamp_ns"] or 0), 1_000_000_000)
-            yield f"{seconds}.{nanoseconds:09d} " + " ".join(f"{number:.9f}" for number in numbers) + "\n"
-
-
-def _quaternion(result: FrameResult) -> dict[str, Cell]:
-    """The tool's orientation, for trajectories; no columns of the tables."""
-    if result.tool is None or not result.measured:
-        return {}
-    xyzw = quaternion_xyzw_from_rotation(result.tool.pose.T_camera_tool[:3, :3]).tolist()
-    return dict(zip(QUATERNION_KEYS, xyzw, strict=True))
-
-
-def _fields(result: FrameResult) -> dict[str, Cell]:
-    """What a result holds, by columns: the one place that flattens it."""
-    image, distances = result.image, result.distances
-    pose = result.tool.pose if result.tool and result.measured else None
-    row: dict[str, Cell] = {
-        "stamp_ns": result.stamp_ns,
-        "status": str(result.status),
-        "detail": result.detail or None,
-        "instrument": result.instrument,
-        "tool_std_m": pose.position_std_m if pose else None,
-        "axis_std_rad": pose.shaft_std_rad if pose else None,
-        "consistency": result.consistency,
-        "tool_area_px": image.tool_area_px,
-        "tissue_area_px": image.tissue_area_px,
-        "keypoint_count": image.keypoint_count,
-        "match_count": image.match_count,
-        "inlier_count": image.inlier_count,
-        **_xyz("tool_{}_m", as_vector(pose.position_m) if pose else None),
-        **_xyz("axis_{}", as_vector(pose.axis) if pose else None),
-        **_xyz("direction_{}", distances.clearance.direction if distances.clearance else None),
-    }
-    row["tool_x_px"], row["tool_y_px"] = image.tool_px or (None, None)
-    row["tissue_x_px"], row["tissue_y_px"] = image.tissue_px or (None, None)
-    to_other = distances.to_instrument
-    row |= _xyz("instrument_direction_{}", to_other.direction if to_other else None)
-    for name, distance in (
-        ("distance", distances.planar),
-        ("spatial", distances.spatial),
-        ("clearance", distances.clearance),
-        ("instrument_clearance", to_other),
-    ):
-        row[f"{name}_m"] = distance.value_m if distance else None
-        row[f"{name}_std_m"] = distance.std_m if distance else None
-    return row
-
-
-def _xyz(key: str, vector: Vector | None) -> dict[str, Cell]:
-    """Three columns of a vector; None where there is none."""
-    x, y, z = vector or (None, None, None)
-    return {key.format("x"): x, key.format("y"): y, key.format("z"): z}
-
-
-BLOCK = 1 << 14
-POSE_KEYS = ("stamp_ns", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
-
-
-def pose_rows(result: ForwardKinematics) -> Iterator[dict[str, Cell]]:
-    """One row a joint state, with the keys of `POSE_KEYS`."""
-    for at in range(0, len(result.stamps_ns), BLOCK):
-        yield from block_rows(result.stamps_ns[at : at + BLOCK], result.poses[at : at + BLOCK])
-
-
-def block_rows(stamps_ns: NDArray[np.int64], poses: Array) -> Iterator[dict[str, Cell]]:
-    """The rows of some poses, shape (n, 4, 4), at their stamps, shape (n,)."""
-    quaternions_xyzw = quaternion_xyzw_from_rotation(poses[:, :3, :3])
-    for stamp_ns, T, q in zip(stamps_ns, poses, quaternions_xyzw, strict=True):
-        values = (int(stamp_ns), *(float(v) for v in T[:3, 3]), *(float(v) for v in q))
-        yield dict(zip(POSE_KEYS, values, strict=True))
-
-
-def tum_lines(rows: Iterable[Row]) -> Iterator[str]:
-    """One line a joint state: `timestamp x y z qx qy qz qw`, time in s with all nine decimals."""
-    for row in rows:
-        seconds, nanoseconds = divmod(int(row["stamp_ns"] or 0), 1_000_000_000)
-        numbers = " ".join(f"{row[key]:.17g}" for key in POSE_KEYS[1:])
-        yield f"{seconds}.{nanoseconds:09d} {numbers}\n"
+            yield f"{seconds}.{nanoseconds:09d} {' '.join(f'{number:.17g}' for number in numbers)}\n"

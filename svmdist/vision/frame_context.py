@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera, fisheye_coefficients
-from svmdist.profile.settings import ExposureSettings, InterlaceSettings
+from svmdist.profile.settings import ExposureSettings, InterlaceSettings, TagSettings
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.colour import Exposure, apply_exposure, exposure_of
@@ -152,7 +152,7 @@ def _maps(
     return np.asarray(maps[0]), np.asarray(maps[1])
 
 
-DEFAULT_EXPOSURE = ExposureSettings()
+DEFAULT_EXPOSURE, DEFAULT_TAG = ExposureSettings(), TagSettings()
 
 
 class FrameContext:
@@ -164,11 +164,17 @@ class FrameContext:
     """
 
     def __init__(
-        self, bgr: Image, segmenter: Segmenter, settings: ExposureSettings = DEFAULT_EXPOSURE
+        self,
+        bgr: Image,
+        segmenter: Segmenter,
+        settings: ExposureSettings = DEFAULT_EXPOSURE,
+        tag_family: str | None = None,
+        tag_settings: TagSettings = DEFAULT_TAG,
     ) -> None:
         self.bgr_as_recorded = bgr
         self._segmenter = segmenter
         self._settings = settings
+        self._tag_rules = tag_family, tag_settings
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -205,6 +211,14 @@ class FrameContext:
     def grey(self) -> Image:
         """Grey levels of the image as it is, shape (h, w): features and tags need no exposure."""
         return to_grey(self.bgr_as_recorded)
+
+    @cached_property
+    def tags(self) -> dict[int, Array]:
+        """Corners, shape (4, 2) in px, of every tag of the family, by number; none where no family is given."""
+        from svmdist.vision.tags import find_tags  # its detectors take a while to import
+
+        family, settings = self._tag_rules
+        return {} if family is None else find_tags(self.grey, family, settings)
 
     @cached_property
     def masks(self) -> Masks:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import RecordingError
-from svmdist.kinematics.dh import MANY, DHChain, chain_of, forward_kinematics, select_joints
+from svmdist.kinematics.dh import DHChain, chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording, Window
 from svmdist.tracks import MAX_GAP_NS, PoseTrack
@@ -188,10 +188,8 @@ def _poses(recording: Recording, stack: ExitStack) -> tuple[str, StampedRows]:
 
 
 def _blocks(count: int) -> Iterator[slice]:
-    """Parts of so many rows, none of which is short unless all of it is: short ones are computed in another way."""
-    starts = range(0, max(count - MANY, 1), BLOCK)
-    yield from (slice(at, at + BLOCK) for at in starts[:-1])
-    yield slice(starts[-1], count)
+    """Parts of so many rows."""
+    yield from (slice(at, at + BLOCK) for at in range(0, count, BLOCK))
 
 
 def _errors(

@@ -62,7 +62,7 @@ def scene_shapes(frame: Frame) -> Iterator[Shape]:
 
 def tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
     """What belongs to one instrument: contours, distal marker, shaft, tag."""
-    found = frame.tool.found
+    found = frame.left.found
     regions: tuple[Region | None, Region | None] = found.get("regions_as_recorded") or (None, None)
     tissue, instrument = regions
     if tissue is not None:
@@ -79,7 +79,7 @@ def tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
     shaft = found.get("shaft")
     if shaft is not None:
         yield from _shaft(frame, shaft, found.get("shaft_region"), name)
-    corners_px = found.get("tag_corners_px")
+    corners_px = frame.left.tag_corners_px if "tags" in vars(frame.scene.left) else None
     if corners_px is not None:
         yield Shape(Part.TAG, Form.LOOP, np.asarray(corners_px, np.float64), name)
 
@@ -161,7 +161,7 @@ class VirtualMarker:
 
 def virtual_marker(frame: Frame, profile: Profile) -> VirtualMarker | None:
     """Search for the marker as `overlay` did in this frame; None where it pasted none."""
-    regions = frame.tool.found.get("regions_as_recorded")
+    regions = frame.left.found.get("regions_as_recorded")
     if regions is None or regions[0] is None or regions[1] is None:
         return None
     rules, settings = profile.features, profile.settings.marker

@@ -1,40 +1,51 @@
-"""A first profile of a log: topics, frames, chains and colours as far as they show, the plane by two views."""
+"""A first profile of a log: topics by role, frames, chains, colours, and the plane that both views show."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from svmdist.errors import RecordingError, UsageError, did_you_mean
+from svmdist.least_squares import scale_of
 from svmdist.profile import Profile, Robot, load_profile
 from svmdist.profile.profile import Topics
 from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
 from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.source import sanitize, sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
-from svmdist.samples import Image, Observation, Rejection
+from svmdist.recording.topics import Role
+from svmdist.samples import Image, Observation, Rejection, Vector
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.segmentation import AutoSegmenter
 from svmdist.vision.stereo import StereoPlane, fit_plane
-from svmdist.workflows.capabilities import InstrumentTopics, LogRoles, find_roles
 
+OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*)(/|$)")
+"""Arms of a da Vinci that carry no instrument."""
+SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("_l/", "_r/"), ("/l/", "/r/"))
+"""How topics tell the left camera from the right one."""
 CHAIN_PROFILES = ("dvrk-psm", "psm13")
-"""Profiles that ship whose chains a log's joints may be of."""
+"""Shipped profiles whose chains a log's joints may belong to."""
 LOOKED_AT = 12
 """Images that colours and plane are taken from, spread over the log."""
 MOST_IMAGES = 0.6
-"""An instrument is one that most of the images show."""
+"""An instrument is visible in at least this share of the images."""
 MIN_PLANES = 3
 LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 3e-3, 0.05, 1e-3
-"""Tissue is no plane: what is fitted to all of it is off by this much where the tool works."""
+"""Tissue is no plane: a plane fitted to all of it is off by this much where the tool works."""
 
 
 @dataclass(frozen=True)
 class InstrumentDraft:
-    """An instrument: its topics, frames, and the profile that ships its chain; None where the log's joints fit none."""
+    """An instrument: its topics, frames, and the shipped profile with its chain; None where no chain fits the joints.
+
+    `entry` is the side of the picture that it comes in from, where nothing else distinguishes instruments.
+    """
 
     name: str
     joints: str | None
@@ -44,14 +55,13 @@ class InstrumentDraft:
     chain: str | None
     joint_names: tuple[str, ...] = ()
     entry: str | None = None
-    """The side of the picture that it comes in from, where nothing else tells instruments apart."""
 
 
 @dataclass(frozen=True)
 class PlaneDraft:
     """The tissue's plane with standard deviations, as both views show it."""
 
-    normal: tuple[float, float, float]
+    normal: Vector
     distance_m: float
     distance_std_m: float
     tilt_std_rad: float
@@ -75,20 +85,29 @@ class ProfileDraft:
     image_count: int
 
 
+@dataclass(frozen=True)
+class LogRoles:
+    """Topics by role, those for joints and pose by instrument, and topics with images that have no role."""
+
+    topics: dict[str, str]
+    instruments: dict[str, dict[str, str]]
+    other_images: tuple[str, ...]
+
+
 def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDraft:
-    """Look at a log and say what its profile would be; `topics` chooses some by role.
+    """Look at a log and draft its profile; `topics` chooses some by role.
 
     Raises RecordingError where the log has no images or calibration, or several of which the user must choose one.
     """
     blank = _blank({})
     summary = inspect_recording(path, blank)
     roles = find_roles(summary, topics)
-    profile = _blank(roles.topics)
-    recording = open_recording(path, profile)
+    recording = open_recording(path, _blank(roles.topics))
     camera = recording.camera
     images, planes = _look(recording, summary, roles)
     instruments = tuple(
-        _instrument(one, summary, path, blank, len(roles.instruments)) for one in roles.instruments
+        _instrument(name, own, summary, path, blank, len(roles.instruments))
+        for name, own in roles.instruments.items()
     ) or _by_sides(_entry_sides(images))
     return ProfileDraft(
         name,
@@ -103,6 +122,110 @@ def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDr
         {camera.frame_id, instruments[0].base} <= set(summary.frames),
         len(images),
     )
+
+
+def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
+    """Find topics by schemas and by the names that recorders give; `given` chooses some by role.
+
+    Raises RecordingError where a choice is the user's to make, and for a given topic that is not in the log;
+    UsageError for an unknown role.
+    """
+    there = [topic.topic for topic in summary.topics]
+    for role, chosen in given.items():
+        if role not in list(Role):
+            raise UsageError(f"no role {role} for a topic: {did_you_mean(role, list(Role))}")
+        if chosen not in there:
+            raise RecordingError(
+                f"{summary.path.name}: no topic {sanitize(chosen)} for {sanitize(role)}; the topics are"
+                f" {sanitize_list(there) or 'none'}"
+            )
+
+    def carrying(kind: str, *unwanted: str) -> list[str]:
+        topics = [topic.topic for topic in summary.topics if topic.kind == kind and topic.message_count]
+        return [topic for topic in topics if not any(word in topic.lower() for word in unwanted)]
+
+    images, cameras = carrying("images", "depth", "disparity"), carrying("camera calibrations")
+    image = given.get("image") or _left_image(images, summary)
+    if not (cameras or "camera_info" in given):
+        raise RecordingError(
+            f"{summary.path.name}: no topic with camera calibrations: estimates need one"
+            " (svmdist import writes a log of images and a calibration)"
+        )
+    camera = given.get("camera_info") or _nearest(image, cameras)
+    topics = {"image": image, "camera_info": camera}
+    right = given.get("right_image") or _right_of(image, images)
+    others = [topic for topic in cameras if topic != camera]
+    if right and (others or "right_camera_info" in given):
+        right_camera = given.get("right_camera_info") or _nearest(right, others)
+        topics |= {"right_image": right, "right_camera_info": right_camera}
+    moving = [topic for topic in carrying("transforms", "ground_truth") if not topic.endswith("tf_static")]
+    if given.get("tf") or len(moving) == 1:
+        topics["tf"] = given.get("tf") or moving[0]
+    instruments: dict[str, dict[str, str]] = {}
+    for role, kind, preferred in (
+        ("joints", "joint states", "measured_js"),
+        ("pose", "poses", "measured_cp"),
+    ):
+        tools = [topic for topic in carrying(kind, "jaw", "ground_truth") if not OTHER_ARMS.search(topic)]
+        named = [topic for topic in tools if topic.rpartition("/")[2] == preferred]
+        for topic in [given[role]] if role in given else named or tools:
+            instruments.setdefault(_instrument_name(topic), {}).setdefault(role, topic)
+    rest = tuple(topic for topic in images if topic not in topics.values())
+    return LogRoles(topics, dict(sorted(instruments.items())), rest)
+
+
+def _left_image(images: Sequence[str], summary: RecordingSummary) -> str:
+    """The only topic of images that is not a right camera's, or the only left one."""
+    preferences: tuple[Callable[[str], object], ...] = (
+        lambda topic: not _is_right(topic),
+        lambda topic: _right_of(topic, images),
+        lambda topic: "left" in topic.lower(),
+        lambda topic: "rect" in topic.lower(),
+    )
+    lefts = list(images)
+    for preferred in preferences:
+        lefts = [topic for topic in lefts if preferred(topic)] or lefts
+    if len(lefts) == 1:
+        return lefts[0]
+    name = summary.path.name
+    if not lefts:
+        there = sanitize_list(topic.topic for topic in summary.topics)
+        raise RecordingError(f"{name}: no topic with images; the topics are {there or 'none'}")
+    raise RecordingError(
+        f"{name}: several topics carry images: choose one with --topic image=TOPIC: {sanitize_list(lefts)}"
+    )
+
+
+def _right_of(left: str, images: Sequence[str]) -> str | None:
+    """The topic that differs from a left one by saying right."""
+    for one, other in SIDES:
+        name = left.replace(one, other)
+        if name != left and name in images:
+            return name
+    rights = [topic for topic in images if _is_right(topic)]
+    return rights[0] if len(rights) == 1 and rights[0] != left else None
+
+
+def _is_right(topic: str) -> bool:
+    return "right" in topic.lower() or bool(re.search(r"[/_]r([/_]|$)", topic.lower()))
+
+
+def _nearest(image: str, cameras: Sequence[str]) -> str:
+    """The calibration whose topic shares most of its name with the images'."""
+
+    def shared(topic: str) -> int:
+        parts = zip(topic.split("/"), image.split("/"), strict=False)
+        return next((place for place, (one, other) in enumerate(parts) if one != other), 99)
+
+    return max(cameras, key=lambda topic: (shared(topic), -len(topic)))
+
+
+def _instrument_name(topic: str) -> str:
+    """PSM1 of `/dvrk/PSM1/state_joint_current`; else the first part that starts with a letter."""
+    if arm := re.search(r"/(PSM\d+)(/|$)", topic):
+        return arm[1]
+    first = re.search(r"/([A-Za-z]\w*)", topic)
+    return first[1] if first and topic.count("/") > 1 else "PSM1"
 
 
 def _blank(topics: Mapping[str, str]) -> Profile:
@@ -149,22 +272,21 @@ def _entry_sides(images: Sequence[Image]) -> list[str]:
             x, y = one.entry_px / [width_px, height_px] - 0.5
             here.add(("left" if x < 0 else "right") if abs(x) > abs(y) else ("above" if y < 0 else "below"))
         sides.update(here)
-    found = [side for side, count in sides.items() if count >= MOST_IMAGES * len(images)]
-    return sorted(found, key=("right", "left", "above", "below").index)
+    order = ("right", "left", "above", "below")
+    return [side for side in order if sides[side] and sides[side] >= MOST_IMAGES * len(images)]
 
 
 def _by_sides(sides: Sequence[str]) -> tuple[InstrumentDraft, ...]:
-    """Instruments of which nothing but images tells; one where no image shows several."""
-    entries: list[str | None] = [*sides] if len(sides) > 1 else [None]
-    names = [f"PSM{number}" for number in range(1, len(entries) + 1)]
+    """Instruments that only images show; one where no image shows several."""
+    entries: Sequence[str | None] = sides if len(sides) > 1 else [None]
     return tuple(
-        InstrumentDraft(name, None, None, f"{name}_base", name, None, entry=entry)
-        for name, entry in zip(names, entries, strict=True)
+        InstrumentDraft(f"PSM{number}", None, None, f"PSM{number}_base", f"PSM{number}", None, entry=entry)
+        for number, entry in enumerate(entries, 1)
     )
 
 
 def _plane(planes: Sequence[StereoPlane]) -> PlaneDraft | None:
-    """The middle of the planes of several images, and how they scatter."""
+    """The median of the planes of several images, and their spread."""
     if len(planes) < MIN_PLANES:
         return None
     normals = np.array([plane.normal for plane in planes])
@@ -176,36 +298,32 @@ def _plane(planes: Sequence[StereoPlane]) -> PlaneDraft | None:
     tilts_rad = np.arccos(np.clip(normals @ normal, -1.0, 1.0))
     distance_m = float(np.median(distances_m))
     surface_std_m = float(np.median([plane.surface_std_m for plane in planes]))
-    spread_m = float(1.4826 * np.median(np.abs(distances_m - distance_m)))
     return PlaneDraft(
         (float(normal[0]), float(normal[1]), float(normal[2])),
         distance_m,
-        max(spread_m, LEAST_PLANE_STD_M),
-        max(float(1.4826 * np.median(tilts_rad)), LEAST_TILT_STD_RAD),
+        max(scale_of(distances_m - distance_m), LEAST_PLANE_STD_M),
+        max(scale_of(tilts_rad), LEAST_TILT_STD_RAD),
         max(surface_std_m, LEAST_SURFACE_STD_M),
     )
 
 
 def _instrument(
-    topics: InstrumentTopics, summary: RecordingSummary, path: Path, blank: Profile, count: int
+    name: str, topics: Mapping[str, str], summary: RecordingSummary, path: Path, blank: Profile, count: int
 ) -> InstrumentDraft:
-    names = summary.joint_names.get(topics.joints or "", ())
-    base = _pose_frame(topics.pose, path, blank) if topics.pose else None
+    joints, pose = topics.get("joints"), topics.get("pose")
+    joint_names = summary.joint_names.get(joints or "", ())
     frames = set(summary.frames)
+    base = _pose_frame(pose, path, blank) if pose else None
     if base is None:
-        known = (f"{topics.name}_base", "base") if count == 1 else (f"{topics.name}_base",)
-        base = next((frame for frame in known if frame in frames), f"{topics.name}_base")
-    tools = (f"{topics.name}_tool", f"{topics.name}_ee", topics.name, "tool")
-    tool = next((frame for frame in tools if frame in frames and frame != base), topics.name)
-    return InstrumentDraft(
-        topics.name, topics.joints, topics.pose, base, tool, _chain_of(names), tuple(names)
-    )
+        own = f"{name}_base"
+        base = "base" if count == 1 and own not in frames and "base" in frames else own
+    tools = (f"{name}_tool", f"{name}_ee", name, "tool")
+    tool = next((frame for frame in tools if frame in frames and frame != base), name)
+    return InstrumentDraft(name, joints, pose, base, tool, _chain_of(joint_names), tuple(joint_names))
 
 
 def _pose_frame(topic: str, path: Path, blank: Profile) -> str | None:
     """The frame that poses are in; None where they are in several, or in one without a name."""
-    from svmdist.errors import RecordingError
-
     try:
         return open_recording(path, blank, topics={"pose": topic}).pose_track().frame_id or None
     except RecordingError:
@@ -213,7 +331,7 @@ def _pose_frame(topic: str, path: Path, blank: Profile) -> str | None:
 
 
 def _chain_of(joint_names: Sequence[str]) -> str | None:
-    """The profile that ships the longest chain whose joints are all among the log's."""
+    """The shipped profile with the longest chain whose joints are all among the log's."""
     there = set(joint_names)
     robots = {name: shipped_robot(name) for name in CHAIN_PROFILES}
     fitting = [

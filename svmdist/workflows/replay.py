@@ -11,14 +11,14 @@ number of workers.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
-from svmdist.estimation.frame import Frame, Needs, frames_of, prefetch, prefetch_masks
+from svmdist.estimation.frame import Frame, Needs, prefetch
 from svmdist.estimation.methods import Estimator
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile import AutoSegmentation
@@ -60,9 +60,8 @@ def spread_observations(recording: Recording, count: int) -> list[tuple[int, Obs
     needs = ReadNeeds(joints=False, transforms=False, right=True)
     kept: list[tuple[int, EncodedObservation]] = []
     stride = 1
-    numbered = recording.numbered_observations(recording.instruments[:1], needs)
-    for at, (frame, _, one) in enumerate(numbered):
-        if at % stride == 0:
+    for frame, one in enumerate(recording.encoded_observations(recording.instruments[:1], needs)):
+        if frame % stride == 0:
             kept.append((frame, one))
         if len(kept) > 2 * count:
             kept, stride = kept[::2], 2 * stride
@@ -132,14 +131,16 @@ class MultiInstrumentEstimator:
         """Whether a result depends on earlier frames."""
         return self._estimators[0].keeps_state
 
-    def estimate(self, frames: Sequence[Frame], place: Place) -> Replayed:
-        """Measure one image: a frame for each instrument."""
+    def estimate(self, frames: Sequence[Frame], place: Place, spent_s: Mapping[str, float]) -> Replayed:
+        """Measure one image: a frame for each instrument; `spent_s`: what detections computed ahead took."""
+        needs = self.needs
+        shared_s = sum(spent_s.get(name, 0.0) for name in needs.scene + needs.frame) / len(frames)
         results: list[FrameResult] = []
         seconds: list[float] = []
         for estimator, arm, frame in zip(self._estimators, self._arms, frames, strict=True):
             start_s = time.thread_time()
             result = estimator.estimate(frame)
-            seconds.append(time.thread_time() - start_s)
+            seconds.append(shared_s + time.thread_time() - start_s)
             name = arm.profile.instrument_name
             named = replace(_through_lens(result, frame), instrument=name, **place)
             results.append(named.doubted(frame.doubt) if frame.doubt else named)
@@ -173,14 +174,13 @@ class _Prepared:
 class _Ahead:
     """A scene; the frame of its only instrument, None where instruments are to be told apart; what is measured.
 
-    `measured` has an entry for each method, None for one that waits for the frame before. `shared_s` is the part of
-    the processor time of their common detections that goes to each method and instrument.
+    `measured` has an entry for each method, None for one that waits for the frame before.
     """
 
     scene: Scene
     frames: list[Frame] | None
     measured: tuple[Replayed | None, ...]
-    shared_s: float
+    spent_s: Mapping[str, float]
 
 
 class _Replay:
@@ -240,29 +240,22 @@ class _Replay:
         found = decoded.found
         if isinstance(found, Rejection):
             return _Prepared(place, decoded)
-        return _Prepared(
-            place, decoded, tuple(self._look(at, place, found) for at in range(len(self._conditions)))
-        )
+        ahead = [self._look(at, place, found) for at in range(len(self._conditions))]
+        return _Prepared(place, decoded, tuple(ahead))
 
     def _look(self, at: int, place: Place, found: tuple[Observation, ...]) -> _Ahead:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
         seen = self._conditions[at].apply(found[0], place["number"])
+        scene = Scene(seen, self._setup.profile, self._segmenters[at], self._row_offset_px)
+        spent_s = prefetch(scene, self._needs.scene)
         lanes = self._lanes[at]
-        start_s = time.thread_time()
-        scene = Scene(seen, self._setup.profile, self._segmenters[at], row_offset_px=self._row_offset_px)
-        prefetch(scene, self._needs.scene)
-        frames = None
         if self._associations[at] is not None:
-            prefetch_masks(scene)
-        else:
-            robots = [arm.state_at(seen) for arm, seen in zip(self._arms, found, strict=True)]
-            frames = frames_of(scene, self._arms, found, robots, [(None, None)])
-            prefetch(frames[0].tool, self._needs.tool)
-        shared_s = (time.thread_time() - start_s) / (len(lanes) * len(self._wanted))
-        measured = [
-            None if frames is None or lane.keeps_state else lane.estimate(frames, place) for lane in lanes
-        ]
-        return _Ahead(scene, frames, tuple(measured), shared_s)
+            prefetch(scene, ("left.masks.seen", "right.masks.seen"))
+            return _Ahead(scene, None, (None,) * len(lanes), spent_s)
+        frames = [Frame.of(scene, self._arms[0], found[0], self._arms[0].state_at(seen))]
+        spent_s |= prefetch(frames[0], self._needs.frame)
+        measured = [None if lane.keeps_state else lane.estimate(frames, place, spent_s) for lane in lanes]
+        return _Ahead(scene, frames, tuple(measured), spent_s)
 
     def _measure(self, prepared: _Prepared) -> Iterator[Replayed]:
         found = self._recording.record_losses(prepared.decoded)
@@ -270,8 +263,8 @@ class _Replay:
             lost = tuple(
                 replace(FrameResult.of_rejection(found, name), **prepared.place) for name in self._wanted
             )
-            for lanes in self._lanes:
-                yield from (Replayed(lost, (0.0,) * len(lost)) for _ in lanes)
+            for _ in self._conditions:
+                yield from (Replayed(lost, (0.0,) * len(lost)) for _ in self._lanes[0])
             return
         for ahead, association, lanes in zip(
             prepared.conditions, self._associations, self._lanes, strict=True
@@ -280,8 +273,7 @@ class _Replay:
             if every is None and association is not None:
                 every = association.frames(ahead.scene, found)
             assert every is not None  # one instrument, or an association
-            chosen = [every[at] for at in self._places]
+            chosen = [every[place] for place in self._places]
             for lane, known in zip(lanes, ahead.measured, strict=True):
-                replayed = lane.estimate(chosen, prepared.place) if known is None else known
-                seconds = tuple(own_s + ahead.shared_s for own_s in replayed.seconds)
-                yield replace(replayed, seconds=seconds, image_bgr=found[0].image_bgr)
+                replayed = known or lane.estimate(chosen, prepared.place, ahead.spent_s)
+                yield replace(replayed, image_bgr=found[0].image_bgr)

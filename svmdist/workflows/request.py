@@ -94,6 +94,11 @@ class Setup:
     own: OwnMethod | None = None
     """A user's own method, in place of one of svmdist's."""
 
+    @staticmethod
+    def reading(profile: str, hand_eye: Path | None = None) -> Setup:
+        """A setup by which logs are read, and nothing is measured; raises ProfileError."""
+        return Setup(load_profile(profile, hand_eye), "kinematic", "corrected", None)
+
     @cached_property
     def segmenter(self) -> Segmenter:
         """What tells tissue and instrument apart; raises ProfileError where its network cannot be used."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from svmdist.errors import UsageError
-from svmdist.estimation.frame import Frame, frames_of
+from svmdist.estimation.frame import Frame
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile import AutoSegmentation
 from svmdist.recording.log import Recording
@@ -66,8 +66,7 @@ def shown_frames(
         if association is not None:
             frames = association.frames(scene, found)
         else:
-            robots = [arm.state_at(seen) for arm, seen in zip(arms, found, strict=True)]
-            frames = frames_of(scene, arms, found, robots, [(None, None)])
+            frames = [Frame.of(scene, arms[0], found[0], arms[0].state_at(found[0]))]
         if wanted:
             yield ShownFrame(number, seconds, scene, tuple(frames))
 

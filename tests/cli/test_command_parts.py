@@ -11,13 +11,11 @@ from svmdist.cli.alarms import alarm_rules
 from svmdist.cli.blur_bench import blur_bench_command
 from svmdist.cli.calibrate import calibrate_command
 from svmdist.cli.compare import compare_command
-from svmdist.cli.degradation_grid import grid_conditions_of
 from svmdist.cli.degradations import parse_degradations, parse_names, parse_severities
 from svmdist.cli.main import app
 from svmdist.cli.validate import TruthChoice, validate_command
 from svmdist.errors import OutputError, UsageError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.scoring.truth import Reference
 
 
@@ -44,13 +42,6 @@ def test_degradations_are_parsed() -> None:
     assert parse_degradations("--degrade", None) == ()
     assert parse_names("--degradations", "smoke, noise") == ["smoke", "noise"]
     assert parse_severities("--severities", "1, 5") == [1, 5]
-
-
-def test_a_grid_is_every_pair_and_the_images_as_recorded() -> None:
-    """Seven degradations of five severities, and none; or those that were asked for, each once."""
-    assert len(grid_conditions_of(None, None)) == 1 + 7 * 5
-    assert [str(each) for each in grid_conditions_of("smoke,smoke", "1,3")] == ["", "smoke=1", "smoke=3"]
-    assert grid_conditions_of("jpeg", "1")[0] == CLEAN
 
 
 @pytest.mark.parametrize("command", [validate_command, compare_command, blur_bench_command])

@@ -12,37 +12,34 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from rich.table import Table
 
 from svmdist.cli.console import (
     ExitCode,
-    Summary,
     report_health,
     require_output,
     say,
     terminal_width,
     write_lines,
-    write_summary,
-    write_tables,
+    write_results,
 )
-from svmdist.cli.options import TableFormat
 from svmdist.cli.recordings import logs_or_golden
 from svmdist.errors import OutputError, UsageError
+from svmdist.metrics import RATIO, TEXT
 from svmdist.recording.source import Health, Loss, LossKind
+from svmdist.report.tables import Column, Table
+from svmdist.report.writers import Holds, Results, choose_writer
 
 Captured = pytest.CaptureFixture[str]
 
 
-def table() -> Table:
-    """A table of one row."""
-    made = Table("name", "value")
-    made.add_row("a", "0.5")
-    return made
+COLUMNS = (Column("name", TEXT, "name"), Column("value", RATIO, "value"))
+ROWS = [{"name": "é", "value": 0.5}, {"name": "=b", "value": None}]
+NOTE = "word " * 100
 
 
-SUMMARY = Summary(
-    [table()], ("name", "value"), [{"name": "é", "value": 0.5}, {"name": "=b", "value": None}], ("note",)
-)
+def results() -> Results:
+    """Two rows and a long note."""
+    return Results(COLUMNS, ROWS, tables=[Table.of("", COLUMNS, ROWS)], notes=[NOTE])
 
 
 def test_words_go_to_stderr_without_control_characters(capsys: Captured) -> None:
@@ -93,26 +90,21 @@ def test_a_reader_that_has_enough_is_no_error() -> None:
 
 def test_a_summary_holds_the_same_in_every_form(capsys: Captured) -> None:
     """JSON has every value, CSV a row for each with no formula for a spreadsheet, a table its notes."""
-    write_summary(SUMMARY, TableFormat.JSON, None)
-    assert json.loads(capsys.readouterr().out) == list(SUMMARY.rows)
-    write_summary(SUMMARY, TableFormat.CSV, None)
+    write_results(results(), choose_writer("json", None, Holds.TABLES), None)
+    assert json.loads(capsys.readouterr().out) == ROWS
+    write_results(results(), choose_writer("csv", None, Holds.TABLES), None)
     rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
     assert [row["name"] for row in rows] == ["é", "'=b"]
     assert [row["value"] for row in rows] == ["0.5", ""]
-    write_summary(SUMMARY, TableFormat.TABLE, None)
-    text = capsys.readouterr().out
-    assert "name" in text
-    assert "0.5" in text
-    assert text.endswith("note\n")
 
 
 def test_tables_in_a_file_have_neither_colour_nor_width(tmp_path: Path) -> None:
     """A note is one line, however long."""
-    note = "word " * 100
-    write_tables([table()], [note], tmp_path / "a.txt")
+    write_results(results(), choose_writer(None, None, Holds.TABLES), tmp_path / "a.txt")
     text = (tmp_path / "a.txt").read_text()
     assert "\x1b" not in text
-    assert text.splitlines()[-1] == note
+    assert "0.5" in text
+    assert text.splitlines()[-1] == NOTE
 
 
 def test_a_pipe_has_no_width(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

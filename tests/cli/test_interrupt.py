@@ -59,7 +59,6 @@ def running(*arguments: object, **streams: Any) -> Iterator[subprocess.Popen[str
         (["validate", "x.mcap"], "svmdist.recording.log.open_recording"),
         (["compare", "x.mcap"], "svmdist.recording.log.open_recording"),
         (["blur-bench", "x.mcap"], "svmdist.recording.log.open_recording"),
-        (["blur-bench", "x.mcap", "--grid"], "svmdist.recording.log.open_recording"),
         (["calibrate", "x.mcap", "-o", "c.toml"], "svmdist.recording.log.open_recording"),
         (["fk", "x.mcap"], "svmdist.recording.log.open_recording"),
         (["record", "-o", "r.mcap"], "svmdist.workflows.record.record"),

@@ -13,7 +13,7 @@ from svmdist.cli.console import say
 from svmdist.cli.estimate_logs import MAX_REPORTED, EstimateJob, figures_of_logs, reported_logs
 from svmdist.cli.fk import FkJob
 from svmdist.cli.info import InfoJob
-from svmdist.cli.log_jobs import BlurJob, CalibrateJob, CompareJob, GridJob, ValidateJob
+from svmdist.cli.log_jobs import BlurJob, CalibrateJob, CompareJob, ValidateJob
 from svmdist.cli.log_summary import LogSummary
 from svmdist.cli.many import Outcomes, group_keys, group_name, heard_notes
 from svmdist.cli.validate_logs import validation_of
@@ -25,7 +25,7 @@ from svmdist.vision.degradations import Blur
 from svmdist.workflows.batch.identity import fingerprint
 from svmdist.workflows.batch.plain import from_plain, to_plain
 from svmdist.workflows.batch.task import LogFile, Note, Outcome
-from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.request import prepare
 from svmdist.workflows.scoring.truth import TruthRules
 
@@ -36,7 +36,6 @@ JOBS = [
     EstimateJob(SETUP, {}, SHORT, None, None, None, True),
     ValidateJob(SETUP, {}, SHORT, TruthRules(), None, None, None, True),
     CompareJob((SETUP, prepare(method="kinematic")), (CLEAN,), {}, SHORT, None, ("scenario",)),
-    GridJob(SETUP, (CLEAN, Condition("smoke", 2)), {}, SHORT),  # type: ignore[arg-type]
     BlurJob(SETUP, {Blur.NONE: 1, Blur.GAUSSIAN: 5}, {}, SHORT),
     CalibrateJob(PROFILE, "overlay", {}, SHORT),
     FkJob(PROFILE, {}, False),

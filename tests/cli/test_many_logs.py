@@ -52,7 +52,6 @@ COMMANDS = [
     ("validate",),
     ("compare", "--method", "overlay", "--method", "kinematic", "--end", "0.2"),
     ("blur-bench", "--end", "0.1"),
-    ("blur-bench", "--grid", "--degradations", "smoke", "--severities", "3", "--end", "0.1"),
     ("info",),
     ("fk",),
 ]

@@ -120,7 +120,7 @@ COMMANDS: list[tuple[tuple[object, ...], str]] = [
     (("compare", STEREO, *FEW, "--method", "overlay", "--method", "shaft"), "comparing: 8 of 8 measurements"),
     (("blur-bench", STEREO, *FEW), "Table I: 4 of 4 images"),
     (
-        ("blur-bench", STEREO, *FEW, "--grid", "--degradations", "jpeg", "--severities", 1),
+        ("blur-bench", STEREO, *FEW),
         "overlay, 2 conditions: 8 of 8 measurements",
     ),
     (

@@ -14,12 +14,13 @@ import typer
 
 from svmdist.cli.console import ExitCode
 from svmdist.cli.estimate import estimate_command
-from svmdist.cli.fk import PoseFormat, fk_command
+from svmdist.cli.fk import fk_command
 from svmdist.cli.info import info_command
-from svmdist.cli.options import Method, RowFormat, TableFormat
+from svmdist.cli.options import Method
 from svmdist.errors import OutputError, UsageError
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
+from svmdist.report.writers import Holds, names_of
 from svmdist.transforms import rotation_from_quaternion_xyzw
 from svmdist.workflows.fk import fk
 from tests.recording.builders import scene, write_scene
@@ -66,19 +67,19 @@ def test_poses_are_those_of_forward_kinematics_in_every_form(
     profile = load_profile()
     expected = fk(open_recording(log, profile), profile)
     rows = {}
-    for form in PoseFormat:
+    for form in names_of(Holds.POSES):
         output = tmp_path / f"a.{form}"
         assert exit_code(fk_command, [log], form=form, output=output) == ExitCode.CLEAN
-        if form is not PoseFormat.PARQUET:
+        if form != "parquet":
             rows[form] = output.read_text()
-    table = list(csv.DictReader(rows[PoseFormat.CSV].splitlines()))
-    objects = json.loads(rows[PoseFormat.JSON])
+    table = list(csv.DictReader(rows["csv"].splitlines()))
+    objects = json.loads(rows["json"])
     assert len(table) == len(objects) == len(expected.stamps_ns)
     assert [list(row) for row in objects] == [list(row) for row in table]
     for row, one in zip(table, objects, strict=True):
         for key, value in one.items():
             assert str(value) == row[key] or float(row[key]) == pytest.approx(value, rel=1e-12)
-    poses = np.array([line.split() for line in rows[PoseFormat.TUM].splitlines() if line[0] != "#"], float)
+    poses = np.array([line.split() for line in rows["tum"].splitlines() if line[0] != "#"], float)
     assert poses.shape == (len(expected.stamps_ns), 8)
     np.testing.assert_allclose(poses[:, 1:4], expected.poses[:, :3, 3], atol=1e-8)
     rotations = [rotation_from_quaternion_xyzw(pose) for pose in poses[:, 4:]]
@@ -96,15 +97,13 @@ def test_every_frame_is_a_row_in_every_form(
     """And the summary on stderr counts them."""
     import pandas
 
-    counted: dict[RowFormat, Callable[[Path], int]] = {
-        RowFormat.TABLE: lambda path: (
-            len(path.read_text().splitlines()) - 2
-        ),  # the names and the line below them
-        RowFormat.CSV: lambda path: len(list(csv.DictReader(path.read_text().splitlines()))),
-        RowFormat.JSON: lambda path: len(json.loads(path.read_text())),
-        RowFormat.JSONL: lambda path: len([json.loads(line) for line in path.read_text().splitlines()]),
-        RowFormat.TUM: lambda path: len([line for line in path.read_text().splitlines() if line[0] != "#"]),
-        RowFormat.PARQUET: lambda path: len(pandas.read_parquet(path)),
+    counted: dict[str, Callable[[Path], int]] = {
+        "table": lambda path: len(path.read_text().splitlines()) - 2,  # the names and the line below them
+        "csv": lambda path: len(list(csv.DictReader(path.read_text().splitlines()))),
+        "json": lambda path: len(json.loads(path.read_text())),
+        "jsonl": lambda path: len([json.loads(line) for line in path.read_text().splitlines()]),
+        "tum": lambda path: len([line for line in path.read_text().splitlines() if line[0] != "#"]),
+        "parquet": lambda path: len(pandas.read_parquet(path)),
     }
     for form, count in counted.items():
         output = tmp_path / f"a.{form}"
@@ -112,7 +111,7 @@ def test_every_frame_is_a_row_in_every_form(
         assert code == ExitCode.CLEAN
         assert count(output) == 5
         assert "of 5 frames measured" in capsys.readouterr().err
-    assert set(counted) == set(RowFormat)
+    assert set(counted) == set(names_of(Holds.ROWS))
 
 
 def test_info_tells_the_same_topics_in_every_form(tmp_path: Path) -> None:
@@ -120,17 +119,17 @@ def test_info_tells_the_same_topics_in_every_form(tmp_path: Path) -> None:
     entries = scene()
     log = write_scene(tmp_path / "a.mcap", entries)
     texts = {}
-    for form in TableFormat:
+    for form in names_of(Holds.TABLES):
         output = tmp_path / f"a.{form}"
         assert exit_code(info_command, [log], form=form, output=output) == ExitCode.CLEAN
         texts[form] = output.read_text()
-    rows = list(csv.DictReader(texts[TableFormat.CSV].splitlines()))
-    document = json.loads(texts[TableFormat.JSON])
+    rows = list(csv.DictReader(texts["csv"].splitlines()))
+    document = json.loads(texts["json"])
     counts = {topic: sum(entry.topic == topic for entry in entries) for topic in {e.topic for e in entries}}
     key = next(name for name in rows[0] if "count" in name or "messages" in name)
     assert {row["topic"]: int(row[key]) for row in rows} == counts
     assert {row["topic"]: row[key] for row in document["topics"]} == counts
-    assert all(topic in texts[TableFormat.TABLE] for topic in counts)
+    assert all(topic in texts["table"] for topic in counts)
 
 
 def test_a_log_with_losses_gives_their_exit_code(

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.cli.options import RowFormat, SummaryFormat
-from svmdist.cli.outputs import FileFormat, row_format, summary_format
 from svmdist.cli.recordings import logs_in, window_of
 from svmdist.errors import UsageError
 from svmdist.recording.log import Window, unique_names
@@ -154,16 +152,6 @@ def test_quiet_says_errors_only_and_verbose_says_topics_and_time(golden: Path, c
     assert cli("-q", "estimate", log, *few).err == ""
     assert "no such file" in cli("estimate", "none.mcap", "-q").err
     assert cli("-V").out == cli("--version").out
-
-
-def test_endings_and_formats() -> None:
-    assert row_format(None, Path("a.CSV")) is RowFormat.CSV
-    assert row_format(None, None) is RowFormat.TABLE
-    assert summary_format(None, Path("a.tex")) is SummaryFormat.LATEX
-    assert summary_format(SummaryFormat.JSON, Path("a.md")) is SummaryFormat.JSON
-    assert row_format(None, Path("a.htm")) is FileFormat.HTML
-    assert row_format(None, Path("a.txt")) is row_format(None, Path("/dev/null")) is RowFormat.TABLE
-    assert row_format(RowFormat.CSV, Path("a.dat")) is RowFormat.CSV
 
 
 @pytest.mark.parametrize("command", ["estimate", "validate", "compare", "blur-bench", "info"])

@@ -31,6 +31,14 @@ def test_confidence_decides() -> None:
     assert AlarmWatch(AlarmRules(0.005, 0.9)).watch(near).alarm is False
 
 
+def test_contact_alarms_at_every_confidence() -> None:
+    """2 mm inside the tissue by a method that is sure to 0.5 mm, whose interval is as wide as the overlap."""
+    gap = Distance(-2e-3, 2.06e-3, without_overlap_std_m=0.5e-3)
+    contact = FrameResult(0, Status.OK, distances=Distances(clearance=gap))
+    for confidence in (0.05, 0.9, 0.99):
+        assert AlarmWatch(AlarmRules(0.0, confidence)).watch(contact).alarm is True
+
+
 def test_closing_speed_and_contact() -> None:
     """A gap of 10 mm that closes by 10 mm/s is gone in 0.5 s after 0.5 s, one wild row notwithstanding."""
     watch = AlarmWatch(AlarmRules(0.005))

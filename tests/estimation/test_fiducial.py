@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -11,9 +13,16 @@ from svmdist.errors import ProfileError
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.one_view import tool_from_tag
-from svmdist.kinematics.dh import forward_kinematics, frame_transforms, row_index
+from svmdist.kinematics.dh import (
+    DHChain,
+    chain_of,
+    forward_kinematics,
+    frame_transforms,
+    row_index,
+    wrist_rows,
+)
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import CameraError, KinematicError
+from svmdist.profile import CameraError, KinematicError, load_profile
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_z
 from svmdist.vision.tag_overlay import TagPattern
@@ -167,6 +176,34 @@ def test_camera_mounting_wrist_and_play_widen_the_tool() -> None:
     arm_m = np.linalg.norm(wide.position_m - T_camera_tag[:3, 3])
     expected = 0.09**2 * (0.003**2 + 0.004**2) + 3 * 2e-4**2 + 2 * (0.02 * arm_m) ** 2
     assert np.trace(added) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["psm13", "dvrk-psm"])
+def test_a_length_moves_the_tool_along_its_own_axis(name: str) -> None:
+    """In both conventions: the covariance is that of the derivatives by differences of the chain's lengths."""
+    profile, mounting = load_profile(name), PROFILE.fiducial
+    assert profile.robot is not None
+    assert mounting is not None
+    chain = chain_of(profile.robot)
+    fiducial = mounting.model_copy(update={"link": chain.rows[wrist_rows(chain).roll].name})
+    q = 0.4 * chain.lower + 0.6 * chain.upper
+    tag = TagPose(make_transform(rotation_x(2.0), [0.0, 0.0, 0.09]), np.zeros((6, 6)), 0.0, 0.8)
+    error = KinematicError(joint_std_rad=0.0, joint_std_m=0.0, play_std_rad=0.0, length_std_m=4e-4)
+
+    def tool_m(chain: DHChain) -> Array:
+        robot = RobotState(chain, 0, q)
+        return tool_from_tag(tag, fiducial, robot, error).position_m
+
+    expected = np.zeros((3, 3))
+    for index in range(row_index(chain, fiducial.link) + 1, len(chain.rows)):
+        if chain.rows[index].a_m != 0.0:
+            rows = list(chain.rows)
+            rows[index] = replace(rows[index], a_m=rows[index].a_m + 1e-6)
+            moved_m = (tool_m(replace(chain, rows=tuple(rows))) - tool_m(chain)) / 1e-6 * 4e-4
+            expected += np.outer(moved_m, moved_m)
+    assert np.trace(expected) > 0.0
+    found = tool_from_tag(tag, fiducial, RobotState(chain, 0, q), error).position_covariance
+    np.testing.assert_allclose(found, expected, atol=1e-14)
 
 
 def observation(joints: bool = True, tag: bool = True) -> tuple[Observation, Array]:

@@ -78,6 +78,6 @@ def test_an_observation_has_no_field_for_truth() -> None:
 
 
 def test_needs_of_several_methods_are_joined() -> None:
-    first = Needs(scene=("tissue",), tool=("tag",), robot=False)
+    first = Needs(scene=("tissue",), frame=("tag",), robot=False)
     second = Needs(scene=("tags", "tissue"), right_view=True)
     assert first | second == Needs(("tissue", "tags"), ("tag",), robot=True, right_view=True)

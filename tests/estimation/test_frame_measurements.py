@@ -103,7 +103,7 @@ def test_both_edges_of_a_shaft_touch_it() -> None:
     camera = Camera.from_horizontal_fov(640, 480, np.pi / 3)
     drawn = ShaftImage(camera, *entering_from(np.pi + 0.15, camera))
     frame, found = said(replace(observed(drawn.draw(2)), camera=camera), 0.03)
-    shaft, axis = frame.tool.shaft, shaft_of(CHAIN)
+    shaft, axis = frame.left.shaft, shaft_of(CHAIN)
     assert len(shaft.contours) == 2
     assert axis is not None
     R = _rotation_between(axis.axis, drawn.direction)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError, UsageError
-from svmdist.estimation.frame import Frame, ToolDetections, frame_of
+from svmdist.estimation.frame import Frame, frame_of
 from svmdist.estimation.fused import FusedEstimator
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.one_view import FiducialEstimator, KinematicEstimator, ShaftEstimator
 from svmdist.estimation.planar import CentroidEstimator, OverlayEstimator
-from svmdist.estimation.scene import Arm, Scene, detected
+from svmdist.estimation.scene import Arm
 from svmdist.estimation.stereo import StereoEstimator
 from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
@@ -81,26 +81,18 @@ def test_a_name_that_is_none_lists_the_names() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_needs_are_detections(method: str) -> None:
-    """Each name is a detection of scene or tool, so that it can be computed ahead and is accounted for."""
-    needs = made(method).needs
-    for names, source in ((needs.scene, Scene), (needs.tool, ToolDetections)):
-        for name in names:
-            assert isinstance(getattr(source, name), detected), name
-        assert len(set(names)) == len(names)
-
-
-@pytest.mark.parametrize("method", METHODS)
 def test_what_is_needed_is_used(method: str, seen: list[Observation]) -> None:
     """Where a frame is measured, all of it was asked for: nothing is computed ahead in vain. No frame shows the tag."""
     estimator = made(method)
     for frame in frames(seen[:1]):
         result = estimator.estimate(frame)
-        assert set(estimator.needs.scene) <= set(frame.scene.found)
+        computed = {*vars(frame), *(f"left.{one}" for one in {**vars(frame.left), **vars(frame.scene.left)})}
+        computed |= {f"right.{one}" for one in vars(frame.right)}
+        assert set(estimator.needs.scene) <= computed | set(frame.scene.found)
         assert result.stamp_ns == frame.stamp_ns
         assert result.measured == (method != "fiducial")
         if result.measured:
-            assert set(estimator.needs.tool) <= set(frame.tool.found)
+            assert set(estimator.needs.frame) <= computed
 
 
 @pytest.mark.parametrize("method", METHODS)

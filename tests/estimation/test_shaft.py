@@ -33,12 +33,12 @@ def picture(camera: Camera, side: str, **kwargs: object) -> ShaftImage:
 
 def shaft_of(observation: Observation) -> ShaftDetection:
     """The shaft's edges and end."""
-    return frame_of(observation, Arm(PROFILE), make_segmenter(PROFILE.segmentation)).tool.shaft
+    return frame_of(observation, Arm(PROFILE), make_segmenter(PROFILE.segmentation)).left.shaft
 
 
 def find_tool(observation: Observation, profile: Profile = PROFILE) -> ShaftFit | Failure:
     """The tool's pose by the shaft alone."""
-    return frame_of(observation, Arm(profile), make_segmenter(profile.segmentation)).tool.shaft_fit
+    return frame_of(observation, Arm(profile), make_segmenter(profile.segmentation)).shaft_fit
 
 
 def measured(drawn: ShaftImage, parts: int = 2) -> ShaftFit:
@@ -148,7 +148,7 @@ def test_a_stub_alone_is_no_measurement():
     """Short sides are found on anything dark at the border: without wrist and marker nothing contradicts them."""
     drawn = picture(SMALL, "left", background_bgr=RED_BGR)
     arm = Arm(PROFILE)
-    tool = frame_of(Observation(0, drawn.draw(2), SMALL), arm, make_segmenter(PROFILE.segmentation)).tool
+    tool = frame_of(Observation(0, drawn.draw(2), SMALL), arm, make_segmenter(PROFILE.segmentation)).left
     assert arm.chain is not None
     assert PROFILE.instrument is not None
     model = shaft_model(Failure(""), arm.chain, PROFILE.instrument, PROFILE.kinematic_error)

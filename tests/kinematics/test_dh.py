@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from svmdist.errors import KinematicsError
 from svmdist.kinematics.dh import (
+    CHUNK,
     DHChain,
     DHRow,
     chain_of,
     forward_kinematics,
     frame_transforms,
+    jacobian_of_frames,
     link_transforms,
+    row_index,
     select_joints,
 )
 from svmdist.profile import load_profile
@@ -98,6 +104,10 @@ def test_many_joint_vectors_equal_one_at_a_time(convention):
         many = function(chain, q)
         single = np.array([[function(chain, member) for member in row] for row in q])
         np.testing.assert_allclose(many, single, atol=1e-15)
+    long = np.random.default_rng(2).uniform(-1, 1, (CHUNK + 5, 2))
+    np.testing.assert_allclose(
+        forward_kinematics(chain, long)[-1], forward_kinematics(chain, long[-1]), atol=1e-15
+    )
 
 
 def test_the_shipped_robot_gives_rigid_transforms():
@@ -116,20 +126,9 @@ def test_a_chain_carries_every_field_of_its_profile():
     """chain_of drops and swaps nothing: names, types, lengths, angles and limits arrive as they stand."""
     robot = load_profile().robot
     assert robot is not None
-    chain = chain_of(robot)
-    for joint, row in zip(robot.joints, chain.rows, strict=True):
-        assert (joint.name, joint.type, joint.a_m, joint.alpha_rad) == (
-            row.name,
-            row.joint,
-            row.a_m,
-            row.alpha_rad,
-        )
-        assert (joint.d_m, joint.theta_rad, joint.lower, joint.upper) == (
-            row.d_m,
-            row.theta_rad,
-            row.lower,
-            row.upper,
-        )
+    for joint, row in zip(robot.joints, chain_of(robot).rows, strict=True):
+        for field in dataclasses.fields(row):
+            assert getattr(row, field.name) == getattr(joint, "type" if field.name == "joint" else field.name)
 
 
 def test_fixed_rows_take_no_joint_value():
@@ -170,3 +169,90 @@ def test_select_joints_names_the_joints_that_are_missing(names, message):
     """A log without a needed joint raises KinematicsError with the missing names and those there are."""
     with pytest.raises(KinematicsError, match=message):
         select_joints(THREE, names, np.zeros(len(names)))
+
+
+STEP = 1e-6
+
+
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+@pytest.mark.parametrize("row", [None, "j3", "j4"])
+def test_the_jacobian_is_the_derivative(convention, row):
+    """Central differences of the pose agree with every column to 1e-8, for the tool and for frames before it."""
+    rng = np.random.default_rng(3)
+    kinds = ("prismatic", "revolute", "fixed", "revolute", "prismatic", "revolute")
+    chain = DHChain(
+        tuple(DHRow(f"j{index}", kind, *rng.uniform(-1.0, 1.0, 4)) for index, kind in enumerate(kinds)),
+        convention,
+        THREE.T_last_tool,
+    )
+
+    def pose(q):
+        frames = frame_transforms(chain, q)
+        return (
+            frames[..., -1, :, :] @ chain.T_last_tool
+            if row is None
+            else frames[..., row_index(chain, row), :, :]
+        )
+
+    q = rng.uniform(-1.0, 1.0, (2, 5))
+    J = jacobian_of_frames(chain, frame_transforms(chain, q), row)
+    for column, change in enumerate(STEP * np.eye(5)):
+        dT = (pose(q + change) - pose(q - change)) / (2 * STEP)
+        W = dT[:, :3, :3] @ np.swapaxes(pose(q)[:, :3, :3], 1, 2)
+        np.testing.assert_allclose(J[:, :3, column], dT[:, :3, 3], atol=1e-8)
+        np.testing.assert_allclose(
+            J[:, 3:, column], np.stack([W[:, 2, 1], W[:, 0, 2], W[:, 1, 0]], -1), atol=1e-8
+        )
+
+
+def _screw(axis: int, angle_rad: float, length_m: float) -> np.ndarray:
+    """Turn about an axis of the current frame and shift along it, by SciPy's rotations."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(angle_rad * np.eye(3)[axis]).as_matrix()
+    T[:3, 3] = length_m * np.eye(3)[axis]
+    return T
+
+
+def _published_psm(q: np.ndarray) -> np.ndarray:
+    """The Classic PSM with a Large Needle Driver as a product of screws: along x by (α, a), then z by (θ, d).
+
+    Written from the published table: Craig's convention is a screw about x followed by one about z.
+    """
+    half = np.pi / 2
+    T = _screw(0, half, 0.0) @ _screw(2, half + q[0], 0.0)
+    T = T @ _screw(0, -half, 0.0) @ _screw(2, -half + q[1], 0.0)
+    T = T @ _screw(0, half, 0.0) @ _screw(2, 0.0, q[2] - 0.4318)
+    T = T @ _screw(0, 0.0, 0.0) @ _screw(2, q[3], 0.4162)
+    T = T @ _screw(0, -half, 0.0) @ _screw(2, -half + q[4], 0.0)
+    T = T @ _screw(0, -half, 0.0091) @ _screw(2, -half + q[5], 0.0)
+    tip = np.eye(4)
+    tip[:3, :3] = [[0, -1, 0], [0, 0, 1], [-1, 0, 0]]
+    return T @ tip
+
+
+def test_dvrk_chain_equals_an_independent_one():
+    """Position and rotation agree to 1e-12 over 1,000 random joint vectors inside the limits."""
+    profile = load_profile("dvrk-psm")
+    assert profile.robot is not None
+    chain = chain_of(profile.robot)
+    q = np.random.default_rng(5).uniform(chain.lower, chain.upper, (1000, 6))
+    expected = np.stack([_published_psm(row) for row in q])
+    np.testing.assert_allclose(forward_kinematics(chain, q), expected, atol=1e-12)
+
+
+def test_dvrk_at_zero_points_down_from_the_remote_centre():
+    """At q = 0 the wrist is 15.6 mm behind the remote centre along the shaft, and the tip 9.1 mm ahead of it."""
+    profile = load_profile("dvrk-psm")
+    assert profile.robot is not None
+    T_base_tool = forward_kinematics(chain_of(profile.robot), np.zeros(6))
+    # 0.4162 - 0.4318 + 0.0091 = -0.0065 along the insertion axis, which is -z of the base.
+    np.testing.assert_allclose(T_base_tool[:3, 3], [0.0, 0.0, 0.0065], atol=1e-12)
+
+
+def test_joints_are_found_by_alias():
+    """Logs of the older component, with outer_yaw for yaw, are read by the same chain."""
+    profile = load_profile("dvrk-psm")
+    assert profile.robot is not None
+    chain = chain_of(profile.robot)
+    names = ("jaw", *(f"outer_{name}" for name in chain.joint_names))
+    np.testing.assert_array_equal(select_joints(chain, names, np.arange(7.0)), np.arange(1.0, 7.0))

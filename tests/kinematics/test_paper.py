@@ -5,21 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics
-from svmdist.kinematics.paper import (
+from svmdist.estimation.plane_mapping import (
     displacement_cm_as_published,
     displacement_cm_corrected,
     planar_distance_cm,
 )
+from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics
 from svmdist.profile import load_profile
 from svmdist.transforms import Array
 
 ANGLES_RAD = (0.0, 0.3, np.pi / 2, -2.0, np.pi)
-
-
-def camera_base_as_published() -> Array:
-    """T from base to camera of eq. (28) as published: the zero matrix, which makes (31) zero everywhere."""
-    return np.zeros((4, 4))
 
 
 def first_link(l1_m: float, d1_m: float) -> Array:
@@ -39,12 +34,6 @@ def last_link_corrected(theta_rad: float) -> Array:
     """eq. (30) corrected, shape (4, 4): standard DH with α = +π/2, a = d = 0."""
     c, s = np.cos(theta_rad), np.sin(theta_rad)
     return np.array([[c, 0.0, s, 0.0], [s, 0.0, -c, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-
-
-def test_eq_28_as_published_maps_everything_to_zero():
-    """The published transform is the zero matrix, so that eq. (31) is zero whatever the joints are."""
-    assert camera_base_as_published().shape == (4, 4)
-    assert not np.any(camera_base_as_published() @ first_link(0.1, 0.2))
 
 
 @pytest.mark.parametrize("q_m", [0.0, 0.17])

@@ -1,19 +1,20 @@
-"""The robot's state: what a sample lacks is told, and every pose is the product that its name says."""
+"""The robot's state, its poses and what a sample lacks; and inverse kinematics."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from svmdist.errors import KinematicsError
 from svmdist.kinematics.dh import (
     DHChain,
     DHRow,
     forward_kinematics,
     frame_transforms,
     joint_axis,
-    pose_jacobian,
     row_index,
 )
+from svmdist.kinematics.inverse import solve_position
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure
 from svmdist.samples import JointSample
@@ -37,7 +38,6 @@ def test_joints_are_brought_into_the_chains_order() -> None:
     state = state_of()
     np.testing.assert_array_equal(state.q, POSTURE)
     assert state.stamp_ns == 7
-    assert state.has_camera
     assert state.camera_failure is None
 
 
@@ -53,7 +53,6 @@ def test_what_a_sample_lacks_is_told() -> None:
 def test_a_state_without_the_camera_still_knows_its_base_frame() -> None:
     """Poses in the base frame are there; what needs the camera raises ValueError with the reason."""
     state = state_of(T_camera_base=None)
-    assert not state.has_camera
     assert state.camera_failure == Failure("no transform from the camera to the base")
     np.testing.assert_array_equal(state.T_base_tool, state_of().T_base_tool)
     with pytest.raises(ValueError, match="no transform from the camera to the base"):
@@ -61,7 +60,7 @@ def test_a_state_without_the_camera_still_knows_its_base_frame() -> None:
 
 
 def test_poses_are_those_of_forward_kinematics() -> None:
-    """Frames, tool, axes and Jacobians equal the functions of `dh` and `jacobian` within 1e-13, and are kept."""
+    """Frames, tool and axes equal the functions of `dh` within 1e-13, and are kept."""
     state, link = state_of(), CHAIN.rows[8].name
     frames = frame_transforms(CHAIN, POSTURE)
     np.testing.assert_allclose(state.frames, frames, atol=1e-13)
@@ -74,9 +73,6 @@ def test_poses_are_those_of_forward_kinematics() -> None:
         expected = joint_axis(CHAIN, frames, row)
         np.testing.assert_allclose(direction, expected[0], atol=1e-13)
         np.testing.assert_allclose(point_m, expected[1], atol=1e-13)
-    for name in (None, link):
-        np.testing.assert_allclose(state.jacobian(name), pose_jacobian(CHAIN, POSTURE, name), atol=1e-13)
-        assert state.jacobian(name) is state.jacobian(name)
     assert state.frames is state.frames
 
 
@@ -124,3 +120,35 @@ def test_a_stray_sample_beside_the_image_is_left_out() -> None:
     assert state.track is not None
     assert state.track.stamps_ns.tolist() == [10, 20]
     np.testing.assert_allclose(state.rates, 0.0)
+
+
+FREE = ("yaw", "pitch", "insertion")
+
+
+def test_solution_reaches_the_target_and_moves_only_free_joints() -> None:
+    """FK of the solution is the target to 1e-9 m; yaw, pitch and insertion come back, the rest stays."""
+    rng = np.random.default_rng(0)
+    wanted = np.tile(POSTURE, (200, 1))
+    free = [CHAIN.joint_names.index(name) for name in FREE]
+    wanted[:, free] += rng.uniform(-1.0, 1.0, (200, 3)) * (0.3, 0.2, 0.04)
+    wanted[:, -4:] += rng.uniform(-0.1, 0.1, (200, 4))
+    targets_m = forward_kinematics(CHAIN, wanted)[:, :3, 3]
+    start = wanted.copy()
+    start[:, free] = POSTURE[free]
+    q = solve_position(CHAIN, start, targets_m, FREE)
+    np.testing.assert_allclose(forward_kinematics(CHAIN, q)[:, :3, 3], targets_m, atol=1e-9)
+    np.testing.assert_allclose(q, wanted, atol=1e-6)
+    fixed = [index for index in range(13) if index not in free]
+    assert np.array_equal(q[:, fixed], start[:, fixed])
+
+
+def test_a_target_beyond_the_limits_is_an_error_that_names_the_joint() -> None:
+    target_m = forward_kinematics(CHAIN, POSTURE)[:3, 3] + [0.0, 0.0, -0.4]
+    with pytest.raises(KinematicsError, match="outside its limits"):
+        solve_position(CHAIN, POSTURE[None], target_m[None], FREE)
+
+
+def test_a_target_out_of_reach_says_how_far_it_is() -> None:
+    arm = DHChain((DHRow("a", "revolute", a_m=0.5), DHRow("b", "revolute", a_m=0.5)))
+    with pytest.raises(KinematicsError, match=r"out of reach: .* m are left"):
+        solve_position(arm, np.array([[0.1, 0.2]]), np.array([[2.0, 0.0, 0.0]]), ("a", "b"))

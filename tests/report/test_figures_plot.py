@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import matplotlib.colors
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
 from svmdist.cli.plots import PLOTS, PlotKind, require_plot
-from svmdist.errors import OutputError, UsageError
-from svmdist.report.plots import PAGE_IN, draw_blur, draw_compare
-from svmdist.vision.degradations import Degradation
+from svmdist.errors import UsageError
+from svmdist.report.plots import PAGE_IN, draw_compare
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
-from svmdist.workflows.conditions import CLEAN, Condition
-from svmdist.workflows.degradation_grid import GridCell
 from svmdist.workflows.scoring.score import DistanceScore, Pairs, score_pairs
 from tests.cli.conftest import Cli, cli
 
@@ -85,55 +80,6 @@ def test_errors_that_differ_much_are_on_a_logarithmic_axis() -> None:
     assert draw_compare(far).axes[1].get_xscale() == "log"
 
 
-def grid(in_3d: bool = True) -> list[GridCell]:
-    cells = [GridCell("fused", CLEAN, figures(0.1, 20, 0.2, in_3d=in_3d))]
-    for name in Degradation:
-        cells += [
-            GridCell(
-                "fused", Condition(name, severity), figures(0.1 * severity, 20 - severity, 0.2, in_3d=in_3d)
-            )
-            for severity in (1, 3, 5)
-        ]
-    # At severity 5 of smoke nothing is measured at all.
-    lost = Figures(20, 0, None, None, None, 5.0)
-    return [replace(cell, figures=lost) if str(cell.condition) == "smoke=5" else cell for cell in cells]
-
-
-def test_blur_is_drawn_over_severity_from_the_recorded_images_on() -> None:
-    figure = draw_blur(grid())
-    coverage, error, held = figure.axes
-    assert figure.get_suptitle() == "fused: 20 frames, severity 0 as recorded"
-    assert error.get_ylabel() == "RMSE of the clearance [mm]"
-    lines = {str(line.get_label()): line for line in error.get_lines()}
-    assert set(lines) == {name.replace("_", " ") for name in Degradation}
-    np.testing.assert_allclose(lines["noise"].get_xdata(), [0, 1, 3, 5])
-    np.testing.assert_allclose(lines["noise"].get_ydata(), [0.1, 0.1, 0.3, 0.5])
-    np.testing.assert_allclose(lines["smoke"].get_ydata(), [0.1, 0.1, 0.3, np.nan])
-    smoke = next(line for line in coverage.get_lines() if line.get_label() == "smoke")
-    np.testing.assert_allclose(smoke.get_ydata(), [100.0, 95.0, 85.0, 0.0])
-    jpeg = next(line for line in held.get_lines() if line.get_label() == "jpeg")
-    np.testing.assert_allclose(jpeg.get_ydata(), [100.0, 100.0, 100.0, 0.0])  # 0.5 mm, 0.39 mm stated
-    looks = {(str(line.get_linestyle()), line.get_marker()) for line in lines.values()}
-    assert len(looks) == len(lines)
-    assert all(is_grey(line.get_color()) for line in lines.values())
-
-
-def test_without_degradation_or_truth_there_is_nothing_to_draw() -> None:
-    with pytest.raises(OutputError, match=r"a\.png: nothing to draw: no image is degraded"):
-        draw_blur(grid()[:1], Path("a.png"))
-    blind = [replace(cell, figures=Figures(20, 0, None, None, None, 5.0)) for cell in grid()]
-    with pytest.raises(OutputError, match="no frame was measured"):
-        draw_blur(blind)
-
-
-def test_the_axis_of_a_planar_method_is_the_planar_distance() -> None:
-    cells = [
-        replace(cell, figures=replace(cell.figures, spatial=None, clearance=None))
-        for cell in grid(in_3d=False)
-    ]
-    assert draw_blur(cells).axes[1].get_ylabel() == "RMSE of the planar distance [mm]"
-
-
 def test_every_plot_is_drawn_by_some_command_and_refused_by_the_others() -> None:
     assert {kind for kinds in PLOTS.values() for kind in kinds} == set(PlotKind)
     for command, kinds in PLOTS.items():
@@ -152,11 +98,9 @@ def test_every_plot_is_drawn_by_some_command_and_refused_by_the_others() -> None
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("validate", "--plot", "blur", "--save-plot", "a.png"), "is drawn by svmdist blur-bench --grid"),
+        (("validate", "--plot", "compare", "--save-plot", "a.png"), "is drawn by svmdist compare"),
         (("compare", "--plot", "time", "--save-plot", "a.png"), "svmdist compare draws compare"),
         (("compare", "--plot", "compare"), "--save-plot FILE"),
-        (("blur-bench", "--save-plot", "a.png"), "it is for --grid"),
-        (("blur-bench", "--grid", "--plot", "fig6", "--save-plot", "a.png"), "blur-bench --grid draws blur"),
     ],
 )
 def test_wrong_combinations_are_one_line(cli: Cli, arguments: tuple[str, ...], said: str) -> None:
@@ -166,7 +110,7 @@ def test_wrong_combinations_are_one_line(cli: Cli, arguments: tuple[str, ...], s
     assert len(outcome.err.splitlines()) == 1
 
 
-@pytest.mark.parametrize("command", [("estimate",), ("validate",), ("compare",), ("blur-bench", "--grid")])
+@pytest.mark.parametrize("command", [("estimate",), ("validate",), ("compare",)])
 def test_another_ending_is_an_error_before_any_work(
     cli: Cli, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
@@ -190,13 +134,3 @@ def test_commands_draw_what_they_print(cli: Cli, tmp_path: Path, golden: Path) -
     assert outcome.code == 0
     assert [row["method"] for row in json.loads(outcome.out)] == ["overlay", "kinematic"]
     assert re.search(r"<!-- overlay, kinematic: 4 frames -->", picture.read_text("utf-8"))
-    blur = tmp_path / "blur.png"
-    outcome = cli(
-        "blur-bench", log, "--grid", "--degradations", "smoke,jpeg", "--severities", "1,5", "--every", 20,
-        "--jobs", 1, "--save-plot", blur,
-    )  # fmt: skip
-    assert outcome.code == 0
-    image = cv2.imread(str(blur))
-    assert image is not None
-    assert image.shape[1] == pytest.approx(PAGE_IN * 300, abs=2)
-    assert np.ptp(image, axis=2).max() == 0  # no colour in it

@@ -14,7 +14,7 @@ from svmdist.metrics import interval_coverage
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
-from svmdist.report.scores import compare_keys, compare_row, compare_tables
+from svmdist.report.scores import compare_results
 from svmdist.report.tables import render
 from svmdist.samples import ImageSample
 from svmdist.simulation.extras import Extras
@@ -94,13 +94,14 @@ def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
         "all smoke=3": 12,
         "all": 16,
     }
-    rows = [compare_row(score) for score in scores]
-    assert all(set(row) == set(compare_keys()) for row in rows)
+    results = compare_results(scores)
+    rows = list(results.rows)
+    assert all(set(row) == set(results.keys) for row in rows)
     assert [(row["scenario"], row["degradation"]) for row in rows][:2] == [
         ("sweep", ""),
         ("sweep", "smoke=3"),
     ]
-    shown = "".join(render(table) for table in compare_tables(scores))
+    shown = "".join(render(table) for table in results.tables)
     assert "contact smoke=3: 1 methods on 8 frames" not in shown
     assert "contact smoke=3: 1 method on 8 frames" in shown
     assert max(map(len, shown.splitlines())) <= 100

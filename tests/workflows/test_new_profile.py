@@ -18,8 +18,7 @@ from svmdist.report.profile_template import profile_lines
 from svmdist.samples import CameraSample, ImageSample, PoseSample
 from svmdist.vision.colour import find_distinct_colour
 from svmdist.vision.stereo import fit_plane
-from svmdist.workflows.capabilities import find_roles
-from svmdist.workflows.new_profile import draft_profile, shipped_robot
+from svmdist.workflows.new_profile import draft_profile, find_roles, shipped_robot
 from tests.conftest import REPOSITORY
 from tests.synthetic import write_log
 

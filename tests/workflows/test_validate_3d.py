@@ -12,8 +12,8 @@ import pytest
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.recording.log import Recording, open_recording
-from svmdist.report.scores import score_keys, score_row, validation_document, validation_tables
-from svmdist.report.tables import render
+from svmdist.report.scores import score_columns, validation_document, validation_tables
+from svmdist.report.tables import render, row_of
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import DistanceSample, Sample, Status
 from svmdist.workflows.request import prepare
@@ -73,8 +73,7 @@ def test_spatial_and_clearance_figures_are_the_injected_errors(recording: Record
     assert (score.spatial.interval_coverage, score.clearance.interval_coverage) == (1.0, 0.0)
     assert score.statistics is not None
     assert score.statistics.rmse == pytest.approx(0.0, abs=1e-12)
-    row = score_row(score)
-    assert tuple(row) == score_keys()
+    row = row_of(score_columns(), score)
     assert row["interval_coverage"] is None
     assert row["spatial_rmse_m"] == pytest.approx(ERROR_M)
 

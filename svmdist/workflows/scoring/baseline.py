@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import write_atomically
 from svmdist.input_file import read_regular, why
-from svmdist.workflows.scoring.metric_table import Better, Metric, Tolerance, cells, stored_metrics
+from svmdist.workflows.scoring.metric_table import FIRST_KEYS, Better, Tolerance, cells, stored_metrics
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import Validation
 
@@ -22,17 +23,14 @@ SCHEMA: Literal["svmdist.baseline/1"] = "svmdist.baseline/1"
 
 MAX_FILE_BYTES = 64 << 20
 
-FIRST_KEYS = ("r_squared", "rmse_m", "p95_abs_error_m", "coverage")
-"""What every baseline stores, in this order. Metrics that came later are missing in older ones."""
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class StoredScore(BaseModel):
-    """The figures of one recording, method and reference, beside these fields; None where one was undefined.
+class StoredScore(_Stored, extra="allow"):
+    """The figures of one recording, method and reference, as extra fields: `stored_metrics()`, None where undefined."""
 
-    Every `stored_metrics()` may be one.
-    """
-
-    model_config = ConfigDict(extra="allow", frozen=True)
     __pydantic_extra__: dict[str, float | None] = Field(init=False)
     recording: str
     method: str
@@ -43,7 +41,7 @@ class StoredScore(BaseModel):
     def _check_metrics(self) -> Self:
         if missing := set(FIRST_KEYS) - set(self.figures):
             raise ValueError(f"{self.recording}: there is no {', '.join(sorted(missing))}")
-        if unknown := set(self.figures) - set(_stored_metrics()):
+        if unknown := set(self.figures) - set(stored_metrics()):
             raise ValueError(f"{self.recording}: there is no metric {', '.join(sorted(unknown))}")
         return self
 
@@ -58,18 +56,16 @@ class StoredScore(BaseModel):
         return self.recording, self.method, self.equations, self.reference
 
 
-class StoredAlarmRules(BaseModel):
+class StoredAlarmRules(_Stored):
     """What the stored alarms were raised by."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     below_m: float
     confidence: float
 
 
-class Baseline(BaseModel):
+class Baseline(_Stored):
     """A whole baseline file; `alarms` is None where none were asked for."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     schema_: Literal["svmdist.baseline/1"] = Field(alias="schema")
     tolerances: dict[str, Tolerance]
     scores: tuple[StoredScore, ...]
@@ -95,7 +91,7 @@ def make_baseline(validation: Validation) -> Baseline:
     """Take the figures of a validation, per recording and overall."""
     return Baseline(
         schema=SCHEMA,
-        tolerances={key: metric.tolerance for key, metric in _stored_metrics().items() if metric.tolerance},
+        tolerances={key: metric.tolerance for key, metric in stored_metrics().items() if metric.tolerance},
         scores=tuple(_stored(score) for score in (*validation.scores, *validation.overall)),
         alarms=_stored_rules(validation.alarm_rules),
     )
@@ -115,27 +111,26 @@ def require_same_alarms(baseline: Baseline, asked: AlarmRules | None) -> None:
 
 
 def find_regressions(validation: Validation, baseline: Baseline, *, complete: bool) -> list[Regression]:
-    """Compare a validation with stored figures.
+    """Compare a validation with the stored figures of the same method and equations.
 
-    With `complete`, every stored score of the same method and equations must be there; without, scores of
-    recordings that were not asked for (and the overall ones) are passed over. Raises RecordingError where
-    nothing can be compared, since a check that checks nothing must not pass.
+    With `complete`, all of them must be there; without, those of other recordings (and the overall ones) are skipped.
+    Raises RecordingError where nothing can be compared, since a check that checks nothing must not pass.
     """
     found = {score.key: score for score in map(_stored, (*validation.scores, *validation.overall))}
     setups = {(score.method, score.equations) for score in found.values()}
     asked = {score.recording for score in validation.scores}
-    regressions: list[Regression] = []
-    compared = 0
-    for stored in baseline.scores:
-        if (stored.method, stored.equations) not in setups or not (complete or stored.recording in asked):
-            continue
-        compared += 1
-        regressions += _worse(stored, found.get(stored.key), baseline.tolerances)
-    if compared == 0:
+    compared = [
+        stored
+        for stored in baseline.scores
+        if (stored.method, stored.equations) in setups and (complete or stored.recording in asked)
+    ]
+    if not compared:
         raise RecordingError(
             "the baseline holds no figure of these recordings, this method and these equations"
         )
-    return regressions
+    return [
+        worse for stored in compared for worse in _worse(stored, found.get(stored.key), baseline.tolerances)
+    ]
 
 
 def load_baseline(path: Path) -> Baseline:
@@ -158,29 +153,20 @@ def _stored_rules(rules: AlarmRules | None) -> StoredAlarmRules | None:
     return StoredAlarmRules(below_m=rules.below_m, confidence=rules.confidence) if rules else None
 
 
-def _stored_metrics() -> dict[str, Metric[Score]]:
-    """The metrics of a baseline by their keys, in the order of its file."""
-    metrics = {metric.key: metric for metric in stored_metrics()}
-    return {key: metrics[key] for key in (*FIRST_KEYS, *metrics)}
-
-
 def _stored(score: Score) -> StoredScore:
     labels = {"recording": score.recording, "method": score.method, "equations": score.equations}
     return StoredScore.model_validate(
-        labels | {"reference": str(score.reference)} | cells(_stored_metrics().values(), score)
+        labels | {"reference": str(score.reference)} | cells(stored_metrics().values(), score)
     )
 
 
 def _worse(
     stored: StoredScore, found: StoredScore | None, tolerances: Mapping[str, Tolerance]
 ) -> Iterator[Regression]:
-    for key, metric in _stored_metrics().items():
+    for key, metric in stored_metrics().items():
         before, now = stored.figures.get(key), found.figures.get(key) if found else None
         if before is None:
             continue
-        if now is None:
-            yield Regression(stored.recording, stored.reference, key, before, None)
-            continue
-        loss = before - now if metric.better is Better.HIGHER else now - before
+        loss = math.inf if now is None else before - now if metric.better is Better.HIGHER else now - before
         if not tolerances.get(key, Tolerance()).allows(loss, before):
             yield Regression(stored.recording, stored.reference, key, before, now)

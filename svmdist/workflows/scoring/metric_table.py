@@ -1,4 +1,7 @@
-"""What a metric is: its key, unit, direction, tolerance and meaning, how it is computed, and where it stands."""
+"""Every metric, declared once: tables, CSV, JSON, baselines and docs/metrics.md are made from these declarations.
+
+A new metric is one entry in one of the tuples below. Give it `is_late=True`: columns may be added at the end only.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +9,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Flag, StrEnum, auto
 from functools import partial
-from operator import attrgetter
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from svmdist.estimation.lag import LagEstimate
-from svmdist.metrics import AlarmStatistics, ErrorStatistics, Interval
-from svmdist.workflows.compare import Figures
-from svmdist.workflows.scoring.score import DistanceScore, Score
+from svmdist.metrics import COUNT, LENGTH, RATIO, SECONDS, SHARE, TEXT, Unit
 
 Value = str | int | float | None
-Scored_contra = TypeVar("Scored_contra", contravariant=True)
-Whole = TypeVar("Whole")
-Part = TypeVar("Part")
 
 
 class Better(StrEnum):
@@ -49,19 +45,6 @@ class Output(Flag):
 NOWHERE = Output(0)
 
 
-@dataclass(frozen=True, slots=True)
-class Unit:
-    """The unit of a value, the one a person is shown, and how: the value times `factor` with so many digits.
-
-    Without digits the value is shown as it is: a count or a text.
-    """
-
-    name: str = ""
-    shown: str = ""
-    factor: float = 1.0
-    digits: int | None = None
-
-
 class Tolerance(BaseModel):
     """How much worse a figure may get: the larger of an absolute and a relative allowance."""
 
@@ -75,7 +58,7 @@ class Tolerance(BaseModel):
 
 
 @dataclass(frozen=True, slots=True)
-class Metric(Generic[Scored_contra]):
+class Metric:
     """One metric of a score, or of a part of it; `key` is its name in CSV, JSON and baselines.
 
     A baseline stores it where it has a `tolerance`, which needs `better`. Of a metric of the three distances,
@@ -86,7 +69,7 @@ class Metric(Generic[Scored_contra]):
 
     key: str
     unit: Unit
-    of: Callable[[Scored_contra], Value]
+    of: Callable[[Any], Value]
     meaning: str
     better: Better | None = None
     title: str = ""
@@ -100,59 +83,48 @@ class Metric(Generic[Scored_contra]):
     is_late: bool = False
 
 
-def of_part(metrics: Iterable[Metric[Part]], part_of: Callable[[Whole], Part | None]) -> list[Metric[Whole]]:
-    """Metrics of a part as metrics of the whole: None where it does not have the part."""
+def of_part(metrics: Iterable[Metric], name: str) -> list[Metric]:
+    """Metrics of a part, an attribute of the whole, as metrics of the whole: None where it does not have the part."""
 
-    def of(metric: Metric[Part], whole: Whole) -> Value:
-        part = part_of(whole)
+    def of(metric: Metric, whole: object) -> Value:
+        part = getattr(whole, name)
         return None if part is None else metric.of(part)
 
-    lifted: list[Metric[Any]] = [replace(metric, of=partial(of, metric)) for metric in metrics]
-    return lifted
+    return [replace(metric, of=partial(of, metric)) for metric in metrics]
 
 
-def of_distance(metrics: Iterable[Metric[DistanceScore]], distance: str) -> list[Metric[Any]]:
-    """Metrics of a distance as metrics of scores and figures, whose field of that name holds the distance's score."""
-    if distance == "planar":
-        named = [replace(metric, group=distance) for metric in metrics]
-    else:
+def of_distance(metrics: Iterable[Metric], distance: str) -> list[Metric]:
+    """Metrics of a distance as metrics of scores and figures, which have an attribute of its name."""
+    named = [replace(metric, group=distance) for metric in metrics]
+    if distance != "planar":
         named = [
             replace(
                 metric,
                 key=f"{distance}_{metric.key}",
                 outputs=metric.outputs_in_3d,
                 tolerance=metric.tolerance_in_3d,
-                group=distance,
             )
-            for metric in metrics
+            for metric in named
         ]
-    return of_part(named, attrgetter(distance))
+    return of_part(named, distance)
 
 
-def within(metrics: Iterable[Metric[Whole]], output: Output) -> list[Metric[Whole]]:
+def within(metrics: Iterable[Metric], output: Output) -> list[Metric]:
     """The metrics that stand in an output."""
     return [metric for metric in metrics if output & metric.outputs]
 
 
-def row_keys(
-    before: Sequence[str], metrics: Sequence[Metric[Whole]], after: Sequence[str] = ()
-) -> tuple[str, ...]:
+def row_keys(before: Sequence[str], metrics: Sequence[Metric], after: Sequence[str] = ()) -> tuple[str, ...]:
     """The columns of a row: labels, metrics, labels, and metrics that came later."""
     early = [metric.key for metric in metrics if not metric.is_late]
     late = [metric.key for metric in metrics if metric.is_late]
     return (*before, *early, *after, *late)
 
 
-def cells(metrics: Iterable[Metric[Whole]], of: Whole) -> dict[str, Value]:
+def cells(metrics: Iterable[Metric], of: object) -> dict[str, Value]:
     """The values of metrics by their keys."""
     return {metric.key: metric.of(of) for metric in metrics}
 
-
-COUNT = Unit()
-RATIO = Unit("1", digits=4)
-SHARE = Unit("1", "%", factor=100.0, digits=1)
-LENGTH = Unit("m", "mm", 1e3, 2)
-SECONDS = Unit("s", "s", digits=2)
 
 LOWER, HIGHER = Better.LOWER, Better.HIGHER
 SCORES, FIGURES = Output.SCORES, Output.FIGURES
@@ -174,13 +146,13 @@ KUENSCH = "moving-block bootstrap, Künsch 1989"
 
 
 # fmt: off
-FRAME_COUNT: Metric[Score | Figures] = Metric(
+FRAME_COUNT = Metric(
     "frame_count", COUNT, lambda s: s.frame_count, "Number of frames.", outputs=SCORES | FIGURES)
-COVERAGE: Metric[Score | Figures] = Metric(
+COVERAGE = Metric(
     "coverage", SHARE, lambda s: s.coverage, "Share of the frames that were measured.",
     HIGHER, "cov. %", SCORE_TABLE | REPLAY, COVERAGE_TOLERANCE)
 
-COUNTS: tuple[Metric[Score], ...] = (
+COUNTS = (
     Metric("sample_count", COUNT, lambda s: s.sample_count, "Measured frames with a truth.",
            title="n", outputs=SCORE_TABLE),
     Metric("rejected_count", COUNT, lambda s: s.rejected_count, "Frames that could not be measured.", LOWER),
@@ -188,7 +160,7 @@ COUNTS: tuple[Metric[Score], ...] = (
 )
 """How many frames `validate` scored."""
 
-ERRORS: tuple[Metric[DistanceScore], ...] = (
+ERRORS = (
     Metric("count", COUNT, lambda d: d.statistics.count, "Number of pairs.",
            title="n", outputs=Output.DISTANCE_TABLE),
     Metric("r_squared", RATIO, lambda d: d.statistics.r_squared,
@@ -213,7 +185,7 @@ ERRORS: tuple[Metric[DistanceScore], ...] = (
 )
 """How far the estimates of a distance are from the truth."""
 
-INTERVALS: tuple[Metric[DistanceScore], ...] = (
+INTERVALS = (
     Metric("interval_coverage", SHARE, lambda d: d.interval_coverage,
            "Share of truths inside the stated 95 % interval, estimate ± 1.96 standard deviations; best at 0.95.",
            title="in 95 %", narrow_title="∈95 %",
@@ -221,37 +193,37 @@ INTERVALS: tuple[Metric[DistanceScore], ...] = (
 )
 """Whether the stated standard deviations of a distance are honest."""
 
-FRAMES: tuple[Metric[Score], ...] = (
+FRAMES = (
     FRAME_COUNT,
     Metric("unpaired_count", COUNT, lambda s: s.unpaired_count, "Measured frames without a truth."),
 )
-RMSE_BOUNDS: tuple[Metric[Interval], ...] = (
+RMSE_BOUNDS = (
     Metric("rmse_low_m", LENGTH, lambda i: i.low, "Lower bound of the 95 % interval of `rmse_m`.", source=KUENSCH),
     Metric("rmse_high_m", LENGTH, lambda i: i.high, "Upper bound of the 95 % interval of `rmse_m`.", source=KUENSCH),
 )
-R_SQUARED_BOUNDS: tuple[Metric[Interval], ...] = (
+R_SQUARED_BOUNDS = (
     Metric("r_squared_low", RATIO, lambda i: i.low, "Lower bound of the 95 % interval of `r_squared`.",
            source=KUENSCH),
     Metric("r_squared_high", RATIO, lambda i: i.high, "Upper bound of the 95 % interval of `r_squared`.",
            source=KUENSCH),
 )
-MARKS: tuple[Metric[Score], ...] = (
+MARKS = (
     Metric("fitted_on", COUNT, lambda s: s.fitted_on,
            "Whether the calibration was fitted on this log, which is then left out of the overall score."),
-    Metric("rejected", COUNT, lambda s: " ".join(f"{reason}={count}" for reason, count in s.rejected.items()),
+    Metric("rejected", TEXT, lambda s: " ".join(f"{reason}={count}" for reason, count in s.rejected.items()),
            "The frames that could not be measured: a count for each status."),
 )
-LAG: tuple[Metric[LagEstimate], ...] = (
+LAG = (
     Metric("lag_s", SECONDS, lambda lag: lag.lag_s, "Time by which image stamps are late; it was taken off."),
     Metric("lag_confidence", RATIO, lambda lag: lag.confidence,
            "How much better this lag explains the images than its best rival: 1 - J_best / J_rival.", HIGHER),
 )
-UNCORRECTED: tuple[Metric[ErrorStatistics], ...] = (
+UNCORRECTED = (
     Metric("r_squared_uncorrected", RATIO, lambda e: e.r_squared, "`r_squared` with the lag left in.", HIGHER),
     Metric("rmse_uncorrected_m", LENGTH, lambda e: e.rmse, "`rmse_m` with the lag left in.", LOWER),
 )
 
-ALARMS: tuple[Metric[AlarmStatistics], ...] = (
+ALARMS = (
     Metric("unsafe", COUNT, lambda a: f"{a.unsafe_count} of {a.frame_count}", "Unsafe frames, and all.",
            title="unsafe", outputs=Output.ALARM_TABLE),
     Metric("alarm_frame_count", COUNT, lambda a: a.frame_count, "Frames with a true clearance."),
@@ -282,7 +254,7 @@ ALARMS: tuple[Metric[AlarmStatistics], ...] = (
 """How alarms did, with `--alarm-below`. Recall is stored with the share of false alarms: alarming always has a
 recall of 1."""
 
-REPLAYS: tuple[Metric[Figures], ...] = (
+REPLAYS = (
     FRAME_COUNT,
     Metric("measured_count", COUNT, lambda f: f.measured_count, "Measured frames.", HIGHER, outputs=FIGURES),
     COVERAGE,
@@ -293,35 +265,40 @@ REPLAYS: tuple[Metric[Figures], ...] = (
 # fmt: on
 
 
-def score_metrics() -> list[Metric[Score]]:
+FIRST_KEYS = ("r_squared", "rmse_m", "p95_abs_error_m", "coverage")
+"""The metrics that every baseline stores; those declared later are missing in older ones."""
+
+
+def score_metrics() -> list[Metric]:
     """All metrics of a score of `validate`, in the order of its columns."""
     return [
         *COUNTS,
         *of_distance(ERRORS, "planar"),
         *FRAMES,
-        *of_part(RMSE_BOUNDS, attrgetter("rmse_interval_m")),
-        *of_part(R_SQUARED_BOUNDS, attrgetter("r_squared_interval")),
+        *of_part(RMSE_BOUNDS, "rmse_interval_m"),
+        *of_part(R_SQUARED_BOUNDS, "r_squared_interval"),
         *MARKS,
-        *of_part(LAG, attrgetter("lag")),
-        *of_part(UNCORRECTED, attrgetter("uncorrected")),
+        *of_part(LAG, "lag"),
+        *of_part(UNCORRECTED, "uncorrected"),
         *of_distance(INTERVALS, "planar"),
         *of_distance(distance_metrics(), "spatial"),
         *of_distance(distance_metrics(), "clearance"),
-        *of_part(ALARMS, attrgetter("alarms")),
+        *of_part(ALARMS, "alarms"),
     ]
 
 
-def distance_metrics() -> tuple[Metric[DistanceScore], ...]:
+def distance_metrics() -> tuple[Metric, ...]:
     """All metrics of one distance."""
     return ERRORS + INTERVALS
 
 
-def figure_metrics() -> list[Metric[Figures]]:
+def figure_metrics() -> list[Metric]:
     """All metrics of the figures of a replay, in the order of their columns."""
     distances = (of_distance(distance_metrics(), distance) for distance in ("planar", "spatial", "clearance"))
     return [*REPLAYS, *(metric for metrics in distances for metric in metrics)]
 
 
-def stored_metrics() -> list[Metric[Score]]:
-    """The metrics that a baseline stores."""
-    return [metric for metric in score_metrics() if metric.tolerance is not None]
+def stored_metrics() -> dict[str, Metric]:
+    """The metrics that a baseline stores, by their keys, in the order of its file."""
+    metrics = {metric.key: metric for metric in score_metrics() if metric.tolerance is not None}
+    return {key: metrics[key] for key in (*FIRST_KEYS, *metrics)}

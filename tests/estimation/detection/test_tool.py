@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svmdist.estimation.frame import ToolDetections
-from svmdist.estimation.scene import Arm, Scene, View
+from svmdist.estimation.frame import Frame
+from svmdist.estimation.scene import Arm, Scene
 from svmdist.results import Failure
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import inverse, make_transform
@@ -23,18 +23,18 @@ RIGHT_SCENE = replace(SCENE, T_camera_base=inverse(T_LEFT_RIGHT) @ SCENE.T_camer
 NO_ROBOT = Failure("no joints near the image")
 
 
-def detections(image: Image, right: bool = False, others: Image | None = None) -> ToolDetections:
+def detections(image: Image, right: bool = False, others: Image | None = None) -> Frame:
     beside = RightView(RIGHT_SCENE.frame_at(0.3), SCENE.camera, T_LEFT_RIGHT) if right else None
     observation = Observation(START_NS, image, SCENE.camera, None, beside)
     scene = Scene(observation, PROFILE, make_segmenter(PROFILE.segmentation))
-    view = None if scene.right is None else View(SCENE.camera, scene.right)
-    return ToolDetections(Arm(PROFILE), scene, View(SCENE.camera, scene.left, others), view, NO_ROBOT)
+    return Frame.of(scene, Arm(PROFILE), observation, NO_ROBOT, (others, None))
 
 
 def test_the_marker_is_where_it_was_drawn() -> None:
     """To half a pixel, in both views; the disc's 9 px to 1 px, since the whole sphere is taken as 3 % larger."""
     tool = detections(SCENE.frame_at(0.3), right=True)
-    left, right = tool.distal_marker, tool.right_distal_marker
+    assert tool.right is not None
+    left, right = tool.left.distal_marker, tool.right.distal_marker
     assert left is not None
     assert right is not None
     np.testing.assert_allclose(left.centre_px, TOOL_PX, atol=0.5)
@@ -46,41 +46,34 @@ def test_the_marker_is_where_it_was_drawn() -> None:
 def test_what_is_not_there_is_none() -> None:
     """Of a grey image, and of the right view of a log that has none."""
     tool = detections(np.full((480, 640, 3), 120, np.uint8))
-    assert tool.region is None
-    assert tool.distal_marker is None
-    assert tool.tag_corners_px is None
+    assert tool.left.region is None
+    assert tool.left.distal_marker is None
+    assert tool.left.tag_corners_px is None
     assert tool.tag is None
-    assert tool.tag_turned(np.eye(3)) is None
-    assert tool.shaft_region is None
-    assert tool.shaft.contours == ()
+    assert tool.tag_near(np.eye(3)) is None
+    assert tool.left.shaft_region is None
+    assert tool.left.shaft.contours == ()
     assert isinstance(tool.shaft_fit, Failure)
-    assert tool.regions_as_recorded == (None, None)
-    whole = detections(SCENE.frame_at(0.3))
-    assert whole.right_region is None
-    assert whole.right_distal_marker is None
+    assert tool.left.regions_as_recorded == (None, None)
+    assert tool.right is None
 
 
 def test_another_instrument_s_pixels_are_none_of_its_own() -> None:
     """Marked as another's, the marker is gone; the tissue, which all share, stays."""
     others = np.full((480, 640), 255, np.uint8)
     tool = detections(SCENE.frame_at(0.3), others=others)
-    assert tool.region is None
-    assert tool.distal_marker is None
-    tissue, instrument = tool.regions_as_recorded
+    assert tool.left.region is None
+    assert tool.left.distal_marker is None
+    tissue, instrument = tool.left.regions_as_recorded
     assert tissue is not None
     assert instrument is None
 
 
-def test_detections_are_kept_and_accounted_for_with_the_scene() -> None:
-    """The same object again; the ledger is the scene's, so that a method pays for both."""
+def test_detections_are_kept() -> None:
+    """The same object again."""
     tool = detections(SCENE.frame_at(0.3))
-    assert tool.region is tool.region
-    assert tool.distal_marker is tool.distal_marker
-    assert set(tool.found) == {"region", "distal_marker"}
-    costs: list[float] = []
-    with tool.ledger.method(costs.append):
-        _ = tool.distal_marker
-    assert costs[0] > 0.0
+    assert tool.left.region is tool.left.region
+    assert tool.left.distal_marker is tool.left.distal_marker
 
 
 def test_without_sizes_there_is_no_fit() -> None:
@@ -91,5 +84,5 @@ def test_without_sizes_there_is_no_fit() -> None:
         profile,
         make_segmenter(profile.segmentation),
     )
-    tool = ToolDetections(Arm(profile), scene, View(SCENE.camera, scene.left), None, NO_ROBOT)
+    tool = Frame.of(scene, Arm(profile), scene.observation, NO_ROBOT)
     assert tool.shaft_fit == Failure(f"profile {profile.name} has no [instrument]")

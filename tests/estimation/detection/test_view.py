@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.scene import View
+from svmdist.estimation.frame import View
+from svmdist.estimation.scene import Arm
 from svmdist.samples import Image
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.segmentation import make_segmenter
@@ -35,7 +36,7 @@ def right_half() -> Image:
 
 
 def test_one_instrument_sees_the_context_itself(context: FrameContext) -> None:
-    view = View(CAMERA, context)
+    view = View(Arm(PROFILE), CAMERA, context)
     assert view.masks is context.masks
     assert view.masks_as_recorded is context.masks_as_recorded
 
@@ -44,7 +45,7 @@ def test_one_instrument_sees_the_context_itself(context: FrameContext) -> None:
 def test_others_pixels_are_nobodys(context: FrameContext, name: str) -> None:
     """Own half as it was, the other half empty, in the coloured part and the shaft; the tissue is everybody's."""
     whole = getattr(context, name)
-    masks = getattr(View(CAMERA, context, right_half()), name)
+    masks = getattr(View(Arm(PROFILE), CAMERA, context, right_half()), name)
     np.testing.assert_array_equal(masks.tissue, whole.tissue)
     assert whole.tissue.any()
     for part in ("instrument", "shaft"):
@@ -57,7 +58,10 @@ def test_others_pixels_are_nobodys(context: FrameContext, name: str) -> None:
 def test_two_views_share_an_image_and_divide_its_instruments(context: FrameContext) -> None:
     """With opposite pixels hidden, two views own every pixel of the instruments between them, and none both."""
     others = right_half()
-    first, second = View(CAMERA, context, others), View(CAMERA, context, 255 - others)
+    first, second = (
+        View(Arm(PROFILE), CAMERA, context, others),
+        View(Arm(PROFILE), CAMERA, context, 255 - others),
+    )
     mine, other = first.masks.instrument, second.masks.instrument
     assert not (mine & other).any()
     np.testing.assert_array_equal(mine | other, context.masks.instrument)

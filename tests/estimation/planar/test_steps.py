@@ -64,7 +64,7 @@ def test_what_is_missing_is_the_status(colours: tuple[tuple[int, int, int], ...]
     assert result.status is status
     assert (result.image.tissue_px is None) == (tissue is None)
     assert (result.image.tool_px is None) == (instrument is None)
-    for estimator in (CentroidEstimator(MAPPING), OverlayEstimator(PROFILE, MAPPING)):
+    for estimator in (CentroidEstimator(Arm(PROFILE), MAPPING), OverlayEstimator(Arm(PROFILE), MAPPING)):
         assert estimator.estimate(frame(image)).status is status
 
 
@@ -89,8 +89,8 @@ def test_a_distance_that_is_no_number_rejects_the_frame() -> None:
 def test_the_overlay_finds_the_marker_where_the_centroid_is() -> None:
     """The marker is pasted on the centroid, so both methods differ by what finding it again errs: under 1 px."""
     seen = frame(SCENE.frame_at(0.3))
-    plain = CentroidEstimator(MAPPING).estimate(seen)
-    marked = OverlayEstimator(PROFILE, MAPPING).estimate(seen)
+    plain = CentroidEstimator(Arm(PROFILE), MAPPING).estimate(seen)
+    marked = OverlayEstimator(Arm(PROFILE), MAPPING).estimate(seen)
     assert plain.distances.planar is not None
     assert marked.distances.planar is not None
     assert abs(plain.distances.planar.value_m - marked.distances.planar.value_m) < M_PER_PX

@@ -82,10 +82,10 @@ def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo: tuple[Setup
     drawing = frame_drawing(replayed, setup)
     assert [line.text.split(":")[0] for line in drawing.lines] == ["PSM1 fused", "PSM2 fused"]
     for frame, result in zip(replayed.frames, replayed.results, strict=True):
-        corners_px = frame.tool.tag_corners_px
+        corners_px = frame.left.tag_corners_px
         assert corners_px is not None
         np.testing.assert_allclose(points_of(drawing, Part.TAG, result.instrument), corners_px)
-        region = frame.tool.region
+        region = frame.left.region
         assert region is not None
         contours_px = points_of(drawing, Part.INSTRUMENT, result.instrument)
         low, high = region.hull.reshape(-1, 2).min(0), region.hull.reshape(-1, 2).max(0)
@@ -102,7 +102,7 @@ def test_edges_of_the_shaft_lie_in_their_tangent_planes(duo: tuple[Setup, Replay
             for shape in drawing.shapes
             if (shape.part, shape.instrument) == (Part.SHAFT, result.instrument)
         ]
-        for contour, ends_px in zip(frame.tool.shaft.contours, lines, strict=False):
+        for contour, ends_px in zip(frame.left.shaft.contours, lines, strict=False):
             rays = np.column_stack([ends_px, np.ones(2)]) @ np.linalg.inv(frame.left.camera.K).T
             np.testing.assert_allclose(rays @ contour.plane.normal, 0.0, atol=1e-9)
             checked += 1

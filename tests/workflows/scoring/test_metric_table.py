@@ -5,29 +5,24 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import alarm_statistics
-from svmdist.report.metric_docs import metrics_table
+from svmdist.report.columns_page import columns_page
 from svmdist.report.scores import (
-    compare_keys,
-    compare_row,
-    compare_tables,
-    grid_keys,
-    grid_row,
-    grid_table,
-    score_keys,
-    score_row,
+    compare_columns,
+    compare_results,
+    score_columns,
     validation_document,
+    validation_results,
     validation_tables,
 )
-from svmdist.report.tables import csv_lines, render
+from svmdist.report.tables import csv_lines, keys_of, render
 from svmdist.workflows.compare import Figures, Group, MethodScore
-from svmdist.workflows.conditions import CLEAN
-from svmdist.workflows.degradation_grid import GridCell
 from svmdist.workflows.scoring import metric_table
 from svmdist.workflows.scoring.baseline import Baseline, find_regressions, make_baseline
 from svmdist.workflows.scoring.metric_table import (
@@ -42,7 +37,7 @@ from svmdist.workflows.scoring.metric_table import (
     of_part,
     score_metrics,
 )
-from svmdist.workflows.scoring.score import DistanceScore, Pairs, Score, score_pairs
+from svmdist.workflows.scoring.score import Pairs, Score, score_pairs
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
 
@@ -91,10 +86,9 @@ def figures() -> Figures:
 
 def test_columns_stay() -> None:
     """The columns of version 0.1, in their order: a column is neither renamed nor moved nor removed."""
-    assert list(score_keys()) == SCORE_COLUMNS.split()
+    assert list(keys_of(score_columns())) == SCORE_COLUMNS.split()
     figure_columns = FIGURE_COLUMNS.split()
-    assert list(grid_keys()) == ["method", "degradation", "severity", *figure_columns]
-    assert list(compare_keys()) == [
+    assert list(keys_of(compare_columns())) == [
         "group",
         "method",
         *figure_columns,
@@ -118,7 +112,7 @@ def test_declarations_are_complete() -> None:
 @pytest.fixture
 def added(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The key of a metric that is declared in one place, and nowhere else: the 99th percentile of the error."""
-    metric: Metric[DistanceScore] = Metric(
+    metric = Metric(
         "p99_abs_error_m",
         LENGTH,
         lambda d: float(np.percentile(np.abs(d.pairs.estimate_m - d.pairs.truth_m), 99)),
@@ -140,10 +134,11 @@ def test_a_new_metric_is_declared_once(added: str) -> None:
     keys = [added, f"spatial_{added}", f"clearance_{added}"]
     expected = np.percentile(1e-3 * np.arange(20), 99)
     made = validation()
-    assert list(score_keys())[-4:] == ["instrument", *keys]
-    row = score_row(made.scores[0])
+    assert list(keys_of(score_columns()))[-4:] == ["instrument", *keys]
+    results = validation_results(made)
+    row = next(iter(results.rows))
     assert [row[key] for key in keys] == pytest.approx([expected] * 3)
-    header, cells = (line.split(",") for line in csv_lines(score_keys(), [row]))
+    header, cells = (line.split(",") for line in csv_lines(results.keys, [row]))
     assert header[-1].strip() == keys[-1]
     assert float(cells[-1]) == pytest.approx(expected)
     document = json.loads(json.dumps(validation_document(made)))
@@ -152,19 +147,15 @@ def test_a_new_metric_is_declared_once(added: str) -> None:
     for shown in (planar, in_3d):
         assert "p99" in shown
         assert f"{expected * 1e3:.2f}" in shown
-    assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | m | lower | 1e-05 m |" in metrics_table()
+    assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | m | lower | 1e-05 m |" in columns_page()
 
 
 def test_a_new_metric_stands_in_replays(added: str) -> None:
-    """`compare` and the grid show it for each distance."""
-    compared = MethodScore(Group("sweep"), "fused", figures())
-    cell = GridCell("fused", CLEAN, figures())
-    assert compare_keys()[-4:] == ("instrument", added, f"spatial_{added}", f"clearance_{added}")
-    assert grid_keys()[-1] == f"clearance_{added}"
-    assert {*compare_keys()} == {*compare_row(compared)}
-    assert {*grid_keys()} == {*grid_row(cell)}
-    for shown in (render(compare_tables([compared])[0]), render(grid_table("grid", [cell]))):
-        assert shown.count("p99") == 3
+    """`compare` shows it for each distance."""
+    results = compare_results([MethodScore(Group("sweep"), "fused", figures())])
+    assert results.keys[-4:] == ("instrument", added, f"spatial_{added}", f"clearance_{added}")
+    assert [{*row} for row in results.rows] == [{*results.keys}]
+    assert render(results.tables[0]).count("p99") == 3
 
 
 def test_a_new_metric_is_in_baselines(added: str) -> None:
@@ -179,7 +170,7 @@ def test_a_new_metric_is_in_baselines(added: str) -> None:
 
 def test_a_part_that_is_missing_has_no_figures() -> None:
     """A metric of a part is None where the whole lacks the part, and the part's own where it has it."""
-    half: Metric[float] = Metric("half", LENGTH, lambda value: value / 2, "Half of it.")
-    (of_first,) = of_part([half], lambda values: values[0])
-    assert of_first.of((3.0,)) == 1.5
-    assert of_first.of((None,)) is None
+    half = Metric("half", LENGTH, lambda value: value / 2, "Half of it.")
+    (of_first,) = of_part([half], "part")
+    assert of_first.of(SimpleNamespace(part=3.0)) == 1.5
+    assert of_first.of(SimpleNamespace(part=None)) is None

@@ -11,7 +11,13 @@ import pytest
 
 from svmdist.camera import stereo_transform
 from svmdist.errors import SourceError
-from svmdist.importing.calibration import CalibrationOptions, complete, read_calibration, stated_cameras
+from svmdist.importing.calibration import (
+    MAX_BYTES,
+    CalibrationOptions,
+    complete,
+    read_calibration,
+    stated_cameras,
+)
 from svmdist.transforms import make_transform, rotation_of
 
 K = [572.2, 0.0, 378.8, 0.0, 571.0, 239.3, 0.0, 0.0, 1.0]
@@ -152,18 +158,25 @@ def test_wrong_files(tmp_path: Path, document: object, said: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_hostile_yaml(tmp_path: Path) -> None:
-    """Aliases, objects of Python and broken text are refused."""
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("- 1\n", "found list"),
+        ("a: &a [1, 1]\nb: [*a, *a]\n", "not a YAML file: an alias"),
+        ("K: !!python/object/apply:os.system ['true']\n", "not a YAML file"),
+        ("K: [1, 2\n", "not a YAML file"),
+        ("\0", "not a YAML file"),
+        ("#" * (MAX_BYTES + 1), "the limit"),
+    ],
+    ids=["list", "alias", "object", "broken", "NUL", "large"],
+)
+def test_hostile_yaml(tmp_path: Path, text: str, said: str) -> None:
+    """Aliases, objects of Python, broken text and large files are refused in one line."""
     path = tmp_path / "bomb.yaml"
-    for text in (
-        "a: &a [1, 1]\nb: [*a, *a]\n",
-        "K: !!python/object/apply:os.system ['true']\n",
-        "K: [1, 2\n",
-        "\0",
-    ):
-        path.write_text(text)
-        with pytest.raises(SourceError, match=r"bomb\.yaml: not a YAML file"):
-            read_calibration(path)
+    path.write_text(text)
+    with pytest.raises(SourceError, match=rf"bomb\.yaml: .*{said}") as caught:
+        read_calibration(path)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,244 @@
+"""The output formats, one table: their names, the endings of their files, what they hold and how they are written.
+
+Light to import: `svmdist --help` reads the names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import Flag, auto
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
+from svmdist.errors import OutputError, UsageError, did_you_mean, optional_package
+
+if TYPE_CHECKING:
+    from svmdist.recording.log import Recording
+    from svmdist.report.html import Report
+    from svmdist.report.tables import Column, Row, Table
+    from svmdist.workflows.annotate import DrawnFrame
+    from svmdist.workflows.setup import Setup
+
+
+class Holds(Flag):
+    """What a file can hold; a command gives one or several of these."""
+
+    ROWS = auto()
+    """Rows of any number, written as they come."""
+    POSES = auto()
+    """Rows with poses."""
+    TABLES = auto()
+    """Tables for a person, with the rows behind them."""
+    FIGURES = auto()
+    """The same of metrics, which papers and pages want too."""
+    FRAMES = auto()
+    """Images with what was found and measured drawn on them."""
+    REPORT = auto()
+    PLOT = auto()
+
+
+ANY_ROWS = Holds.ROWS | Holds.POSES | Holds.TABLES | Holds.FIGURES
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a command gives: rows with their columns; of a summary also tables, notes, and the JSON document.
+
+    `text` gives what a person reads at a width in characters, None for a file or a pipe, in place of tables or rows.
+    """
+
+    columns: Sequence[Column]
+    rows: Iterable[Row]
+    text: Callable[[int | None], Iterable[str]] | None = None
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()
+    document: object = None
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The columns for machines."""
+        return tuple(column.key for column in self.columns if column.stored)
+
+
+Lines = Callable[[Results, int | None, bool], Iterator[str]]
+"""Texts of results, for a terminal of a width in characters, None for a file or a pipe, and with or without colour."""
+
+
+@dataclass(frozen=True)
+class Writer:
+    """One format. A text format has `lines`; a binary one has `save`, which a command calls with what it holds.
+
+    `needs` raises OutputError where a package is missing.
+    """
+
+    name: str
+    endings: tuple[str, ...]
+    holds: Holds
+    lines: Lines | None = None
+    save: Callable[..., Any] | None = None
+    needs: Callable[[], object] | None = None
+    is_json: bool = False
+
+
+def require_report() -> None:
+    """Raise OutputError where a package is missing that makes a report: plotly carries the code that draws plots."""
+    for name in ("plotly", "jinja2"):
+        optional_package(name, "report", "a report", OutputError)
+
+
+def _table_lines(results: Results, width: int | None, colour: bool) -> Iterator[str]:
+    from svmdist.report.tables import render, text_lines
+
+    if results.text is not None:
+        yield from results.text(width)
+        return
+    if not results.tables:
+        yield from text_lines([column for column in results.columns if column.heading], results.rows)
+    yield from (render(table, width=width, colour=colour) for table in results.tables)
+    for note in results.notes:
+        yield from (f"{line}\n" for line in (wrap(note, width) if width else [note]))
+
+
+def _csv_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
+    from svmdist.report.tables import csv_lines
+
+    return csv_lines(results.keys, results.rows)
+
+
+def _json_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
+    from svmdist.report.tables import json_array_lines, json_text
+
+    if results.document is None:
+        return json_array_lines(results.keys, results.rows)
+    return iter([json_text(results.document, indent=1) + "\n"])
+
+
+def _jsonl_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
+    from svmdist.report.tables import json_lines
+
+    return json_lines(results.keys, results.rows)
+
+
+def _tum_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
+    from svmdist.report.rows import tum_lines
+
+    return tum_lines(results.keys, results.rows)
+
+
+def _latex_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
+    from svmdist.report.tables import latex
+
+    return latex(results.tables, results.notes)
+
+
+def _markdown_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
+    from svmdist.report.tables import markdown
+
+    return markdown(results.tables, results.notes)
+
+
+def _save_parquet(results: Results, output: Path) -> None:
+    from svmdist.report.tables import write_parquet
+
+    write_parquet(output, results.columns, results.rows)
+
+
+def _save_annotated(
+    frames: Iterable[DrawnFrame], seen: Recording, setup: Setup, output: Path, force: bool
+) -> None:
+    from svmdist.report.video import write_annotated
+
+    write_annotated(seen, frames, setup, output, force=force)
+
+
+def _save_video(frames: Iterable[DrawnFrame], seen: Recording, _: Setup, output: Path, __: bool) -> None:
+    from svmdist.report.video import write_video
+
+    write_video(frames, output, (seen.logged_camera.width_px, seen.logged_camera.height_px))
+
+
+def _save_report(report: Report, output: Path) -> None:
+    from svmdist.report.html import write_report
+
+    write_report(report, output)
+
+
+def _package(name: str, extra: str, what: str) -> Callable[[], object]:
+    return lambda: optional_package(name, extra, what, OutputError)
+
+
+# fmt: off
+WRITERS = (
+    Writer("table", ("", ".txt", ".log", ".out"), Holds.ROWS | Holds.TABLES | Holds.FIGURES, _table_lines),
+    Writer("csv", (".csv",), ANY_ROWS, _csv_lines),
+    Writer("json", (".json",), ANY_ROWS, _json_lines, is_json=True),
+    Writer("jsonl", (".jsonl",), Holds.ROWS, _jsonl_lines, is_json=True),
+    Writer("tum", (".tum",), Holds.ROWS | Holds.POSES, _tum_lines),
+    Writer("latex", (".tex",), Holds.FIGURES, _latex_lines),
+    Writer("markdown", (".md",), Holds.FIGURES, _markdown_lines),
+    Writer("parquet", (".parquet",), Holds.ROWS | Holds.POSES | Holds.FIGURES,
+           save=_save_parquet, needs=_package("pyarrow", "parquet", "Parquet")),
+    Writer("mcap", (".mcap",), Holds.FRAMES, save=_save_annotated),
+    Writer("mp4", (".mp4",), Holds.FRAMES, save=_save_video, needs=_package("av", "video", "a video")),
+    Writer("html", (".html", ".htm"), Holds.REPORT, save=_save_report, needs=require_report),
+    Writer("png", (".png",), Holds.PLOT),
+    Writer("svg", (".svg",), Holds.PLOT),
+    Writer("pdf", (".pdf",), Holds.PLOT),
+)
+"""Every format that a command writes. A new one is an entry here."""
+# fmt: on
+
+
+def names_of(holds: Holds) -> tuple[str, ...]:
+    """The names of the formats that can hold what a command gives, for its `--format`."""
+    return tuple(writer.name for writer in WRITERS if writer.holds & holds)
+
+
+def choose_writer(given: str | None, output: Path | None, holds: Holds) -> Writer:
+    """The writer of what a command gives: the named one, else that of the file's ending, else that of plain text.
+
+    Raises UsageError for a name that contradicts the ending of a recording, a video or a page, and without a name for
+    an ending that no format has: a table in a file that is called .avi is not what was meant. Raises OutputError where
+    a package is missing.
+    """
+    able = [writer for writer in WRITERS if writer.holds & holds]
+    ending = "" if output is None else output.suffix.lower()
+    by_ending = next((writer for writer in able if ending in writer.endings), None)
+    if given is not None:
+        if by_ending is not None and by_ending.holds & (Holds.FRAMES | Holds.REPORT):
+            raise UsageError(
+                f"--format {given}: {output} is written as {by_ending.name}; leave out one of them"
+            )
+        names = names_of(holds & ANY_ROWS)
+        if given not in names:
+            raise UsageError(f"--format {given}: {did_you_mean(given, names)}")
+        chosen = next(writer for writer in able if writer.name == given)
+    elif by_ending is not None:
+        chosen = by_ending
+    elif ending in WRITERS[0].endings or (output is not None and output.parent == Path("/dev")):
+        chosen = able[0]
+    else:
+        choices = ", ".join(
+            sorted(end for writer in able for end in writer.endings if writer.name != "table")
+        )
+        hint = "; svmdist validate --report FILE.html writes a report" if ending in {".html", ".htm"} else ""
+        raise UsageError(
+            f"-o {output}: no format has the ending {ending}: the choices are {choices}, and .txt for"
+            f" {'a table' if able[0].name == 'table' else able[0].name.upper()}; or give --format{hint}"
+        )
+    if chosen.lines is None and output is None:
+        raise UsageError(f"--format {chosen.name} is no text: give a file with -o FILE{chosen.endings[0]}")
+    if chosen.needs is not None:
+        chosen.needs()
+    return chosen
+
+
+def plot_format(path: Path) -> str:
+    """The format of a plot by its path's ending; raises OutputError, which lists the choices, for another one."""
+    ending, choices = path.suffix.lower(), names_of(Holds.PLOT)
+    if ending.lstrip(".") not in choices:
+        found = f"a {ending}" if ending else "a file without an ending"
+        raise OutputError(f"{path}: cannot draw {found}: the choices are {', '.join(choices)}")
+    return ending.lstrip(".")

@@ -1,0 +1,153 @@
+"""Rows of estimates and poses: the contract of their columns, and the page that explains them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.estimation.alarms import AlarmState
+from svmdist.recording.log import open_recording
+from svmdist.report.columns_page import columns_page
+from svmdist.report.rows import (
+    ESTIMATE_COLUMNS,
+    ESTIMATE_KEYS,
+    POSE_KEYS,
+    estimate_row,
+    estimate_values,
+    pose_rows,
+    shown_columns,
+    tum_lines,
+)
+from svmdist.report.scores import compare_columns, score_columns
+from svmdist.report.tables import keys_of, text_lines, text_width
+from svmdist.results import Distance, Distances, FrameResult, ImageFindings
+from svmdist.samples import Status
+from svmdist.transforms import rotation_from_quaternion_xyzw, rotation_z
+from svmdist.workflows.estimate import estimate
+from svmdist.workflows.request import prepare
+from tests.cli.conftest import Cli, cli
+from tests.conftest import REPOSITORY
+
+__all__ = ["cli"]
+CONTRACT = """
+recording stamp_ns status distance_m tool_x_px tool_y_px tissue_x_px tissue_y_px tool_area_px tissue_area_px
+keypoint_count match_count inlier_count method equations spatial_m clearance_m distance_std_m spatial_std_m
+clearance_std_m tool_x_m tool_y_m tool_z_m axis_x axis_y axis_z direction_x direction_y direction_z alarm
+closing_speed_m_s time_to_contact_s instrument instrument_clearance_m instrument_clearance_std_m
+instrument_direction_x instrument_direction_y instrument_direction_z detail tool_std_m axis_std_rad consistency
+"""
+MEASURED = FrameResult(
+    stamp_ns=1_700_000_000_500_000_000,
+    status=Status.OK,
+    image=ImageFindings((1.5, 2.5), (3.5, 4.5), 200, 5000, 900, 120, 100),
+    distances=Distances(Distance(0.0123), clearance=Distance(0.004, 1e-3, (0.0, 0.6, 0.8), (0.0, 0.0, 0.1))),
+)
+
+
+def test_the_columns_are_those_of_the_contract() -> None:
+    """In their order; a measured frame fills them in SI, and stamps keep their nanoseconds."""
+    assert list(ESTIMATE_KEYS[:44]) == CONTRACT.split()
+    alarm = AlarmState(True, 0.01, 0.4)
+    row = estimate_row("a", MEASURED, "overlay", "corrected", MEASURED.stamp_ns - 500_000_000, alarm)
+    assert (row["stamp_ns"], row["time_s"], row["distance_m"]) == (1_700_000_000_500_000_000, 0.5, 0.0123)
+    assert [row[key] for key in ESTIMATE_KEYS[4:13]] == [1.5, 2.5, 3.5, 4.5, 200, 5000, 900, 120, 100]
+    assert [row[f"direction_{axis}"] for axis in "xyz"] == [0.0, 0.6, 0.8]
+    assert (row["clearance_std_m"], row["alarm"], row["time_to_contact_s"]) == (1e-3, 1, 0.4)
+
+
+def test_a_rejected_frame_has_empty_cells() -> None:
+    """A frame without tissue has a status and its stamp, and nothing that was not measured."""
+    row = estimate_row("a", FrameResult(5, Status.NO_TISSUE, instrument="PSM1"), "overlay", "corrected", 5)
+    assert {key for key in ESTIMATE_KEYS if row[key] is not None} == {
+        *("recording", "stamp_ns", "status", "method", "equations", "instrument")
+    }
+
+
+def test_the_message_has_the_numbers_of_the_row() -> None:
+    """What an annotated log holds is read from the same columns, by the names of its schema."""
+    values = estimate_values(MEASURED, "fused", (0.002, 0.006), AlarmState(False, None, None))
+    numbers = {name: value for name, value in values.numbers.items() if value is not None}
+    assert numbers == {
+        "planar_m": 0.0123,
+        "clearance_m": 0.004,
+        "clearance_std_m": 1e-3,
+        "clearance_low_m": 0.002,
+        "clearance_high_m": 0.006,
+    }
+    assert values.alarm is False
+
+
+def test_a_person_sees_what_fits() -> None:
+    """Distances in mm; a narrow terminal goes without pixels first, by rank, and keeps what the method is for."""
+    results = (MEASURED, replace(MEASURED, status=Status.NO_INSTRUMENT, distances=Distances()))
+    rows = [estimate_row("a", result, "overlay", "corrected", MEASURED.stamp_ns) for result in results]
+    lines = list(text_lines(shown_columns(None), rows))
+    assert lines[2].split()[:4] == ["a", "0.000", "ok", "12.30"]
+    assert lines[3].split()[:4] == ["a", "0.000", "no_instrument", "–"]
+    kept = [column.key for column in shown_columns(80)]
+    assert kept == ["time_s", "status", "distance_m", "spatial_m", "clearance_m", "clearance_std_m"]
+    for planar, alarms, essential in (
+        (False, True, {"status", "clearance_m", "instrument", "alarm", "time_to_contact_s"}),
+        (False, False, {"clearance_m", "clearance_std_m", "instrument"}),
+        (True, False, {"status", "distance_m", "instrument"}),
+    ):
+        narrow = shown_columns(80, planar=planar, several=True, alarms=alarms)
+        assert text_width(narrow) <= 80
+        assert essential <= {column.key for column in narrow}
+
+
+def test_poses_keep_every_nanosecond_and_bit() -> None:
+    """Seconds with nine decimals, where a float would be rounded to 100 ns; then the numbers of the rows."""
+    stamps_ns = np.array([1_700_000_000_000_000_001, 1_700_000_000_999_999_999], np.int64)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation_z(np.pi / 2), (1.0, 2.0, 3.0)
+    rows = list(pose_rows(stamps_ns, np.stack([T, T])))
+    half = np.sqrt(0.5)
+    assert list(rows[0].values()) == pytest.approx([stamps_ns[0], 1, 2, 3, 0, 0, half, half], abs=1e-15)
+    for line, row in zip(tum_lines(POSE_KEYS, rows), rows, strict=True):
+        seconds, *numbers = line.split()
+        assert int(seconds.replace(".", "")) == row["stamp_ns"]
+        assert [float(number) for number in numbers] == [row[key] for key in POSE_KEYS[1:]]
+
+
+def test_trajectories_are_the_tools_poses(golden: Path, cli: Cli) -> None:
+    """`estimate -f tum` of a method in 3D, for one instrument; a planar method has no pose."""
+    log = golden / "3d" / "contact.mcap"
+    setup = prepare(method="fiducial")
+    rows = [row for row in estimate(open_recording(log, setup.profile), setup) if row.measured]
+    text = cli("estimate", log, "--method", "fiducial", "-f", "tum").out
+    poses = np.array([line.split() for line in text.splitlines()[1:]], float)
+    for pose, row in zip(poses, rows, strict=True):
+        assert row.tool is not None
+        np.testing.assert_allclose(pose[1:4], row.tool.pose.position_m, atol=1e-9)
+        R = rotation_from_quaternion_xyzw(pose[4:])
+        np.testing.assert_allclose(R, row.tool.pose.T_camera_tool[:3, :3], atol=1e-7)
+    planar = cli("estimate", log, "-f", "tum")
+    assert (planar.code, "in 3D" in planar.err) == (2, True)
+    several = cli("estimate", golden / "3d" / "duo.mcap", "--method", "fiducial", "-f", "tum")
+    assert (several.code, "--instrument" in several.err) == (2, True)
+
+
+def test_the_page_explains_every_column_once() -> None:
+    """docs/metrics.md is made from the tables of columns: `uv run python -m benchmarks.make_metrics_page`."""
+    page = columns_page()
+    assert (REPOSITORY / "docs" / "metrics.md").read_text("utf-8") == page
+    of_rows, of_scores = (
+        [
+            key
+            for cell in re.findall(r"^\| (`.+?) \|", part, re.MULTILINE)
+            for key in re.findall(r"`(\w+)`", cell)
+        ]
+        for part in page.split("\n## Scores")
+    )
+    assert sorted(of_rows) == sorted(ESTIMATE_KEYS)
+    labels = {
+        *["recording", "method", "equations", "reference", "instrument", "group", "scenario", "degradation"]
+    }
+    assert sorted(of_scores) == sorted({*keys_of(score_columns()), *keys_of(compare_columns())} - labels)
+    assert "| m | lower | 2e-05 m or 2 % |" in page
+    assert all(column.meaning for column in ESTIMATE_COLUMNS if column.stored)

@@ -1,0 +1,231 @@
+"""Scores as rows, documents and tables, from small synthetic results; what a log's summary says."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svmdist.profile import load_profile
+from svmdist.recording.summary import inspect_recording
+from svmdist.report.info import TOPIC_COLUMNS, info_results
+from svmdist.report.scores import (
+    LOG_COLUMNS,
+    LogFigures,
+    blur_results,
+    compare_results,
+    log_results,
+    pooled_log_figures,
+    ranked,
+    remarks,
+    score_columns,
+    validation_document,
+    validation_results,
+    validation_tables,
+)
+from svmdist.report.tables import csv_lines, keys_of, render, row_of
+from svmdist.vision.degradations import Blur
+from svmdist.workflows.blur_bench import BlurRow, PrintedRow
+from svmdist.workflows.compare import Figures, Group, MethodScore
+from svmdist.workflows.scoring.score import Pairs, Score, score_pairs
+from svmdist.workflows.scoring.truth import Reference
+from svmdist.workflows.validate import Validation
+from tests.cli.conftest import Cli, cli
+
+__all__ = ["cli"]
+START_NS = 1_700_000_000_000_000_000
+
+
+def score(
+    name: str = "sweep",
+    count: int = 60,
+    reference: Reference = Reference.GROUND_TRUTH,
+    fitted_on: bool = False,
+    constant: bool = False,
+) -> Score:
+    """A score over a smooth distance with half a millimetre of noise, and a gap of ten frames in the middle."""
+    rng = np.random.default_rng(1)
+    truth_m = 0.03 + (0.0 if constant else 0.01) * np.sin(np.arange(count) / 9)
+    estimate_m = truth_m + rng.normal(scale=5e-4, size=count)
+    frames = np.arange(count) + 10 * (np.arange(count) >= count // 2)
+    stamps_ns = START_NS + frames.astype(np.int64) * 100_000_000
+    pairs = Pairs(stamps_ns, estimate_m, truth_m, np.full(count, np.nan))
+    rejected = {"no_instrument": 9, "no_tissue": 1}
+    return Score(name, "overlay", "corrected", reference, count + 12, rejected, pairs, fitted_on)
+
+
+def validation(*names: str, **changes: object) -> Validation:
+    """A validation with a score per name and an overall score."""
+    scores = tuple(score(name, **changes) for name in names)  # type: ignore[arg-type]
+    return Validation(scores, (replace(scores[0], recording="overall"),), ("a note",))
+
+
+def strict(document: object) -> dict[str, object]:
+    """A document as JSON holds it; NaN and Infinity, which Python's json would accept, are refused."""
+    return dict(json.loads(json.dumps(document, allow_nan=False)))
+
+
+def test_the_document_has_the_fields_of_its_schema() -> None:
+    """Every recording has all metrics of svmdist.validation/1, in SI, equal to the score's own."""
+    made = validation("sweep", "random")
+    document = strict(validation_document(made))
+    assert document["schema"] == "svmdist.validation/1"
+    row, other = document["recordings"]  # type: ignore[misc]
+    statistics = made.scores[0].statistics
+    assert statistics is not None
+    assert set(row) == {*keys_of(score_columns())}
+    assert other["recording"] == "random"
+    assert [row[key] for key in ("sample_count", "rejected_count", "frame_count", "unpaired_count")] == [
+        60,
+        10,
+        72,
+        2,
+    ]
+    assert row["rejected"] == {"no_instrument": 9, "no_tissue": 1}
+    assert (row["r_squared"], row["rmse_m"]) == (statistics.r_squared, statistics.rmse)
+    assert document["overall"]["recording"] == "overall"  # type: ignore[index]
+    assert document["notes"] == ["a note"]
+
+
+@pytest.mark.parametrize("changes", [{"constant": True}, {"count": 3}, {"count": 0}])
+def test_undefined_metrics_are_null(changes: dict[str, object]) -> None:
+    """A still truth, few pairs and no pairs leave R², intervals or all metrics out, alike in CSV and JSON."""
+    made = validation("a", **changes)
+    (row, *_) = strict(validation_document(made))["recordings"]  # type: ignore[misc]
+    results = validation_results(made)
+    cells = next(csv.DictReader(io.StringIO("".join(csv_lines(results.keys, results.rows)))))
+    assert None in row.values()
+    assert {key for key, cell in cells.items() if not cell} == {
+        key for key, value in row.items() if value is None
+    }
+    assert "nan" not in render(results.tables[0])
+
+
+def test_the_overall_score_is_against_the_strongest_reference() -> None:
+    """With both references `overall` is against the simulator's truth, and both are listed by reference."""
+    both = tuple(score(reference=reference) for reference in (Reference.KINEMATICS, Reference.GROUND_TRUTH))
+    document = validation_document(Validation(both, both, ()))
+    assert document["overall"]["reference"] == str(Reference.GROUND_TRUTH)
+    assert list(document["overall_by_reference"]) == ["kinematics", "ground_truth"]
+    assert validation_document(Validation(both, (), ()))["overall"] is None
+
+
+def test_the_table_shows_r_squared_with_rmse_sigma_and_n() -> None:
+    """R² never stands alone; names cannot drive a terminal, and remarks say what the table has no room for."""
+    made = validation("[/no]\x1b", fitted_on=True)
+    statistics = made.scores[0].statistics
+    assert statistics is not None
+    shown = render(validation_tables(made)[0])
+    assert all(part in shown for part in ("in mm", "R²", "RMSE", "σ (of the truth)", "cov. %", "bias", " n "))
+    row = next(line for line in shown.splitlines() if "[/no]\N{REPLACEMENT CHARACTER}" in line)
+    for value in (
+        f"{statistics.r_squared:.4f}",
+        f"{statistics.rmse * 1e3:.2f}",
+        f"{statistics.truth_std * 1e3:.2f}",
+    ):
+        assert value in row
+    remark, note = remarks(made)
+    assert "fitted on this log" in remark
+    assert "not measured: 9 no_instrument, 1 no_tissue of 72 frames" in remark
+    assert "The paper reports R² = 78%" in note
+
+
+def test_of_a_method_in_3d_nothing_is_said_about_the_papers_plane() -> None:
+    """The title names the distance in place of the equations, and the paper's figure is left out."""
+    in_3d = replace(validation("a"), scores=(replace(score(), method="fused"),))
+    assert render(validation_tables(in_3d)[0]).startswith("fused, planar distance; ")
+    assert not any("paper" in remark for remark in remarks(in_3d))
+
+
+def test_a_comparison_names_each_distance_once() -> None:
+    """In SI in rows and in mm in tables; the distance over its first column, the method's time last, – for nothing."""
+    truth_m = np.linspace(0.01, 0.02, 10)
+    half_mm = score_pairs(Pairs(np.arange(10), truth_m + 5e-4, truth_m, np.full(10, np.nan)))
+    results = compare_results(
+        [MethodScore(Group("sweep"), "fused", Figures(20, 10, half_mm, None, half_mm, 3.4))]
+    )
+    (row,), (table,) = results.rows, results.tables  # type: ignore[misc]
+    assert (row["rmse_m"], row["coverage"], row["spatial_rmse_m"]) == (pytest.approx(5e-4), 0.5, None)
+    assert results.keys[-3:] == ("scenario", "degradation", "instrument")
+    headings = [tuple(heading.split("\n")) for heading in table.headings[1:]]
+    assert (headings[0], headings[-1]) == (("cov.", "%"), ("ms",))
+    assert [upper for upper, _ in headings[1:-1] if upper] == ["planar", "spatial", "clear."]
+    assert [lower for _, lower in headings[1:5]] == ["R²", "RMSE", "p95", "∈95 %"]
+    assert [table.rows[0][at] for at in (1, 3, 7, -1)] == ["50.0", "0.50", "–", "3"]
+
+
+def test_blur_rows_stand_beside_the_papers() -> None:
+    """Rows have Table I as published; without a value there is none."""
+    ours = BlurRow(Blur.GAUSSIAN, 5, 40, 6.5, 214.0, 900.0, 120.0, 100.0, 1.0, 3e-4, PrintedRow(7, 215))
+    clean = BlurRow(Blur.NONE, 1, 40, None, None, None, None, None, 0.0, None, None)
+    results = blur_results([ours, clean], 2)
+    assert results.keys[:3] == ("blur", "kernel_px", "keypoint_count")
+    first, second = results.rows
+    assert (first["blur"], first["paper_keypoint_count"], first["rmse_m"]) == ("gaussian", 7, 3e-4)
+    assert second["keypoint_count"] is None
+    shown = render(results.tables[0])
+    assert "40 frames of 2 recordings" in shown
+    assert "0.300" in shown
+
+
+FINE = LogFigures("fine", statuses={"ok": 10}, group="a")
+LOST = LogFigures("lost", statuses={"ok": 4, "no_tool": 5, "no_tissue": 1}, group="b")
+DARK = LogFigures("dark", statuses={"no_tool": 7}, group="b")
+CUT = LogFigures("cut", statuses={"ok": 3}, loss_count=2, group="a")
+FAILED = LogFigures("failed", failure="no such file")
+LOGS = [FINE, LOST, DARK, CUT, FAILED, LogFigures("empty")]
+
+
+def test_logs_are_sorted_by_severity() -> None:
+    """Failed logs, those without any measurement, then by the share of frames lost, then by losses."""
+    found = ranked(LOGS)
+    assert [one.recording for one in found] == ["failed", "dark", "empty", "lost", "cut", "fine"]
+    assert [one.state for one in found] == ["failed", *["nothing measured"] * 2, "ok", "loss", "ok"]
+    assert LOST.worst == ("no_tool", 5)
+
+
+def test_groups_and_all_logs_count_every_frame_once() -> None:
+    """In the order of the groups' names, then all; logs that failed are in no group."""
+    together = pooled_log_figures(LOGS)
+    assert [(one.recording, one.frame_count, one.measured_count) for one in together] == [
+        *(("a", 13, 13), ("b", 17, 4), ("overall", 30, 17))
+    ]
+    rows = list(log_results(ranked([FINE, FAILED]), together).rows)
+    assert all(tuple(row) == keys_of(LOG_COLUMNS) for row in rows)
+    assert [row["rank"] for row in rows] == [1, 2, None, None, None]
+    assert rows[0]["coverage"] is None
+    assert rows[-1]["reason"] == "1 of 6 logs failed"
+
+
+def test_a_summary_says_what_a_log_holds_and_serves(synthetic_log: Path) -> None:
+    """The document is JSON, and the lines for a person name every topic, the methods, and the losses."""
+    profile = load_profile()
+    summary = inspect_recording(synthetic_log, profile)
+    results = info_results(summary, profile)
+    document = json.loads(json.dumps(results.document, allow_nan=False))
+    assert (document["schema"], document["is_clean"], document["losses"]) == ("svmdist.info/1", True, [])
+    topics = {topic["topic"]: topic for topic in document["topics"]}
+    assert topics[document["roles"]["image"]]["message_count"] == 40
+    assert document["methods"]["overlay"] == {"served": True, "missing": []}
+    assert [*results.rows] == [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics]
+    assert results.text is not None
+    text = "".join(results.text(None))
+    assert all(topic in text for topic in topics)
+    assert "health      clean" in text
+    assert "overlay" in text.split("methods ")[1].splitlines()[0]
+
+
+def test_summaries_are_written_in_markup(golden: Path, cli: Cli, tmp_path: Path) -> None:
+    """LaTeX and Markdown have the numbers of the JSON, in mm."""
+    log = golden / "sweep.mcap"
+    found = json.loads(cli("validate", log, "-f", "json").out)["recordings"][0]
+    text = cli("validate", log, "-f", "latex").out
+    assert f"{found['rmse_m'] * 1e3:.2f}" in text
+    assert text.count(r"\begin{table}") == text.count(r"\end{table}") >= 1
+    assert cli("validate", log, "-o", tmp_path / "a.md").code == 0
+    assert (tmp_path / "a.md").read_text().count("|---") >= 1

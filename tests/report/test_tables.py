@@ -1,0 +1,272 @@
+"""Tables for a person and for machines: what is missing stays missing, text stays text."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from svmdist.errors import OutputError, UsageError, printable
+from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit
+from svmdist.report.tables import (
+    PARQUET_ROWS,
+    Column,
+    Row,
+    Table,
+    csv_lines,
+    json_array_lines,
+    json_lines,
+    latex,
+    markdown,
+    render,
+    text_lines,
+    write_parquet,
+)
+from svmdist.report.writers import WRITERS, Holds, choose_writer, names_of, plot_format
+
+KEYS = ("name", "value")
+COLUMNS = (Column("name", TEXT, "name"), Column("value", LENGTH, "value [mm]"))
+LINES = (csv_lines, json_lines, json_array_lines)
+
+
+def in_csv(*rows: Row) -> list[list[str]]:
+    """The cells of rows, as a reader of CSV gets them."""
+    return list(csv.reader(io.StringIO("".join(csv_lines(KEYS, rows)))))
+
+
+def shown(name: str, title: str = "") -> str:
+    """One row for a person, as a table and as a plain one."""
+    row = {"name": name, "value": 0.001}
+    return render(Table.of(title, COLUMNS, [row])) + "".join(text_lines(COLUMNS, [row]))
+
+
+@pytest.mark.parametrize(
+    "name", ["[red]x", "[/nope]", "[link=http://x]y[/link]", ":warning:", "\\[x]", "a$b$_c"]
+)
+def test_markup_in_a_name_is_text(name: str) -> None:
+    """Names that look like rich's markup come out as they are in rows and titles, and crash nothing."""
+    assert shown(name, f"log {name}").count(name) == 3
+    assert in_csv({"name": name, "value": 1})[1] == [name, "1"]
+    assert json.loads("".join(json_lines(KEYS, [{"name": name}])))["name"] == name
+
+
+@pytest.mark.parametrize(
+    "code", ["\x1b[31m", "\x07", "\x9b", "\u202e", "\u2028", "\r", "\n", "\x00", "\ud800"]
+)
+def test_characters_that_drive_a_terminal_are_replaced(code: str) -> None:
+    """ESC, bell, line breaks and bidirectional overrides never reach a terminal, the letters around them do."""
+    name = f"a{code}b"
+    for text in (shown(name, name), "".join(csv_lines(KEYS, [{"name": name}])), printable(name)):
+        assert code[0] not in text.replace("\n", "" if code == "\n" else "\n")
+        assert "a\N{REPLACEMENT CHARACTER}" in text
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.text(max_size=30))
+def test_any_name_keeps_its_place_in_a_csv(name: str) -> None:
+    """Whatever a name holds, the CSV has two rows of two cells, and no spreadsheet takes the name for a formula."""
+    header, (cell, value) = in_csv({"name": name, "value": 2.5})
+    assert (header, value) == (["name", "value"], "2.5")
+    assert cell.lstrip("'").endswith(printable(name).lstrip("'"))
+    assert cell[:1] not in tuple("=+-@\t\r")
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)", "=cmd|' /C calc'!A0", "\t=1", "\r=1"])
+def test_formulas_are_defused_in_csv(name: str) -> None:
+    """Text that a spreadsheet would run is defused; a negative number stays a number."""
+    cell, value = in_csv({"name": name, "value": -0.5})[1]
+    assert cell[0] not in "=+-@\t\r"
+    assert cell.endswith(name.lstrip("\t\r"))
+    assert value == "-0.5"
+
+
+@pytest.mark.parametrize("missing", [None, math.nan, math.inf, -math.inf])
+def test_what_does_not_exist_is_empty(missing: float | None) -> None:
+    """An empty cell in CSV, null in JSON, a dash for a person; never the text NaN."""
+    row = {"name": "a", "value": missing}
+    assert in_csv(row) == in_csv({"name": "a"}) == [["name", "value"], ["a", ""]]
+    for lines in (json_lines, json_array_lines):
+        text = "".join(lines(KEYS, [row]))
+        assert "null" in text
+        assert "NaN" not in text
+        assert "Infinity" not in text
+    assert COLUMNS[1].show(missing) == "–"
+
+
+@pytest.mark.parametrize("value", [0.1, 1 / 3, 1e-300, 123456789.123456789, np.float64(0.1), 7])
+def test_numbers_survive_the_round_trip(value: float) -> None:
+    """A number read back from CSV or JSON equals the one written, bit for bit, also where NumPy made it."""
+    row = {"name": "a", "value": value}
+    assert float(in_csv(row)[1][1]) == value
+    assert json.loads("".join(json_lines(KEYS, [row])))["value"] == value
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 500])
+def test_a_json_array_is_valid_for_any_number_of_rows(count: int) -> None:
+    """No row, one row and many make a valid array, one object a line."""
+    rows = [{"name": f"row {index}", "value": index / 7} for index in range(count)]
+    text = "".join(json_array_lines(KEYS, iter(rows)))
+    assert json.loads(text) == rows
+    assert text.count("\n") == (count + 2 if count else 1)
+    assert [json.loads(line) for line in json_lines(KEYS, iter(rows))] == rows
+
+
+@pytest.mark.parametrize(("lines", "first"), [*zip(LINES, (2, 1, 1), strict=True)])
+def test_rows_are_written_as_they_come(lines: Callable[..., Iterator[str]], first: int) -> None:
+    """No form holds the rows: after the first row's line, only that row was read."""
+    read = []
+
+    def rows() -> Iterable[Row]:
+        for index in range(10**9):
+            read.append(index)
+            yield {"more": 2, "value": index, "name": "a"}
+
+    made = lines(KEYS, rows())
+    texts = [next(made) for _ in range(first)]
+    assert len(read) == 1
+    assert "more" not in texts[-1]
+
+
+def test_values_are_shown_in_their_unit() -> None:
+    """Metres as millimetres and fractions as percent, with the unit's digits; plain tables line up."""
+    assert (COLUMNS[1].show(0.01234), Column("x", SHARE).show(0.9876)) == ("12.34", "98.8")
+    lines = list(text_lines(COLUMNS, [{"name": "a", "value": 0.0015}, {"name": "b" * 30, "value": None}]))
+    assert lines[0].split() == ["name", "value", "[mm]"]
+    assert set(lines[1].strip()) <= {"─", " "}
+    assert lines[2].index("1.50") + 4 == len(lines[1]) - 1
+    assert lines[3].startswith("b" * 30)
+
+
+def test_a_narrow_terminal_gets_whole_cells_in_parts() -> None:
+    """No cell is broken: columns under one heading stay together, and each part tells its rows apart."""
+    unit = Unit("m", "mm", 1e3, 4)
+    headings = ("group a\nRMSE", "\np95", "\np95")
+    columns = (Column("name", TEXT, "recording"), *(Column(f"v{i}", unit, headings[i % 3]) for i in range(9)))
+    rows = [{"name": name, **{f"v{i}": 0.1 * i for i in range(9)}} for name in ("first", "second")]
+    table = Table.of("the title", columns, rows[:1], rows[1:])
+    whole, parts = render(table), render(table, width=60)
+    assert max(map(len, whole.splitlines())) > 60
+    assert max(map(len, parts.splitlines())) <= 60
+    assert parts.count("the title") == 1
+    assert parts.count("second") == parts.count("recording") >= 2
+    assert all(line.count("p95") == 2 * line.count("RMSE") for line in parts.splitlines())
+    assert [parts.count(f"{100 * i}.0000") for i in range(1, 9)] == [2] * 8
+    assert render(table, width=200) == whole
+
+
+MARKED = Table.of(
+    "R² & more", [Column("name", TEXT, "name"), Column("n", heading="n [%]")], [{"name": "a_b|c", "n": 3}]
+)
+
+
+def test_markup_is_escaped_and_aligned() -> None:
+    """LaTeX and Markdown show every cell as it is."""
+    text = "".join(latex([MARKED], ["a note"]))
+    for part in (
+        r"\caption{R\textsuperscript{2} \& more}",
+        r"\begin{tabular}{lr}",
+        r"name & n [\%] \\",
+        r"a\_b|c & 3 \\",
+    ):
+        assert part in text
+    assert text.endswith("% a note\n")
+    assert "".join(markdown([MARKED], [])).splitlines()[2:] == [
+        "| name | n [%] |", "|---|---:|", r"| a\_b\|c | 3 |", ""
+    ]  # fmt: skip
+
+
+def in_parquet(path: Path) -> list[dict[str, object]]:
+    """The rows of a Parquet file."""
+    table = pytest.importorskip("pyarrow.parquet", reason="the extra parquet is not installed")
+    return list(table.read_table(path).to_pylist())
+
+
+def test_parquet_has_the_values_in_pieces(tmp_path: Path) -> None:
+    """Of a stream that is never held whole; a number that is not finite does not exist; no row leaves the columns."""
+    columns = (*COLUMNS, Column("count", COUNT), Column("shown", heading="x", stored=False))
+    rows = [
+        {"name": "a", "count": True, "value": 0.1 + 0.2},
+        {"value": math.nan},
+        {"name": "\udcff", "value": 3},
+    ]
+    many = (rows[at % 3] for at in range(2 * PARQUET_ROWS + 1))
+    path = tmp_path / "a.parquet"
+    write_parquet(path, columns, many)
+    expected = [
+        {"name": "a", "count": 1, "value": 0.1 + 0.2},
+        {"name": None, "count": None, "value": None},
+        {"name": "?", "count": None, "value": 3.0},
+    ]
+    found = in_parquet(path)
+    assert (found[:3], len(found)) == (expected, 2 * PARQUET_ROWS + 1)
+    write_parquet(path, columns, [])
+    assert in_parquet(path) == []
+    with pytest.raises(ValueError, match="no more"):
+        write_parquet(path, columns, _broken())
+    assert in_parquet(path) == []
+
+
+def _broken() -> Iterator[Row]:
+    yield {"name": "a"}
+    raise ValueError("no more")
+
+
+@pytest.mark.parametrize(
+    ("given", "output", "holds", "chosen"),
+    [
+        (None, None, Holds.ROWS, "table"),
+        (None, "a.JSONL", Holds.ROWS, "jsonl"),
+        ("csv", "a.json", Holds.ROWS, "csv"),
+        (None, "a.htm", Holds.ROWS | Holds.REPORT, "html"),
+        (None, "a.log", Holds.FIGURES, "table"),
+        (None, "a.tex", Holds.FIGURES, "latex"),
+        (None, "/dev/stderr", Holds.FIGURES, "table"),
+        (None, "a", Holds.POSES, "csv"),
+    ],
+)
+def test_the_format_follows_the_ending(
+    given: str | None, output: str | None, holds: Holds, chosen: str
+) -> None:
+    """Unless one is named; text is a table where the command has one."""
+    assert choose_writer(given, Path(output) if output else None, holds).name == chosen
+
+
+@pytest.mark.parametrize(
+    ("given", "output", "holds", "fragment"),
+    [
+        (
+            None,
+            "a.avi",
+            Holds.FIGURES,
+            r"the choices are \.csv, \.json, \.md, \.parquet, \.tex, and \.txt for a table",
+        ),
+        (None, "a.html", Holds.FIGURES, "--report FILE.html"),
+        (None, "a.txt.gz", Holds.POSES, r"\.csv, \.json, \.parquet, \.tum, and \.txt for CSV"),
+        ("csv", "a.mp4", Holds.ROWS | Holds.FRAMES, "written as mp4; leave out one"),
+        ("parquet", None, Holds.ROWS, r"is no text: give a file with -o FILE\.parquet"),
+    ],
+)
+def test_what_no_format_can_hold_is_refused(
+    given: str | None, output: str | None, holds: Holds, fragment: str
+) -> None:
+    """In one line that lists the choices."""
+    with pytest.raises(UsageError, match=fragment):
+        choose_writer(given, Path(output) if output else None, holds)
+
+
+def test_formats_are_declared_once() -> None:
+    """No two formats share an ending or a name; plots have formats of their own."""
+    endings = [ending for writer in WRITERS for ending in writer.endings]
+    assert len(endings) == len(set(endings))
+    assert names_of(Holds.TABLES) == ("table", "csv", "json")
+    assert plot_format(Path("a.PDF")) == "pdf"
+    with pytest.raises(OutputError, match=r"cannot draw a \.csv: the choices are png, svg, pdf$"):
+        plot_format(Path("a.csv"))
