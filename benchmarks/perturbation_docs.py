@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from svmdist.perturbations.perturbation import Perturbation
-from svmdist.perturbations.table import TABLE
+from svmdist.perturbations.table import TABLE, Perturbation
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "simulation.md"
 MARKS = ("<!-- perturbations: begin -->\n", "<!-- perturbations: end -->\n")
@@ -32,12 +31,11 @@ def page_with_table(page: str) -> str:
 
 
 def _row(entry: Perturbation) -> str:
-    only = {(True, False): " Recording only.", (False, True): " Replay only."}
     cells = (
         f"`{entry.name}`",
         entry.unit,
         str(entry.place),
-        entry.meaning + only.get((entry.at_record, entry.at_replay), ""),
+        entry.meaning + ("" if entry.at_replay else " Recording only."),
         f"{entry.low:g} to {entry.high:g}",
         "–" if entry.real is None else str(entry.real),
         entry.source or "–",

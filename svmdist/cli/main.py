@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import re
 import sys
 import time
@@ -11,7 +10,7 @@ from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup, TyperOption
+from typer.core import TyperCommand, TyperGroup
 
 from svmdist.cli import (
     calibrate,
@@ -26,12 +25,10 @@ from svmdist.cli import (
     show,
     validate,
 )
-from svmdist.cli.options import command_of
+from svmdist.cli.options import QUIET, VERBOSE, choose_verbosity, command_of
 from svmdist.cli.output import LOG, ExitCode, abandon, adapt_streams, print_log, with_notes
 from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
 
-QUIET_HELP = "Print only data and errors."
-VERBOSE_HELP = "Also print which topics are read, and the time taken."
 HELP = {"help_option_names": ["-h", "--help"]}
 EXAMPLES = "\n\nExamples:\n"
 NO_MEMORY = "there is not enough memory; try fewer --jobs"
@@ -43,14 +40,7 @@ LIBRARY_NOT_LOADED = re.compile(
 
 
 class Command(TyperCommand):
-    """A subcommand: with -q and -v of its own, and examples below its options."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.params += [
-            _flag(["-q", "--quiet"], logging.ERROR, QUIET_HELP),
-            _flag(["-v", "--verbose"], logging.DEBUG, VERBOSE_HELP),
-        ]
+    """A subcommand, with examples below its options."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command and log how long it took."""
@@ -87,22 +77,6 @@ class CommandGroup(TyperGroup):
         if rest:
             formatter.write_paragraph()
             formatter.write_text(rest)
-
-
-def _flag(names: list[str], level: int, text: str) -> TyperOption:
-    def choose(_context: Any, _option: Any, value: bool) -> None:
-        if value:
-            LOG.setLevel(level)
-
-    return TyperOption(
-        param_decls=names,
-        type_descriptor=bool,
-        is_flag=True,
-        default=False,
-        expose_value=False,
-        callback=choose,
-        help=text,
-    )
 
 
 @contextmanager
@@ -175,12 +149,11 @@ def main(
             "--version", "-V", help="Print the version and exit.", is_eager=True, callback=_print_version
         ),
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help=QUIET_HELP)] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help=VERBOSE_HELP)] = False,
+    quiet: bool = QUIET,
+    verbose: bool = VERBOSE,
 ) -> None:
     """Hold the options of `svmdist` itself; everything else is a subcommand's."""
-    if quiet or verbose:
-        LOG.setLevel(logging.ERROR if quiet else logging.DEBUG)
+    choose_verbosity(quiet=quiet, verbose=verbose)
 
 
 @profile_app.callback()

@@ -6,6 +6,7 @@ A command is a function of one object, whose class inherits the groups that it t
 from __future__ import annotations
 
 import inspect
+import logging
 import math
 import typing
 from collections.abc import Callable, Mapping, Sequence
@@ -49,17 +50,18 @@ def command_of(function: Callable[[Any], None]) -> Callable[..., None]:
     hints = typing.get_type_hints(group)
 
     def command(**values: Any) -> None:
+        choose_verbosity(quiet=values.pop("quiet"), verbose=values.pop("verbose"))
         function(group(**values))
 
+    defaults = {name: getattr(group, name) for name in _names(group)} | {"quiet": QUIET, "verbose": VERBOSE}
+    hints |= {"quiet": bool, "verbose": bool}
     command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [
-            inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, default=getattr(group, name), annotation=hints[name]
-            )
-            for name in _names(group)
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[name])
+            for name, default in defaults.items()
         ]
     )
-    command.__annotations__ = {name: hints[name] for name in _names(group)}
+    command.__annotations__ = {name: hints[name] for name in defaults}
     command.__doc__ = inspect.getdoc(function)
     return command
 
@@ -69,6 +71,16 @@ def _names(group: type) -> list[str]:
     inherited = [name for base in group.__bases__ for name in _names(base)]
     own = inspect.get_annotations(group)
     return list(dict.fromkeys([*inherited, *own]))
+
+
+QUIET = option(False, "--quiet -q", None, "Print only data and errors.")
+VERBOSE = option(False, "--verbose -v", None, "Also print which topics are read, and the time taken.")
+
+
+def choose_verbosity(*, quiet: bool, verbose: bool) -> None:
+    """Choose what is logged: errors only, or everything; else it stays as it is."""
+    if quiet or verbose:
+        logging.getLogger("svmdist").setLevel(logging.ERROR if quiet else logging.DEBUG)
 
 
 class Method(StrEnum):

@@ -1,4 +1,4 @@
-"""Which perturbations a run has, and how strong they are: given one by one, or drawn for a whole world by seed."""
+"""The perturbations of a run with their strengths: given one by one, or drawn for a whole world by seed."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from enum import StrEnum
 import numpy as np
 
 from svmdist.errors import UsageError
-from svmdist.perturbations.perturbation import Place
-from svmdist.perturbations.table import TABLE, find_perturbation, require_strength
+from svmdist.perturbations.table import TABLE, Place, find_perturbation
 from svmdist.transforms import Array
 
 _STRENGTH_STREAM, _DIRECTION_STREAM, _PATH_STREAM = 40, 41, 42
 
 
 class World(StrEnum):
-    """`--world`: what log and profile say, exactly; or as far from it as real ones are."""
+    """`--world`: exactly what log and profile state, or as far from it as real worlds are."""
 
     IDEAL = "ideal"
     REAL = "real"
@@ -26,16 +25,20 @@ class World(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Perturbations:
-    """Names of the table and strengths in their units, each name once; those that are left out change nothing.
+    """Names of the table with strengths in their units, each name once; all others change nothing.
 
-    Raises UsageError for a name or a strength that the table does not have.
+    Raises UsageError for an unknown name or a strength out of range.
     """
 
     strengths: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         for name, strength in self.strengths:
-            require_strength(name, strength)
+            entry = find_perturbation(name)
+            if not entry.low <= strength <= entry.high:  # NaN is in no range
+                raise UsageError(
+                    f"perturbation {name}: from {entry.low:g} to {entry.high:g} {entry.unit}, found {strength:g}"
+                )
         names = [name for name, _ in self.strengths]
         doubles = sorted({name for name in names if names.count(name) > 1})
         if doubles:
@@ -48,16 +51,16 @@ class Perturbations:
         return ",".join(f"{name}={_number(strength)}" for name, strength in self.strengths)
 
     def __getitem__(self, name: str) -> float:
-        """The strength of one of the table, in its unit; neutral where it is not chosen."""
+        """The strength of an entry of the table, in its unit; neutral where it is not chosen."""
         neutral = find_perturbation(name).neutral
         return dict(self.strengths).get(name, neutral)
 
     def has(self, *names: str) -> bool:
-        """Whether one of these is chosen, with a strength that changes something."""
+        """Whether one of these is chosen with a strength that changes something."""
         return any(self[name] != find_perturbation(name).neutral for name in names)
 
     def changes(self, place: Place) -> bool:
-        """Whether one is chosen that changes this."""
+        """Whether a chosen one changes this."""
         return any(self.has(name) for name, _ in self.strengths if TABLE[name].place is place)
 
 
@@ -65,17 +68,17 @@ UNPERTURBED = Perturbations()
 
 
 def draw_world(world: World, seed: int, given: Perturbations = UNPERTURBED) -> Perturbations:
-    """The perturbations of a recording: in a real world all of the table that are real, then those that are given.
+    """Draw the perturbations of a recording: in a real world all that have a size there, then the given ones.
 
-    A given strength takes the place of a drawn one. Each name has a random stream of its own, so that a further entry
-    of the table changes no other one. Six digits of a drawn strength count, so that metadata stay readable.
+    A given strength replaces a drawn one. Each name has a random stream of its own, so that a new entry of the table
+    changes no other one. Drawn strengths have six digits, so that metadata stay readable.
     """
     if world is World.IDEAL:
         return given
     drawn = {
         name: float(f"{entry.real.draw(_stream(seed, _STRENGTH_STREAM, name)):.6g}")
         for name, entry in TABLE.items()
-        if entry.real is not None and entry.at_record
+        if entry.real is not None
     }
     return Perturbations(tuple((drawn | dict(given.strengths)).items()))
 
@@ -86,37 +89,29 @@ def parse_perturbations(text: str) -> Perturbations:
 
 
 def direction(seed: int, name: str, axes: int) -> Array:
-    """The direction in which a perturbation goes in the world of a seed: a unit vector, shape (axes,)."""
+    """The direction of a perturbation in the world of a seed: a unit vector, shape (axes,)."""
     drawn = _stream(seed, _DIRECTION_STREAM, name).normal(0.0, 1.0, axes)
     return np.asarray(drawn / np.linalg.norm(drawn))
 
 
 def path_stream(seed: int, name: str, arm: int = 0) -> np.random.Generator:
-    """The random stream of what a perturbation does over time, for one of the arms."""
+    """The random stream of what a perturbation does to one arm over time."""
     return _stream(seed, _PATH_STREAM, name, arm)
 
 
 def require_at_replay(perturbations: Perturbations) -> None:
-    """Raise UsageError for one that cannot be done to a log that is recorded already."""
-    _require(perturbations, [name for name, entry in TABLE.items() if entry.at_replay], "at replay")
-
-
-def require_at_record(perturbations: Perturbations) -> None:
-    """Raise UsageError for one that `record` does not do."""
-    _require(perturbations, [name for name, entry in TABLE.items() if entry.at_record], "when recording")
+    """Raise UsageError for one that cannot be applied to an existing log."""
+    possible = [name for name, entry in TABLE.items() if entry.at_replay]
+    for name, _ in perturbations.strengths:
+        if name not in possible:
+            raise UsageError(
+                f"perturbation {name} cannot be applied at replay: the choices are {', '.join(possible)}"
+            )
 
 
 def merged(several: Iterable[Perturbations]) -> Perturbations:
     """Several together; raises UsageError for a name in two of them."""
     return Perturbations(tuple(pair for one in several for pair in one.strengths))
-
-
-def _require(perturbations: Perturbations, possible: list[str], when: str) -> None:
-    for name, _ in perturbations.strengths:
-        if name not in possible:
-            raise UsageError(
-                f"perturbation {name} cannot be applied {when}: the choices are {', '.join(possible)}"
-            )
 
 
 def _parse_one(text: str) -> tuple[str, float]:

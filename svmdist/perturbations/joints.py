@@ -1,24 +1,57 @@
-"""What the robot reports of its joints, perturbed: backlash, drift, noise and steps, sample after sample.
+"""What a robot reports of its joints, perturbed: backlash, drift, noise and steps, and late stamps.
 
-The reported joints are perturbed, not the true ones: images and truth stay as they are, so that the same can be done
-to a log that is recorded already. With backlash the motor is ahead of the joint, on the side to which the joint moves;
-the reported joint is the true one plus that lead, which turns over within a travel of twice the backlash. That is a
-cable that gives way, and not a gap that is crossed at once: noise in a logged joint then makes no jumps.
+The reported joints are perturbed, not the true ones: images and truth stay, so that the same can be applied to an
+existing log. With backlash the motor is ahead of the joint, on the side to which the joint moves; the reported joint
+is the true one plus that lead. It is a play operator (Krasnosel'skii & Pokrovskii, Systems with Hysteresis, 1989): the
+lead changes over a travel of twice the backlash, as in a cable that gives way, so that noise in a logged joint makes
+no jumps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import ProfileError
 from svmdist.perturbations.chosen import Perturbations, path_stream
-from svmdist.perturbations.play import Play
+from svmdist.perturbations.table import Place
 from svmdist.profile import Profile
+from svmdist.samples import JointSample
 from svmdist.transforms import Array
+
+MAX_STAMP_NS = (1 << 63) - 1
+
+
+def later_ns(stamp_ns: int, lag_ns: int) -> int:
+    """A stamp that is later by a lag, within 64 bits."""
+    return min(stamp_ns + lag_ns, MAX_STAMP_NS)
+
+
+def late_stamps_ns(stamps_ns: ArrayLike, perturbations: Perturbations, start_ns: int) -> NDArray[np.int64]:
+    """The stamps that joints get which were true at `stamps_ns`, any shape; the lag drifts from `start_ns` on."""
+    stamps = np.asarray(stamps_ns, np.int64)
+    late_ns = 1e6 * perturbations["lag"] + 1e-3 * perturbations["lag_drift"] * (stamps - start_ns)
+    return np.asarray(stamps + np.rint(late_ns).astype(np.int64))
+
+
+def reported_late(values: Array, stamps_ns: NDArray[np.int64], perturbations: Perturbations) -> Array:
+    """What is reported at the stamps, shape (n,), of values over the same stamps, shape (n, k).
+
+    Values are interpolated linearly between stamps, and extrapolated before the first one: the robot moved then, too.
+    """
+    if len(stamps_ns) < 2 or not perturbations.has("lag", "lag_drift"):
+        return values
+    start_ns = int(stamps_ns[0])
+    true_at = late_stamps_ns(stamps_ns, perturbations, start_ns) - start_ns
+    at = stamps_ns - start_ns
+    right = np.clip(np.searchsorted(true_at, at, side="left"), 1, len(at) - 1)
+    left = right - 1
+    weight = (at - true_at[left]) / (true_at[right] - true_at[left])
+    return np.asarray(values[left] + weight[:, None] * (values[right] - values[left]))
+
 
 METRES_PER_DEG = 1e-4
 """What a degree is for a joint that slides: 0.1 mm. A cable drum of 12 mm across moves so far in a degree."""
@@ -31,9 +64,9 @@ DRIFT_PERIODS_S = np.array([16.0, 24.0, 36.0, 54.0])
 
 @dataclass(frozen=True)
 class JointUnits:
-    """The joints of a robot by name, base first: what a degree is in a joint's unit, and its share of the backlash.
+    """The joints of a robot by name, base first; a degree in a joint's unit, and its share of the backlash, shape (n,).
 
-    Shapes (n,). The set-up joints hold still behind brakes: nothing perturbs them.
+    The set-up joints hold still behind brakes: nothing perturbs them.
     """
 
     names: tuple[str, ...]
@@ -68,11 +101,12 @@ class JointUnits:
 
 
 class JointPerturber:
-    """Perturbs the joints of one arm, sample after sample; the same seed, arm and samples give the same."""
+    """Perturbs the joints of one arm, sample after sample, reproducibly by seed and arm."""
 
     def __init__(self, units: JointUnits, perturbations: Perturbations, seed: int, arm: int = 0) -> None:
         self._units = units
-        self._play = Play(perturbations["backlash"] * units.backlash_share * units.per_deg)
+        self._backlash = perturbations["backlash"] * units.backlash_share * units.per_deg
+        self._trailing: Array | None = None
         self._noise = perturbations["joint_noise"] * units.per_deg
         self._noise_stream = path_stream(seed, "joint_noise", arm)
         self._step = perturbations["quantisation"] * units.per_deg
@@ -87,7 +121,9 @@ class JointPerturber:
         """What is reported at the stamp of joints `q`, shape (n,), in the order of the robot's."""
         if self._start_ns is None:
             self._start_ns = stamp_ns
-        reported = q + self._play.lead(q)
+        trailing = q if self._trailing is None else self._trailing
+        self._trailing = np.clip(trailing, q - self._backlash, q + self._backlash)
+        reported = q + (q - self._trailing)
         reported = reported + self._drift * self._wander(1e-9 * (stamp_ns - self._start_ns))
         reported = reported + self._noise * self._noise_stream.standard_normal(len(q))
         steps = np.divide(reported, self._step, out=np.zeros(len(q)), where=self._step > 0.0)
@@ -109,3 +145,71 @@ class JointPerturber:
         cosine, sine = self._drift_waves
         path = cosine * (np.cos(turn * seconds) - 1.0) + sine * np.sin(turn * seconds)
         return np.asarray(path.sum(axis=-1) / np.sqrt(2.0 * (1.0 - np.cos(turn * DRIFT_S)).sum()))
+
+
+@dataclass(frozen=True)
+class ReplayedWorld:
+    """A log in a perturbed world, or with a time offset applied.
+
+    `profile` is the profile as it was read, `seed` that of what is drawn. The stamps of the images are late by
+    `lag_ns`: whatever the robot reports gets stamps that are as late.
+    """
+
+    perturbations: Perturbations
+    profile: Profile
+    seed: int = 0
+    lag_ns: int = 0
+
+    def joints_of(self, instrument: str) -> ReplayedJoints | None:
+        """The perturbed joints of an instrument; None where nothing changes."""
+        if not (self.perturbations.changes(Place.JOINTS) or self.perturbations.changes(Place.CLOCK)):
+            return ReplayedJoints(None, self.perturbations, self.lag_ns) if self.lag_ns else None
+        units = JointUnits.of(self.profile.for_instrument(instrument))
+        arm = self.profile.instrument_names.index(instrument)
+        perturber = JointPerturber(units, self.perturbations, self.seed, arm)
+        return ReplayedJoints(perturber, self.perturbations, self.lag_ns)
+
+
+class ReplayedJoints:
+    """Perturbs one arm's joint samples in the order of the log, on the clock of its images."""
+
+    def __init__(
+        self, perturber: JointPerturber | None, perturbations: Perturbations, lag_ns: int = 0
+    ) -> None:
+        self._perturber = perturber
+        self._perturbations = perturbations
+        self._lag_ns = lag_ns
+        self._first: JointSample | None = None
+        self._started = False
+
+    def replayed(self, sample: JointSample) -> Iterator[JointSample]:
+        """Yield what is reported in place of a sample; in a perturbed world the first one comes with the second."""
+        if self._perturber is None:
+            yield replace(sample, stamp_ns=later_ns(sample.stamp_ns, self._lag_ns))
+        elif self._started:
+            yield self._reported(sample)
+        elif self._first is None:
+            self._first = sample
+        else:
+            self._started = True
+            for earlier in self._before(self._first, sample):
+                yield self._reported(earlier)
+            yield self._reported(self._first)
+            yield self._reported(sample)
+
+    def _before(self, first: JointSample, second: JointSample) -> Iterator[JointSample]:
+        """Samples before the first two, on the line through them, as many as the lag takes away: the robot moved."""
+        step_ns = second.stamp_ns - first.stamp_ns
+        lag_ns = int(late_stamps_ns(first.stamp_ns, self._perturbations, first.stamp_ns)) - first.stamp_ns
+        if step_ns <= 0 or lag_ns <= 0 or first.names != second.names:
+            return
+        for count in range(-(-lag_ns // step_ns), 0, -1):
+            positions = first.positions - count * (second.positions - first.positions)
+            yield replace(first, stamp_ns=first.stamp_ns - count * step_ns, positions=positions)
+
+    def _reported(self, sample: JointSample) -> JointSample:
+        assert self._perturber is not None
+        assert self._first is not None  # it came before
+        stamp_ns = int(late_stamps_ns(sample.stamp_ns, self._perturbations, self._first.stamp_ns))
+        positions = self._perturber.of_log(sample.names, np.asarray(sample.positions, np.float64), stamp_ns)
+        return replace(sample, stamp_ns=later_ns(stamp_ns, self._lag_ns), positions=positions)

@@ -1,15 +1,113 @@
-"""The one table of perturbations, by name. An entry here is an option of `record` and of `compare`."""
+"""The one table of perturbations: ways in which the world is not what a log or a profile states.
+
+The entries are data, in `table.toml`; the modules beside this one apply them.
+"""
 
 from __future__ import annotations
 
-from svmdist.errors import UsageError, did_you_mean
-from svmdist.perturbations.calibration_table import CALIBRATION
-from svmdist.perturbations.image_table import IMAGES
-from svmdist.perturbations.joint_table import CLOCK, JOINTS
-from svmdist.perturbations.laws import Normal
-from svmdist.perturbations.perturbation import Perturbation
+import tomllib
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib.resources import files
+from typing import Any
 
-TABLE: dict[str, Perturbation] = {entry.name: entry for entry in (*JOINTS, *CLOCK, *CALIBRATION, *IMAGES)}
+import numpy as np
+
+from svmdist.errors import UsageError, did_you_mean
+
+
+class Place(StrEnum):
+    """What a perturbation changes."""
+
+    JOINTS = "joints"
+    CLOCK = "clock"
+    CALIBRATION = "calibration"
+    IMAGES = "images"
+
+
+@dataclass(frozen=True, slots=True)
+class Uniform:
+    """A strength from `low` to `high`, in the perturbation's unit; often a single value."""
+
+    low: float
+    high: float
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw the strength of one world; a law of a single value draws nothing."""
+        return self.low if self.low == self.high else float(rng.uniform(self.low, self.high))
+
+    def __str__(self) -> str:
+        return f"{self.low:g}" if self.low == self.high else f"{self.low:g} to {self.high:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Normal:
+    """A normal with a mean of 0; `std` is the deviation that a profile may state.
+
+    With several `axes`, the strength is the length of a vector that has `std` along each of them; its direction is
+    drawn apart from it. Beyond `limit` it is drawn again.
+    """
+
+    std: float
+    axes: int = 1
+    limit: float = np.inf
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw the strength of one world."""
+        while True:
+            drawn = rng.normal(0.0, self.std, self.axes)
+            strength = float(drawn[0]) if self.axes == 1 else float(np.linalg.norm(drawn))
+            if abs(strength) <= self.limit:
+                return strength
+
+    def __str__(self) -> str:
+        along = f" along each of {self.axes} axes" if self.axes > 1 else ""
+        within = f", at most {self.limit:g}" if np.isfinite(self.limit) else ""
+        return f"std {self.std:g}{along}{within}"
+
+
+@dataclass(frozen=True, slots=True)
+class Perturbation:
+    """One perturbation: a strength in `unit`, from `low` to `high`; a strength of `neutral` changes nothing.
+
+    `real` is its size under `--world real`, with `source`, where that is from; None leaves it out there.
+    What cannot be applied to an existing log is not `at_replay`.
+    """
+
+    name: str
+    unit: str
+    place: Place
+    meaning: str
+    low: float
+    high: float
+    real: Uniform | Normal | None = None
+    source: str = ""
+    neutral: float = 0.0
+    at_replay: bool = True
+
+
+def _entry(name: str, row: dict[str, Any]) -> Perturbation:
+    low, high = (float(limit) for limit in row["range"])
+    size, place = row.get("real"), Place(row["changes"])
+    real = None if size is None else Uniform(*size["uniform"]) if "uniform" in size else Normal(**size)
+    return Perturbation(
+        name,
+        row["unit"],
+        place,
+        row["meaning"],
+        low,
+        high,
+        real,
+        row.get("source", ""),
+        float(row.get("neutral", 0.0)),
+        at_replay=row.get("at_replay", place is not Place.IMAGES),
+    )
+
+
+TABLE: dict[str, Perturbation] = {
+    name: _entry(name, row)
+    for name, row in tomllib.loads(files(__package__).joinpath("table.toml").read_text("utf-8")).items()
+}
 
 
 def find_perturbation(name: str) -> Perturbation:
@@ -18,23 +116,3 @@ def find_perturbation(name: str) -> Perturbation:
     if found is None:
         raise UsageError(f"no perturbation {name}: {did_you_mean(name, TABLE)}")
     return found
-
-
-def real_std(name: str) -> float:
-    """The standard deviation of a strength in the real world, in its unit, along each axis: what a profile may state.
-
-    Raises ValueError for a strength that is not normal.
-    """
-    law = find_perturbation(name).real
-    if not isinstance(law, Normal):
-        raise ValueError(f"perturbation {name} has no standard deviation")
-    return law.std
-
-
-def require_strength(name: str, strength: float) -> None:
-    """Raise UsageError for a name that is not in the table, or a strength out of its range."""
-    entry = find_perturbation(name)
-    if not entry.low <= strength <= entry.high:  # NaN is in no range
-        raise UsageError(
-            f"perturbation {name}: from {entry.low:g} to {entry.high:g} {entry.unit}, found {strength:g}"
-        )

@@ -19,8 +19,7 @@ from svmdist.errors import RecordingError, did_you_mean
 from svmdist.input_file import LogPath, open_regular, why
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
-from svmdist.perturbations.clock import later_ns
-from svmdist.perturbations.replayed import ReplayedWorld
+from svmdist.perturbations.joints import ReplayedWorld, later_ns
 from svmdist.profile import Limits, Profile
 from svmdist.recording.mcap_file.framing import MAGIC as MCAP_MAGIC
 from svmdist.recording.mcap_file.source import McapSource

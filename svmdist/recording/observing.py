@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from svmdist.camera import Camera, stereo_transform
-from svmdist.perturbations.replayed import ReplayedJoints, ReplayedWorld
+from svmdist.perturbations.joints import ReplayedJoints, ReplayedWorld
 from svmdist.profile import Limits
 from svmdist.recording.messages.checks import DecodeError, EncodedImage, RawTransforms, broken_image
 from svmdist.recording.messages.decoding import Decoder, Message

@@ -200,7 +200,7 @@ def compare_columns() -> list[Column]:
         Column("degradation", TEXT, of=attrgetter("group.degradation")),
         Column("instrument", TEXT),
     ]
-    metrics = of_part(within(figure_metrics(), Output.FIGURES), attrgetter("figures"))
+    metrics = of_part(within(figure_metrics(), Output.FIGURES), "figures")
     return _in_order(labels, metrics, after)
 
 

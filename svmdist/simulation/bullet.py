@@ -1,4 +1,4 @@
-"""The door to PyBullet: loading it with a clear error where it is missing, and quiet connections.
+"""The door to PyBullet: loading it with a clear error where it is missing, and quiet worlds.
 
 PyBullet's C code prints to the process's standard output; data goes there, so its chatter must not.
 """
@@ -13,10 +13,10 @@ import platform
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 from svmdist.errors import SimulationError
+from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 WHEELS_UP_TO = (3, 11)
 """The last CPython that PyBullet publishes wheels for, as the extra `sim` in pyproject.toml has it."""
@@ -24,7 +24,7 @@ WHEELS_UP_TO = (3, 11)
 
 @contextmanager
 def quiet_stdout() -> Iterator[None]:
-    """Send what C code writes to file descriptor 1 to nowhere for the time of the block."""
+    """Discard what C code writes to file descriptor 1."""
     sys.stdout.flush()
     with _quiet(1):
         yield
@@ -66,7 +66,7 @@ def load_pybullet() -> Any:
 
 
 def how_to_install(version: tuple[int, int], system: str, machine: str) -> str:
-    """What to do to have PyBullet, which the extra `sim` installs where there are wheels of it, and only there."""
+    """How to get PyBullet, which the extra `sim` installs only where there are wheels of it."""
     if version == WHEELS_UP_TO and system == "linux" and machine == "x86_64":
         return "run pip install 'svmdist[sim]'"
     last, here = (".".join(map(str, numbers)) for numbers in (WHEELS_UP_TO, version))
@@ -76,33 +76,37 @@ def how_to_install(version: tuple[int, int], system: str, machine: str) -> str:
     )
 
 
-class BulletClient:
+class BulletWorld:
     """One physics world of PyBullet without a window; a context manager that disconnects at its end."""
 
     def __init__(self) -> None:
         self.pb = load_pybullet()
         with quiet_stdout():
-            self.id: int = self.pb.connect(self.pb.DIRECT)
-        if self.id < 0:
+            self._id: int = self.pb.connect(self.pb.DIRECT)
+        if self._id < 0:
             raise SimulationError("PyBullet has no free physics world: too many simulations run at once")
 
     def call(self, function: str, *args: Any, **kwargs: Any) -> Any:
         """Call a function of PyBullet in this world; its own error becomes a SimulationError."""
         try:
-            return getattr(self.pb, function)(*args, physicsClientId=self.id, **kwargs)
+            return getattr(self.pb, function)(*args, physicsClientId=self._id, **kwargs)
         except self.pb.error as problem:
             raise SimulationError(f"PyBullet could not {function}: {problem}") from None
 
+    def place(self, body: int, T_world_body: Array, scale: float = 1.0) -> None:
+        """Put a body at a pose, shape (4, 4), whose translation is scaled."""
+        position = (T_world_body[:3, 3] * scale).tolist()
+        quaternion = quaternion_xyzw_from_rotation(T_world_body[:3, :3]).tolist()
+        self.call("resetBasePositionAndOrientation", body, position, quaternion)
+
     def close(self) -> None:
         """Disconnect; a second call does nothing."""
-        if self.id >= 0:
-            self.pb.disconnect(physicsClientId=self.id)
-            self.id = -1
+        if self._id >= 0:
+            self.pb.disconnect(physicsClientId=self._id)
+            self._id = -1
 
-    def __enter__(self) -> BulletClient:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_problem: object) -> None:
         self.close()

@@ -1,50 +1,90 @@
-"""Where everything stands for one seed: pure geometry, without PyBullet.
+"""The world of one seed and its options: pure geometry, without PyBullet.
 
 World: z up, floor at z = 0, the camera on the z axis looking straight down.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.errors import SimulationError
+from svmdist.errors import SimulationError, UsageError
 from svmdist.kinematics.dh import DHChain, chain_of, frame_transforms
-from svmdist.perturbations.calibration import right_turn, zoomed_camera
-from svmdist.perturbations.shape import plane_tilt
+from svmdist.perturbations.calibration import plane_tilt, right_turn, zoomed_camera
+from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, World
 from svmdist.profile import Profile
 from svmdist.samples import Image
-from svmdist.simulation.bodies.instrument import Paint, Part, make_parts
-from svmdist.simulation.bodies.meshes import DrawnMesh, loft, smooth_normals
-from svmdist.simulation.bodies.organ import SEMI_AXES_M, Organ, make_organ
-from svmdist.simulation.bodies.plate import Plate, make_plate
-from svmdist.simulation.bodies.relief import make_relief
-from svmdist.simulation.bodies.textures import fine_tissue_texture, floor_texture, tissue_texture
-from svmdist.simulation.bodies.tissue_shape import TissueShape, make_tissue_shape
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.room.lens import Lens, coefficients
-from svmdist.simulation.room.settings import IDEAL, Room
+from svmdist.simulation.effects import Lens, distortion_coefficients
+from svmdist.simulation.instrument import Part, make_parts, make_plate
+from svmdist.simulation.meshes import DrawnMesh, loft, smooth_normals
+from svmdist.simulation.organ import Organ, make_organ
+from svmdist.simulation.textures import floor_texture, tissue_texture
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
+from svmdist.vision.degradations import require_degradation
 
+MAX_ARMS = 2
 FLOOR_HALF_M = 0.16
 TISSUE_SHIFT_M = 0.0015
 """By seed, the organ stands this far from the camera's axis at most, along x and along y."""
-
-RELIEF_STREAMS = (18, 19)
-"""Of the surface and of its texture, apart from all others, so that relief moves nothing else."""
-SHAPE_STREAM = 102
+BREATHING_HZ = 0.25
+"""15 breaths a minute, as a ventilator is set."""
+PULSE_HZ = 1.2
+"""72 beats a minute."""
+JAW_HZ = 0.3
+_MOTION_STREAM, _JAW_STREAM = 101, 104
 
 R_WORLD_CAMERA: Array = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a simulation; the defaults are the plain one.
+
+    `stereo` adds the right camera, `tag` mounts the profile's fiducial plate, `kinematic_error` scales the error of
+    the nominal kinematics (0 none, 1 as the profile states). `degradations` are applied to the images in order, behind
+    the sensor's noise: (name, severity). `arms` is the number of instruments. `perturbations` were drawn for `world`.
+    """
+
+    stereo: bool = False
+    tag: bool = False
+    kinematic_error: float = 0.0
+    degradations: tuple[tuple[str, int], ...] = ()
+    arms: int = 1
+    perturbations: Perturbations = UNPERTURBED
+    world: World = World.IDEAL
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.kinematic_error <= 20.0:
+            raise UsageError(
+                f"the scale of the kinematic error is from 0 to 20, found {self.kinematic_error:g}"
+            )
+        if not 1 <= self.arms <= MAX_ARMS:
+            raise UsageError(f"a recording has 1 to {MAX_ARMS} arms, found {self.arms}")
+        for name, severity in self.degradations:
+            require_degradation(name, severity)
+
+    def metadata(self) -> dict[str, str]:
+        """What is set, for a recording's metadata; empty for a plain recording."""
+        named = {
+            "stereo": "yes" if self.stereo else "",
+            "tag": "yes" if self.tag else "",
+            "kinematic_error": f"{self.kinematic_error:g}" if self.kinematic_error else "",
+            "arms": str(self.arms) if self.arms > 1 else "",
+            "degrade": ",".join(f"{name}={severity}" for name, severity in self.degradations),
+            "world": "" if self.world is World.IDEAL else self.world.value,
+            "perturb": str(self.perturbations),
+        }
+        return {name: value for name, value in named.items() if value}
 
 
 @dataclass(frozen=True)
 class Scene:
     """The world of one seed: the chain and where its base, the camera and the tissue stand.
 
-    `camera` is what the calibration tells. The lens has the `distortion`, OpenCV's coefficients, shape (5,).
+    `camera` is what the calibration states; the lens has the `distortion`, OpenCV's coefficients, shape (5,).
     """
 
     chain: DHChain
@@ -55,18 +95,16 @@ class Scene:
     T_world_tissue: Array
     organ: Organ
     parts: tuple[Part, ...]
-    retractor: DrawnMesh
     tissue_texture: Image
     floor_texture: Image
     baseline_m: float
-    R_camera_right: Array
-    plate: Plate | None = None
-    room: Room = IDEAL
-    distortion: Array = field(default_factory=lambda: np.zeros(5))
+    perturbations: Perturbations
+    distortion: Array
+    seed: int
 
     @cached_property
     def lens(self) -> Lens | None:
-        """What both cameras look through; None for a pinhole."""
+        """The lens of both cameras; None for a pinhole."""
         return Lens.of(self.camera, self.distortion) if self.distortion.any() else None
 
     @property
@@ -76,39 +114,62 @@ class Scene:
 
     @property
     def right_camera(self) -> Camera:
-        """The right camera of a rectified pair, as it is meant: the left one's intrinsics, and the baseline in P."""
+        """The right camera of a rectified pair as intended: the left one's intrinsics, and the baseline in P."""
         P = np.hstack([self.camera.K, np.zeros((3, 1))])
         P[0, 3] = -self.camera.K[0, 0] * self.baseline_m
         return replace(self.camera, P=P, frame_id=f"{self.camera.frame_id}_right")
 
     @property
     def T_camera_right(self) -> Array:
-        """Where the right camera stands for the left one, shape (4, 4)."""
-        return make_transform(self.R_camera_right, [self.baseline_m, 0.0, 0.0])
+        """The true pose of the right camera, shape (4, 4)."""
+        return make_transform(right_turn(self.perturbations), [self.baseline_m, 0.0, 0.0])
 
     @property
     def T_camera_base(self) -> Array:
-        """Where the base stands for the camera, shape (4, 4)."""
+        """The true pose of the base, shape (4, 4)."""
         return inverse(self.T_world_camera) @ self.T_world_base
 
     @property
     def T_camera_tissue(self) -> Array:
-        """Where the tissue stands for the camera, shape (4, 4)."""
+        """The pose of the tissue at rest, shape (4, 4)."""
         return inverse(self.T_world_camera) @ self.T_world_tissue
-
-    def T_camera_risen_tissue(self, rise_m: float) -> Array:
-        """Where the tissue stands for the camera, shape (4, 4), after it and the floor have risen."""
-        return inverse(self.T_world_camera) @ risen(rise_m) @ self.T_world_tissue
 
     def link_poses(self, q: Array) -> dict[str, Array]:
         """Poses `T_world_link`, shape (..., 4, 4), of all rows by name, for joints (..., n_joints)."""
         frames = self.T_world_base @ frame_transforms(self.chain, q)
         return {row.name: frames[..., index, :, :] for index, row in enumerate(self.chain.rows)}
 
+    def part_poses(self, q: Array) -> Array:
+        """Poses `T_world_part`, shape (..., n_parts, 4, 4), for joints (..., n_joints)."""
+        links = self.link_poses(q)
+        return np.stack([links[part.link] @ part.T_link_part for part in self.parts], -3)
 
-def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Scene:
+    @property
+    def moves_tissue(self) -> bool:
+        """Whether the tissue breathes or pulses."""
+        return self.perturbations.has("breathing", "pulse")
+
+    def tissue_offset_m(self, t_s: Array) -> Array:
+        """How far tissue and floor stand above their place at rest, shape (n,), at times since the start, (n,)."""
+        phases = np.random.default_rng([self.seed, _MOTION_STREAM]).uniform(0.0, 2.0 * np.pi, 2)
+        breath_mm = self.perturbations["breathing"] * np.sin(2.0 * np.pi * BREATHING_HZ * t_s + phases[0])
+        pulse_mm = self.perturbations["pulse"] * np.sin(2.0 * np.pi * PULSE_HZ * t_s + phases[1])
+        return np.asarray(1e-3 * (breath_mm + pulse_mm), np.float64)
+
+    def jaw_opening_rad(self, t_s: Array, arm: int = 0) -> Array:
+        """Unreported opening of an arm's jaws, shape (n,), at times since the start, shape (n,).
+
+        Cables stretch, and what the jaws hold keeps them open.
+        """
+        phase = np.random.default_rng([self.seed, _JAW_STREAM, arm]).uniform(0.0, 2.0 * np.pi)
+        wave = 0.5 - 0.5 * np.cos(2.0 * np.pi * JAW_HZ * t_s + phase)
+        return np.asarray(np.deg2rad(self.perturbations["jaw"]) * wave * wave)
+
+
+def make_scene(profile: Profile, seed: int, options: Options | None = None) -> Scene:
     """Set up the world of a seed; raises SimulationError for a profile that describes no such simulation."""
-    extras = extras or Extras()
+    options = options or Options()
+    perturbations = options.perturbations
     if profile.robot is None or profile.instrument is None or profile.simulation is None:
         raise SimulationError(
             f"profile {profile.name} cannot be simulated: it needs [robot], [instrument] and [simulation]"
@@ -116,19 +177,14 @@ def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Sce
     chain, settings = chain_of(profile.robot), profile.simulation
     missing = [name for name in chain.joint_names if name not in settings.posture]
     if missing or len(chain.rows) < 4:
-        raise SimulationError(
-            f"profile {profile.name} cannot be simulated: simulation.posture lacks {', '.join(missing)}"
-            if missing
-            else f"profile {profile.name} cannot be simulated: an instrument needs four joints or more"
+        lack = (
+            f"simulation.posture lacks {', '.join(missing)}" if missing else "an instrument needs four joints"
         )
-    if extras.tag and profile.fiducial is None:
+        raise SimulationError(f"profile {profile.name} cannot be simulated: {lack}")
+    if options.tag and profile.fiducial is None:
         raise SimulationError(f"profile {profile.name} has no tag to mount: it needs [fiducial]")
     # One stream for each thing, so that one of them can change without moving the others.
     place, shape, red, dull = (np.random.default_rng([seed, stream]) for stream in range(4))
-    bumps, speckle = (np.random.default_rng([seed, stream]) for stream in RELIEF_STREAMS)
-    relief = make_relief(bumps, extras.relief_m, min(SEMI_AXES_M)) if extras.relief_m > 0.0 else None
-    colour = tissue_texture(red)
-    room = extras.room
     T_world_tissue = make_transform(
         rotation_z(place.uniform(-np.pi, np.pi)),
         [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0],
@@ -136,54 +192,44 @@ def make_scene(profile: Profile, seed: int, extras: Extras | None = None) -> Sce
     camera = Camera.from_horizontal_fov(
         settings.width_px, settings.height_px, settings.horizontal_fov_rad, profile.frames.camera
     )
-    if (zoom := extras.perturbations["zoom"]) != 1.0:
+    if (zoom := perturbations["zoom"]) != 1.0:
         camera = zoomed_camera(camera, zoom)
-    if room.lens:
-        camera = replace(camera, D=coefficients(room.lens))
+    if stated := perturbations["lens"]:
+        camera = replace(camera, D=distortion_coefficients(stated))
+    links = tuple(row.name for row in chain.rows)
+    parts = make_parts(profile.instrument, links, profile.robot.joints[-3].a_m, perturbations)
+    if options.tag and profile.fiducial is not None:
+        parts = (*parts, make_plate(profile.fiducial))
     return Scene(
         chain=chain,
         posture=np.array([settings.posture[name] for name in chain.joint_names]),
         camera=camera,
         T_world_base=make_transform(rotation_z(settings.base_yaw_rad), settings.base_position_m),
-        T_world_camera=_camera_pose(settings.camera_height_m, extras, seed),
+        T_world_camera=_camera_pose(settings.camera_height_m, perturbations, seed),
         T_world_tissue=T_world_tissue,
-        organ=make_organ(shape, relief, _tissue_shape(room, seed), is_soft=room.dent > 0.0),
-        parts=make_parts(
-            profile.instrument,
-            tuple(row.name for row in chain.rows),
-            profile.robot.joints[-3].a_m,
-            Paint(room.tip, room.shaft_grey, room.shaft_blue, 1e-3 * room.ring),
-        ),
-        retractor=make_retractor(),
-        tissue_texture=colour if relief is None else fine_tissue_texture(speckle, colour, relief),
+        organ=make_organ(shape, seed, perturbations),
+        parts=parts,
+        tissue_texture=tissue_texture(red),
         floor_texture=floor_texture(dull),
         baseline_m=settings.stereo_baseline_m,
-        R_camera_right=right_turn(extras.perturbations),
-        plate=make_plate(profile.fiducial) if extras.tag and profile.fiducial is not None else None,
-        room=room,
-        distortion=coefficients(room.lens + room.lens_untold),
+        perturbations=perturbations,
+        distortion=distortion_coefficients(stated + perturbations["lens_untold"]),
+        seed=seed,
     )
 
 
-def _camera_pose(height_m: float, extras: Extras, seed: int) -> Array:
-    """Where the camera stands, shape (4, 4): so high above the floor, whose origin is on its optical axis."""
-    if not extras.perturbations.has("plane_tilt"):
+def _camera_pose(height_m: float, perturbations: Perturbations, seed: int) -> Array:
+    """The camera's pose, shape (4, 4), above the floor, whose origin is on its optical axis."""
+    if not perturbations.has("plane_tilt"):
         return make_transform(R_WORLD_CAMERA, [0.0, 0.0, height_m])
     # In these axes the floor's normal is the stated one, turned back.
-    R = R_WORLD_CAMERA @ plane_tilt(extras.perturbations, seed)
+    R = R_WORLD_CAMERA @ plane_tilt(perturbations, seed)
     return make_transform(R, height_m / R[2, 2] * R[:, 2])
 
 
-def _tissue_shape(room: Room, seed: int) -> TissueShape | None:
-    if not (room.tissue_shape or room.tissue_ellipsoid):
-        return None
-    rng = np.random.default_rng([seed, SHAPE_STREAM])
-    return make_tissue_shape(rng, room.tissue_shape, room.tissue_ellipsoid)
-
-
-def risen(rise_m: float) -> Array:
-    """A rise along the floor's normal as a transform of the world, shape (4, 4)."""
-    return make_transform(np.eye(3), [0.0, 0.0, rise_m])
+def raised(offset_m: float) -> Array:
+    """A shift of the world along the floor's normal, shape (4, 4)."""
+    return make_transform(np.eye(3), [0.0, 0.0, offset_m])
 
 
 def make_floor() -> DrawnMesh:

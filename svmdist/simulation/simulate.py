@@ -1,216 +1,208 @@
-"""The simulation itself: a scenario and a profile to the stream of samples that a log would hold."""
+"""The simulation: a scenario and a profile to the stream of samples that a log would hold."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Self
+
+import cv2
+import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera, zoomed_camera
-from svmdist.perturbations.perturbation import Place
+from svmdist.perturbations.images import subsampled
+from svmdist.perturbations.table import Place
 from svmdist.profile import Profile
 from svmdist.samples import CameraSample, Image, ImageSample, Sample, TransformSample, TransformsSample
-from svmdist.simulation.arm import ArmPoses, distances
-from svmdist.simulation.clearance.meters import BetweenMeter, ClearanceMeter
-from svmdist.simulation.closing import Closing
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.plan import Block, Moment, Plan, between_topic, make_plan
-from svmdist.simulation.pressing import Pressing
-from svmdist.simulation.renderer import make_renderer
-from svmdist.simulation.room.exposure import exposures, exposures_at_most, woven
-from svmdist.simulation.sensor import NoiseState, Sensor
-from svmdist.simulation.shutter import motion_px
-from svmdist.transforms import Array
+from svmdist.simulation.arm import distances
+from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
+from svmdist.simulation.effects import field_delays_ns, weave
+from svmdist.simulation.plan import Block, Plan, SceneState, between_topic, make_plan
+from svmdist.simulation.render import Renderer
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.scene import Options, raised
+from svmdist.transforms import Array, inverse
+from svmdist.vision.degradations import Degradation, degrade, image_seed
+
+_NOISE_STREAMS = (11, 14)
+_DEGRADATION_STREAM = 15
 
 Noise = tuple[Array | None, ...]
 """The noise of one image of each camera, shape (height, width, 3) in 8-bit levels, or None where there is none."""
+NoiseStates = tuple[dict[str, Any], ...]
+"""The state of the random stream of each camera's noise, as NumPy gives and takes it."""
 
 
-@dataclass(frozen=True)
-class _Clearances:
-    """Of each arm to the tissue, and of the first arm to each other one, shape (n,) each, over a block's moments."""
+class Sensor:
+    """One camera of the pair, 0 the left one and 1 the right one: noise, colour resolution and degradations by seed."""
 
-    to_tissue_m: list[Array]
-    between_m: list[Array]
+    def __init__(self, camera: int, seed: int, noise: float, options: Options) -> None:
+        self._camera, self._seed, self._noise = camera, seed, noise
+        self._degradations = tuple((Degradation(name), severity) for name, severity in options.degradations)
+        self._chroma = options.perturbations["chroma"]
+        self.rng = np.random.default_rng([seed, _NOISE_STREAMS[camera]])
+
+    def draw_noise(self, width_px: int, height_px: int) -> Array | None:
+        """Draw the next image's noise in 8-bit levels, shape (height, width, 3); None for a sensor without noise."""
+        if self._noise == 0.0:
+            return None
+        levels = self.rng.standard_normal((height_px, width_px, 3))
+        levels *= self._noise
+        return levels
+
+    def expose(self, image: Image, noise: Array | None, frame: int) -> Image:
+        """What the camera reports of the image number `frame`, with the noise that was drawn for it."""
+        if noise is not None:  # OpenCV rounds to the nearest level and saturates, in one pass
+            image = np.asarray(cv2.add(noise, image, dtype=cv2.CV_8U), np.uint8)
+        if self._chroma:
+            image = subsampled(image, self._chroma)
+        for place, (name, severity) in enumerate(self._degradations):
+            seed = image_seed(name, self._camera, self._seed, _DEGRADATION_STREAM, place, frame)
+            image = degrade(image, name, severity, seed)
+        return image
 
 
-def simulate(
-    scenario: Scenario,
-    profile: Profile,
-    *,
-    renderer: str = "tiny",
-    noise: float = 0.0,
-    extras: Extras | None = None,
-) -> Iterator[tuple[str, Sample]]:
-    """Yield (topic, sample) in the order of time; `noise` is a standard deviation in 8-bit levels.
-
-    Joints, poses and truth come at the profile's joint rate and at every image's stamp exactly (truth only).
-    Raises SimulationError where PyBullet is missing or the profile cannot be simulated.
-    """
-    plan = make_plan(scenario, profile, renderer=renderer, noise=noise, extras=extras)
-    with Simulator(plan) as simulator:
-        for block in plan.blocks:
-            yield from simulator.samples(block, simulator.draw_noise())
-
-
-class Simulator(Closing):
-    """Makes the samples of a plan, block by block in any order; a context manager with physics worlds of its own.
-
-    Only the noise has an order: `draw_noise` gives that of the next image, and `noise_states` tells where the random
-    streams then stand.
-    """
+class Sensors:
+    """The cameras of a plan. Only their noise has an order: `noise_states` are the random streams' states before it."""
 
     def __init__(self, plan: Plan) -> None:
-        self._plan = plan
-        cameras = range(2 if plan.extras.stereo else 1)
-        self._sensors = tuple(Sensor(camera, plan.seed, plan.noise, plan.extras) for camera in cameras)
-        scene, *others = (arm.scene for arm in plan.arms)
-        with ExitStack() as stack:
-            self._meters = [stack.enter_context(ClearanceMeter(arm.scene)) for arm in plan.arms]
-            self._pressing = None
-            if scene.room.dent:
-                arms = [
-                    (arm.scene, meter.samples) for arm, meter in zip(plan.arms, self._meters, strict=True)
-                ]
-                self._pressing = Pressing(arms)
-            self._between = [stack.enter_context(BetweenMeter(scene, other)) for other in others]
-            self._view = make_renderer(scene, plan.renderer, others, plan.seed)
-            stack.enter_context(self._view)
-            self._stack = stack.pop_all()
+        self._camera = plan.scene.camera
+        cameras = range(2 if plan.options.stereo else 1)
+        self.each = tuple(Sensor(camera, plan.scene.seed, plan.noise, plan.options) for camera in cameras)
 
     @property
-    def noise_states(self) -> tuple[NoiseState, ...]:
-        """Where the random stream of each camera's noise stands."""
-        return tuple(sensor.noise_state for sensor in self._sensors)
+    def noise_states(self) -> NoiseStates:
+        """The state of each camera's random stream."""
+        return tuple(dict(sensor.rng.bit_generator.state) for sensor in self.each)
 
     @noise_states.setter
-    def noise_states(self, states: tuple[NoiseState, ...]) -> None:
-        for sensor, state in zip(self._sensors, states, strict=True):
-            sensor.noise_state = state
+    def noise_states(self, states: NoiseStates) -> None:
+        for sensor, state in zip(self.each, states, strict=True):
+            sensor.rng.bit_generator.state = state
 
     def draw_noise(self) -> Noise:
         """Draw the noise of the next image of each camera."""
-        camera = self._plan.scene.camera
-        return tuple(sensor.draw_noise(camera.width_px, camera.height_px) for sensor in self._sensors)
+        return tuple(sensor.draw_noise(self._camera.width_px, self._camera.height_px) for sensor in self.each)
+
+
+def simulate(
+    scenario: Scenario, profile: Profile, *, noise: float = 0.0, options: Options | None = None
+) -> Iterator[tuple[str, Sample]]:
+    """Yield (topic, sample) in the order of time; `noise` is a standard deviation in 8-bit levels.
+
+    Raises SimulationError where PyBullet is missing or the profile cannot be simulated.
+    """
+    plan = make_plan(scenario, profile, noise=noise, options=options)
+    with Simulator(plan) as simulator:
+        for block in plan.blocks:
+            yield from simulator.samples(block, simulator.sensors.draw_noise())
+
+
+class Simulator:
+    """Makes the samples of a plan, block by block in any order; a context manager with physics worlds of its own."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self.sensors = Sensors(plan)
+        scene, *others = scenes = [arm.scene for arm in plan.arms]
+        self._tissue = TissueClearance(scenes)
+        with ExitStack() as stack:
+            self._between = [stack.enter_context(InstrumentClearance(scene, other)) for other in others]
+            self._view = stack.enter_context(Renderer(scenes))
+            self._stack = stack.pop_all()
 
     def samples(self, block: Block, noise: Noise) -> Iterator[tuple[str, Sample]]:
         """Yield (topic, sample) of a block, given the noise of its image."""
-        plan, topics = self._plan, self._plan.topics
-        poses = [arm.poses(block.begin, block.end) for arm in plan.arms]
-        rise_m = None if plan.tissue_rise_m is None else plan.tissue_rise_m[block.begin : block.end]
-        clearances = self._clearances_m([arm.q[block.begin : block.end] for arm in plan.arms], rise_m)
-        for at, stamp in enumerate(plan.stamps_ns[block.begin : block.end].tolist()):
-            index = block.begin + at
+        plan = self._plan
+        for index in range(block.begin, block.end):
+            stamp_ns = int(plan.stamps_ns[index])
             if plan.with_camera_info[index]:
-                yield from self._cameras(stamp)
+                left, right = self._stated_cameras
+                yield plan.topics.camera_info, CameraSample(stamp_ns, left)
+                if plan.options.stereo:
+                    yield plan.topics.right_camera_info, CameraSample(stamp_ns, right)
             if plan.with_joints[index]:
-                for arm, its in zip(plan.arms, poses, strict=True):
-                    yield from arm.reports(stamp, its, at)
-            T_camera_tissue = plan.scene.T_camera_tissue
-            if rise_m is not None:
-                T_camera_tissue = plan.scene.T_camera_risen_tissue(float(rise_m[at]))
-            yield from self._truth(stamp, poses, T_camera_tissue, clearances, at)
+                for arm in plan.arms:
+                    yield from arm.reports(stamp_ns, index)
             if plan.with_image[index]:
-                yield topics.tf, self._nominal_transforms(stamp, poses, at)
-                yield from self._images(stamp, index, block.frame, noise)
-
-    def _cameras(self, stamp_ns: int) -> Iterator[tuple[str, Sample]]:
-        left, right = self._stated_cameras
-        yield self._plan.topics.camera_info, CameraSample(stamp_ns, left)
-        if self._plan.extras.stereo:
-            yield self._plan.topics.right_camera_info, CameraSample(stamp_ns, right)
+                yield from self._truth(stamp_ns, index)
+                yield plan.topics.tf, self._nominal_transforms(stamp_ns, index)
+                yield from self._images(stamp_ns, index, block.frame, noise)
 
     @cached_property
     def _stated_cameras(self) -> tuple[Camera, Camera]:
-        """The left and the right camera as the log says that they are."""
-        scene, perturbations = self._plan.scene, self._plan.extras.perturbations
+        """The left and the right camera as the log states them."""
+        scene, perturbations = self._plan.scene, self._plan.options.perturbations
         left, right, zoom = scene.camera, scene.right_camera, perturbations["zoom"]
-        if zoom != 1.0:  # the log does not say so
+        if zoom != 1.0:  # which the log does not state
             left, right = zoomed_camera(left, 1.0 / zoom), zoomed_camera(right, 1.0 / zoom)
         return stated_camera(left, perturbations), stated_right_camera(right, perturbations)
 
     @cached_property
     def _stated_T_camera_right(self) -> Array:
-        """Where the log says that the right camera stands, shape (4, 4)."""
-        if not self._plan.extras.perturbations.changes(Place.CALIBRATION):
+        """The pose of the right camera as the log states it, shape (4, 4)."""
+        if not self._plan.options.perturbations.changes(Place.CALIBRATION):
             return self._plan.scene.T_camera_right
         stated = stereo_transform(*self._stated_cameras)
         assert stated is not None  # the baseline is not 0
         return stated
 
-    def _clearances_m(self, q: list[Array], rise_m: Array | None) -> _Clearances:
-        """Those of a block's moments, by the joints of each arm, shape (n, n_joints), and the tissue's rise, (n,)."""
-        to_tissue_m = [meter.clearances_m(its, rise_m) for meter, its in zip(self._meters, q, strict=True)]
-        if self._pressing is not None:
-            to_tissue_m = self._pressing.clearances_m(to_tissue_m, q, rise_m)
-        return _Clearances(
-            to_tissue_m,
-            [between.clearances_m(q[0], its) for between, its in zip(self._between, q[1:], strict=True)],
-        )
-
-    def _truth(
-        self,
-        stamp_ns: int,
-        poses: list[ArmPoses],
-        T_camera_tissue: Array,
-        clearances: _Clearances,
-        at: int,
-    ) -> Iterator[tuple[str, Sample]]:
-        """Yield where tools and tissue are, and how far from each other."""
-        plan, frames, arms = self._plan, self._plan.profile.frames, self._plan.arms
-        tools = [arm.true_transform(stamp_ns, its, at) for arm, its in zip(arms, poses, strict=True)]
+    def _truth(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
+        """Yield the poses of tools and tissue, and their distances."""
+        plan, frames, (first, *others) = self._plan, self._plan.profile.frames, self._plan.arms
+        scene, state = plan.scene, plan.state(index)
+        T_camera_tissue = scene.T_camera_tissue
+        if scene.moves_tissue:
+            T_camera_tissue = inverse(scene.T_world_camera) @ raised(state.offset_m) @ scene.T_world_tissue
+        tools = [arm.true_tool(stamp_ns, index) for arm in plan.arms]
         tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, T_camera_tissue)
         yield plan.topics.ground_truth_tf, TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
-        for arm, tool, to_tissue_m in zip(arms, tools, clearances.to_tissue_m, strict=True):
-            yield arm.true_distances(tool, tissue, float(to_tissue_m[at]))
-        for other, tool, between_m in zip(arms[1:], tools[1:], clearances.between_m, strict=True):
-            offset_m = tools[0].T_parent_child[:3, 3] - tool.T_parent_child[:3, 3]
-            topic = between_topic(plan.profile.instrument_name, other.profile.instrument_name)
-            yield topic, distances(stamp_ns, offset_m, float(between_m[at]))
+        origins_m = [tool.T_parent_child[:3, 3] for tool in tools]
+        to_tissue_m = self._tissue.clearances_m(state.q, state.offset_m)
+        for arm, origin_m, clearance_m in zip(plan.arms, origins_m, to_tissue_m, strict=True):
+            topic = arm.topics.ground_truth_distance
+            yield topic, distances(stamp_ns, origin_m - T_camera_tissue[:3, 3], clearance_m)
+        for other, between, origin_m, q in zip(
+            others, self._between, origins_m[1:], state.q[1:], strict=True
+        ):
+            topic = between_topic(first.profile.instrument_name, other.profile.instrument_name)
+            clearance_m = between.clearance_m(state.q[0], q)
+            yield topic, distances(stamp_ns, origins_m[0] - origin_m, clearance_m)
 
-    def _nominal_transforms(self, stamp_ns: int, poses: list[ArmPoses], at: int) -> TransformsSample:
+    def _nominal_transforms(self, stamp_ns: int, index: int) -> TransformsSample:
         """The transforms of the first arm, the right camera, and those of the other arms."""
-        arms, scene = self._plan.arms, self._plan.scene
-        transforms = [arm.nominal_transforms(stamp_ns, its, at) for arm, its in zip(arms, poses, strict=True)]
+        scene = self._plan.scene
+        first, *others = (arm.nominal_transforms(stamp_ns, index) for arm in self._plan.arms)
         right = []
-        if self._plan.extras.stereo:
+        if self._plan.options.stereo:
             camera, right_frame = scene.camera.frame_id, scene.right_camera.frame_id
             right = [TransformSample(stamp_ns, camera, right_frame, self._stated_T_camera_right)]
-        return TransformsSample(
-            stamp_ns, (*transforms[0], *right, *(sample for other in transforms[1:] for sample in other))
-        )
+        return TransformsSample(stamp_ns, (*first, *right, *(sample for other in others for sample in other)))
 
     def _images(self, stamp_ns: int, index: int, frame: int, noise: Noise) -> Iterator[tuple[str, Sample]]:
         scene, topics = self._plan.scene, self._plan.topics
-        parts = exposures(scene.room, scene.camera.height_px, motion_px(self._plan, index))
-        first = frame * exposures_at_most(scene.room)
+        delays_ns = field_delays_ns(scene.perturbations)
         drawn = [
-            self._pictures(self._plan.moment(index, part.after_ns), first + number)
-            for number, part in enumerate(parts)
+            self._pictures(self._plan.state(index, after_ns), frame * len(delays_ns) + number)
+            for number, after_ns in enumerate(delays_ns)
         ]
         named = ((topics.image, scene.camera), (topics.right_image, scene.right_camera))
-        for sensor, (topic, camera), its, images in zip(
-            self._sensors, named[: len(self._sensors)], noise, zip(*drawn, strict=True), strict=True
+        for sensor, (topic, camera), its, fields in zip(
+            self.sensors.each, named, noise, zip(*drawn, strict=True), strict=False
         ):
-            image = sensor.expose(woven(images, parts), its, frame)
+            image = sensor.expose(weave(fields), its, frame)
             yield topic, ImageSample(stamp_ns, camera.frame_id, image)
 
-    def _pictures(self, moment: Moment, number: int) -> list[Image]:
-        """What each camera sees of a moment, which is that number `number` of the recording."""
-        turn = number * len(self._sensors)
-        left = self._view.frame_of(
-            moment.q[0],
-            moment.T_world_retractor,
-            moment.q[1:],
-            turn=turn,
-            rise_m=moment.rise_m,
-            tissue=None if self._pressing is None else self._pressing.tissue(moment),
-        )
-        return [left, self._view.right_frame(turn=turn + 1)] if self._plan.extras.stereo else [left]
+    def _pictures(self, state: SceneState, number: int) -> list[Image]:
+        """What each camera sees of a state, the picture number `number` of the recording."""
+        self._view.pose(state, self._tissue.indented(state.q, state.offset_m))
+        count = len(self.sensors.each)
+        return [self._view.draw(camera, turn=number * count + camera) for camera in range(count)]
 
-    def close(self) -> None:
-        """Leave the physics worlds; a second call does nothing."""
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_problem: object) -> None:
         self._stack.close()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -13,12 +13,9 @@ from svmdist.files import is_held
 from svmdist.perturbations.chosen import Perturbations, draw_world
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.workflows.batch.pool import Task, measured_in_processes
-from svmdist.workflows.batch.run import Progress, unheard
-from svmdist.workflows.batch.task import LogFile, Stored, failed
-from svmdist.workflows.parallel import usable_cores
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.scene import Options
+from svmdist.workflows.parallel import WorkerDiedError, each_in_processes, usable_cores
 from svmdist.workflows.record import record, recorded_metadata
 
 SEED, NUMBER = "{seed}", "{episode}"
@@ -30,9 +27,8 @@ class Episodes:
 
     scenario: Scenario
     profile: Profile
-    extras: Extras
+    options: Options
     perturbations: Perturbations
-    renderer: str = "tiny"
     noise: float = 0.0
     jpeg_quality: int | None = None
     force: bool = False
@@ -40,22 +36,14 @@ class Episodes:
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """One episode: what was written, or that it was there already."""
-
-    frame_count: int
-    message_count: int
-    size_bytes: int
-    was_there: bool = False
-
-
-@dataclass(frozen=True)
-class EpisodeOutcome:
-    """What came of an episode; `failure` says why there is no recording."""
+class Episode:
+    """A recorded episode: what was written, or was there already; `failure` says why there is no recording."""
 
     path: Path
-    seed: int
-    recorded: Recorded | None
+    frame_count: int = 0
+    message_count: int = 0
+    size_bytes: int = 0
+    was_there: bool = False
     failure: str | None = None
 
 
@@ -89,9 +77,9 @@ def record_episodes(
     episodes: Episodes,
     paths: Sequence[Path],
     jobs: int | None = None,
-    on_progress: Progress = unheard,
-) -> list[EpisodeOutcome]:
-    """Record an episode to each path, with the scenario's seed and those after it; gives what came of them, in order.
+    on_progress: Callable[[int, int], None] | None = None,
+) -> list[Episode]:
+    """Record an episode to each path, with the scenario's seed and those after it; what came of them, in order.
 
     An episode that cannot be recorded does not stop the others. The files are the same for any number of jobs. Raises
     UsageError before the work where a file exists and may neither be replaced nor left.
@@ -103,94 +91,72 @@ def record_episodes(
                     raise UsageError(
                         f"{there} exists; --skip-existing leaves episodes that are whole, --force replaces all"
                     )
-    tasks = [
-        Task(number, LogFile(path, str(episodes.scenario.seed + number)), path)
-        for number, path in enumerate(paths)
-    ]
-    found: dict[int, EpisodeOutcome] = {}
-    on_progress(0, len(tasks))
+    found: dict[int, Episode] = {}
     try:
-        with closing(_recorded(episodes, tasks, usable_cores() if jobs is None else jobs)) as done:
-            for task, stored in done:
-                result = None if stored.failure else Recorded(**stored.result)
-                outcome = EpisodeOutcome(paths[task.number], int(task.log.name), result, stored.failure)
-                found[task.number] = outcome
-                on_progress(len(found), len(tasks))
+        with closing(_recorded(episodes, paths, usable_cores() if jobs is None else jobs)) as done:
+            for number, episode in done:
+                found[number] = replace(episode, path=paths[number])
+                if on_progress is not None:
+                    on_progress(len(found), len(paths))
     finally:
-        for task in tasks:
-            ended = found.get(task.number)
-            if ended is None or ended.failure:  # its process was ended: what it left is no recording
-                _remove_part(paths[task.number])
-    return [found[number] for number in range(len(tasks))]
+        for number, path in enumerate(paths):
+            if number not in found or found[number].failure:  # its process was ended
+                _remove_part(path)
+    return [found[number] for number in range(len(paths))]
 
 
-def _recorded(episodes: Episodes, tasks: Sequence[Task], jobs: int) -> Generator[tuple[Task, Stored]]:
-    workers = min(jobs, len(tasks))
+def _recorded(episodes: Episodes, paths: Sequence[Path], jobs: int) -> Generator[tuple[int, Episode]]:
+    numbered, workers = list(enumerate(paths)), min(jobs, len(paths))
     if workers <= 1:
-        for task in tasks:
-            yield task, record_episode(episodes, task, jobs)
+        for number, path in numbered:
+            yield number, record_episode(episodes, jobs, (number, path))
         return
-    work = partial(record_episode, episodes)
-    yield from measured_in_processes(work, tasks, workers, max(1, jobs // workers), forks=True)
+    died = Episode(Path(), failure=str(WorkerDiedError()))
+    yield from each_in_processes(partial(record_episode, episodes, 1), numbered, workers, died=died)
 
 
-def record_episode(episodes: Episodes, task: Task, jobs: int) -> Stored:
+def record_episode(episodes: Episodes, jobs: int, numbered: tuple[int, Path]) -> Episode:
     """Record one episode, or leave it where it is there already. Raises UsageError for what no episode can have."""
-    seed = int(task.log.name)
+    number, path = numbered
+    seed = episodes.scenario.seed + number
     scenario = replace(episodes.scenario, seed=seed)
-    world = episodes.extras.world
-    extras = replace(episodes.extras, perturbations=draw_world(world, seed, episodes.perturbations))
-    path = task.rows
+    perturbations = draw_world(episodes.options.world, seed, episodes.perturbations)
+    options = replace(episodes.options, perturbations=perturbations)
     try:
         if episodes.skip_existing and path.exists():
-            return _there(episodes, scenario, extras, path)
+            return _there(episodes, scenario, options, path)
         done = record(
             scenario,
             episodes.profile,
             path,
-            renderer=episodes.renderer,
             noise=episodes.noise,
-            extras=extras,
+            options=options,
             # A file that is to be left is not there; what an interrupted recording left of it goes.
             force=episodes.force or episodes.skip_existing,
             jpeg_quality=episodes.jpeg_quality,
             jobs=jobs,
         )
-    except UsageError as problem:
-        if task.number == 0 and not path.exists():
-            raise  # all others would meet it too
-        return failed(str(problem))
     except SvmdistError as problem:
-        return failed(str(problem))
-    return _stored(Recorded(done.frame_count, done.message_count, done.size_bytes))
+        if isinstance(problem, UsageError) and number == 0 and not path.exists():
+            raise  # all others would meet it too
+        return Episode(path, failure=str(problem))
+    return Episode(path, done.frame_count, done.message_count, done.size_bytes)
 
 
-def _there(episodes: Episodes, scenario: Scenario, extras: Extras, path: Path) -> Stored:
+def _there(episodes: Episodes, scenario: Scenario, options: Options, path: Path) -> Episode:
     """An episode that is there already, unless the file is another recording."""
-    expected = recorded_metadata(
-        scenario, episodes.profile, episodes.renderer, episodes.noise, extras, episodes.jpeg_quality
-    )
+    expected = recorded_metadata(scenario, episodes.profile, episodes.noise, options, episodes.jpeg_quality)
     try:
         recording = open_recording(path, episodes.profile)
         found = recording.metadata
     except RecordingError as problem:
-        return failed(f"{problem}; --force replaces it")
+        return Episode(path, failure=f"{problem}; --force replaces it")
     other = sorted(key for key in expected.keys() | found.keys() if expected.get(key) != found.get(key))
     if other:
-        return failed(f"{path}: is another recording: {', '.join(other)} differ; --force replaces it")
-    topics = recording.topics()
-    return _stored(
-        Recorded(
-            recording.image_count() or 0,
-            sum(info.message_count or 0 for info in topics),
-            recording.size_bytes(),
-            was_there=True,
-        )
-    )
-
-
-def _stored(recorded: Recorded) -> Stored:
-    return Stored(None, asdict(recorded), (), 0, {}, (), 0)
+        reason = f"{path}: is another recording: {', '.join(other)} differ; --force replaces it"
+        return Episode(path, failure=reason)
+    message_count = sum(info.message_count or 0 for info in recording.topics())
+    return Episode(path, recording.image_count() or 0, message_count, recording.size_bytes(), was_there=True)
 
 
 def _part(path: Path) -> Path:

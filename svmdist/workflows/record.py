@@ -1,23 +1,42 @@
-"""Record a scenario: the simulation's samples into a recording, with what they came from as metadata."""
+"""Record a scenario: the simulation's samples into a recording, with what they came from as metadata.
+
+Several processes, each with physics worlds of its own, draw, expose and encode a few blocks of the plan at a time. The
+samples come in order, and are the same for any number. The noise of all images is one random stream: this process
+draws it too, to tell each task where the stream stands.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from svmdist.errors import UsageError
 from svmdist.profile import Profile
+from svmdist.recording.encode import EncodedSample, encode_all
 from svmdist.recording.writer import RecordingWriter
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
-from svmdist.simulation.plan import make_plan
-from svmdist.workflows.parallel import usable_cores
-from svmdist.workflows.record_workers import WorkerDiedError, encoded_samples
+from svmdist.simulation.bullet import require_pybullet
+from svmdist.simulation.plan import Block, Plan, make_plan
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.scene import Options
+from svmdist.simulation.simulate import NoiseStates, Sensors, Simulator
+from svmdist.workflows.parallel import (
+    WorkerDiedError,
+    in_order,
+    one_opencv_thread,
+    process_pool,
+    usable_cores,
+)
 
 VERSIONED_PACKAGES = ("svmdist", "pybullet", "numpy", "opencv-python-headless")
+FRAMES_PER_WORKER = 12
+"""What a worker's start costs, about a second, is what so many images take: below this, one worker less is faster."""
+
+Task = tuple[tuple[Block, ...], NoiseStates]
+Encoded = list[tuple[str, EncodedSample]]
 
 
 @dataclass(frozen=True)
@@ -35,34 +54,33 @@ def record(
     profile: Profile,
     output: Path,
     *,
-    renderer: str = "tiny",
     noise: float = 0.0,
-    extras: Extras | None = None,
+    options: Options | None = None,
     force: bool = False,
     jpeg_quality: int | None = None,
     jobs: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> RecordResult:
-    """Simulate a scenario and write it to `output`; `on_progress` hears of (images done, images in all).
+    """Simulate a scenario and write it to `output`; `on_progress` is called with (images done, images in all).
 
-    Images are PNG, which keeps them to the last bit, or JPEG of a quality from 1 to 100. `jobs` is the largest number
-    of processes that draw images; None stands for that of usable cores. The file is the same for any number.
+    Images are PNG, without loss, or JPEG of a quality from 1 to 100. `jobs` is the largest number of processes that
+    draw images; None stands for that of usable cores. The file is the same for any number.
 
     Raises UsageError where the file exists and `force` is not set, OutputError where it cannot be written,
-    SimulationError where PyBullet is missing, the profile cannot be simulated, or a process is killed, which leaves
-    no file.
+    SimulationError where PyBullet is missing or the profile cannot be simulated, and WorkerDiedError, which leaves no
+    file.
     """
-    extras = extras or Extras()
+    options = options or Options()
     if jpeg_quality is not None and not 1 <= jpeg_quality <= 100:
         raise UsageError(f"the quality of JPEG is from 1 to 100, found {jpeg_quality}")
     if jobs is not None and jobs < 1:
         raise UsageError(f"the number of jobs is from 1, found {jobs}")
-    metadata = recorded_metadata(scenario, profile, renderer, noise, extras, jpeg_quality)
+    metadata = recorded_metadata(scenario, profile, noise, options, jpeg_quality)
     frame_count = message_count = 0
     writer = RecordingWriter(output, metadata, force=force, jpeg_quality=jpeg_quality)
     try:
         with writer:
-            plan = make_plan(scenario, profile, renderer=renderer, noise=noise, extras=extras)
+            plan = make_plan(scenario, profile, noise=noise, options=options)
             with closing(encoded_samples(plan, jobs or usable_cores(), jpeg_quality)) as samples:
                 for topic, sample in samples:
                     writer.write(topic, sample)
@@ -78,28 +96,20 @@ def record(
 
 
 def recorded_metadata(
-    scenario: Scenario,
-    profile: Profile,
-    renderer: str,
-    noise: float,
-    extras: Extras,
-    jpeg_quality: int | None = None,
+    scenario: Scenario, profile: Profile, noise: float, options: Options, jpeg_quality: int | None = None
 ) -> dict[str, str]:
-    """What a recording says that it came from."""
-    metadata = _metadata(scenario, profile, renderer, noise) | extras.metadata()
-    return metadata if jpeg_quality is None else metadata | {"jpeg_quality": str(jpeg_quality)}
-
-
-def _metadata(scenario: Scenario, profile: Profile, renderer: str, noise: float) -> dict[str, str]:
+    """What a recording states that it came from."""
     return {
         "scenario": scenario.name,
         "seed": str(scenario.seed),
         "duration_s": f"{scenario.duration_s:g}",
         "rate_hz": f"{scenario.rate_hz:g}",
         "noise": f"{noise:g}",
-        "renderer": renderer,
+        "renderer": "tiny",
         "profile": profile.name,
         **{f"version_{name}": _version(name) for name in VERSIONED_PACKAGES},
+        **options.metadata(),
+        **({} if jpeg_quality is None else {"jpeg_quality": str(jpeg_quality)}),
     }
 
 
@@ -108,3 +118,67 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "unknown"
+
+
+def encoded_samples(
+    plan: Plan, jobs: int, jpeg_quality: int | None = None
+) -> Generator[tuple[str, EncodedSample]]:
+    """Yield (topic, sample) of a plan in the order of time, made by `jobs` processes or fewer.
+
+    Recordings of few images are made in this process, which is faster then. Raises WorkerDiedError where a process is
+    killed, and what a worker raised. The workers end with the iterator.
+    """
+    require_pybullet()  # before there are workers, each of which would report it
+    workers = min(jobs, len(plan.blocks) // FRAMES_PER_WORKER)
+    with one_opencv_thread():  # the cores are taken
+        if workers <= 1:
+            with Simulator(plan) as simulator:
+                for block in plan.blocks:
+                    yield from encode_all(
+                        simulator.samples(block, simulator.sensors.draw_noise()), jpeg_quality
+                    )
+            return
+        with process_pool(workers, _begin, (plan, jpeg_quality)) as pool:
+            for samples in in_order(_work, _tasks(plan), workers, pool):
+                yield from samples
+
+
+def _tasks(plan: Plan) -> Iterator[Task]:
+    """The blocks of each task, and the state of the noise before it.
+
+    A task has an even number of pictures, which spares the renderer a turn (see `DrawnWorld`).
+    """
+    sensors, all_blocks = Sensors(plan), plan.blocks
+    size = 1 if plan.options.stereo else 2
+    for begin in range(0, len(all_blocks), size):
+        blocks = tuple(all_blocks[begin : begin + size])
+        yield blocks, sensors.noise_states
+        for _ in blocks:
+            sensors.draw_noise()
+
+
+_plan: Plan | None = None
+_jpeg_quality: int | None = None
+"""In a worker: what it records."""
+
+
+def _begin(plan: Plan, jpeg_quality: int | None) -> None:
+    global _plan, _jpeg_quality
+    _plan, _jpeg_quality = plan, jpeg_quality
+
+
+@cache
+def _worlds() -> Simulator:
+    """The physics worlds of this worker, for all its tasks."""
+    assert _plan is not None  # the worker has begun
+    return Simulator(_plan)
+
+
+def _work(task: Task) -> Encoded:
+    simulator = _worlds()
+    blocks, simulator.sensors.noise_states = task
+    noises = [simulator.sensors.draw_noise() for _ in blocks]
+    samples: Encoded = []
+    for block, noise in zip(blocks, noises, strict=True):
+        samples += encode_all(simulator.samples(block, noise), _jpeg_quality)
+    return samples

@@ -19,8 +19,7 @@ from svmdist.kinematics.dh import chain_of
 from svmdist.profile import Dome, load_profile
 from svmdist.results import ToolPose
 from svmdist.samples import JointSample
-from svmdist.simulation.scene import make_scene
-from svmdist.transforms import Array, make_transform, rotation_x, transform_points
+from svmdist.transforms import make_transform, rotation_x, transform_points
 from tests.rotations import rotation_y
 
 PROFILE = load_profile()
@@ -88,17 +87,3 @@ def test_other_surfaces(benchmark: BenchmarkFixture, kind: str) -> None:
     points = np.concatenate([mesh.vertices_m, mesh.triangles_m.mean(1)])[:2000]
     surface = Plane(NORMAL, float(NORMAL @ T_CAMERA_TISSUE[:3, 3])) if kind == "plane" else Cloud(points)
     benchmark(lambda: separation(capsules, surface))
-
-
-@pytest.mark.benchmark(group="100 true clearances of the simulation")
-@pytest.mark.parametrize("relief_m", [0.0, 0.0005])
-def test_true_clearances(benchmark: BenchmarkFixture, relief_m: float) -> None:
-    """A second of motion above the organ, one sample after the other."""
-    pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-    from svmdist.simulation.clearance.meters import ClearanceMeter
-    from svmdist.simulation.extras import Extras
-
-    scene = make_scene(PROFILE, 1, Extras(relief_m=relief_m))
-    poses: Array = np.linspace(scene.posture, scene.posture + 0.02, 100)
-    with ClearanceMeter(scene) as meter:
-        assert len(benchmark(lambda: [meter.clearance_m(q) for q in poses])) == len(poses)

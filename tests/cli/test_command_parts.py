@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 import typer
-
 from svmdist.cli.alarms import alarm_rules
 from svmdist.cli.blur_bench import blur_bench_command
+from svmdist.cli.degradations import parse_degradations, parse_names, parse_severities
+
 from svmdist.cli.calibrate import calibrate_command
 from svmdist.cli.compare import compare_command
-from svmdist.cli.degradations import parse_degradations, parse_names, parse_severities
 from svmdist.cli.main import app
 from svmdist.cli.validate import TruthChoice, validate_command
 from svmdist.errors import OutputError, UsageError

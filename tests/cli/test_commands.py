@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.cli.options import EquationsChoice, Method, PlanarMethod
-from svmdist.cli.record import Renderer, ScenarioName
+from svmdist.cli.record import ScenarioName
 from svmdist.report.rows import ESTIMATE_KEYS
 from tests.cli.conftest import Cli
 from tests.synthetic import write_log
@@ -189,14 +189,12 @@ def test_blur_bench_rows(cli: Cli, tmp_path: Path, synthetic_calibration: Path) 
 def test_choices_on_the_command_line_are_the_choices_there_are() -> None:
     """The light enumerations of the command line agree with the heavy modules they stand for."""
     from svmdist.estimation.methods import METHODS, PLANAR_METHODS
-    from svmdist.simulation.motion.scenarios import SCENARIOS
-    from svmdist.simulation.renderer import RENDERERS
+    from svmdist.simulation.scenarios import SCENARIOS
 
     assert [method.value for method in Method] == list(METHODS)
     assert [method.value for method in PlanarMethod] == list(PLANAR_METHODS)
     assert [choice.value for choice in EquationsChoice] == ["corrected", "printed"]
     assert {name.value for name in ScenarioName} == set(SCENARIOS)
-    assert [renderer.value for renderer in Renderer] == list(RENDERERS)
 
 
 def test_help_loads_nothing_heavy() -> None:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-
 from svmdist.cli.console import (
     ExitCode,
     report_health,
@@ -23,6 +22,7 @@ from svmdist.cli.console import (
     write_results,
 )
 from svmdist.cli.recordings import logs_or_golden
+
 from svmdist.errors import OutputError, UsageError
 from svmdist.metrics import RATIO, TEXT
 from svmdist.recording.source import Health, Loss, LossKind

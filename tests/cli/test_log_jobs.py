@@ -8,23 +8,23 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from svmdist.cli.console import say
 from svmdist.cli.estimate_logs import MAX_REPORTED, EstimateJob, figures_of_logs, reported_logs
-from svmdist.cli.fk import FkJob
-from svmdist.cli.info import InfoJob
 from svmdist.cli.log_jobs import BlurJob, CalibrateJob, CompareJob, ValidateJob
 from svmdist.cli.log_summary import LogSummary
 from svmdist.cli.many import Outcomes, group_keys, group_name, heard_notes
 from svmdist.cli.validate_logs import validation_of
+from svmdist.workflows.batch.identity import fingerprint
+from svmdist.workflows.batch.plain import from_plain, to_plain
+from svmdist.workflows.batch.task import LogFile, Note, Outcome
+
+from svmdist.cli.fk import FkJob
+from svmdist.cli.info import InfoJob
 from svmdist.errors import OutputError, RecordingError, UsageError
 from svmdist.profile import load_profile
 from svmdist.recording.log import Window
 from svmdist.report.scores import LogFigures
 from svmdist.vision.degradations import Blur
-from svmdist.workflows.batch.identity import fingerprint
-from svmdist.workflows.batch.plain import from_plain, to_plain
-from svmdist.workflows.batch.task import LogFile, Note, Outcome
 from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.request import prepare
 from svmdist.workflows.scoring.truth import TruthRules

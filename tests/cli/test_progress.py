@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import pytest
 from rich.console import Console
-
-from svmdist.cli import progress
 from svmdist.cli.console import Verbosity, set_verbosity
 from svmdist.cli.progress import _lines, progress_bar, tracked
+
+from svmdist.cli import progress
 from tests.cli.conftest import Cli
 from tests.conftest import REPOSITORY
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-
 from svmdist.cli.console import ExitCode
+
 from svmdist.cli.estimate import estimate_command
 from svmdist.cli.fk import fk_command
 from svmdist.cli.info import info_command

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from svmdist.cli.recordings import logs_in, window_of
+
 from svmdist.errors import UsageError
 from svmdist.recording.log import Window, unique_names
 from tests.cli.conftest import Cli

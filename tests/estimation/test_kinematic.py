@@ -8,7 +8,7 @@ from scipy.stats import chi2
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.simulation.nominal import draw_nominal_kinematics
+from svmdist.simulation.arm import draw_nominal_kinematics
 from svmdist.simulation.scene import make_scene
 from tests.shipped import CHAIN, POSTURE, PROFILE
 

@@ -12,10 +12,15 @@ from hypothesis.extra.numpy import arrays
 
 from svmdist.errors import ProfileError
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, parse_perturbations
-from svmdist.perturbations.clock import late_stamps_ns, later_ns, reported_late
-from svmdist.perturbations.joints import METRES_PER_DEG, JointPerturber, JointUnits
-from svmdist.perturbations.play import Play
-from svmdist.perturbations.replayed import ReplayedWorld
+from svmdist.perturbations.joints import (
+    METRES_PER_DEG,
+    JointPerturber,
+    JointUnits,
+    ReplayedWorld,
+    late_stamps_ns,
+    later_ns,
+    reported_late,
+)
 from svmdist.profile import Profile, load_profile
 from svmdist.samples import JointSample
 from svmdist.transforms import Array
@@ -29,8 +34,9 @@ PATHS = arrays(np.float64, st.tuples(st.integers(1, 40), st.just(3)), elements=s
 
 
 def leads(path: Array, half_width: float) -> Array:
-    play = Play(np.full(path.shape[1], half_width))
-    return np.array([play.lead(row) for row in path])
+    units = JointUnits(("a", "b", "c"), {}, np.ones(3), np.ones(3))
+    perturber = JointPerturber(units, Perturbations((("backlash", half_width),)), 1)
+    return np.array([perturber.perturbed(row, 0) - row for row in path])
 
 
 @given(PATHS, st.floats(0.0, 1.0))

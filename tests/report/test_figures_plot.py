@@ -10,8 +10,8 @@ import matplotlib.colors
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-
 from svmdist.cli.plots import PLOTS, PlotKind, require_plot
+
 from svmdist.errors import UsageError
 from svmdist.report.plots import PAGE_IN, draw_compare
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore

@@ -17,7 +17,7 @@ from svmdist.recording.writer import RecordingWriter
 from svmdist.report.scores import compare_results
 from svmdist.report.tables import render
 from svmdist.samples import ImageSample
-from svmdist.simulation.extras import Extras
+from svmdist.simulation.scene import Options
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import Group, compare, group_of
 from svmdist.workflows.conditions import CLEAN, Condition
@@ -27,11 +27,11 @@ from svmdist.workflows.validate import validate
 from tests.synthetic import make_scene, samples
 
 SMOKE = Condition(Degradation.SMOKE, 3)
-PLAIN = Extras()
+PLAIN = Options()
 
 
 def log(
-    path: Path, scenario: str, frame_count: int = 4, extras: Extras = PLAIN, lost: Container[int] = ()
+    path: Path, scenario: str, frame_count: int = 4, extras: Options = PLAIN, lost: Container[int] = ()
 ) -> Path:
     """A drawn log with the metadata that `record` writes for these extras; lost frames are black."""
     frames = count()
@@ -75,12 +75,12 @@ def test_figures_are_those_of_validate(tmp_path: Path, synthetic_calibration: Pa
 
 def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
     """What `record --degrade` wrote into a log is what it is compared as; each degradation also over scenarios."""
-    smoked = Extras(degradations=(("smoke", 3),))
+    smoked = Options(degradations=(("smoke", 3),))
     setup = prepare(method="kinematic")
     recordings = [
         open_recording(log(tmp_path / f"{index}.mcap", scenario, extras=extras), setup.profile)
         for index, (scenario, extras) in enumerate(
-            [("sweep", Extras()), ("sweep", smoked), ("contact", smoked), ("contact", smoked)]
+            [("sweep", Options()), ("sweep", smoked), ("contact", smoked), ("contact", smoked)]
         )
     ]
     assert group_of(recordings[1]) == Group("sweep", "smoke=3")
@@ -110,7 +110,7 @@ def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
 def test_degrading_at_replay_stands_beside_what_was_recorded(tmp_path: Path) -> None:
     """A condition adds a group; on a log that was recorded degraded its name follows the recorded one."""
     profile = load_profile()
-    noisy = log(tmp_path / "noisy.mcap", "sweep", extras=Extras(degradations=(("noise", 1), ("jpeg", 2))))
+    noisy = log(tmp_path / "noisy.mcap", "sweep", extras=Options(degradations=(("noise", 1), ("jpeg", 2))))
     recording = open_recording(noisy, profile)
     assert str(group_of(recording, CLEAN)) == "sweep noise=1,jpeg=2"
     assert str(group_of(recording, SMOKE)) == "sweep noise=1,jpeg=2,smoke=3"

@@ -10,8 +10,8 @@ from mcap.reader import make_reader
 from svmdist.errors import UsageError
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.scene import Options
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.workflows.compare import Group, group_of
@@ -44,6 +44,6 @@ def test_a_degraded_recording_is_compared_as_such(tmp_path: Path) -> None:
     """What `record --degrade` stores in the log's metadata is the group that `compare` puts the log in."""
     profile = load_profile()
     one_frame = Scenario("approach", 2, 0.2, 5.0)
-    extras = Extras(degradations=(("smoke", 3), ("jpeg", 1)))
-    result = record(one_frame, profile, tmp_path / "smoky.mcap", extras=extras)
+    options = Options(degradations=(("smoke", 3), ("jpeg", 1)))
+    result = record(one_frame, profile, tmp_path / "smoky.mcap", options=options)
     assert group_of(open_recording(result.path, profile)) == Group("approach", "smoke=3,jpeg=1")

@@ -46,7 +46,7 @@ import os, sys
 from pathlib import Path
 from svmdist.profile import load_profile
 from svmdist.recording import writer as writer_module
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scenarios import Scenario
 target = Path(sys.argv[1])
 progress = os.open(target.with_suffix(".progress"), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 write, count = writer_module.RecordingWriter.write, 0

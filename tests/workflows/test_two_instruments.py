@@ -24,8 +24,8 @@ from tests.cli.conftest import Cli, cli  # noqa: F401  (the fixture)
 from tests.measuring import Measuring, flat
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.motion.scenarios import Scenario
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.scene import Options
 from svmdist.workflows.record import record
 
 NAMES = ("PSM1", "PSM2")
@@ -36,7 +36,7 @@ BETWEEN = "/ground_truth/PSM1/PSM2/distance"
 def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four frames of two arms that hardly err."""
     path = tmp_path_factory.mktemp("two") / "two.mcap"
-    record(Scenario("sweep", 5, 0.4, 10.0), load_profile(), path, extras=Extras(arms=2))
+    record(Scenario("sweep", 5, 0.4, 10.0), load_profile(), path, options=Options(arms=2))
     return path
 
 

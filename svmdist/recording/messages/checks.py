@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
-from svmdist.perturbations.clock import later_ns
+from svmdist.perturbations.joints import later_ns
 from svmdist.recording.images import ImageError
 from svmdist.recording.source import MAX_NAME_BYTES, cut
 from svmdist.samples import Image, JointSample, TransformSample, TransformsSample, Vector

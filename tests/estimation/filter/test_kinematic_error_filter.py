@@ -18,7 +18,7 @@ from svmdist.kinematics.dh import forward_kinematics, frame_transforms, row_inde
 from svmdist.kinematics.inverse import solve_position
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
-from svmdist.simulation.nominal import draw_nominal_kinematics
+from svmdist.simulation.arm import draw_nominal_kinematics
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_z, transform_points
 from svmdist.vision.lines import tangent_normal

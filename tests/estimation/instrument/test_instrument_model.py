@@ -12,8 +12,7 @@ from svmdist.kinematics.dh import DHChain, chain_of, forward_kinematics, wrist_r
 from svmdist.profile import load_profile
 from svmdist.results import ToolPose
 from svmdist.samples import JointSample
-from svmdist.simulation.extras import Extras
-from svmdist.simulation.scene import Scene, make_scene
+from svmdist.simulation.scene import Options, Scene, make_scene
 from svmdist.transforms import inverse, transform_points
 
 PROFILE = load_profile()
@@ -58,8 +57,8 @@ def test_capsules_reach_as_far_as_the_meshes() -> None:
 
 def test_a_tags_plate_is_a_part_of_the_instrument_where_it_was_seen() -> None:
     """Beside the shaft it reaches as far as the plate's mesh, to 0.05 mm along any direction that ends on it."""
-    scene = make_scene(PROFILE, 3, Extras(tag=True))
-    assert scene.plate is not None
+    scene = make_scene(PROFILE, 3, Options(tag=True))
+    plate = scene.parts[-1]
     model = InstrumentModel.of(PROFILE)
     assert model is not None
     q = bent(np.random.default_rng(6))
@@ -67,10 +66,8 @@ def test_a_tags_plate_is_a_part_of_the_instrument_where_it_was_seen() -> None:
     pose = ToolPose(T_camera_tool, np.zeros((6, 6)), T_camera_tool[:3, 0])
     joints = JointSample(0, scene.chain.joint_names, q)
     plain, plated = (model.posed(pose, joints, has_plate) for has_plate in (False, True))
-    T_camera_plate = (
-        inverse(scene.T_world_camera) @ scene.link_poses(q)[scene.plate.link] @ scene.plate.T_link_tag
-    )
-    corners = transform_points(T_camera_plate, scene.plate.mesh.vertices_m)
+    T_camera_plate = inverse(scene.T_world_camera) @ scene.part_poses(q)[-1]
+    corners = transform_points(T_camera_plate, plate.mesh.vertices_m)
 
     def reach(capsules: Capsules, d: np.ndarray) -> float:
         return float((np.maximum(capsules.start_m @ d, capsules.end_m @ d) + capsules.radius_m).max())

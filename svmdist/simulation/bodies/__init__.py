@@ -1,1 +1,0 @@
-"""What stands in the scene, as meshes and textures: instrument, tag plate, organ and its relief."""

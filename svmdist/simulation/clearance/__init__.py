@@ -1,1 +1,0 @@
-"""The exact distance between the surfaces of instrument and organ, and of two instruments."""

@@ -1,0 +1,127 @@
+"""Triangle meshes with smooth normals: surfaces of revolution and lofted bars.
+
+PyBullet draws its own cylinders and spheres as coarse prisms, up to 13 % too thin, which ruins metric
+vision. Every round part is therefore a mesh of at least 64 sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.geometry.surfaces import Mesh
+from svmdist.transforms import Array, transform_points
+
+SIDE_COUNT = 64
+
+
+@dataclass(frozen=True)
+class DrawnMesh(Mesh):
+    """A mesh in the frame of its part, with what drawing it needs.
+
+    Unit `normals` (v, 3) at the vertices, and texture coordinates `uv` (v, 2) in 0–1.
+    """
+
+    normals: Array
+    uv: Array
+
+    def transformed(self, T_other_this: Array) -> DrawnMesh:
+        """The same mesh in another frame, by a transform of shape (4, 4)."""
+        return DrawnMesh(
+            transform_points(T_other_this, self.vertices_m),
+            self.faces,
+            self.normals @ T_other_this[:3, :3].T,
+            self.uv,
+        )
+
+
+def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -> DrawnMesh:
+    """Sweep superellipses along x: section i stands at x_m[i] with half-axes half_y_m[i], half_z_m[i].
+
+    `roundness` 2 gives ellipses, 4 boxes with rounded edges. The ends are closed by flat caps. Lofts whose
+    half-axes are concave functions of x are convex.
+    """
+    angle = np.linspace(0.0, 2.0 * np.pi, SIDE_COUNT, endpoint=False)
+    unit_y = np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** (2.0 / roundness)
+    unit_z = np.sign(np.sin(angle)) * np.abs(np.sin(angle)) ** (2.0 / roundness)
+    grid = np.stack(
+        [
+            np.repeat(x_m[:, None], SIDE_COUNT, 1),
+            half_y_m[:, None] * unit_y,
+            half_z_m[:, None] * unit_z,
+        ],
+        -1,
+    )
+    sides = _quads(len(x_m), SIDE_COUNT)
+    vertices = grid.reshape(-1, 3)
+    normals = smooth_normals(vertices, sides)
+    parts = [(vertices, normals, sides)]
+    for ring, direction in ((0, -1.0), (len(x_m) - 1, 1.0)):
+        parts.append(_cap(grid[ring], direction))
+    return _joined(parts)
+
+
+def revolve(x_m: Array, radius_m: Array) -> DrawnMesh:
+    """Turn a profile of radii about the x axis."""
+    return loft(x_m, radius_m, radius_m)
+
+
+def sphere(radius_m: float) -> DrawnMesh:
+    """A sphere about the origin with 64 meridians and 33 parallels."""
+    latitude = np.linspace(0.0, np.pi, 33)
+    # Not quite closed at the poles: a triangle without area has no normal.
+    return revolve(-radius_m * np.cos(latitude), radius_m * np.maximum(np.sin(latitude), 1e-3))
+
+
+def bar(x_m: tuple[float, float], half_y_m: float, half_z_m: float) -> DrawnMesh:
+    """A bar along x with rounded edges and rounded ends."""
+    bevel = min(half_y_m, half_z_m) * 0.6
+    turn = np.linspace(0.0, np.pi / 2, 5)
+    start, end = x_m[0] + bevel * (1 - np.sin(turn)), x_m[1] - bevel * (1 - np.sin(turn))
+    shrink = bevel * (1 - np.cos(turn))
+    inset = np.concatenate([shrink[::-1], shrink])
+    x = np.concatenate([start[::-1], end])
+    return loft(np.sort(x), half_y_m - inset, half_z_m - inset, roundness=4.0)
+
+
+def smooth_normals(vertices_m: Array, faces: NDArray[np.int64]) -> Array:
+    """Unit normals at vertices, shape (n, 3): the area-weighted mean over the triangles that meet there."""
+    a, b, c = (vertices_m[faces[:, corner]] for corner in range(3))
+    face_normals = np.cross(b - a, c - a)
+    normals = np.zeros_like(vertices_m)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], face_normals)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.where(length > 0, length, 1.0))
+
+
+def _quads(ring_count: int, side_count: int) -> NDArray[np.int64]:
+    """Triangles between neighbouring rings of a closed tube; rings follow one another along +x."""
+    ring, side = np.meshgrid(np.arange(ring_count - 1), np.arange(side_count), indexing="ij")
+    a = (ring * side_count + side).ravel()
+    b = (ring * side_count + (side + 1) % side_count).ravel()
+    return np.concatenate(
+        [np.stack([a, b, b + side_count], -1), np.stack([a, b + side_count, a + side_count], -1)]
+    )[:, ::1]
+
+
+def _cap(ring_m: Array, direction: float) -> tuple[Array, Array, NDArray[np.int64]]:
+    vertices = np.vstack([ring_m, ring_m.mean(axis=0)])
+    count = len(ring_m)
+    here, following = np.arange(count), (np.arange(count) + 1) % count
+    centre = np.full(count, count)
+    faces = np.stack([here, following, centre] if direction > 0 else [following, here, centre], -1)
+    return vertices, np.tile([direction, 0.0, 0.0], (count + 1, 1)), faces
+
+
+def _joined(parts: list[tuple[Array, Array, NDArray[np.int64]]]) -> DrawnMesh:
+    offsets = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts[:-1]])
+    vertices_m = np.concatenate([vertices for vertices, _, _ in parts])
+    return DrawnMesh(
+        vertices_m,
+        np.concatenate([faces + offset for (_, _, faces), offset in zip(parts, offsets, strict=True)]),
+        np.concatenate([normals for _, normals, _ in parts]),
+        np.full((len(vertices_m), 2), 0.5),
+    )

@@ -1,1 +1,0 @@
-"""What the instrument does: scenarios, their smooth paths, and joint trajectories that follow them."""

@@ -1,0 +1,345 @@
+"""Draws the scene as the endoscope sees it: PyBullet's TinyRenderer, behind the project's pinhole camera.
+
+TinyRenderer draws in software and spends five sixths of its time on the tissue and the floor, which rarely move. They
+are drawn once for each camera. Each frame draws what moves, in a world of its own, and the depth buffers tell which of
+the two is in front. The result is that of one picture of everything, bit for bit.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.camera import R_OPENGL_OPENCV, Camera
+from svmdist.perturbations.images import dimmed
+from svmdist.samples import Image
+from svmdist.simulation.bullet import BulletWorld, quiet_stdout
+from svmdist.simulation.effects import LAMP_M, NO_PART, Depths, Lamp, Shader, Surfaces
+from svmdist.simulation.instrument import Part, Rgba
+from svmdist.simulation.meshes import DrawnMesh
+from svmdist.simulation.organ import Organ
+from svmdist.simulation.plan import SceneState
+from svmdist.simulation.scene import Scene, make_floor, make_retractor, raised
+from svmdist.transforms import Array, inverse, make_transform, transform_points
+
+NEAR_M, FAR_M = 0.01, 0.4
+R4_OPENGL_OPENCV: Array = np.block([[R_OPENGL_OPENCV, np.zeros((3, 1))], [np.zeros((1, 3)), 1.0]])
+PIXEL_SHIFT = (-0.5, 0.5)
+"""TinyRenderer samples pixels at a corner. Measured with silhouettes of spheres all over the image, which agree with
+`Camera.project` to 0.03 px."""
+OPTICS_SIGMA_PX = 0.8
+"""Blur of the optics: no lens draws edges of one pixel, and it hides the renderer's stairs."""
+DEPTH_TIE = 2.5e-7
+"""Four steps of a float32 below 1, which is 0.25 µm here. TinyRenderer compares depths before it scales and rounds
+them for its depth buffer. Surfaces that are nearer to each other than that are drawn in one picture again."""
+
+LIGHT_DIRECTION = (0.35, 0.45, 1.0)
+"""Towards the light, in the world: beside the optical axis, as in an endoscope, so that shapes shade."""
+AMBIENT, DIFFUSE, SPECULAR = 0.52, 0.5, 0.12
+_WHITE = (1.0, 1.0, 1.0, 1.0)
+_AWAY: Array = np.eye(4)
+_AWAY[2, 3] = 1.0  # behind the camera
+_STILL_BODIES = -2
+"""In place of the numbers that tissue and floor have in a world of their own."""
+
+
+def view_matrix(T_world_camera: Array) -> list[float]:
+    """OpenGL's view matrix, 16 numbers column by column, of a camera at `T_world_camera`, shape (4, 4)."""
+    return [float(value) for value in (R4_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel()]
+
+
+def projection_matrix(camera: Camera) -> list[float]:
+    """OpenGL's projection matrix, 16 numbers column by column, for the intrinsics K.
+
+    OpenGL puts the image's borders at -1 and 1; in pixel coordinates they lie at -0.5 and size - 0.5.
+    """
+    width, height, K = camera.width_px, camera.height_px, camera.K
+    centre_x, centre_y = K[0, 2] + 0.5 + PIXEL_SHIFT[0], K[1, 2] + 0.5 + PIXEL_SHIFT[1]
+    P = np.zeros((4, 4))
+    P[0, 0], P[0, 2] = 2.0 * K[0, 0] / width, 1.0 - 2.0 * centre_x / width
+    P[1, 1], P[1, 2] = 2.0 * K[1, 1] / height, 2.0 * centre_y / height - 1.0
+    P[2, 2], P[2, 3] = (FAR_M + NEAR_M) / (NEAR_M - FAR_M), 2.0 * FAR_M * NEAR_M / (NEAR_M - FAR_M)
+    P[3, 2] = -1.0
+    return [float(value) for value in P.T.ravel()]
+
+
+def metric_depth_m(buffer: Depths) -> Depths:
+    """Depths along the optical axis in m of OpenGL's depth buffer, 0 at NEAR_M and 1 at FAR_M."""
+    return np.asarray(FAR_M * NEAR_M / (FAR_M - buffer.astype(np.float64) * (FAR_M - NEAR_M)), np.float32)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A BGR image, shape (h, w, 3), its depth buffer, float32 (h, w), and PyBullet's body numbers, int64 (h, w).
+
+    Where no body is drawn, the number is -1.
+    """
+
+    image_bgr: Image
+    depth: Depths
+    bodies: NDArray[np.int64]
+
+
+class DrawnWorld(BulletWorld):
+    """A physics world in which bodies are drawn; a context manager.
+
+    `still` puts the tissue and the floor into it, `moving` the parts of all arms and the retractor.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], *, still: bool, moving: bool) -> None:
+        super().__init__()
+        self._files: list[int] = []
+        self._turn = 0
+        self._scene = scene = scenes[0]
+        self._scenes = scenes if moving else []
+        self._parts: list[list[int]] = []
+        self._T_world_part: list[Array] = []
+        self._tissue = self._tissue_texture = self._floor = self._retractor = -1
+        self._dented: tuple[Organ, int] | None = None
+        # From the ideal world's lamp to one beside the lens, and less light around.
+        share = scene.perturbations["light"]
+        ideal, to_lens = np.array(LIGHT_DIRECTION), -scene.T_world_camera[:3, 2]
+        self._light = {
+            "lightDirection": (ideal + share * (to_lens - ideal)).tolist(),
+            "lightAmbientCoeff": AMBIENT + share * (0.18 - AMBIENT),
+            "lightDiffuseCoeff": DIFFUSE + share * 0.35,
+        }
+        try:
+            # Where two surfaces are equally far, the body that came last is drawn: the order is a part of the content.
+            if moving:
+                self._parts.append([self._add_part(part) for part in scene.parts])
+            if still:
+                self._tissue = self._add_mesh(scene.organ.mesh)
+                self.place(self._tissue, scene.T_world_tissue)
+                self._tissue_texture = self._paint(self._tissue, scene.tissue_texture)
+                self._floor = self._add_mesh(make_floor())
+                self._paint(self._floor, scene.floor_texture)
+            if moving:
+                self._retractor = self._add_mesh(make_retractor(), (0.66, 0.67, 0.68, 1.0))
+                self._parts += [[self._add_part(part) for part in other.parts] for other in scenes[1:]]
+        except BaseException:
+            self.close()
+            raise
+
+    def pose(self, state: SceneState, organ: Organ | None) -> None:
+        """Place everything; an organ that is not at rest is drawn instead of the scene's."""
+        self._T_world_part = [scene.part_poses(q) for scene, q in zip(self._scenes, state.q, strict=False)]
+        for bodies, poses in zip(self._parts, self._T_world_part, strict=True):
+            for body, T_world_part in zip(bodies, poses, strict=True):
+                self.place(body, T_world_part)
+        if self._retractor >= 0:
+            self.place(self._retractor, _AWAY if state.T_world_retractor is None else state.T_world_retractor)
+        if self._tissue >= 0 and (self._scene.moves_tissue or self._scene.perturbations["dent"]):
+            T_raised = raised(state.offset_m)
+            self._dent(organ)
+            shown, hidden = (self._dented[1], self._tissue) if self._dented else (self._tissue, -1)
+            self.place(shown, T_raised @ self._scene.T_world_tissue)
+            if hidden >= 0:
+                self.place(hidden, _AWAY)
+            self.place(self._floor, T_raised)
+
+    def _dent(self, organ: Organ | None) -> None:
+        """Add the body of a dented organ, always the last one, in place of an earlier one."""
+        if self._dented is not None and organ is not self._dented[0]:
+            self.call("removeBody", self._dented[1])
+            self._dented = None
+        if self._dented is None and organ is not None:
+            self._dented = organ, self._add_mesh(organ.mesh)
+            self.call("changeVisualShape", self._dented[1], -1, textureUniqueId=self._tissue_texture)
+
+    def is_still(self, picture: Picture) -> NDArray[np.bool_]:
+        """Where a picture shows tissue or floor, shape (h, w)."""
+        dented = [self._dented[1]] if self._dented else []
+        still = [body for body in (self._tissue, self._floor) if body >= 0]
+        return np.isin(picture.bodies, [_STILL_BODIES, *still, *dented])
+
+    def parts(self, picture: Picture) -> tuple[NDArray[np.int16], Array]:
+        """The instruments' part at each pixel, int16 (h, w): numbers of poses `T_world_part`, shape (n, 4, 4)."""
+        part = np.full(picture.bodies.shape, NO_PART, np.int16)
+        for number, body in enumerate(body for bodies in self._parts for body in bodies):
+            part[picture.bodies == body] = number
+        return part, np.concatenate(self._T_world_part)
+
+    def picture(self, view: list[float], projection: list[float], turn: int) -> Picture:
+        """Take the picture that is number `turn` of a recording.
+
+        TinyRenderer draws the same scene in two ways, by turns, which differ by one level in single pixels. The
+        picture of an even turn is therefore always an even one here, whatever was drawn before.
+        """
+        if (self._turn - turn) % 2:
+            self._draw(1, 1, view, projection)
+        width, height = self._scene.drawn_camera.width_px, self._scene.drawn_camera.height_px
+        _, _, rgba, depth, bodies = self._draw(width, height, view, projection)
+        image = cv2.cvtColor(np.asarray(rgba, np.uint8).reshape(height, width, 4), cv2.COLOR_RGBA2BGR)
+        return Picture(
+            np.asarray(image, np.uint8),
+            np.asarray(depth, np.float32).reshape(height, width),
+            np.asarray(bodies).reshape(height, width),
+        )
+
+    def _draw(self, width: int, height: int, view: list[float], projection: list[float]) -> Any:
+        self._turn += 1
+        with quiet_stdout():
+            return self.call(
+                "getCameraImage",
+                width,
+                height,
+                viewMatrix=view,
+                projectionMatrix=projection,
+                lightColor=(1.0, 0.985, 0.96),
+                shadow=0,
+                lightSpecularCoeff=SPECULAR,
+                renderer=self.pb.ER_TINY_RENDERER,
+                **self._light,
+            )
+
+    def _add_part(self, part: Part) -> int:
+        body = self._add_mesh(part.mesh, part.colour_rgba)
+        if part.texture_bgr is not None:
+            self._paint(body, part.texture_bgr)
+        return body
+
+    def _add_mesh(self, mesh: DrawnMesh, colour_rgba: Rgba = _WHITE) -> int:
+        """Add a mesh at the origin; its body's number."""
+        shape = self.call(
+            "createVisualShape",
+            self.pb.GEOM_MESH,
+            vertices=mesh.vertices_m.tolist(),
+            indices=mesh.faces.ravel().tolist(),
+            uvs=mesh.uv.tolist(),
+            normals=mesh.normals.tolist(),
+            rgbaColor=colour_rgba,
+        )
+        return int(self.call("createMultiBody", 0, -1, shape))
+
+    def _paint(self, body: int, texture_bgr: Image) -> int:
+        """Put a texture onto a body; its number.
+
+        PyBullet reads files only: this one is in memory. It stays open, since PyBullet knows textures by their path.
+        """
+        file = os.memfd_create("svmdist")
+        self._files.append(file)
+        with open(file, "wb", closefd=False) as out:
+            out.write(cv2.imencode(".png", texture_bgr)[1].tobytes())
+        texture = int(self.call("loadTexture", f"/proc/self/fd/{file}"))
+        self.call("changeVisualShape", body, -1, textureUniqueId=texture)
+        return texture
+
+    def close(self) -> None:
+        """Leave the world; a second call does nothing."""
+        super().close()
+        while self._files:
+            os.close(self._files.pop())
+
+
+class Renderer:
+    """Draws what two cameras see of several arms' scenes that share a world; a context manager.
+
+    Perturbations are added in the order of nature: light and dirt on the surfaces, the lens, the field stop.
+    """
+
+    def __init__(self, scenes: Sequence[Scene]) -> None:
+        self._scenes, self._scene = scenes, scenes[0]
+        scene = self._scene
+        self._T_world_cameras = (scene.T_world_camera, scene.T_world_camera @ scene.T_camera_right)
+        self._projection = projection_matrix(scene.drawn_camera)
+        self._backgrounds: dict[tuple[int, int], Picture] = {}
+        self._background_of: tuple[float, Organ | None] = (0.0, None)
+        self._still: DrawnWorld | None = None
+        self._whole: DrawnWorld | None = None
+        self._state: SceneState | None = None
+        self._organ: Organ | None = None
+        has_surfaces = scene.perturbations.has("light", "shadow", "wet", "blood")
+        self._shader = Shader(scene.perturbations, scene.seed) if has_surfaces else None
+        self._moving = DrawnWorld(scenes, still=False, moving=True)
+
+    def pose(self, state: SceneState, organ: Organ | None = None) -> None:
+        """Place everything; `organ` is the organ where it is not at rest."""
+        self._state, self._organ = state, organ
+        self._moving.pose(state, organ)
+
+    def draw(self, camera: int, turn: int) -> Image:
+        """Draw what the left (0) or right (1) camera sees, shape (h, w, 3): the recording's picture number `turn`.
+
+        The number settles the image, whatever was drawn before.
+        """
+        image_bgr = self._pinhole(camera, turn)
+        if self._scene.lens is not None:
+            image_bgr = self._scene.lens.image(image_bgr)
+        blurred = np.asarray(cv2.GaussianBlur(image_bgr, (0, 0), OPTICS_SIGMA_PX), np.uint8)
+        return dimmed(blurred, self._scene.perturbations["border"], self._scene.perturbations["vignette"])
+
+    def _pinhole(self, camera: int, turn: int) -> Image:
+        """What a pinhole shows of everything."""
+        picture = self._picture(self._moving, camera, turn)
+        background = self._background(camera, turn)
+        drawn = picture.bodies >= 0
+        if (drawn & (np.abs(picture.depth - background.depth) <= DEPTH_TIE)).any():
+            # Few frames need it: those in which surfaces meet within a pixel's centre.
+            self._whole = self._whole or DrawnWorld(self._scenes, still=True, moving=True)
+            assert self._state is not None  # nothing is drawn before it is posed
+            self._whole.pose(self._state, self._organ)
+            whole = self._picture(self._whole, camera, turn)
+            return self._shaded(self._whole, whole, background.depth, camera, turn)
+        in_front = drawn & (picture.depth < background.depth)
+        image_bgr = background.image_bgr.copy()
+        cv2.copyTo(picture.image_bgr, in_front.view(np.uint8), image_bgr)
+        depth = np.where(in_front, picture.depth, background.depth)
+        bodies = np.where(in_front, picture.bodies, _STILL_BODIES)
+        together = Picture(image_bgr, depth, bodies)
+        return self._shaded(self._moving, together, background.depth, camera, turn)
+
+    def _picture(self, world: DrawnWorld, camera: int, turn: int) -> Picture:
+        return world.picture(view_matrix(self._T_world_cameras[camera]), self._projection, turn)
+
+    def _background(self, camera: int, turn: int) -> Picture:
+        """Tissue and floor as a camera sees them in even or in odd turns."""
+        assert self._state is not None  # nothing is drawn before it is posed
+        if self._background_of != (self._state.offset_m, self._organ):
+            self._backgrounds.clear()
+            self._background_of = self._state.offset_m, self._organ
+        key = camera, turn % 2
+        if key not in self._backgrounds:
+            self._still = self._still or DrawnWorld([self._scene], still=True, moving=False)
+            self._still.pose(self._state, self._organ)
+            self._backgrounds[key] = self._picture(self._still, camera, turn)
+        return self._backgrounds[key]
+
+    def _shaded(self, world: DrawnWorld, picture: Picture, behind: Depths, camera: int, turn: int) -> Image:
+        """A picture in the light of its lamp; `behind` is the depth buffer of tissue and floor alone."""
+        if self._shader is None:
+            return picture.image_bgr
+        assert self._state is not None  # nothing is drawn before it is posed
+        part, T_world_part = world.parts(picture)
+        T_camera_world = inverse(self._T_world_cameras[camera])
+        surfaces = Surfaces(
+            self._scene.drawn_camera,
+            metric_depth_m(picture.depth),
+            metric_depth_m(behind),
+            world.is_still(picture),
+            part,
+            tuple(T_camera_world @ T_world_part),
+        )
+        lamp_world_m = transform_points(self._scene.T_world_camera, LAMP_M[None])[0]
+        T_world_lamp = make_transform(self._T_world_cameras[camera][:3, :3], lamp_world_m)
+        seen_m = None
+        if self._scene.perturbations["shadow"]:
+            seen = self._moving.picture(view_matrix(T_world_lamp), self._projection, turn)
+            seen_m = metric_depth_m(seen.depth)
+        lamp = Lamp((T_camera_world @ T_world_lamp)[:3, 3], seen_m)
+        T_camera_tissue = T_camera_world @ raised(self._state.offset_m) @ self._scene.T_world_tissue
+        return self._shader.shaded(picture.image_bgr, surfaces, lamp, T_camera_tissue)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_problem: object) -> None:
+        for world in (self._moving, self._still, self._whole):
+            if world is not None:
+                world.close()

@@ -1,0 +1,202 @@
+"""What is said of cameras, instrument, tag and plane: off by the strength, and back again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from svmdist.camera import Camera, stereo_transform
+from svmdist.errors import UsageError
+from svmdist.perturbations.calibration import (
+    TURN_DEG_PER_MM,
+    built_profile,
+    plane_tilt,
+    right_turn,
+    stated_camera,
+    stated_profile,
+    stated_right_camera,
+    zoomed_camera,
+)
+from svmdist.perturbations.chosen import UNPERTURBED, parse_perturbations
+from svmdist.perturbations.images import perturbed_image, perturbed_right_view, zoomed_image
+from svmdist.profile import Profile, load_profile
+from svmdist.samples import RightView
+from svmdist.transforms import rotation_angle, rotation_vector
+from tests.synthetic import make_scene
+
+PROFILE = load_profile()
+LEFT = Camera.from_horizontal_fov(640, 480, 1.0)
+
+
+def right_of(left: Camera, baseline_m: float = 0.005) -> Camera:
+    P = np.hstack([left.K, np.zeros((3, 1))])
+    P[0, 3] = -left.K[0, 0] * baseline_m
+    return replace(left, P=P)
+
+
+RIGHT = right_of(LEFT)
+
+
+def pair(text: str) -> np.ndarray:
+    chosen = parse_perturbations(text)
+    T = stereo_transform(stated_camera(LEFT, chosen), stated_right_camera(RIGHT, chosen))
+    assert T is not None
+    return T
+
+
+def test_focal_length_and_principal_point_are_off_in_K_and_P_and_leave_the_pair() -> None:
+    chosen = parse_perturbations("focal=1,principal_point=5")
+    left, right = stated_camera(LEFT, chosen), stated_right_camera(RIGHT, chosen)
+    expected = LEFT.K * [[1.01, 1.0, 1.0], [1.0, 1.01, 1.0], [1.0] * 3] + 5.0 * np.eye(3, k=2)
+    expected[1, 2] += 5.0
+    np.testing.assert_allclose(left.K, expected)
+    assert left.P is not None
+    assert right.P is not None
+    np.testing.assert_allclose(left.P, np.hstack([expected, np.zeros((3, 1))]))
+    np.testing.assert_allclose(right.P[:, :3], expected)
+    np.testing.assert_allclose(pair("focal=1,principal_point=5"), pair("lag=1"), atol=1e-12)
+    assert stated_camera(LEFT, parse_perturbations("baseline=1")) is LEFT
+
+
+def test_the_right_camera_is_said_to_stand_elsewhere_and_not_to_be_turned() -> None:
+    np.testing.assert_allclose(pair("baseline=0.2")[:3, 3], [0.0052, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(pair("focal=3,baseline=0.2")[:3, 3], [0.0052, 0.0, 0.0], atol=1e-12)
+    for axis, name in enumerate(("right_pitch", "right_yaw", "right_roll")):
+        turn = right_turn(parse_perturbations(f"{name}=0.3"))
+        np.testing.assert_allclose(rotation_vector(turn), np.radians(0.3) * np.eye(3)[axis], atol=1e-12)
+        np.testing.assert_array_equal(pair(f"{name}=0.3"), pair("lag=1"))  # it is not said
+    alone = stated_right_camera(right_of(LEFT, 0.0), parse_perturbations("baseline=0.2"))
+    assert stereo_transform(LEFT, alone) is None  # two cameras that are no pair do not become one
+
+
+@pytest.mark.parametrize("zoom", [0.8, 1.1])
+def test_a_zoomed_image_is_that_of_a_zoomed_camera(zoom: float) -> None:
+    """A blob that the true camera shows at a point is in the enlarged image where the zoomed camera projects it."""
+    scene = make_scene(640, 480)
+    point_m = np.array([[0.01, -0.015, 0.1]])
+    image = blob_image(scene.camera.project(point_m)[0])
+    found = middle_px(perturbed_image(image, parse_perturbations(f"zoom={zoom}")))
+    np.testing.assert_allclose(found, zoomed_camera(scene.camera, zoom).project(point_m)[0], atol=0.1)
+    np.testing.assert_array_equal(zoomed_image(image, 1.0), image)
+    assert perturbed_image(image, parse_perturbations("focal=1")) is image
+
+
+EVERYTHING = (
+    "plane={p},plane_tilt={t},shaft_radius={s},wrist_length={w},knuckle_radius={k},tag_size={g},tag_mount={m}"
+)
+
+
+@pytest.mark.parametrize("name", ["right_yaw", "right_pitch", "right_roll"])
+def test_a_turned_image_is_that_of_a_turned_camera(name: str) -> None:
+    """A blob is where the turned camera projects its point, all three axes alike."""
+    camera = make_scene(640, 480).camera
+    turn = right_turn(parse_perturbations(f"{name}=2"))
+    point_m = np.array([[0.012, -0.015, 0.1]])
+    image = blob_image(camera.project(point_m)[0])
+    before = RightView(image, camera, np.eye(4))
+    after = perturbed_right_view(before, parse_perturbations(f"{name}=2,zoom=1.05"))
+    expected = zoomed_camera(camera, 1.05).project(point_m @ turn)[0]
+    assert np.linalg.norm(expected - camera.project(point_m)[0]) > 2.0
+    np.testing.assert_allclose(middle_px(after.image_bgr), expected, atol=0.1)
+    assert perturbed_right_view(before, parse_perturbations("focal=1")).image_bgr is image
+
+
+def blob_image(at_px: np.ndarray) -> np.ndarray:
+    y, x = np.mgrid[:480, :640]
+    blob = 255.0 * np.exp(-((x - at_px[0]) ** 2 + (y - at_px[1]) ** 2) / 18.0)
+    return np.repeat(blob[..., None], 3, axis=2).astype(np.uint8)
+
+
+def middle_px(image: np.ndarray) -> np.ndarray:
+    y, x = np.mgrid[:480, :640]
+    weight = image[..., 0].astype(float)
+    return np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
+
+
+@given(st.tuples(*[st.floats(-3.0, 3.0)] * 7), st.integers(0, 99))
+def test_what_is_said_of_what_is_built_is_the_profile(strengths: tuple[float, ...], seed: int) -> None:
+    """Build from the profile and say what is not so: the profile again. That makes both directions one thing."""
+    chosen = parse_perturbations(EVERYTHING.format(**dict(zip("ptswkgm", strengths, strict=True))))
+    said = stated_profile(built_profile(PROFILE, chosen, seed), chosen, seed)
+    np.testing.assert_allclose(numbers(said), numbers(PROFILE), atol=1e-12)
+
+
+def numbers(profile: Profile) -> np.ndarray:
+    """All numbers of a profile that perturbations change."""
+    robot, instrument, tag, tissue = profile.robot, profile.instrument, profile.fiducial, profile.tissue
+    assert robot is not None
+    assert instrument is not None
+    assert tag is not None
+    assert tissue is not None
+    sizes = (instrument.shaft_radius_m, instrument.knuckle_radius_m, tag.size_m, tissue.plane_distance_m)
+    links = [joint.a_m for joint in robot.joints]
+    return np.array([*sizes, *links, *tag.T_link_tag.ravel(), *tissue.plane_normal])
+
+
+def test_each_name_changes_its_own_length() -> None:
+    chosen = parse_perturbations(EVERYTHING.format(p=1, t=2, s=5, w=1, k=5, g=2, m=0.5))
+    said = stated_profile(PROFILE, chosen, 7)
+    assert said.instrument is not None
+    assert said.fiducial is not None
+    assert said.tissue is not None
+    assert said.robot is not None
+    assert PROFILE.fiducial is not None
+    assert said.instrument.shaft_radius_m == pytest.approx(0.0042)
+    assert said.instrument.knuckle_radius_m == pytest.approx(0.0018375)
+    assert said.fiducial.size_m == pytest.approx(0.00714)
+    assert {joint.name: joint.a_m for joint in said.robot.joints}["wrist_pitch"] == pytest.approx(0.0101)
+    assert said.tissue.plane_distance_m == pytest.approx(0.113)
+    tilt = np.arccos(-said.tissue.plane_normal[2])
+    assert np.degrees(tilt) == pytest.approx(2.0)
+    assert np.degrees(rotation_angle(plane_tilt(chosen, 7), np.eye(3))) == pytest.approx(2.0)
+    shift_m = np.subtract(said.fiducial.position_m, PROFILE.fiducial.position_m)
+    assert np.linalg.norm(shift_m) == pytest.approx(0.0005)
+    turned = rotation_angle(said.fiducial.T_link_tag[:3, :3], PROFILE.fiducial.T_link_tag[:3, :3])
+    assert np.degrees(turned) == pytest.approx(0.5 * TURN_DEG_PER_MM)
+    other = stated_profile(PROFILE, chosen, 8)
+    assert other.fiducial is not None
+    assert other.fiducial.position_m != said.fiducial.position_m
+    assert other.tissue is not None
+    assert other.tissue.plane_normal != said.tissue.plane_normal
+
+
+def test_the_camera_is_built_as_far_from_the_floor_as_is_not_said() -> None:
+    built = built_profile(PROFILE, parse_perturbations("plane=1"), 1)
+    assert built.simulation is not None
+    assert built.simulation.camera_height_m == pytest.approx(0.111)
+
+
+def test_a_plane_stays_before_the_camera() -> None:
+    assert PROFILE.tissue is not None
+    near = PROFILE.model_copy(update={"tissue": PROFILE.tissue.model_copy(update={"plane_distance_m": 0.01})})
+    with pytest.raises(UsageError, match="10 mm behind the camera"):
+        stated_profile(near, parse_perturbations("plane=-20"), 1)
+
+
+def test_a_profile_without_these_parts_has_nothing_to_be_wrong_about() -> None:
+    bare = PROFILE.model_copy(update={"robot": None, "instrument": None, "fiducial": None, "tissue": None})
+    chosen = parse_perturbations(EVERYTHING.format(p=1, t=2, s=5, w=1, k=5, g=2, m=0.5))
+    assert stated_profile(bare, chosen, 1) == bare
+    assert stated_profile(PROFILE, UNPERTURBED, 1) == PROFILE
+    published = load_profile("dvrk-psm")
+    said = stated_profile(published, parse_perturbations("wrist_length=1"), 1)
+    assert said.robot is not None
+    assert [joint.a_m for joint in said.robot.joints][-1] == pytest.approx(0.0101)
+
+
+def test_other_instruments_are_built_alike() -> None:
+    """A second arm with an instrument of its own is wrong about it, too."""
+    (other,) = PROFILE.other_instruments
+    own = other.model_copy(update={"instrument": PROFILE.instrument, "robot": PROFILE.robot})
+    profile = PROFILE.model_copy(update={"other_instruments": (own,)})
+    view = stated_profile(profile, parse_perturbations("shaft_radius=5,wrist_length=1"), 1).for_instrument(
+        "PSM2"
+    )
+    assert view.instrument is not None
+    assert view.robot is not None
+    assert view.instrument.shaft_radius_m == pytest.approx(0.0042)
+    assert max(joint.a_m for joint in view.robot.joints[-3:]) == pytest.approx(0.0101)

@@ -1,0 +1,192 @@
+"""The table and the choice from it: text round trips, real worlds follow their laws, profiles state deviations."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmarks.perturbation_docs import PAGE, page_with_table
+from svmdist.errors import UsageError
+from svmdist.perturbations.calibration import TURN_DEG_PER_MM
+from svmdist.perturbations.chosen import (
+    UNPERTURBED,
+    Perturbations,
+    World,
+    direction,
+    draw_world,
+    parse_perturbations,
+)
+from svmdist.perturbations.table import TABLE, Normal, Place, Uniform
+from svmdist.profile import Profile, load_profile
+
+SEEDS = range(1000)
+
+
+@st.composite
+def choices(draw: st.DrawFn) -> Perturbations:
+    names = draw(st.lists(st.sampled_from(sorted(TABLE)), unique=True, max_size=6))
+    return Perturbations(tuple((name, draw(st.floats(TABLE[name].low, TABLE[name].high))) for name in names))
+
+
+@given(choices())
+def test_a_choice_reads_back_from_its_text(chosen: Perturbations) -> None:
+    """Bit by bit: the metadata of a recording are enough to make it again."""
+    assert (parse_perturbations(str(chosen)) if chosen else UNPERTURBED) == chosen
+
+
+def test_what_is_not_chosen_is_neutral() -> None:
+    chosen = Perturbations((("focal", 1.0), ("lag", 0.0)))
+    assert chosen["focal"] == 1.0
+    assert chosen["baseline"] == 0.0
+    assert chosen["zoom"] == 1.0
+    assert chosen.has("focal", "lag")
+    assert not chosen.has("lag", "zoom")
+    assert chosen.changes(Place.CALIBRATION)
+    assert not chosen.changes(Place.CLOCK)
+    assert not any(UNPERTURBED.changes(place) for place in Place)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("focl=1", "did you mean focal"),
+        ("focal", "NAME=STRENGTH"),
+        ("focal=", "NAME=STRENGTH"),
+        ("focal=one", "NAME=STRENGTH"),
+        ("focal=nan", "from -20 to 20 %, found nan"),
+        ("focal=21", "from -20 to 20 %, found 21"),
+        ("backlash=-1", "from 0 to 10 deg"),
+        ("focal=1,focal=2", "given twice"),
+        ("", "no perturbation"),
+    ],
+)
+def test_what_cannot_be_is_told(text: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        parse_perturbations(text)
+
+
+def test_an_ideal_world_has_what_is_given_and_no_more() -> None:
+    assert draw_world(World.IDEAL, 1) == UNPERTURBED
+    lag = parse_perturbations("lag=30")
+    assert draw_world(World.IDEAL, 1, lag) is lag
+
+
+def test_a_real_world_has_all_that_are_real_and_what_is_given() -> None:
+    drawn = draw_world(World.REAL, 3)
+    assert [name for name, _ in drawn.strengths] == [
+        n for n, entry in TABLE.items() if entry.real is not None
+    ]
+    assert draw_world(World.REAL, 3) == drawn != draw_world(World.REAL, 4)
+    other = draw_world(World.REAL, 3, parse_perturbations("lag=30,zoom=1.1"))
+    assert dict(other.strengths) == dict(drawn.strengths) | {"lag": 30.0, "zoom": 1.1}
+
+
+@pytest.mark.parametrize("name", [name for name, entry in TABLE.items() if entry.real is not None])
+def test_real_strengths_follow_their_law(name: str) -> None:
+    """Over 1,000 seeds: mean, spread and range; of several axes the deviation along each of them."""
+    law = TABLE[name].real
+    strengths = np.array([draw_world(World.REAL, seed)[name] for seed in SEEDS])
+    assert TABLE[name].low <= strengths.min() <= strengths.max() <= TABLE[name].high
+    match law:
+        case Uniform(low, high):
+            assert low <= strengths.min() <= strengths.max() <= high
+            assert strengths.mean() == pytest.approx((low + high) / 2.0, abs=0.05 * (high - low) + 1e-9)
+        case Normal(std, axes, limit):
+            along = strengths[:, None]
+            if axes > 1:
+                along = along * [direction(seed, name, axes) for seed in SEEDS]
+            np.testing.assert_allclose(along.std(axis=0), std, rtol=0.08)
+            np.testing.assert_allclose(along.mean(axis=0), 0.0, atol=0.12 * std)
+            assert np.abs(strengths).max() <= limit
+        case _:
+            raise AssertionError(law)
+
+
+def test_names_are_drawn_apart_from_each_other() -> None:
+    """No two of the normal ones go together."""
+    names = [name for name, entry in TABLE.items() if isinstance(entry.real, Normal) and entry.real.axes == 1]
+    worlds = np.array([[draw_world(World.REAL, seed)[name] for name in names] for seed in SEEDS])
+    correlation = np.corrcoef(worlds.T) - np.eye(len(names))
+    assert np.abs(correlation).max() < 0.15
+
+
+def test_every_entry_can_be_told() -> None:
+    for name, entry in TABLE.items():
+        assert name == entry.name == name.lower()
+        assert entry.low <= entry.neutral <= entry.high
+        assert entry.meaning.endswith(".")
+        assert bool(entry.source) == (entry.real is not None)
+
+
+def std_of(name: str) -> float:
+    law = TABLE[name].real
+    assert isinstance(law, Normal)
+    return law.std
+
+
+def stated(profile: Profile) -> dict[str, float]:
+    """The deviations that a profile states, in the units of the table."""
+    camera, robot = profile.camera_error, profile.kinematic_error
+    instrument, tag, tissue, simulation = (
+        profile.instrument,
+        profile.fiducial,
+        profile.tissue,
+        profile.simulation,
+    )
+    assert instrument is not None
+    assert tag is not None
+    assert tissue is not None
+    assert simulation is not None
+    right_deg = float(np.degrees(camera.right_rotation_std_rad))
+    return {
+        "focal": 100.0 * camera.focal_std_fraction,
+        "principal_point": camera.centre_std_px,
+        "baseline": 1e3 * camera.baseline_std_fraction * simulation.stereo_baseline_m,
+        "right_yaw": right_deg,
+        "right_pitch": right_deg,
+        "right_roll": right_deg,
+        "plane": 1e3 * tissue.plane_distance_std_m,
+        "plane_tilt": float(np.degrees(tissue.plane_tilt_std_rad)),
+        "shaft_radius": 100.0 * instrument.shaft_radius_std_fraction,
+        "knuckle_radius": 100.0 * instrument.knuckle_radius_std_fraction,
+        "wrist_length": 1e3 * robot.length_std_m,
+        "tag_size": 100.0 * tag.size_std_fraction,
+        "tag_mount": 1e3 * tag.position_std_m,
+        "lag": 1e3 * robot.time_offset_std_s,
+    }
+
+
+@pytest.mark.parametrize("name", sorted(stated(load_profile())))
+def test_a_stated_deviation_is_that_of_real_worlds(name: str) -> None:
+    """At least as large, at most three times."""
+    said = stated(load_profile())[name]
+    assert 0.999 * std_of(name) <= said <= 3.0 * std_of(name)
+
+
+def test_backlash_and_a_turned_tag_are_stated() -> None:
+    """Backlash has no deviation: what is stated of the joints' play lies within its range."""
+    profile = load_profile()
+    law = TABLE["backlash"].real
+    assert isinstance(law, Uniform)
+    assert law.low <= np.degrees(profile.kinematic_error.play_std_rad) <= law.high
+    assert profile.fiducial is not None
+    turn_deg = TURN_DEG_PER_MM * std_of("tag_mount")
+    assert np.degrees(profile.fiducial.rotation_std_rad) == pytest.approx(turn_deg, rel=0.25)
+
+
+def test_the_page_is_made_from_the_declarations() -> None:
+    """After a change of the table, `uv run python -m benchmarks.perturbation_docs` writes it anew."""
+    page = PAGE.read_text("utf-8")
+    assert page == page_with_table(page)
+
+
+def test_every_source_is_in_the_list_of_sources() -> None:
+    page = PAGE.read_text("utf-8")
+    listed = page.partition("### Sources\n")[2].partition("\n## ")[0].replace("\n  ", " ")
+    for entry in TABLE.values():
+        for author, year in re.findall(r"([A-Z][a-z]+)(?: et al\.)? (\d{4})", entry.source):
+            assert re.search(rf"{author}.*\b{year}", listed), entry.source
