@@ -1,8 +1,4 @@
-"""Files behind URLs: read in blocks that are kept for a while, through fsspec.
-
-A log is read several times, from its beginning, its end and its middle. All passes of one process share the blocks, so
-that what is asked for twice is fetched once, and what nobody asks for never is.
-"""
+"""Files behind URLs, read through fsspec in blocks that are kept for a while and shared by all passes of a process."""
 
 from __future__ import annotations
 
@@ -15,6 +11,7 @@ import weakref
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import PurePosixPath
+from threading import Lock
 from typing import Any, BinaryIO, cast
 from urllib.parse import urlsplit
 
@@ -24,10 +21,6 @@ BLOCKS_KEPT = 64
 FILES_KEPT = 4
 URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 CLOUD_EXTRA = "pip install 'svmdist[cloud]'"
-
-
-class _CutError(OSError):
-    """Fewer bytes came than the file has."""
 
 
 def is_url(text: str) -> bool:
@@ -67,15 +60,18 @@ class RemoteFile:
         parts = urlsplit(self.url)
         return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
 
-    def open(self) -> BinaryIO:
+    def exists(self) -> bool:
+        """Whether it can be looked for, as `Path` has it; opening it says whether it is there."""
+        return True
+
+    def open(self, mode: str = "rb") -> BinaryIO:  # noqa: ARG002  (as `Path` has it)
         """Open it to read; OSError with a reason where that fails."""
-        return cast(
-            BinaryIO, io.BufferedReader(_RemoteStream(_blocks(self.url, os.getpid())), BLOCK_BYTES // 4)
-        )
+        stream = _RemoteStream(_shared(self.url, os.getpid()))
+        return cast(BinaryIO, io.BufferedReader(stream, BLOCK_BYTES // 4))
 
     def size_bytes(self) -> int:
         """Its size."""
-        return _blocks(self.url, os.getpid()).size_bytes
+        return _shared(self.url, os.getpid()).size_bytes
 
     def version(self) -> str | None:
         """What the store says that changes with the content, as an ETag; None where it says nothing."""
@@ -96,8 +92,6 @@ class plain_errors:  # noqa: N801  (used as a function)
         """Raise OSError in place of what was raised; interrupts and missing memory stay what they are."""
         if problem is None or not isinstance(problem, Exception) or isinstance(problem, MemoryError):
             return
-        if isinstance(problem, _CutError):
-            raise problem
         if isinstance(problem, FileNotFoundError):
             raise FileNotFoundError(errno.ENOENT, "no such file") from None
         if isinstance(problem, ImportError):
@@ -136,36 +130,31 @@ def listed_urls(url: str, endings: tuple[str, ...], *, is_glob: bool) -> list[Re
         return [RemoteFile(filesystem.unstrip_protocol(one)) for one in logs]
 
 
-class _Blocks:
-    """The blocks of one file that were asked for last."""
+class _Shared:
+    """One open file behind a URL, with the blocks that were asked for last."""
 
     def __init__(self, url: str) -> None:
-        from fsspec.caching import BlockCache
-
         filesystem, path = filesystem_of(url)
         with plain_errors():
             # Of servers only the web's may give a file whole, whatever part is asked for.
-            is_web = url.lower().startswith(("http:", "https:"))
-            if is_web and not filesystem.info(path).get("partial"):
-                file = _downloaded(filesystem.open(path, "rb", block_size=0))
+            if url.lower().startswith(("http:", "https:")) and not filesystem.info(path).get("partial"):
+                self._file = _downloaded(filesystem.open(path, "rb", block_size=0))
             else:
-                file = filesystem.open(path, "rb", cache_type="none")
-            self.size_bytes = int(file.seek(0, io.SEEK_END))
-        self._file = file
-        # The cache and this object hold each other: whichever is collected first, the file is closed.
-        weakref.finalize(self, file.close)
-        self._cache = BlockCache(BLOCK_BYTES, self._fetch, self.size_bytes, BLOCKS_KEPT)
+                kept = {"maxblocks": BLOCKS_KEPT}
+                self._file = filesystem.open(
+                    path, "rb", block_size=BLOCK_BYTES, cache_type="blockcache", cache_options=kept
+                )
+            self.size_bytes = int(self._file.seek(0, io.SEEK_END))
+        self._lock = Lock()
+        weakref.finalize(self, self._file.close)
 
-    def read(self, start: int, end: int) -> bytes:
-        with plain_errors():
-            return bytes(self._cache._fetch(start, end))
-
-    def _fetch(self, start: int, end: int) -> bytes:
-        end = min(end, self.size_bytes)
-        self._file.seek(start)
-        data = bytes(self._file.read(end - start))
-        if len(data) != end - start:
-            raise _CutError(errno.EIO, f"{len(data)} bytes came of {end - start} at byte {start}")
+    def read(self, start: int, size_bytes: int) -> bytes:
+        """Read at a place; OSError where less comes than the file has."""
+        with self._lock, plain_errors():
+            self._file.seek(start)
+            data = bytes(self._file.read(size_bytes))
+            if len(data) != size_bytes:
+                raise OSError(errno.EIO, f"{len(data)} bytes came of {size_bytes} at byte {start}")
         return data
 
 
@@ -182,16 +171,16 @@ def _downloaded(file: Any) -> Any:
 
 
 @lru_cache(FILES_KEPT)
-def _blocks(url: str, process: int) -> _Blocks:  # noqa: ARG001  (a forked process makes its own connections)
-    return _Blocks(url)
+def _shared(url: str, process: int) -> _Shared:  # noqa: ARG001  (a forked process makes its own connections)
+    return _Shared(url)
 
 
 class _RemoteStream(io.RawIOBase):
-    """A place in a file's blocks."""
+    """A place in a shared file."""
 
-    def __init__(self, blocks: _Blocks) -> None:
+    def __init__(self, shared: _Shared) -> None:
         super().__init__()
-        self._blocks = blocks
+        self._shared = shared
         self._position = 0
 
     def readable(self) -> bool:
@@ -204,15 +193,15 @@ class _RemoteStream(io.RawIOBase):
         return self._position
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        origin = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._blocks.size_bytes}[whence]
+        origin = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._shared.size_bytes}[whence]
         self._position = max(origin + offset, 0)
         return self._position
 
     def readinto(self, buffer: Any) -> int:
-        wanted = min(len(buffer), self._blocks.size_bytes - self._position)
+        wanted = min(len(buffer), self._shared.size_bytes - self._position)
         if wanted <= 0:
             return 0
-        data = self._blocks.read(self._position, self._position + wanted)
-        buffer[: len(data)] = data
-        self._position += len(data)
-        return len(data)
+        data = self._shared.read(self._position, wanted)
+        buffer[:wanted] = data
+        self._position += wanted
+        return wanted

@@ -246,8 +246,8 @@ def interpolate_transforms(stamps_ns: NDArray[np.int64], T: Array, at_ns: NDArra
     offset_ns = np.clip(at_ns - stamps_ns[left], 0, None).astype(np.float64)
     fraction = np.where(span_ns > 0, offset_ns / np.where(span_ns > 0, span_ns, 1.0), 0.0)
     t_m = T[left, :3, 3] + fraction[:, None] * (T[right, :3, 3] - T[left, :3, 3])
-    q = quaternion_xyzw_from_rotation(T[:, :3, :3])
-    return make_transform(rotation_from_quaternion_xyzw(slerp_xyzw(q[left], q[right], fraction)), t_m)
+    start, end = (quaternion_xyzw_from_rotation(T[side, :3, :3]) for side in (left, right))
+    return make_transform(rotation_from_quaternion_xyzw(slerp_xyzw(start, end, fraction)), t_m)
 
 
 MIN_RELATIVE_AREA = 1e-12

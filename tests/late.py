@@ -8,8 +8,7 @@ from pathlib import Path
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.encode import EncodedSample
 from svmdist.recording.log import open_recording
-from svmdist.recording.messages.checks import EncodedImage, RawTransforms
-from svmdist.recording.messages.decoding import Decoder
+from svmdist.recording.messages import Decoder, EncodedImage, to_sample
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import ImageSample, JointSample, PoseSample, Sample, TransformsSample
 
@@ -27,14 +26,11 @@ def samples_of(path: Path, seconds: float, *, decoded: bool = False) -> Log:
         begin_ns = raw.log_time_ns if begin_ns is None else begin_ns
         if raw.log_time_ns > begin_ns + seconds * 1e9:
             break
-        sample = decoder.decode(raw)
-        if isinstance(sample, EncodedImage) and decoded:
-            sample = ImageSample(sample.stamp_ns, sample.frame_id, sample.decode())
-        elif isinstance(sample, EncodedImage):
-            sample = EncodedSample(sample.stamp_ns, ImageSample, bytes(raw.data))
-        elif isinstance(sample, RawTransforms):
-            sample = sample.to_sample()
-        log.append((raw.topic, sample))
+        message = decoder.decode(raw)
+        if isinstance(message, EncodedImage) and not decoded:
+            log.append((raw.topic, EncodedSample(message.stamp_ns, ImageSample, raw.data)))
+        else:
+            log.append((raw.topic, to_sample(message)))
     return log
 
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from svmdist.estimation.hand_eye import rigid_fit
 from svmdist.recording.log import Recording
-from svmdist.report.panels import Canvas
 from svmdist.results import FrameResult
-from svmdist.samples import ImageSample
+from svmdist.samples import Image, ImageSample
 from svmdist.transforms import Array, transform_points
 
 CHI_95, CHI_5_STD = 7.81, 31.8
@@ -95,15 +94,14 @@ def draw_overlays(
     for place, image in enumerate(recording.images()):
         if place % every or not isinstance(image, ImageSample):
             continue
-        canvas = Canvas.of(image.image_bgr)
+        pixels = np.array(image.image_bgr)
         for px in references.get(image.stamp_ns, []):
-            _cross(canvas, px, REFERENCE)
+            _cross(pixels, px, REFERENCE)
         for row in by_stamp.get(image.stamp_ns, []):
             if row.measured and row.image.tool_px is not None:
-                _cross(canvas, np.array(row.image.tool_px), ESTIMATE)
-        cv2.imwrite(str(path.with_name(f"{path.name}-{place:03d}.png")), canvas.pixels)
+                _cross(pixels, np.array(row.image.tool_px), ESTIMATE)
+        cv2.imwrite(str(path.with_name(f"{path.name}-{place:03d}.png")), pixels)
 
 
-def _cross(canvas: Canvas, px: Array, colour: tuple[int, int, int]) -> None:
-    for arm in ((8.0, 0.0), (0.0, 8.0)):
-        canvas.line(px - np.array(arm), px + np.array(arm), colour)
+def _cross(pixels: Image, px: Array, colour: tuple[int, int, int]) -> None:
+    cv2.drawMarker(pixels, (round(px[0]), round(px[1])), colour, cv2.MARKER_CROSS, 16, 2, cv2.LINE_AA)

@@ -38,7 +38,7 @@ from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
-    from svmdist.vision.blur import Blur
+    from svmdist.vision.degradations import Blur
     from svmdist.workflows.blur_bench import BlurTally
     from svmdist.workflows.compare import Run
     from svmdist.workflows.conditions import LogCondition
@@ -156,8 +156,6 @@ def compare_log(
         total = image_total([recording], lambda _: len(request.conditions) * len(setups))
         steps = Steps(advance, total)
         runs = measure_runs(seen, setups, request.conditions, jobs=threads, by=by, advance=steps.advance)
-    if seen is not recording:
-        recording.health.join(seen.health)
     return ComparedLog(tuple(runs))
 
 
@@ -219,7 +217,7 @@ def blur_log(recording: Recording, request: Request, threads: int, kernels_px: d
 
 def _kernels(options: list[str]) -> dict[Blur, int]:
     """Parse BLUR=PX over the default kernels; raises UsageError that says what was expected."""
-    from svmdist.vision.blur import Blur
+    from svmdist.vision.degradations import Blur
     from svmdist.workflows.blur_bench import DEFAULT_KERNELS_PX
 
     kernels_px = dict(DEFAULT_KERNELS_PX)

@@ -42,8 +42,8 @@ from svmdist.report.writers import Holds, Results, Writer, choose_writer
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.report.tables import Row
-    from svmdist.workflows.annotate import DrawnFrame
     from svmdist.workflows.estimate import Keep, Measured
+    from svmdist.workflows.frame_drawing import DrawnFrame
     from svmdist.workflows.request import Request
 
 
@@ -260,7 +260,7 @@ def _write_pictures(
 
 def _write_drawn(logs: Logs, request: Request, output: Path, writer: Writer, *, force: bool) -> ExitCode:
     """Measure a recording and write it with its drawings, as a recording or a video."""
-    from svmdist.workflows.annotate import drawn_frames
+    from svmdist.workflows.frame_drawing import drawn_frames
 
     (log,) = logs.files
     recording = request.open(log.path, log.name)

@@ -193,7 +193,7 @@ def named_logs(files: Sequence[str | Path]) -> list[LogFile]:
 
     Raises UsageError for a glob that nothing matches, and RecordingError where a store cannot be asked.
     """
-    from svmdist.recording.log import unique_names
+    from svmdist.input_file import unique_names
     from svmdist.workflows.batch import LogFile
 
     found: dict[object, LogPath] = {}
@@ -240,7 +240,7 @@ def _urls_of(url: str) -> list[RemoteFile]:
 
 
 def _is_log(path: Path) -> bool:
-    from svmdist.recording.log import METADATA_FILE
+    from svmdist.recording.source import METADATA_FILE
 
     return path.suffix.lower() in LOG_ENDINGS or (path.is_dir() and (path / METADATA_FILE).is_file())
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
     from svmdist.perturbations.chosen import Perturbations
     from svmdist.profile import Profile
-    from svmdist.recording.log import Window
+    from svmdist.recording.observations import Window
     from svmdist.workflows.request import Lag, Request
 
 
@@ -228,7 +228,7 @@ class WindowOptions(Options):
             return None
         if self.end is not None and self.end < self.start:
             raise UsageError(f"--end {self.end:g}: is before --start {self.start:g}")
-        from svmdist.recording.log import Window
+        from svmdist.recording.observations import Window
 
         return Window(self.start, math.inf if self.end is None else self.end, self.every)
 

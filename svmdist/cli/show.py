@@ -76,7 +76,8 @@ def show_command(given: ShowOptions) -> None:
         svmdist show log.mcap --masks
     """
     from svmdist.report.panels import write_picture
-    from svmdist.workflows.request import Request, Setup, prepare
+    from svmdist.workflows.frame_drawing import Segmented
+    from svmdist.workflows.request import Request, prepare
 
     if sum(choice is not None for choice in (given.frame, given.at, given.worst)) > 1:
         raise UsageError("--frame, --at and --worst choose images: give one of them")
@@ -85,11 +86,8 @@ def show_command(given: ShowOptions) -> None:
             "--worst needs what a method measured, and --masks shows what was segmented before it"
         )
     lag, output = given.given_lag, given.output
-    setup = (
-        Setup.reading(given.profile, given.hand_eye)
-        if given.masks
-        else prepare(given.profile, given.method.value, "corrected", given.calibration, given.hand_eye)
-    )
+    method = Segmented() if given.masks else given.method.value
+    setup = prepare(given.profile, method, "corrected", given.calibration, given.hand_eye)
     request = Request(setup, given.topics, None, given.instruments(setup.profile), lag)
     recording = request.open(given.file, given.file.stem)
     seen = corrected(recording, request, given.jobs)
@@ -113,7 +111,7 @@ def show_command(given: ShowOptions) -> None:
 
 def _numbers(given: ShowOptions, recording: Recording, request: Request) -> set[int]:
     """The numbers of the images to draw; raises UsageError."""
-    from svmdist.workflows.show import image_stamps_ns, spread
+    from svmdist.workflows.frame_drawing import image_stamps_ns, spread
 
     stamps_ns = image_stamps_ns(recording)
     count = len(stamps_ns)
@@ -145,24 +143,21 @@ def _is_one_picture(output: Path, count: int) -> bool:
 def _pictures(
     recording: Recording, request: Request, numbers: set[int], jobs: int | None, *, masks: bool
 ) -> Iterator[tuple[int, Image]]:
-    from svmdist.report.panels import phases_picture, picture_of
-    from svmdist.workflows.annotate import drawn_frames
+    from svmdist.report.panels import masks_picture, phases_picture
+    from svmdist.workflows.frame_drawing import drawn_frames
     from svmdist.workflows.parallel import Steps
-    from svmdist.workflows.show import shown_frames
 
-    if masks:
-        setup = request.setup
-        for shown in shown_frames(recording, setup, lambda number, _: number in numbers, max(numbers)):
-            yield shown.number, picture_of(shown, ["masks"], recording.name)
-        return
+    method, wanted = request.setup.method, request.instruments
     with progress_bar(f"drawing {recording.name}", "images") as advance:
         steps = Steps(advance, max(numbers) + 1)
-        method, wanted = request.setup.method, request.instruments
-        for drawn in drawn_frames(
+        for shown in drawn_frames(
             recording, request.setup, wanted=wanted, jobs=jobs, numbers=numbers, on_image=steps.advance
         ):
-            title = f"{recording.name}  frame {drawn.number}  method {method}"
-            yield drawn.number, phases_picture(drawn, method, title)
+            where = f"{recording.name}  frame {shown.number}"
+            if masks:
+                yield shown.number, masks_picture(shown, f"{where}  {shown.seconds:.2f} s  masks")
+            else:
+                yield shown.number, phases_picture(shown, f"{where}  method {method}", method)
 
 
 def _worst(recording: Recording, request: Request, count: int, jobs: int | None) -> set[int]:

@@ -10,6 +10,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
 
+# OpenCV reads this once, when it is imported; the header check below holds in any case.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
+
 import cv2
 import numpy as np
 import simplejpeg
@@ -20,10 +23,6 @@ from svmdist.input_file import read_regular, why
 from svmdist.profile import Limits
 from svmdist.recording.source import cut
 from svmdist.samples import Image
-
-# OpenCV reads this once, when it is imported; the header check below holds in any case.
-os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
-
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC = b"\xff\xd8\xff"
@@ -165,41 +164,25 @@ def _check_jpeg(data: bytes) -> tuple[int, int]:
     raise ImageError("a JPEG without a frame header")
 
 
-CHANNELS = {
-    "bgr8": 3,
-    "8UC3": 3,
-    "rgb8": 3,
-    "bgra8": 4,
-    "8UC4": 4,
-    "rgba8": 4,
-    "mono8": 1,
-    "8UC1": 1,
-    "bayer_rggb8": 1,
-    "bayer_bggr8": 1,
-    "bayer_gbrg8": 1,
-    "bayer_grbg8": 1,
-    "yuv422": 2,
-    "uyvy": 2,
-    "yuv422_yuy2": 2,
-    "yuyv": 2,
-}
-
-# ROS names a Bayer pattern by its first two rows, OpenCV by the second row's second and third pixel.
-CONVERSIONS = {
-    "rgb8": cv2.COLOR_RGB2BGR,
-    "rgba8": cv2.COLOR_RGBA2BGR,
-    "bgra8": cv2.COLOR_BGRA2BGR,
-    "8UC4": cv2.COLOR_BGRA2BGR,
-    "mono8": cv2.COLOR_GRAY2BGR,
-    "8UC1": cv2.COLOR_GRAY2BGR,
-    "bayer_rggb8": cv2.COLOR_BayerBG2BGR,
-    "bayer_bggr8": cv2.COLOR_BayerRG2BGR,
-    "bayer_gbrg8": cv2.COLOR_BayerGR2BGR,
-    "bayer_grbg8": cv2.COLOR_BayerGB2BGR,
-    "yuv422": cv2.COLOR_YUV2BGR_UYVY,
-    "uyvy": cv2.COLOR_YUV2BGR_UYVY,
-    "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
-    "yuyv": cv2.COLOR_YUV2BGR_YUY2,
+# Channels, and the conversion to BGR. ROS names a Bayer pattern by its first two rows, OpenCV by the second and third
+# pixel of the second row.
+RAW_ENCODINGS: dict[str, tuple[int, int | None]] = {
+    "bgr8": (3, None),
+    "8UC3": (3, None),
+    "rgb8": (3, cv2.COLOR_RGB2BGR),
+    "bgra8": (4, cv2.COLOR_BGRA2BGR),
+    "8UC4": (4, cv2.COLOR_BGRA2BGR),
+    "rgba8": (4, cv2.COLOR_RGBA2BGR),
+    "mono8": (1, cv2.COLOR_GRAY2BGR),
+    "8UC1": (1, cv2.COLOR_GRAY2BGR),
+    "bayer_rggb8": (1, cv2.COLOR_BayerBG2BGR),
+    "bayer_bggr8": (1, cv2.COLOR_BayerRG2BGR),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGR2BGR),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGB2BGR),
+    "yuv422": (2, cv2.COLOR_YUV2BGR_UYVY),
+    "uyvy": (2, cv2.COLOR_YUV2BGR_UYVY),
+    "yuv422_yuy2": (2, cv2.COLOR_YUV2BGR_YUY2),
+    "yuyv": (2, cv2.COLOR_YUV2BGR_YUY2),
 }
 
 
@@ -210,13 +193,12 @@ def decode_raw(
 
     Raises ImageError for an encoding that is not known, and sizes that contradict each other.
     """
-    if encoding not in CHANNELS:
-        raise ImageError(
-            f"image encoding {cut(encoding)!r} is not known; the choices are {', '.join(CHANNELS)}"
-        )
+    if encoding not in RAW_ENCODINGS:
+        choices = ", ".join(RAW_ENCODINGS)
+        raise ImageError(f"image encoding {cut(encoding)!r} is not known; the choices are {choices}")
     width_px, height_px = size_px
     check_dimensions(width_px, height_px, limits)
-    channels = CHANNELS[encoding]
+    channels, conversion = RAW_ENCODINGS[encoding]
     row_bytes = width_px * channels
     if step_bytes < row_bytes or len(data) != step_bytes * height_px:
         raise ImageError(
@@ -224,10 +206,10 @@ def decode_raw(
         )
     rows: NDArray[np.uint8] = np.frombuffer(data, np.uint8).reshape(height_px, step_bytes)[:, :row_bytes]
     pixels = rows.reshape(height_px, width_px, channels)
-    if encoding not in CONVERSIONS:
+    if conversion is None:
         return pixels.copy()
     try:
-        return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), CONVERSIONS[encoding]), np.uint8)
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), conversion), np.uint8)
     except cv2.error as problem:
         raise ImageError(" ".join(str(problem).split())) from None
 
@@ -296,7 +278,7 @@ class VideoDecoder:
 
 
 def read_file(path: Path, limits: Limits) -> bytes | Image:
-    """The bytes of a PNG or JPEG, or the pixels of another format; SourceError in one line where it is no image."""
+    """The bytes of a PNG or JPEG, or the pixels of another format; SourceError in one line where it is not an image."""
     try:
         data = read_regular(path, limits.image_bytes)
     except OSError as problem:
@@ -314,15 +296,14 @@ def decode_file(data: bytes, name: str, limits: Limits) -> Image:
 
 def _decode_other(data: bytes, path: Path, limits: Limits) -> Image:
     """BMP, TIFF, WebP or PNM by OpenCV, which refuses images of too many pixels."""
-    import cv2
-    import numpy as np
-
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as problem:
         raise SourceError(f"{path}: {' '.join(str(problem).split())}") from None
     if image is None:
-        raise SourceError(f"{path}: no image that can be decoded ({data[:8].hex(' ') or 'an empty file'})")
+        raise SourceError(
+            f"{path}: not an image that can be decoded ({data[:8].hex(' ') or 'an empty file'})"
+        )
     if image.dtype != np.uint8:
         raise SourceError(f"{path}: an image of {8 * image.dtype.itemsize} bits; 8 are expected")
     if image.shape[0] * image.shape[1] > limits.image_pixels:

@@ -1,438 +1,100 @@
-"""Images of a log and what belongs to each: joints, the right image, the nominal camera pose."""
+"""Observations whose images are still encoded: read in one thread, decoded in any."""
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+import math
+from bisect import insort
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.recording.images import ImageError
-from svmdist.recording.messages.checks import EncodedImage, RawTransform, RawTransforms
+from svmdist.recording.messages import EncodedImage
 from svmdist.recording.source import Loss, LossKind
-from svmdist.recording.tf_tree import find_path, frame_name
-from svmdist.recording.topics import FixedTransform
-from svmdist.samples import (
-    Image,
-    ImageSample,
-    JointSample,
-    Observation,
-    Rejection,
-    RightView,
-    Status,
-    TransformSample,
-)
-from svmdist.tracks import JointTrack, TransformTrack
-from svmdist.transforms import Array, inverse
-
-Value = TypeVar("Value")
-
-
-class Latest(Generic[Value]):
-    """Samples by stamp; beyond a limit the older half is forgotten."""
-
-    def __init__(self) -> None:
-        self.stamps_ns: list[int] = []
-        self.values: list[Value] = []
-
-    @property
-    def newest_ns(self) -> int:
-        """Largest stamp, -1 where there is none."""
-        return self.stamps_ns[-1] if self.stamps_ns else -1
-
-    def add(self, stamp_ns: int, value: Value, limit: int) -> None:
-        """Put a sample in its place; one with the same stamp is replaced."""
-        place = len(self.stamps_ns)
-        if place and self.stamps_ns[-1] >= stamp_ns:  # out of order: the rare case
-            place = bisect_left(self.stamps_ns, stamp_ns)
-            if self.stamps_ns[place] == stamp_ns:
-                self.values[place] = value
-                return
-        self.stamps_ns.insert(place, stamp_ns)
-        self.values.insert(place, value)
-        if len(self.stamps_ns) > limit:
-            # Half at once, so that forgetting costs nothing per sample.
-            del self.stamps_ns[: limit // 2], self.values[: limit // 2]
-
-    def clear(self) -> None:
-        """Forget all samples."""
-        self.stamps_ns.clear()
-        self.values.clear()
-
-    def around(self, stamp_ns: int) -> tuple[list[int], list[Value]]:
-        """The stamps and values of the samples before and after a stamp: one at the ends and where one meets it."""
-        right = bisect_left(self.stamps_ns, stamp_ns)
-        is_met = right < len(self.stamps_ns) and self.stamps_ns[right] == stamp_ns
-        chosen = slice(right if is_met else max(right - 1, 0), right + 1)
-        return self.stamps_ns[chosen], self.values[chosen]
-
-    def between(self, first_ns: int, last_ns: int) -> tuple[list[int], list[Value]]:
-        """The stamps and values of all samples from one stamp to another, both included."""
-        chosen = slice(bisect_left(self.stamps_ns, first_ns), bisect_right(self.stamps_ns, last_ns))
-        return self.stamps_ns[chosen], self.values[chosen]
-
-
-MAX_TRANSFORMS = 5_000
-"""As many as joints are kept, over all edges of the path: 2 MB."""
-MAX_EDGES = 2_000
-
-Edge = tuple[str, str]
-Stated = RawTransform | TransformSample
-
-
-@dataclass
-class _Edge:
-    """The latest samples of one edge."""
-
-    samples: Latest[Stated] = field(default_factory=Latest)
-    is_static: bool = False
-
-    def at(self, stamp_ns: int) -> Array | None:
-        stamps_ns, near = self.samples.around(stamp_ns)
-        if self.is_static:
-            stamps_ns, near = [0], self.samples.values[-1:]
-        T = np.array([each.T_parent_child for each in near])
-        track = TransformTrack("", "", np.array(stamps_ns, np.int64), T, self.is_static)
-        sampled = track.at(np.array([stamp_ns], np.int64))
-        return sampled.values[0] if sampled.valid[0] else None
-
-
-class TransformBuffer:
-    """`T_parent_child` at any of the latest instants, where every edge between the two frames has a value."""
-
-    def __init__(self, parent: str, child: str) -> None:
-        self._ends = parent, child
-        self._edges: dict[Edge, _Edge] = {}
-        self._path: list[Edge] | None = None
-        self._newest_ns = -1
-
-    @property
-    def newest_ns(self) -> int:
-        """The stamp up to which more samples would change nothing; without a path, that of any sample."""
-        if self._path is None:
-            return self._newest_ns
-        moving = [edge.samples.newest_ns for _, edge in self._along_path() if not edge.is_static]
-        return min(moving, default=(1 << 63) - 1)
-
-    def add(self, stated: Stated, *, is_static: bool) -> None:
-        """Take up a transform; pairs of frames beyond 2,000 are ignored."""
-        name = frame_name(stated.parent), frame_name(stated.child)
-        edge = self._edges.get(name)
-        if edge is None:
-            if len(self._edges) >= MAX_EDGES:
-                return
-            edge = self._edges[name] = _Edge()
-            self._path = find_path(self._edges, *self._ends)
-        if is_static:
-            edge.samples.clear()
-        else:
-            self._newest_ns = max(self._newest_ns, stated.stamp_ns)
-        edge.is_static = is_static
-        edge.samples.add(stated.stamp_ns, stated, self._limit(name))
-
-    def at(self, stamp_ns: int) -> Array | None:
-        """Interpolate every edge; None where one of them has no value within 0.1 s around the stamp."""
-        if self._path is None:
-            return None
-        T_parent_child = np.eye(4)
-        for is_forward, edge in self._along_path():
-            T = edge.at(stamp_ns)
-            if T is None:
-                return None
-            T_parent_child = T_parent_child @ (T if is_forward else inverse(T))
-        return T_parent_child
-
-    def _limit(self, edge: Edge) -> int:
-        """How many samples an edge may keep: once the path is known, the edges beside it keep two."""
-        if self._path is None:
-            return max(2, MAX_TRANSFORMS // len(self._edges))
-        is_on_path = edge in self._path or edge[::-1] in self._path
-        return max(2, MAX_TRANSFORMS // len(self._path)) if is_on_path else 2
-
-    def _along_path(self) -> list[tuple[bool, _Edge]]:
-        return [
-            (True, self._edges[a, b]) if (a, b) in self._edges else (False, self._edges[b, a])
-            for a, b in self._path or []
-        ]
-
+from svmdist.samples import Image, ImageSample, JointSample, Observation, Rejection, RightView, Status
+from svmdist.tracks import JointTrack
+from svmdist.transforms import Array
 
 LOOK_AHEAD_NS = 3_000_000_000
-"""How long, in log time, an image waits for the joints behind its stamp: clocks may differ by seconds."""
+"""How long, in log time, an image waits for the right image at its stamp."""
 MAX_WAITING_BYTES = 64 << 20
 MAX_SWAPPED_IMAGES = 4
 """As many images wait for one that is stamped before them: two chunks of a log that changed places hold no more."""
-MAX_SWAPPED_ITEMS = 1500
-"""Nor do they wait for more messages than these: the joints at their stamp would be forgotten meanwhile."""
-MAX_JOINT_SAMPLES = 5_000
-"""Five seconds of joints at 1 kHz, and 2 MB: images may be stamped that much before the joints around them."""
-JOINT_TRACK_NS = 200_000_000
-"""Joints so long before and after an image go with it: by as much the clocks may differ for a method that finds it."""
-PAIR_TOLERANCE_NS = 500_000
-"""Cameras of a pair are triggered together: half a millisecond is less than any exposure."""
 
 
-@dataclass(frozen=True, slots=True)
-class LoggedImage:
-    """An image message, where and when it was logged."""
-
-    log_time_ns: int
-    size_bytes: int
-    offset: int | None
-    image: EncodedImage
-
-
-@dataclass(frozen=True, slots=True)
-class RightImage:
-    """An image message of the right camera."""
-
-    logged: LoggedImage
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedTransforms:
-    """A message of transforms, and whether they hold for the whole log."""
-
-    stated: RawTransforms
-    is_static: bool
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedJoints:
-    """A joint sample, and which of the arms it is of."""
-
-    sample: JointSample
-    arm: int
-
-
-@dataclass(frozen=True, slots=True)
-class ArmState:
-    """What one arm reported at an image's stamp."""
-
-    joints: JointSample | None
-    T_camera_base: Array | None
-    joint_track: JointTrack | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Matched:
-    """An image with what was found at its stamp, for each arm."""
-
-    logged: LoggedImage
-    right: LoggedImage | None
-    arms: tuple[ArmState, ...]
-
-
-Item = LoggedImage | RightImage | LoggedJoints | LoggedTransforms
-
-
-class JointBuffer:
-    """The latest joint samples of one arm."""
-
-    def __init__(self) -> None:
-        self._samples: Latest[JointSample] = Latest()
+class HasStamp(Protocol):
+    """An image, in whatever form."""
 
     @property
-    def newest_ns(self) -> int:
-        """Largest stamp, -1 where there is none."""
-        return self._samples.newest_ns
+    def stamp_ns(self) -> int:
+        """Its stamp."""
 
-    def add(self, sample: JointSample) -> None:
-        """Put a sample in its place; one with the same stamp is replaced."""
-        self._samples.add(sample.stamp_ns, sample, MAX_JOINT_SAMPLES)
 
-    def at(self, stamp_ns: int) -> JointSample | None:
-        """Interpolate linearly; None outside the samples, and in a gap longer than 0.1 s."""
-        stamps_ns, near = self._samples.around(stamp_ns)
-        if not near or near[0].names != near[-1].names:
+Stamped = TypeVar("Stamped", bound=HasStamp)
+OUT_OF_ORDER_S = 1.0
+"""Images may stand so much out of order in a file: reading goes on this long after the end of a window."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Images from `start_s` to `end_s` after the first one, both included, and of these every `every`-th one."""
+
+    start_s: float = 0.0
+    end_s: float = math.inf
+    every: int = 1
+
+    def of(self, images: Iterable[Stamped]) -> Iterator[Stamped]:
+        """The images inside."""
+        return (image for _, _, image in self.numbered(images))
+
+    def numbered(self, images: Iterable[Stamped]) -> Iterator[tuple[int, int, Stamped]]:
+        """The images inside, each with its number among all and its time since the first one in ns."""
+        first_ns: int | None = None
+        count = 0
+        for number, image in enumerate(images):
+            first_ns = image.stamp_ns if first_ns is None else first_ns
+            # In whole nanoseconds: an image at exactly 0.1 s is inside of a window that begins at 0.1 s.
+            at_ns = image.stamp_ns - first_ns
+            if at_ns > (self.end_s + OUT_OF_ORDER_S) * 1e9:
+                return
+            if not round(self.start_s * 1e9) <= at_ns <= self.end_s * 1e9 + 0.5:
+                continue
+            if count % self.every == 0:
+                yield number, at_ns, image
+            count += 1
+
+    def count_of(self, image_count: int) -> int | None:
+        """How many of so many images are inside; None where that depends on their stamps."""
+        if self.start_s > 0.0 or self.end_s < math.inf:
             return None
-        positions = np.array([sample.positions for sample in near])
-        track = JointTrack(np.array(stamps_ns, np.int64), near[0].names, positions)
-        sampled = track.at(np.array([stamp_ns], np.int64))
-        return JointSample(stamp_ns, track.names, sampled.values[0]) if sampled.valid[0] else None
+        return -(-image_count // self.every)
 
-    def track_around(self, stamp_ns: int) -> JointTrack | None:
-        """The samples within `JOINT_TRACK_NS` of a stamp; None without one, or where their names differ."""
-        stamps_ns, near = self._samples.between(stamp_ns - JOINT_TRACK_NS, stamp_ns + JOINT_TRACK_NS)
-        if not near or any(sample.names != near[0].names for sample in near):
-            return None
-        positions = np.array([sample.positions for sample in near])
-        return JointTrack(np.array(stamps_ns, np.int64), near[0].names, positions)
+    def places(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+        """Which of rising stamps, shape (n,), are inside, counted from the first one."""
+        if len(stamps_ns) == 0:
+            return np.zeros(0, np.intp)
+        at_ns = stamps_ns - stamps_ns[0]
+        inside = (at_ns >= round(self.start_s * 1e9)) & (at_ns <= self.end_s * 1e9 + 0.5)
+        return np.flatnonzero(inside)[:: self.every]
 
 
-class RightBuffer:
-    """Right images that wait for their left ones, still encoded; beyond 64 MiB the oldest are forgotten."""
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """The name that a recording goes by, None for its file's, and its window, None for all images."""
 
-    def __init__(self, tolerance_ns: int = PAIR_TOLERANCE_NS) -> None:
-        self._images: deque[LoggedImage] = deque()
-        self._tolerance_ns = tolerance_ns
-        self._size_bytes = 0
-        self.newest_ns = -1
-
-    def add(self, logged: LoggedImage) -> None:
-        """Take up an image."""
-        self._images.append(logged)
-        self._size_bytes += logged.size_bytes
-        self.newest_ns = max(self.newest_ns, logged.image.stamp_ns)
-        while len(self._images) > 1 and self._size_bytes > MAX_WAITING_BYTES:
-            self._pass_over()
-
-    def take(self, stamp_ns: int) -> LoggedImage | None:
-        """Hand out the image nearest to a stamp, once; None where none is within the tolerance.
-
-        Frames of a video are handed out in file order: one that was passed over is gone.
-        """
-        near = [
-            logged for logged in self._images if abs(logged.image.stamp_ns - stamp_ns) <= self._tolerance_ns
-        ]
-        if not near:
-            return None
-        nearest = min(near, key=lambda logged: abs(logged.image.stamp_ns - stamp_ns))
-        if nearest.image.is_ordered:
-            while self._images[0] is not nearest:
-                self._pass_over()
-        self._images.remove(nearest)
-        self._size_bytes -= nearest.size_bytes
-        return nearest
-
-    def _pass_over(self) -> None:
-        """Forget the oldest image; a frame of a video is decoded first, for the next ones refer to it."""
-        oldest = self._images.popleft()
-        self._size_bytes -= oldest.size_bytes
-        if oldest.image.is_ordered:
-            with suppress(ImageError):
-                oldest.image.decode()
-
-
-class ArmBuffer:
-    """The latest joints and transforms of one arm; `has_joints` says that images wait for joints of it.
-
-    `fixed` stands for the transforms where it is given.
-    """
-
-    def __init__(
-        self, transforms: TransformBuffer, *, has_joints: bool, fixed: FixedTransform | None = None
-    ) -> None:
-        self.joints = JointBuffer()
-        self.transforms = transforms
-        self.has_joints = has_joints
-        self.fixed = fixed
-
-    def at(self, stamp_ns: int) -> ArmState:
-        """What the arm reported at a stamp."""
-        joints = self.joints.at(stamp_ns)
-        track = None if joints is None else self.joints.track_around(stamp_ns)
-        T_camera_base = self.transforms.at(stamp_ns) if self.fixed is None else self.fixed.T_camera_base
-        return ArmState(joints, T_camera_base, track)
-
-
-class Matcher:
-    """Finds what belongs to an image; images wait for right images and for transforms where there are any.
-
-    `on_repeat` hears of images that are left out, for their stamp has come before.
-    """
-
-    def __init__(
-        self,
-        arms: Sequence[ArmBuffer],
-        *,
-        has_right: bool,
-        has_transforms: bool,
-        lag_ns: int = 0,
-        pair_tolerance_ns: int = PAIR_TOLERANCE_NS,
-        on_repeat: Callable[[LoggedImage], None] | None = None,
-    ) -> None:
-        self._arms = tuple(arms)
-        # Joints that are stamped late may be logged late, too.
-        self._look_ahead_ns = LOOK_AHEAD_NS + max(0, -lag_ns)
-        self._right = RightBuffer(pair_tolerance_ns)
-        self._has_right = has_right
-        self._has_transforms = has_transforms
-        self._waiting: list[LoggedImage] = []
-        self._waiting_bytes = 0
-        self._last_ns = -1
-        self._taken = 0
-        self._taken_at: dict[int, int] = {}
-        self._on_repeat = on_repeat
-
-    def match(self, items: Iterable[Item]) -> Iterator[Matched]:
-        """Yield every image with what is known at its stamp, by stamp and each once; items come in file order."""
-        for item in items:
-            self._take_up(item)
-            while self._waiting and (self._waiting_bytes > MAX_WAITING_BYTES or self._is_ready()):
-                yield self._matched(self._next())
-        while self._waiting:
-            yield self._matched(self._next())
-
-    def _next(self) -> LoggedImage:
-        ready = self._waiting.pop(0)
-        self._waiting_bytes -= ready.size_bytes
-        self._last_ns = ready.image.stamp_ns
-        del self._taken_at[self._last_ns]
-        return ready
-
-    def _put(self, logged: LoggedImage) -> None:
-        """Let an image wait in its place, by stamp; one whose stamp was there before, or has passed, is a repeat."""
-        stamp_ns = logged.image.stamp_ns
-        place = bisect_left(self._waiting, stamp_ns, key=lambda waiting: waiting.image.stamp_ns)
-        is_there = place < len(self._waiting) and self._waiting[place].image.stamp_ns == stamp_ns
-        # Frames of a video are decoded as they come: one that would have to wait its turn again is out of it, too.
-        is_late = stamp_ns <= self._last_ns or (logged.image.is_ordered and place < len(self._waiting))
-        if is_there or is_late:
-            if logged.image.is_ordered:
-                with suppress(ImageError):
-                    logged.image.decode()
-            if self._on_repeat is not None:
-                self._on_repeat(logged)
-            return
-        self._taken_at[stamp_ns] = self._taken
-        self._waiting.insert(place, logged)
-        self._waiting_bytes += logged.size_bytes
-
-    def _take_up(self, item: Item) -> None:
-        self._taken += 1
-        match item:
-            case LoggedImage():
-                self._put(item)
-            case RightImage(logged=logged):
-                self._right.add(logged)
-            case LoggedJoints(sample=joints, arm=arm):
-                self._arms[arm].joints.add(joints)
-            case LoggedTransforms(stated=stated, is_static=is_static):
-                for transform in stated.transforms:
-                    for buffer in self._arms:
-                        buffer.transforms.add(transform, is_static=is_static)
-
-    def _is_ready(self) -> bool:
-        first = self._waiting[0]
-        newest_ns = max(waiting.log_time_ns for waiting in self._waiting)
-        if newest_ns - first.log_time_ns > self._look_ahead_ns:
-            return True
-        since = self._taken - self._taken_at[first.image.stamp_ns]
-        may_be_swapped = len(self._waiting) <= MAX_SWAPPED_IMAGES and since <= MAX_SWAPPED_ITEMS
-        if may_be_swapped and not first.image.is_ordered:
-            return False
-        passed_ns = [self._right.newest_ns] if self._has_right else []
-        passed_ns += [arm.joints.newest_ns - JOINT_TRACK_NS for arm in self._arms if arm.has_joints]
-        moving = [arm for arm in self._arms if self._has_transforms and arm.fixed is None]
-        passed_ns += [arm.transforms.newest_ns for arm in moving]
-        return all(first.image.stamp_ns <= newest for newest in passed_ns)
-
-    def _matched(self, logged: LoggedImage) -> Matched:
-        stamp_ns = logged.image.stamp_ns
-        return Matched(logged, self._right.take(stamp_ns), tuple(arm.at(stamp_ns) for arm in self._arms))
+    name: str | None = None
+    window: Window | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What a method uses of a log beside the left images; what it does not use is not kept nor decoded.
+    """What a method uses of a log beside the left images; what it does not use is not given.
 
-    Joints and transforms are checked in any case: a message of them that is broken is a loss. Images of the
-    right camera are read only where they are needed.
+    Images of the right camera are read only where they are needed.
     """
 
     joints: bool = True
@@ -451,6 +113,42 @@ class RightCamera:
     topic: str
     camera: Camera
     T_left_right: Array
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedImage:
+    """An image message, where and when it was logged."""
+
+    image: EncodedImage
+    topic: str
+    log_time_ns: int
+    size_bytes: int
+    offset: int | None
+
+    @property
+    def stamp_ns(self) -> int:
+        """The image's stamp."""
+        return self.image.stamp_ns
+
+    def decode(self, losses: list[Loss], camera: Camera | None = None) -> ImageSample | Rejection:
+        """Decode it; where that fails, or it has not the camera's size, it is a rejection and joins the losses."""
+        try:
+            sample = ImageSample(self.stamp_ns, self.image.frame_id, self.image.decode())
+            if camera is not None:
+                _require_size(sample.image_bgr, camera)
+        except ImageError as problem:
+            losses.append(Loss(LossKind.IMAGE, str(problem), self.offset, self.topic))
+            return Rejection(self.stamp_ns, Status.CORRUPT_IMAGE, str(problem))
+        return sample
+
+
+@dataclass(frozen=True, slots=True)
+class ArmState:
+    """What one arm reported at an image's stamp: joints, those around it, and `T_camera_base`, shape (4, 4)."""
+
+    joints: JointSample | None = None
+    joint_track: JointTrack | None = None
+    T_camera_base: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -473,37 +171,29 @@ class EncodedObservation:
     observation once, and hands the results to `Recording.record_losses`.
     """
 
-    matched: Matched
+    left: LoggedImage
+    right: LoggedImage | None
+    arms: tuple[ArmState, ...]
     camera: Camera
-    topic: str
-    right: RightCamera | None
+    right_camera: RightCamera | None
     place: int
 
     @property
     def stamp_ns(self) -> int:
         """The image's stamp."""
-        return self.matched.logged.image.stamp_ns
+        return self.left.stamp_ns
 
     @property
     def size_bytes(self) -> int:
         """How much the encoded images hold in memory."""
-        right = self.matched.right
-        return self.matched.logged.size_bytes + (0 if right is None else right.size_bytes)
+        return self.left.size_bytes + (0 if self.right is None else self.right.size_bytes)
 
     def decode(self) -> Decoded:
         """Decode the images; a Rejection stands for a left image that cannot be, or has not its camera's size."""
         losses: list[Loss] = []
-        image = decode_image(self.matched.logged, self.topic, losses)
+        image = self.left.decode(losses, self.camera)
         if isinstance(image, Rejection):
             return Decoded(image, tuple(losses), self.place)
-        if _has_other_size(image.image_bgr, self.camera):
-            height_px, width_px = image.image_bgr.shape[:2]
-            detail = (
-                f"{width_px}x{height_px} px; the camera has {self.camera.width_px}x{self.camera.height_px}"
-            )
-            losses.append(Loss(LossKind.IMAGE, detail, self.matched.logged.offset, self.topic))
-            rejection = Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, detail)
-            return Decoded(rejection, tuple(losses), self.place)
         view = self._right_view(losses)
         found = tuple(
             Observation(
@@ -515,46 +205,84 @@ class EncodedObservation:
                 arm.T_camera_base,
                 arm.joint_track,
             )
-            for arm in self.matched.arms
+            for arm in self.arms
         )
         return Decoded(found, tuple(losses), self.place)
 
     def _right_view(self, losses: list[Loss]) -> RightView | None:
-        if self.right is None or self.matched.right is None:
+        if self.right is None or self.right_camera is None:
             return None
-        image = decode_image(self.matched.right, self.right.topic, losses)
-        if isinstance(image, Rejection) or _has_other_size(image.image_bgr, self.right.camera):
+        image = self.right.decode(losses, self.right_camera.camera)
+        if isinstance(image, Rejection):
             return None
         delay_s = (image.stamp_ns - self.stamp_ns) * 1e-9
-        return RightView(image.image_bgr, self.right.camera, self.right.T_left_right, delay_s)
+        return RightView(image.image_bgr, self.right_camera.camera, self.right_camera.T_left_right, delay_s)
 
 
-def decode_image(logged: LoggedImage, topic: str, losses: list[Loss]) -> ImageSample | Rejection:
-    """Decode an image; one that cannot be is a rejection, and joins the losses."""
-    image = logged.image
-    try:
-        return ImageSample(image.stamp_ns, image.frame_id, image.decode())
-    except ImageError as problem:
-        losses.append(Loss(LossKind.IMAGE, str(problem), logged.offset, topic))
-        return Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, str(problem))
+def _require_size(image_bgr: Image, camera: Camera) -> None:
+    height_px, width_px = image_bgr.shape[:2]
+    if (width_px, height_px) != (camera.width_px, camera.height_px):
+        size = f"{camera.width_px}x{camera.height_px}"
+        raise ImageError(f"{width_px}x{height_px} px; the camera has {size}")
 
 
-def decode_in_order(image: EncodedImage) -> EncodedImage:
-    """Decode a frame of a video at once, so that any thread may ask for its pixels; other images stay as they are."""
-    if not image.is_ordered:
-        return image
-    try:
-        pixels: Image | ImageError = image.decode()
-    except ImageError as problem:
-        pixels = problem
+class Pairs:
+    """Puts images in the order of their stamps, and to each the right image nearest to it within the tolerance.
 
-    def give() -> Image:
-        if isinstance(pixels, ImageError):
-            raise ImageError(str(pixels))
-        return pixels
+    Images that come twice, or too far behind later ones, go to `on_repeat`. Without a right topic nothing waits for
+    right images.
+    """
 
-    return EncodedImage(image.stamp_ns, image.frame_id, give)
+    def __init__(
+        self, right_topic: str | None, tolerance_ns: int, on_repeat: Callable[[LoggedImage], None]
+    ) -> None:
+        self._right_topic = right_topic
+        self._tolerance_ns = tolerance_ns
+        self._on_repeat = on_repeat
+        self._left: list[LoggedImage] = []
+        self._right: list[LoggedImage] = []
+        self._newest_right_ns = -1
+        self._last_ns = -1
+
+    def of(self, images: Iterable[LoggedImage]) -> Iterator[tuple[LoggedImage, LoggedImage | None]]:
+        """Yield each left image with its right one; images come in file order."""
+        for image in images:
+            if image.topic == self._right_topic:
+                insort(self._right, image, key=_stamp)
+                self._newest_right_ns = max(self._newest_right_ns, image.stamp_ns)
+                while len(self._right) > 1 and _size(self._right) > MAX_WAITING_BYTES:
+                    del self._right[0]
+            elif image.stamp_ns <= self._last_ns or image.stamp_ns in map(_stamp, self._left):
+                self._on_repeat(image)
+            else:
+                insort(self._left, image, key=_stamp)
+            while self._left and self._is_ready():
+                yield self._next()
+        while self._left:
+            yield self._next()
+
+    def _is_ready(self) -> bool:
+        newest_ns = max(image.log_time_ns for image in self._left)
+        if newest_ns - self._left[0].log_time_ns > LOOK_AHEAD_NS or _size(self._left) > MAX_WAITING_BYTES:
+            return True
+        is_paired = self._right_topic is None or self._newest_right_ns >= self._left[0].stamp_ns
+        return is_paired and len(self._left) > MAX_SWAPPED_IMAGES
+
+    def _next(self) -> tuple[LoggedImage, LoggedImage | None]:
+        left = self._left.pop(0)
+        self._last_ns = left.stamp_ns
+        first_ns = left.stamp_ns - self._tolerance_ns
+        self._right = [image for image in self._right if image.stamp_ns >= first_ns]
+        nearest = min(self._right, key=lambda image: abs(image.stamp_ns - left.stamp_ns), default=None)
+        if nearest is None or nearest.stamp_ns > left.stamp_ns + self._tolerance_ns:
+            return left, None
+        self._right.remove(nearest)
+        return left, nearest
 
 
-def _has_other_size(image_bgr: Image, camera: Camera) -> bool:
-    return image_bgr.shape[:2] != (camera.height_px, camera.width_px)
+def _stamp(image: LoggedImage) -> int:
+    return image.stamp_ns
+
+
+def _size(images: list[LoggedImage]) -> int:
+    return sum(image.size_bytes for image in images)

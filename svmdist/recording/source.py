@@ -13,16 +13,23 @@ from svmdist.input_file import LogPath
 MAX_NAME_LENGTH = 300
 MAX_LISTED_NAMES = 40
 MAX_NAME_BYTES = 4096
-"""Of a topic, a frame, a joint, a schema: longer ones are no names."""
+"""Of a topic, a frame, a joint, a schema: anything longer is not a name."""
+MAX_LISTED_LOSSES = 1000
+"""Reports about a file with a million broken chunks must not fill the memory."""
+METADATA_FILE = "metadata.yaml"
+"""What makes a folder a rosbag2 recording."""
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+METADATA_NAME = "svmdist"
+"""The metadata record that says what a recording came from."""
 
 
 def cut(text: str) -> str:
-    """The beginning of a text that may be endless, to be kept or shown."""
+    """The beginning of a text of any length, to be kept or shown."""
     return text if len(text) <= MAX_NAME_LENGTH else f"{text[:MAX_NAME_LENGTH]}..."
 
 
 def sanitize(name: str) -> str:
-    r"""Write a name with its control characters escaped, shortened where it is endless.
+    r"""Write a name from a file in one line: control characters escaped, shortened where it is very long.
 
     >>> sanitize("/left\x1b[31m")
     '/left\\x1b[31m'
@@ -38,10 +45,6 @@ def sanitize_list(names: Iterable[str]) -> str:
     listed = [sanitize(name) for name in names]
     more = [f"and {len(listed) - MAX_LISTED_NAMES} more"] if len(listed) > MAX_LISTED_NAMES else []
     return ", ".join(listed[:MAX_LISTED_NAMES] + more)
-
-
-MAX_LISTED_LOSSES = 1000
-"""A file with a million broken chunks must not fill the memory with reports about them."""
 
 
 class LossKind(StrEnum):
@@ -83,11 +86,10 @@ class Loss:
 
 @dataclass
 class Health:
-    """The losses of one recording, filled while it is read.
+    """The losses of one recording, filled while it is read; complete after a pass over the whole file.
 
-    Reading a file twice finds the same losses again; each is kept once. Before a pass over the whole
-    file has ended, the report is incomplete. Losses are listed in the order of `place`, so that images that
-    are decoded late, by other threads, are listed as if they had been decoded at once.
+    A second pass finds the same losses again, and each is kept once. They are listed in the order of `place`, so
+    that images decoded late, by other threads, are listed as if they had been decoded at once.
     """
 
     unlisted_count: int = 0
@@ -100,7 +102,7 @@ class Health:
         return next(self._places)
 
     def add(self, loss: Loss, place: int | None = None) -> None:
-        """Report a loss, at a place that was reserved or at the next one; one that is known is listed once."""
+        """Report a loss, at a reserved place or at the next one."""
         place = self.next_place() if place is None else place
         known = self._losses.get(loss)
         if known is None and len(self._losses) >= MAX_LISTED_LOSSES:
@@ -126,18 +128,13 @@ class Health:
         return not self._losses
 
     def describe(self, max_lines: int = 10) -> tuple[str, ...]:
-        """Say what was lost in a few lines for a person."""
+        """Say in a few human-readable lines what was lost."""
         lines = [str(loss) for loss in self.losses]
         hidden = len(lines) - max_lines
         if hidden > 0 or self.unlisted_count:
             more = f"{max(hidden, 0)} more" if not self.unlisted_count else "many more"
             lines = [*lines[:max_lines], f"and {more} losses"]
         return tuple(lines)
-
-
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-METADATA_NAME = "svmdist"
-"""The metadata record that says what a recording came from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +149,7 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """A message as it stands in the file; `data` may be a view that must be copied to be kept.
+    """A message as it stands in the file.
 
     `losses_before` counts what this pass has lost so far: where it grows, messages may be missing.
     """
@@ -161,7 +158,7 @@ class RawMessage:
     schema: str
     message_encoding: str
     log_time_ns: int
-    data: bytes | memoryview
+    data: bytes
     offset: int | None = None
     losses_before: int = 0
 
@@ -169,20 +166,17 @@ class RawMessage:
 class Source(Protocol):
     """One recording file or folder of one format."""
 
-    @property
-    def path(self) -> LogPath:
-        """The file or folder."""
-
+    path: LogPath
     health: Health
 
     def topics(self) -> tuple[TopicInfo, ...]:
         """List the topics, sorted by name."""
 
     def metadata(self) -> dict[str, str]:
-        """Read the metadata of the record `svmdist`, empty where there is none."""
+        """Read the pairs of the metadata record `svmdist`; empty where there is none."""
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Yield the messages of some topics, or of all, in file order; nothing is kept in memory."""
+        """Yield the messages of some topics, or of all, in file order."""
 
 
 def merge_topics(infos: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
@@ -193,14 +187,12 @@ def merge_topics(infos: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
         known = merged.get(key, 0)
         both = known is not None and info.message_count is not None
         merged[key] = (known or 0) + (info.message_count or 0) if both else None
-    return tuple(TopicInfo(*key, count) for key, count in sorted(merged.items()))
+    return tuple(TopicInfo(*key, total) for key, total in sorted(merged.items()))
 
 
 def is_message_compressed(source: Source) -> bool:
-    """Tell whether the messages of a single file were compressed one by one, as only the folder of a bag knows."""
+    """Whether the messages of a single file were compressed one by one, as only the folder of a bag knows."""
     topics = {info.topic for info in source.topics() if info.message_encoding == "cdr"}
-    if not topics:
-        return False
-    first = next(iter(source.messages(topics)), None)
+    first = next(iter(source.messages(topics)), None) if topics else None
     # CDR begins with a zero byte, so these four cannot be a message.
-    return first is not None and bytes(first.data[:4]) == ZSTD_MAGIC
+    return first is not None and first.data[:4] == ZSTD_MAGIC

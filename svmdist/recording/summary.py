@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 from svmdist.camera import Camera
 from svmdist.input_file import LogPath
@@ -12,12 +11,10 @@ from svmdist.profile import Limits, Profile
 from svmdist.recording.encode import EncodedSample
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import Recording, open_recording
-from svmdist.recording.messages.checks import DecodeError, EncodedImage, RawTransforms
-from svmdist.recording.messages.decoding import Decoder, kind_of
-from svmdist.recording.messages.foxglove import MESSAGES
+from svmdist.recording.messages import DecodeError, Decoder, RawTransforms, kind_of, message_class, to_sample
 from svmdist.recording.source import Health, RawMessage
 from svmdist.recording.topics import Role
-from svmdist.samples import CameraSample, ImageSample, JointSample, Sample, TransformsSample
+from svmdist.samples import CameraSample, JointSample, Sample, TransformsSample
 
 GAP_FACTOR = 3.0
 """A gap is a distance of stamps above three mean periods: one or two lost messages are jitter."""
@@ -134,7 +131,7 @@ def inspect_recording(
         stamp_ns = raw.log_time_ns
         if kind_of(raw.schema, raw.message_encoding) is not None:
             try:
-                sample = decoder.decode(raw)
+                sample = decoder.decode(raw, with_video=False)
             except DecodeError:
                 topic.undecodable_count += 1
             else:
@@ -144,7 +141,7 @@ def inspect_recording(
                         cameras.setdefault(raw.topic, camera)
                     case JointSample(names=names):
                         joint_names.setdefault(raw.topic, names)
-                    case TransformsSample(transforms=transforms) if len(frames) < MAX_NAMES:
+                    case RawTransforms(transforms=transforms) if len(frames) < MAX_NAMES:
                         frames.update(name for one in transforms for name in (one.parent, one.child))
                     case _:
                         pass
@@ -179,7 +176,7 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
     """Yield (topic, message) of every topic that svmdist understands, in file order.
 
     Foxglove's messages in protobuf are copied as they are; others, those of ROS for instance, are written as
-    Foxglove's. Images that were compressed by ROS or stand in JSON become PNG. The child frames of the true transforms
+    Foxglove's. Images that were compressed by ROS become PNG. The child frames of the true transforms
     are renamed, see `TRUE_SUFFIX`. What cannot be decoded is left out; `Recording.health` counts it in the pass that
     measures.
     """
@@ -197,24 +194,14 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
 
 
 def _copied(decoder: Decoder, raw: RawMessage) -> Sample | EncodedSample:
-    known: Any = MESSAGES.get(raw.schema) if raw.message_encoding == "protobuf" else None
-    if known is not None:
-        return EncodedSample(raw.log_time_ns, known, bytes(raw.data))
-    return _sample(decoder, raw)
+    if raw.message_encoding == "protobuf":
+        return EncodedSample(raw.log_time_ns, message_class(raw.schema), raw.data)
+    return to_sample(decoder.decode(raw))
 
 
 def _renamed(decoder: Decoder, raw: RawMessage) -> Sample:
-    sample = _sample(decoder, raw)
+    sample = to_sample(decoder.decode(raw))
     if not isinstance(sample, TransformsSample):
         return sample
     transforms = tuple(replace(one, child=one.child + TRUE_SUFFIX) for one in sample.transforms)
     return replace(sample, transforms=transforms)
-
-
-def _sample(decoder: Decoder, raw: RawMessage) -> Sample:
-    message = decoder.read(raw)
-    if isinstance(message, RawTransforms):
-        return message.to_sample()
-    if isinstance(message, EncodedImage):
-        return ImageSample(message.stamp_ns, message.frame_id, message.decode())
-    return message

@@ -9,7 +9,7 @@ from enum import StrEnum
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.profile import Frames, Profile, Topics
 from svmdist.profile.robot import ARM_TOPICS
-from svmdist.recording.messages.decoding import Kind, kind_of
+from svmdist.recording.messages import Kind, kind_of
 from svmdist.recording.source import Source, TopicInfo, sanitize, sanitize_list
 from svmdist.transforms import Array
 

@@ -30,7 +30,7 @@ from svmdist.report.tables import Table
 from svmdist.report.writers import Results, require_report
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.workflows.annotate import drawn_frames
+from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.truth import TruthRules

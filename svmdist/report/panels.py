@@ -1,116 +1,52 @@
-"""A frame's drawing as pixels: on its image, and the phases of a method in panels."""
+"""A frame's drawing as pixels: on its image, and in panels, one for each phase of a method or for its masks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from svmdist.drawing import ALARM_COLOUR, COLOURS, Form, FrameDrawing, Part, Rgb, Shape
-from svmdist.errors import OutputError
+from svmdist.drawing import ALARM_COLOUR, COLOURS, Form, FrameDrawing, Label, Part, Rgb, Shape
+from svmdist.errors import OutputError, printable
+from svmdist.estimation.frame import Frame
 from svmdist.estimation.methods import REGISTRY, Phase
 from svmdist.files import atomic_file
-from svmdist.report.tables import printable
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.marker import EDGE_MARGIN_PX, padded_template
 from svmdist.vision.segmentation import Masks
-from svmdist.workflows.annotate import DrawnFrame
-from svmdist.workflows.frame_drawing import virtual_marker
-from svmdist.workflows.show import ShownFrame
+from svmdist.workflows.frame_drawing import DrawnFrame, contours_of, virtual_marker
 
-Colour = tuple[int, int, int]
 FONT = cv2.FONT_HERSHEY_SIMPLEX
-LEAST_WIDTH_PX = 900
-"""Smaller images are enlarged by a whole number, so that letters stay smaller than what they name."""
-DARK: Colour = (20, 20, 20)
-WHITE: Colour = (240, 240, 240)
-
-
-@dataclass
-class Canvas:
-    """An enlarged copy of an image, shape (h, w, 3) in BGR; places are given in pixels of the image."""
-
-    pixels: Image
-    enlarged: int
-
-    @classmethod
-    def of(cls, bgr: Image) -> Canvas:
-        """A canvas with an image, shape (h, w, 3), on it."""
-        times = max(1, -(-LEAST_WIDTH_PX // bgr.shape[1]))
-        size = (bgr.shape[1] * times, bgr.shape[0] * times)
-        return cls(np.ascontiguousarray(cv2.resize(bgr, size, interpolation=cv2.INTER_NEAREST)), times)
-
-    @property
-    def unit_px(self) -> int:
-        """The width of a line on the canvas."""
-        return max(2, int(self.pixels.shape[1]) // 500)
-
-    def fill(self, mask: Image, colour: Colour, strength: float) -> None:
-        """Tint what is under a mask, shape (h, w), of the image."""
-        height, width = self.pixels.shape[:2]
-        under = cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST) > 0
-        tinted = (1.0 - strength) * self.pixels[under] + strength * np.array(colour, np.float64)
-        self.pixels[under] = tinted.astype(np.uint8)
-
-    def contour(self, mask: Image, colour: Colour, thickness: int = 1) -> None:
-        """Draw the borders of a mask, shape (h, w), of the image."""
-        height, width = self.pixels.shape[:2]
-        large = cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST)
-        contours, _ = cv2.findContours(large, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-        cv2.drawContours(self.pixels, contours, -1, colour, thickness * self.unit_px, cv2.LINE_AA)
-
-    def line(self, start_px: Array, end_px: Array, colour: Colour) -> None:
-        """Draw a line between two places, shape (2,) each."""
-        start, end = self._on(start_px), self._on(end_px)
-        cv2.line(self.pixels, start, end, DARK, 3 * self.unit_px, cv2.LINE_AA)
-        cv2.line(self.pixels, start, end, colour, self.unit_px, cv2.LINE_AA)
-
-    def cross(self, place_px: Array, colour: Colour) -> None:
-        """Mark a place, shape (2,)."""
-        at, size = self._on(place_px), 8 * self.unit_px
-        cv2.drawMarker(self.pixels, at, DARK, cv2.MARKER_CROSS, size + 4, 3 * self.unit_px)
-        cv2.drawMarker(self.pixels, at, colour, cv2.MARKER_CROSS, size, self.unit_px)
-
-    def label(self, text: str, place_px: Array, colour: Colour) -> None:
-        """Write beside a place, shape (2,), and inside of the image."""
-        scale, thickness = self._letters
-        (width, height), below = cv2.getTextSize(text, FONT, scale, thickness)
-        x, y = self._on(place_px)
-        x = int(np.clip(x + 6 * self.unit_px, 2, max(2, self.pixels.shape[1] - width - 6)))
-        y = int(np.clip(y - 4 * self.unit_px, height + 4, self.pixels.shape[0] - below - 4))
-        cv2.rectangle(self.pixels, (x - 3, y - height - 3), (x + width + 3, y + below + 1), DARK, cv2.FILLED)
-        cv2.putText(self.pixels, text, (x, y), FONT, scale, colour, thickness, cv2.LINE_AA)
-
-    def with_caption(self, lines: Sequence[tuple[str, Colour] | str]) -> Image:
-        """The canvas with lines of text below it, each in its colour."""
-        scale, thickness = self._letters
-        (_, height), below = cv2.getTextSize("Mg", FONT, scale, thickness)
-        step = height + below + 8
-        strip = np.full((step * len(lines) + 8, self.pixels.shape[1], 3), DARK, np.uint8)
-        for at, line in enumerate(lines):
-            text, colour = line if isinstance(line, tuple) else (line, WHITE)
-            cv2.putText(strip, text, (8, at * step + height + 6), FONT, scale, colour, thickness, cv2.LINE_AA)
-        return np.vstack([self.pixels, strip])
-
-    @property
-    def _letters(self) -> tuple[float, int]:
-        scale = max(0.55, self.pixels.shape[1] / 1700.0)
-        return scale, max(1, round(1.4 * scale))
-
-    def _on(self, place_px: Array) -> tuple[int, int]:
-        x, y = (np.asarray(place_px, np.float64) + 0.5) * self.enlarged
-        limit = 1 << 20
-        return int(np.clip(x, -limit, limit)), int(np.clip(y, -limit, limit))
-
-
+WHITE: Rgb = (255, 255, 255)
+DARK = (20, 20, 20)
 SUBPIXEL_BITS = 4
-Box = tuple[int, int, int, int]
 LIMIT_PX = 20_000.0
 """OpenCV's drawing wraps around far outside of the image."""
+SMALL = (Part.INLIER, Part.MATCH)
+COLUMNS = 3
+TINT = 0.45
+LEAST_WIDTH_PX = 900
+"""Smaller images are enlarged by a whole number for masks, so that letters stay smaller than what they name."""
+NEAR_FAR_PERCENT = (5.0, 95.0)
+Box = tuple[int, int, int, int]
+
+
+def bgr(colour: Rgb) -> tuple[int, int, int]:
+    """The colour as OpenCV has it."""
+    return colour[2], colour[1], colour[0]
+
+
+def write_picture(path: Path, picture: Image) -> None:
+    """Write a PNG; raises OutputError where that fails."""
+    good, encoded = cv2.imencode(".png", picture)
+    if not good:
+        raise OutputError(f"{path}: cannot write: OpenCV cannot encode {picture.shape} as PNG")
+    with atomic_file(path) as target:
+        target.write_bytes(encoded.tobytes())
 
 
 def draw_on(
@@ -128,39 +64,28 @@ def draw_on(
     written: list[Box] = []
     for label in drawing.labels:
         if parts is None or label.part in parts:
-            written.append(
-                _write(pixels, printable(label.text), label.place_px, COLOURS[label.part], written)
-            )
+            written.append(_write_beside(pixels, label, written))
     if lines:
         for row, line in enumerate(drawing.lines):
-            colour = ALARM_COLOUR if line.alarm or not line.measured else (255, 255, 255)
+            colour = ALARM_COLOUR if line.alarm or not line.measured else WHITE
             _write_row(pixels, printable(line.text), row, colour)
     return pixels
 
 
-def bgr(colour: Rgb) -> tuple[int, int, int]:
-    """The colour as OpenCV has it."""
-    return colour[2], colour[1], colour[0]
-
-
 def _draw(pixels: Image, shape: Shape, unit_px: int) -> None:
-    colour = bgr(COLOURS[shape.part])
-    points = _fixed(shape.points_px)
+    colour, points = bgr(COLOURS[shape.part]), _fixed(shape.points_px)
     if shape.form is Form.POINTS:
-        radius = (2 if shape.part in (Part.INLIER, Part.MATCH) else 4) * unit_px << SUBPIXEL_BITS
-        for point in points:
-            place = int(point[0]), int(point[1])
-            if shape.part not in (Part.INLIER, Part.MATCH):
+        radius = (2 if shape.part in SMALL else 4) * unit_px << SUBPIXEL_BITS
+        for x, y in points.tolist():
+            if shape.part not in SMALL:
                 grown = radius + (unit_px << SUBPIXEL_BITS)
-                cv2.circle(pixels, place, grown, DARK, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
-            cv2.circle(pixels, place, radius, colour, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
+                cv2.circle(pixels, (x, y), grown, DARK, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
+            cv2.circle(pixels, (x, y), radius, colour, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
         return
     is_closed = shape.form is Form.LOOP
-    is_measured = shape.part in (Part.DISTANCE, Part.BETWEEN)
-    if is_measured:
+    if shape.part in (Part.DISTANCE, Part.BETWEEN):
         cv2.polylines(pixels, [points], is_closed, DARK, 4 * unit_px, cv2.LINE_AA, SUBPIXEL_BITS)
-    width = 2 * unit_px
-    cv2.polylines(pixels, [points], is_closed, colour, width, cv2.LINE_AA, SUBPIXEL_BITS)
+    cv2.polylines(pixels, [points], is_closed, colour, 2 * unit_px, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def _fixed(points_px: Array) -> Array:
@@ -174,21 +99,18 @@ def _letters(pixels: Image) -> tuple[float, int]:
     return scale, max(1, round(1.6 * scale))
 
 
-def _write(pixels: Image, text: str, place_px: Array, colour: Rgb, written: Sequence[Box]) -> Box:
-    """Write beside a place, shape (2,), and inside of the image, on dark ground, below what stands there already.
-
-    Gives the box (left, top, right, bottom) that is covered.
-    """
-    scale, thickness = _letters(pixels)
+def _write_beside(pixels: Image, label: Label, written: Sequence[Box]) -> Box:
+    """Write a label inside of the image, on dark ground, below what stands there already; gives the box it covers."""
+    text, (scale, thickness) = printable(label.text), _letters(pixels)
     (width, height), below = cv2.getTextSize(text, FONT, scale, thickness)
-    place = np.clip(np.nan_to_num(place_px), -LIMIT_PX, LIMIT_PX)
+    place = np.clip(np.nan_to_num(label.place_px), -LIMIT_PX, LIMIT_PX)
     x = int(np.clip(place[0] + 6, 2, max(2, pixels.shape[1] - width - 4)))
     y = int(np.clip(place[1] - 6, height + 4, max(height + 4, pixels.shape[0] - below - 3)))
     for left, top, right, bottom in sorted(written, key=lambda box: box[1]):
         if x - 2 < right and left < x + width + 2 and y - height - 3 < bottom and top < y + below:
             y = bottom + height + 4
     cv2.rectangle(pixels, (x - 2, y - height - 3), (x + width + 2, y + below), DARK, cv2.FILLED)
-    cv2.putText(pixels, text, (x, y), FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
+    cv2.putText(pixels, text, (x, y), FONT, scale, bgr(COLOURS[label.part]), thickness, cv2.LINE_AA)
     return x - 2, y - height - 3, x + width + 2, y + below
 
 
@@ -208,100 +130,89 @@ def _write_row(pixels: Image, text: str, row: int, colour: Rgb) -> None:
     cv2.putText(pixels, text, (4, top + height + 3), FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
 
 
-TISSUE: Colour = (120, 220, 120)
-SHAFT: Colour = (255, 190, 60)
-DISTAL: Colour = (90, 160, 255)
-BORDER: Colour = (160, 160, 160)
-EDGE: Colour = (0, 255, 255)
-TIP: Colour = (255, 120, 255)
+def _under(lines: Sequence[tuple[str, Rgb] | str], pixels: Image, scale: float = 0.7) -> Image:
+    """An image under lines of text, each in its colour."""
+    (_, height), below = cv2.getTextSize("Mg", FONT, scale, 1)
+    step = height + below + 8
+    bar = np.full((step * len(lines) + 8, pixels.shape[1], 3), DARK, np.uint8)
+    for at, line in enumerate(lines):
+        text, colour = line if isinstance(line, tuple) else (line, WHITE)
+        place = (8, at * step + height + 6)
+        cv2.putText(bar, printable(text), place, FONT, scale, bgr(colour), 1, cv2.LINE_AA)
+    return np.vstack([bar, pixels])
 
 
-def masks_panel(frame: ShownFrame, canvas: Canvas) -> list[tuple[str, Colour] | str]:
-    """Draw the masks of a frame at normalised exposure; the lines below say what has which colour, and how much."""
-    masks = frame.scene.left.masks
-    height, width = frame.scene.left.shape
-    parts = [
-        ("tissue", TISSUE, masks.tissue),
-        ("shaft", SHAFT, masks.shaft),
-        ("distal part", DISTAL, masks.instrument),
-    ]
-    lines: list[tuple[str, Colour] | str] = []
-    for name, colour, mask in parts:
-        if mask is None:
-            lines.append((f"{name}: not in the profile", colour))
-            continue
-        share = 100.0 * cv2.countNonZero(mask) / (height * width)
-        lines.append((f"{name}: {share:.1f} % of the image", colour))
-        if name != "tissue":
-            canvas.fill(mask, colour, 0.35)
-        canvas.contour(mask, colour)
+def _tinted(pixels: Image, parts: Sequence[tuple[Part, Image]]) -> Image:
+    """A copy of an image with masks, shape (h, w), as tints on it."""
+    pixels = np.array(pixels)
+    for part, mask in parts:
+        under = mask > 0
+        tint = np.array(bgr(COLOURS[part]), np.float64)
+        pixels[under] = ((1.0 - TINT) * pixels[under] + TINT * tint).astype(np.uint8)
+    return pixels
+
+
+def masks_picture(frame: DrawnFrame, title: str) -> Image:
+    """What was segmented, shape (h, w, 3) in BGR, under lines that say what has which colour and how much it is.
+
+    A frame that could not be read has its status only.
+    """
+    if not frame.replayed.frames:
+        return phases_picture(frame, title)
+    masks = frame.replayed.frames[0].scene.left.masks
+    image = frame.replayed.frames[0].scene.observation.image_bgr
+    parts = (("tissue", Part.TISSUE, masks.tissue), ("shaft", Part.SHAFT, masks.shaft),
+             ("distal part", Part.INSTRUMENT, masks.instrument))  # fmt: skip
+    lines: list[tuple[str, Rgb] | str] = [title]
+    shapes: list[Shape] = []
+    for name, part, mask in parts:
+        share = "not in the profile" if mask is None else f"{100.0 * np.mean(mask > 0):.1f} % of the image"
+        lines.append((f"{name}: {share}", COLOURS[part]))
+        shapes += [] if mask is None else contours_of(mask, part)
     if masks.black is not None and masks.black.any():
-        canvas.contour(masks.black, BORDER)
-        lines.append(("border of the picture", BORDER))
-    for one in frame.frames:
-        own = one.left.masks
-        if own.seen is None:
-            _name_region(own, one.arm.profile.instrument_name, canvas)
-        for seen in own.seen or ():
-            for side in seen.sides:
-                canvas.line(side[0], side[1], EDGE)
-            canvas.cross(seen.end_px, EDGE)
-            canvas.cross(seen.tip_px, TIP)
-    if masks.seen is not None:
-        lines += [("sides of each shaft and its end", EDGE), ("tip", TIP)]
+        shapes += contours_of(masks.black, Part.MATCH)
+        lines.append(("border of the picture", COLOURS[Part.MATCH]))
+    labels = []
+    if masks.seen is None:
+        for one in frame.replayed.frames:
+            places = np.argwhere(one.left.masks.instrument)[:, ::-1]
+            if len(places):
+                labels.append(Label(Part.INSTRUMENT, places.mean(0), one.arm.profile.instrument_name))
+    else:
+        lines += [("sides of each shaft", COLOURS[Part.MARKER]), ("its end, and the tip", COLOURS[Part.TIP])]
+        lines += [] if masks.seen else ["no instrument"]
         for at, seen in enumerate(masks.seen):
-            names = [
-                one.arm.profile.instrument_name
-                for one in frame.frames
-                if any(np.shares_memory(own.mask, seen.mask) for own in one.left.masks.seen or ())
-            ]
-            name = printable(names[0]) if len(names) == 1 else f"instrument {at + 1}"
-            canvas.label(f"{name}  {seen.evidence:.2f}", 0.5 * (seen.entry_px + seen.end_px), EDGE)
-        if not masks.seen:
-            lines.append("no instrument")
-    return lines
+            shapes += [Shape(Part.MARKER, Form.LINE, np.asarray(side)) for side in seen.sides]
+            shapes.append(Shape(Part.TIP, Form.POINTS, np.stack([seen.end_px, seen.tip_px])))
+            name = _owner(frame, seen.mask) or f"instrument {at + 1}"
+            place_px = 0.5 * (seen.entry_px + seen.end_px)
+            labels.append(Label(Part.MARKER, place_px, f"{name}  {seen.evidence:.2f}"))
+    tinted = _tinted(image, [(part, mask) for _, part, mask in parts[1:] if mask is not None])
+    times = max(1, -(-LEAST_WIDTH_PX // image.shape[1]))
+    large = cv2.resize(tinted, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)
+
+    def enlarged(points_px: Array) -> Array:
+        return (points_px + 0.5) * times - 0.5
+
+    drawing = replace(
+        frame.drawing,
+        shapes=tuple(replace(shape, points_px=enlarged(shape.points_px)) for shape in shapes),
+        labels=tuple(replace(label, place_px=enlarged(label.place_px)) for label in labels),
+    )
+    return _under(lines, draw_on(np.asarray(large, np.uint8), drawing, lines=False))
 
 
-def _name_region(masks: Masks, name: str, canvas: Canvas) -> None:
-    y, x = np.nonzero(masks.instrument)
-    if len(x):
-        canvas.label(printable(name), np.array([float(x.mean()), float(y.mean())]), DISTAL)
-
-
-PANELS = {"masks": masks_panel}
-"""What can be shown, by the name of its option: each draws one frame on a canvas of its image."""
-
-
-def picture_of(frame: ShownFrame, panels: Sequence[str], log: str) -> Image:
-    """The named panels of a frame side by side, shape (h, w, 3) in BGR, under a line that says what it is."""
-    drawn = []
-    for name in panels:
-        canvas = Canvas.of(frame.scene.observation.image_bgr)
-        remarks = PANELS[name](frame, canvas)
-        title = f"{printable(log)}  frame {frame.number}  {frame.seconds:.2f} s  {name}"
-        drawn.append(canvas.with_caption([title, *remarks]))
-    height = max(panel.shape[0] for panel in drawn)
-    padded = [
-        cv2.copyMakeBorder(panel, 0, height - panel.shape[0], 0, 0, cv2.BORDER_CONSTANT) for panel in drawn
+def _owner(frame: DrawnFrame, mask: Image) -> str:
+    """The instrument whose masks have this one; empty where it is none, or several."""
+    owners = [
+        one.arm.profile.instrument_name
+        for one in frame.replayed.frames
+        if any(np.shares_memory(own.mask, mask) for own in one.left.masks.seen or ())
     ]
-    return np.ascontiguousarray(np.hstack(padded), np.uint8)
+    return owners[0] if len(owners) == 1 else ""
 
 
-def write_picture(path: Path, picture: Image) -> None:
-    """Write a PNG; raises OutputError where that fails."""
-    good, encoded = cv2.imencode(".png", picture)
-    if not good:
-        raise OutputError(f"{path}: cannot write: OpenCV cannot encode {picture.shape} as PNG")
-    with atomic_file(path) as target:
-        target.write_bytes(encoded.tobytes())
-
-
-COLUMNS = 3
-TINT = 0.45
-NEAR_FAR_PERCENT = (5.0, 95.0)
-
-
-def phases_picture(frame: DrawnFrame, method: str, title: str) -> Image:
+def phases_picture(frame: DrawnFrame, title: str, method: str = "") -> Image:
     """All phases of a method on a frame in a grid, shape (h, w, 3) in BGR, under a line that says what it is.
 
     A phase whose detection this frame lacks is shown too: that it found nothing is what one wants to know. A frame
@@ -310,13 +221,22 @@ def phases_picture(frame: DrawnFrame, method: str, title: str) -> Image:
     lines = [title, *(line.text for line in frame.drawing.lines)]
     if not frame.replayed.frames or frame.replayed.image_bgr is None:
         return _under(lines, np.zeros((40, 960, 3), np.uint8))
-    panels = [_titled(name, _PHASES[name](frame)) for name in phases_of(method)]
+    panels = []
+    for name in REGISTRY[method].draws:
+        panel = _PHASES[name](frame)
+        panels.append(_under([name], panel, max(0.6, panel.shape[1] / 1100.0)))
     return _under(lines, _grid(panels))
 
 
-def phases_of(method: str) -> Sequence[str]:
-    """The names of a method's phases, in order."""
-    return REGISTRY[method].draws
+def _grid(panels: Sequence[Image]) -> Image:
+    columns = min(len(panels), 2 if len(panels) in (2, 4) else COLUMNS)
+    height, width = panels[0].shape[:2]
+    rows = -(-len(panels) // columns)
+    sheet = np.full((rows * height, columns * (width + 4), 3), DARK, np.uint8)
+    for at, panel in enumerate(panels):
+        y, x = at // columns * height, at % columns * (width + 4)
+        sheet[y : y + height, x : x + width] = panel
+    return sheet
 
 
 def _image(frame: DrawnFrame) -> Image:
@@ -332,20 +252,18 @@ def _only(*parts: Part) -> Callable[[DrawnFrame], Image]:
 def _segmentation(frame: DrawnFrame) -> Image:
     """Masks as tints on the image that was segmented, which has no distortion."""
     first = frame.replayed.frames[0]
-    pixels = np.array(first.scene.observation.image_bgr)
     recorded = "regions_as_recorded" in first.left.found
-    tissue = first.left.masks_as_recorded.tissue if recorded else first.left.masks.tissue
-    parts = [(Part.TISSUE, tissue)]
+
+    def masks_of(one: Frame) -> Masks:
+        return one.left.masks_as_recorded if recorded else one.left.masks
+
+    parts = [(Part.TISSUE, masks_of(first).tissue)]
     for one in frame.replayed.frames:
-        masks = one.left.masks_as_recorded if recorded else one.left.masks
+        masks = masks_of(one)
         parts.append((Part.INSTRUMENT, masks.instrument))
         if masks.shaft is not None and not recorded:
             parts.append((Part.SHAFT, masks.shaft))
-    for part, mask in parts:
-        under = mask > 0
-        tint = np.array(bgr(COLOURS[part]), np.float64)
-        pixels[under] = ((1.0 - TINT) * pixels[under] + TINT * tint).astype(np.uint8)
-    return pixels
+    return _tinted(first.scene.observation.image_bgr, parts)
 
 
 def _marker(frame: DrawnFrame) -> Image:
@@ -430,33 +348,3 @@ _PHASES: dict[Phase, Callable[[DrawnFrame], Image]] = {
     "surface": _surface,
     "distance": _result,
 }
-
-
-def _titled(name: str, pixels: Image) -> Image:
-    scale = max(0.6, pixels.shape[1] / 1100.0)
-    (_, height), below = cv2.getTextSize("Mg", FONT, scale, 1)
-    bar = np.full((height + below + 12, pixels.shape[1], 3), DARK, np.uint8)
-    cv2.putText(bar, name, (8, height + 6), FONT, scale, WHITE, 1, cv2.LINE_AA)
-    return np.vstack([bar, pixels])
-
-
-def _grid(panels: Sequence[Image]) -> Image:
-    columns = min(len(panels), 2 if len(panels) in (2, 4) else COLUMNS)
-    height, width = panels[0].shape[:2]
-    rows = -(-len(panels) // columns)
-    sheet = np.full((rows * height, columns * (width + 4), 3), DARK, np.uint8)
-    for at, panel in enumerate(panels):
-        y, x = at // columns * height, at % columns * (width + 4)
-        sheet[y : y + height, x : x + width] = panel
-    return sheet
-
-
-def _under(lines: Sequence[str], pixels: Image) -> Image:
-    scale = 0.7
-    (_, height), below = cv2.getTextSize("Mg", FONT, scale, 1)
-    step = height + below + 8
-    bar = np.full((step * len(lines) + 8, pixels.shape[1], 3), DARK, np.uint8)
-    for at, line in enumerate(lines):
-        place = (8, at * step + height + 6)
-        cv2.putText(bar, printable(line), place, FONT, scale, WHITE, 1, cv2.LINE_AA)
-    return np.vstack([bar, pixels])

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.report.html import Report
     from svmdist.report.tables import Column, Row, Table
-    from svmdist.workflows.annotate import DrawnFrame
-    from svmdist.workflows.setup import Setup
+    from svmdist.workflows.frame_drawing import DrawnFrame
+    from svmdist.workflows.request import Setup
 
 
 class Holds(Flag):
@@ -148,13 +148,13 @@ def _save_parquet(results: Results, output: Path) -> None:
 def _save_annotated(
     frames: Iterable[DrawnFrame], seen: Recording, setup: Setup, output: Path, force: bool
 ) -> None:
-    from svmdist.report.video import write_annotated
+    from svmdist.report.annotated import write_annotated
 
-    write_annotated(seen, frames, setup, output, force=force)
+    write_annotated(frames, seen, setup, output, force=force)
 
 
 def _save_video(frames: Iterable[DrawnFrame], seen: Recording, _: Setup, output: Path, __: bool) -> None:
-    from svmdist.report.video import write_video
+    from svmdist.report.annotated import write_video
 
     write_video(frames, output, (seen.logged_camera.width_px, seen.logged_camera.height_px))
 

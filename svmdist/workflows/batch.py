@@ -26,8 +26,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from svmdist.errors import OutputError, ProfileError, SvmdistError, UsageError
 from svmdist.files import write_atomically
-from svmdist.input_file import LogPath, why
-from svmdist.recording.log import files_of
+from svmdist.input_file import LogPath, files_of, why
 from svmdist.recording.source import Health, Loss
 from svmdist.remote_file import RemoteFile
 from svmdist.workflows.parallel import Progress, each_in_processes, one_opencv_thread, usable_cores

@@ -1,8 +1,8 @@
-"""The drawing of a replayed frame: the one source of pictures, videos and annotations of recordings."""
+"""The drawing of a replayed frame: the one source of pictures, videos, reports and annotations of recordings."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -22,15 +22,19 @@ from svmdist.drawing import (
     StatusLine,
     Surface,
 )
-from svmdist.estimation.alarms import AlarmState
+from svmdist.errors import UsageError
+from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, ShaftDetection
 from svmdist.estimation.planar import mark, template_features
 from svmdist.geometry.surfaces import Mesh
 from svmdist.metrics import deviations_at
 from svmdist.profile import Profile
+from svmdist.recording.log import Recording
+from svmdist.recording.observations import LEFT_IMAGES
+from svmdist.recording.topics import Role
 from svmdist.results import Distance, FrameResult
-from svmdist.samples import Image
+from svmdist.samples import Image, Status
 from svmdist.transforms import Array
 from svmdist.vision.frame_context import seen_through, to_grey
 from svmdist.vision.marker import (
@@ -44,12 +48,147 @@ from svmdist.vision.marker import (
 )
 from svmdist.vision.regions import Region
 from svmdist.vision.shaft_segmentation import ShaftRegion
-from svmdist.workflows.replay import Replayed
+from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import Setup
 
+LEVEL = 0.95
+"""Of the intervals that are shown."""
 CIRCLE_POINTS = 36
 MIN_CONTOUR_PX = 6
 """Shorter contours are specks."""
+BEND_STEP_PX = 10.0
+"""A straight line of an ideal camera is drawn in pieces of this length where the lens bends it."""
+
+
+@dataclass(frozen=True)
+class DrawnFrame:
+    """One image of a log: its number, what a method gave, the alarms by instrument, and the drawing."""
+
+    number: int
+    seconds: float
+    replayed: Replayed
+    alarms: Mapping[str, AlarmState]
+    drawing: FrameDrawing
+
+
+def drawn_frames(
+    recording: Recording,
+    setup: Setup,
+    rules: AlarmRules | None = None,
+    wanted: Sequence[str] | None = None,
+    jobs: int | None = None,
+    numbers: Collection[int] | None = None,
+    on_image: Callable[[], None] | None = None,
+) -> Iterator[DrawnFrame]:
+    """Replay a recording and draw every image, or those of some numbers; with `rules`, alarms are watched.
+
+    Images after the last of these numbers are not read. `on_image` is called for every image that is.
+    """
+    last = max(numbers, default=-1) if numbers is not None else None
+    watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
+    for (replayed,) in replay(recording, [setup], wanted=wanted, jobs=jobs):
+        number, seconds = replayed.results[0].number, replayed.results[0].seconds
+        alarms = {
+            result.instrument: watches[result.instrument].watch(result)
+            for result in replayed.results
+            if result.instrument in watches
+        }
+        if on_image is not None:
+            on_image()
+        if numbers is None or number in numbers:
+            drawing = frame_drawing(replayed, setup, alarms)
+            yield DrawnFrame(number, seconds, replayed, alarms, drawing)
+        if last is not None and number >= last:
+            return
+
+
+class Segmented:
+    """Stands in for a method where only the masks are shown: it measures nothing."""
+
+    name = "masks"
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """A result without a distance."""
+        return FrameResult(frame.scene.observation.stamp_ns, Status.OK)
+
+
+def image_stamps_ns(recording: Recording) -> list[int]:
+    """The stamp of every image of a log, in file order; raises UsageError for a log without one."""
+    stamps = [one.stamp_ns for one in recording.encoded_observations(recording.instruments[:1], LEFT_IMAGES)]
+    if not stamps:
+        raise UsageError(f"{recording.path.name}: no image on {recording.topic_of(Role.IMAGE)} can be read")
+    return stamps
+
+
+def spread(count: int, wanted: int) -> Sequence[int]:
+    """At most `wanted` of the numbers below `count`, evenly apart, the first one among them."""
+    if count <= wanted:
+        return range(count)
+    return [round(at * (count - 1) / (wanted - 1)) for at in range(wanted)] if wanted > 1 else [0]
+
+
+def frame_drawing(
+    replayed: Replayed, setup: Setup, alarms: Mapping[str, AlarmState] | None = None
+) -> FrameDrawing:
+    """Draw one image of a replay, with the alarms of its instruments by name; pixels are those of the recorded image.
+
+    An image that could not be read has only lines that say so.
+    """
+    frames, results = replayed.frames, replayed.results
+    lines = tuple(
+        status_line(result, setup.method, (alarms or {}).get(result.instrument)) for result in results
+    )
+    if not frames:
+        return FrameDrawing(results[0].stamp_ns, lines=lines)
+    lens = frames[0].scene.lens
+    shapes = list(_through_lens(_detected(frames, results, setup), lens))
+    labels: list[Label] = []
+    for result in results:
+        shapes += place_shapes(result)
+        for drawn in distance_shapes(result, lens):
+            if isinstance(drawn, Label):
+                # Two instruments share the distance between them: it is written once.
+                if all(drawn.text != known.text or drawn.part is not known.part for known in labels):
+                    labels.append(drawn)
+            else:
+                shapes.append(drawn)
+    scene = scene_drawing(frames, results)
+    return FrameDrawing(results[0].stamp_ns, tuple(shapes), tuple(labels), lines, scene)
+
+
+def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup: Setup) -> Iterable[Shape]:
+    yield from scene_shapes(frames[0])
+    for frame, result in zip(frames, results, strict=True):
+        yield from tool_shapes(frame, result.instrument)
+        if setup.method == "overlay":
+            found = virtual_marker(frame, frame.arm.profile)
+            if found is not None:
+                yield from marker_shapes(found, result.instrument)
+
+
+def _through_lens(shapes: Iterable[Shape], lens: Camera) -> Iterable[Shape]:
+    """The shapes where the lens shows them: detectors looked at an image without distortion."""
+    if not lens.has_distortion:
+        yield from shapes
+        return
+    for shape in shapes:
+        points_px = shape.points_px
+        if shape.form is not Form.POINTS:
+            points_px = _in_pieces(points_px, is_closed=shape.form is Form.LOOP)
+        yield replace(shape, points_px=seen_through(lens, points_px))
+
+
+def _in_pieces(points_px: Array, *, is_closed: bool) -> Array:
+    """The polyline with points no further apart than a step, shape (m, 2)."""
+    starts = points_px if is_closed else points_px[:-1]
+    ends = np.roll(points_px, -1, axis=0) if is_closed else points_px[1:]
+    pieces = []
+    for start, end in zip(starts, ends, strict=True):
+        count = max(1, int(np.ceil(np.linalg.norm(end - start) / BEND_STEP_PX)))
+        pieces.append(start + np.linspace(0.0, 1.0, count, endpoint=False)[:, None] * (end - start))
+    if not is_closed:
+        pieces.append(points_px[-1:])
+    return np.concatenate(pieces)
 
 
 def scene_shapes(frame: Frame) -> Iterator[Shape]:
@@ -97,8 +236,15 @@ def _contours(mask: Image, region: Region, part: Part, name: str = "") -> Iterat
     x, y, width, height = cv2.boundingRect(region.hull)
     inside = np.zeros((height, width), np.uint8)
     cv2.fillConvexPoly(inside, region.hull - np.array([x, y], np.int32), 255)
-    window = cv2.bitwise_and(np.ascontiguousarray(mask[y : y + height, x : x + width]), inside)
-    contours, _ = cv2.findContours(window, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=(x, y))
+    window = np.ascontiguousarray(mask[y : y + height, x : x + width])
+    yield from contours_of(cv2.bitwise_and(window, inside), part, name, (x, y))
+
+
+def contours_of(mask: Image, part: Part, name: str = "", offset: tuple[int, int] = (0, 0)) -> Iterator[Shape]:
+    """The outer contours of a mask, shape (h, w), whose first pixel is at an offset (x, y)."""
+    contours, _ = cv2.findContours(
+        np.asarray(mask, np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=offset
+    )
     for contour in contours:
         if cv2.arcLength(contour, closed=True) >= MIN_CONTOUR_PX:
             yield Shape(part, Form.LOOP, contour.reshape(-1, 2).astype(np.float64), name)
@@ -194,9 +340,6 @@ def marker_shapes(found: VirtualMarker, name: str) -> Iterator[Shape]:
             yield Shape(part, Form.POINTS, found.matched_px[chosen], name)
 
 
-LEVEL = 0.95
-
-
 def shown_distance(result: FrameResult) -> tuple[str, Distance] | None:
     """The distance that says most: the clearance, else the spatial, else the planar one; None without any."""
     if not result.measured:
@@ -281,71 +424,3 @@ def scene_drawing(frames: tuple[Frame, ...], results: tuple[FrameResult, ...]) -
         mesh = tissue.pose.surface
         surface = Surface("tissue", mesh.vertices_m, mesh.faces)
     return SceneDrawing(tuple(bodies), surface, tuple(one for result in results for one in segments(result)))
-
-
-BEND_STEP_PX = 10.0
-"""A straight line of an ideal camera is drawn in pieces of this length where the lens bends it."""
-
-
-def frame_drawing(
-    replayed: Replayed, setup: Setup, alarms: Mapping[str, AlarmState] | None = None
-) -> FrameDrawing:
-    """Draw one image of a replay, with the alarms of its instruments by name; pixels are those of the recorded image.
-
-    An image that could not be read has only lines that say so.
-    """
-    frames, results = replayed.frames, replayed.results
-    lines = tuple(
-        status_line(result, setup.method, (alarms or {}).get(result.instrument)) for result in results
-    )
-    if not frames:
-        return FrameDrawing(results[0].stamp_ns, lines=lines)
-    lens = frames[0].scene.lens
-    shapes = list(_through_lens(_detected(frames, results, setup), lens))
-    labels: list[Label] = []
-    for result in results:
-        shapes += place_shapes(result)
-        for drawn in distance_shapes(result, lens):
-            if isinstance(drawn, Label):
-                # Two instruments share the distance between them: it is written once.
-                if all(drawn.text != known.text or drawn.part is not known.part for known in labels):
-                    labels.append(drawn)
-            else:
-                shapes.append(drawn)
-    scene = scene_drawing(frames, results)
-    return FrameDrawing(results[0].stamp_ns, tuple(shapes), tuple(labels), lines, scene)
-
-
-def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup: Setup) -> Iterable[Shape]:
-    yield from scene_shapes(frames[0])
-    for frame, result in zip(frames, results, strict=True):
-        yield from tool_shapes(frame, result.instrument)
-        if setup.method == "overlay":
-            found = virtual_marker(frame, frame.arm.profile)
-            if found is not None:
-                yield from marker_shapes(found, result.instrument)
-
-
-def _through_lens(shapes: Iterable[Shape], lens: Camera) -> Iterable[Shape]:
-    """The shapes where the lens shows them: detectors looked at an image without distortion."""
-    if not lens.has_distortion:
-        yield from shapes
-        return
-    for shape in shapes:
-        points_px = shape.points_px
-        if shape.form is not Form.POINTS:
-            points_px = _in_pieces(points_px, is_closed=shape.form is Form.LOOP)
-        yield replace(shape, points_px=seen_through(lens, points_px))
-
-
-def _in_pieces(points_px: Array, *, is_closed: bool) -> Array:
-    """The polyline with points no further apart than a step, shape (m, 2)."""
-    starts = points_px if is_closed else points_px[:-1]
-    ends = np.roll(points_px, -1, axis=0) if is_closed else points_px[1:]
-    pieces = []
-    for start, end in zip(starts, ends, strict=True):
-        count = max(1, int(np.ceil(np.linalg.norm(end - start) / BEND_STEP_PX)))
-        pieces.append(start + np.linspace(0.0, 1.0, count, endpoint=False)[:, None] * (end - start))
-    if not is_closed:
-        pieces.append(points_px[-1:])
-    return np.concatenate(pieces)

@@ -30,7 +30,8 @@ from svmdist.input_file import LogPath
 from svmdist.perturbations.calibration import stated_profile
 from svmdist.perturbations.chosen import Perturbations
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
-from svmdist.recording.log import KnownLag, Reading, Recording, Window, open_recording
+from svmdist.recording.log import KnownLag, Recording, open_recording
+from svmdist.recording.observations import Reading, Window
 from svmdist.recording.topics import Role
 from svmdist.results import FrameResult
 from svmdist.vision.segmentation import Segmenter, make_segmenter
@@ -192,7 +193,7 @@ def prepare(
     file of camera-to-base transforms in place of the profile's. Raises ProfileError, CalibrationError or UsageError.
     """
     if not isinstance(method, str):
-        loaded = profile if isinstance(profile, Profile) else load_profile(profile)
+        loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
         return Setup(loaded, name_of(method), equations, None, own=method)
     if method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")

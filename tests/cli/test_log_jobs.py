@@ -22,7 +22,7 @@ from svmdist.cli.fk import FkJob
 from svmdist.cli.info import InfoJob
 from svmdist.errors import OutputError, RecordingError, UsageError
 from svmdist.profile import load_profile
-from svmdist.recording.log import Window
+from svmdist.recording.observations import Window
 from svmdist.report.scores import LogFigures
 from svmdist.vision.degradations import Blur
 from svmdist.workflows.conditions import CLEAN

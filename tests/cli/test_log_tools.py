@@ -15,8 +15,7 @@ import pytest
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.log import open_recording
-from svmdist.recording.messages.checks import EncodedImage
-from svmdist.recording.messages.decoding import Decoder
+from svmdist.recording.messages import Decoder, to_sample
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import ImageSample, JointSample, PoseSample, Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, quaternion_xyzw_from_rotation
@@ -37,10 +36,7 @@ def golden_samples(golden: Path) -> Logs:
         decoder = Decoder(Limits())
         logs[name] = []
         for raw in open_recording(golden / f"{name}.mcap", load_profile()).raw_messages():
-            sample = decoder.decode(raw)
-            if isinstance(sample, EncodedImage):
-                sample = ImageSample(sample.stamp_ns, sample.frame_id, sample.decode())
-            logs[name].append((raw.topic, sample))
+            logs[name].append((raw.topic, to_sample(decoder.decode(raw))))
     return logs
 
 

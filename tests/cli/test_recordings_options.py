@@ -12,7 +12,8 @@ import pytest
 from svmdist.cli.recordings import logs_in, window_of
 
 from svmdist.errors import UsageError
-from svmdist.recording.log import Window, unique_names
+from svmdist.input_file import unique_names
+from svmdist.recording.observations import Window
 from tests.cli.conftest import Cli
 
 

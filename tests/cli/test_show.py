@@ -10,7 +10,7 @@ import numpy as np
 from svmdist.drawing import COLOURS, Part
 from svmdist.recording.log import open_recording
 from svmdist.report.panels import bgr, phases_picture
-from svmdist.workflows.annotate import drawn_frames
+from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.request import prepare
 from tests.cli.conftest import Cli
 
@@ -44,7 +44,7 @@ def test_every_method_has_panels_for_what_it_found(golden: Path) -> None:
         setup = prepare(method=method)
         recording = open_recording(golden / "3d" / "duo.mcap", setup.profile)
         (frame,) = drawn_frames(recording, setup, numbers=[0], jobs=1)
-        assert has_colour(phases_picture(frame, method, "duo"), part) > 50
+        assert has_colour(phases_picture(frame, "duo", method), part) > 50
 
 
 def test_at_takes_the_nearest_image_and_worst_the_worst(golden: Path, cli: Cli, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import zstandard
 
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits
-from svmdist.recording.mcap_file.source import McapSource
+from svmdist.recording.mcap import McapSource
 from svmdist.recording.source import LossKind
 
 HEAD = struct.Struct("<BQ")

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from mcap_ros2.writer import Writer as Ros2McapWriter
 from rosbags.rosbag1 import Writer as Bag1Writer
@@ -20,7 +17,7 @@ from rosbags.typesys.store import Typestore
 from svmdist.samples import CameraSample, ImageSample, JointSample, PoseSample, Sample, TransformsSample
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
-from .builders import Entry, write_messages
+from .builders import Entry
 
 Message = tuple[str, str, dict[str, Any], int]
 """Topic, ROS type with `/msg/`, fields, and log time in ns."""
@@ -189,45 +186,3 @@ def _write_all(
             writer.write(
                 connections[topic], log_time_ns, serialize(build(store, type_name, fields), type_name)
             )
-
-
-def foxglove_json(sample: Sample) -> tuple[str, dict[str, Any]] | None:
-    """A sample as a Foxglove schema and JSON object; None for what has none."""
-    time = {"timestamp": {"sec": sample.stamp_ns // 10**9, "nsec": sample.stamp_ns % 10**9}}
-    match sample:
-        case ImageSample():
-            png = cv2.imencode(".png", sample.image_bgr)[1].tobytes()
-            data = {"frame_id": sample.frame_id, "data": base64.b64encode(png).decode(), "format": "png"}
-            return "foxglove.CompressedImage", time | data
-        case CameraSample(camera=camera):
-            matrices = {"D": camera.D, "K": camera.K, "R": camera.R_rectified_camera, "P": camera.P}
-            data = {name: np.ravel(value).tolist() for name, value in matrices.items()}
-            size = {"width": camera.width_px, "height": camera.height_px, "distortion_model": "plumb_bob"}
-            return "foxglove.CameraCalibration", time | {"frame_id": camera.frame_id} | size | data
-        case JointSample():
-            pairs = zip(sample.names, sample.positions.tolist(), strict=True)
-            joints = [{"name": name, "position": position} for name, position in pairs]
-            return "foxglove.JointStates", time | {"joints": joints}
-        case PoseSample():
-            pose = rigid(sample.T_frame_pose, "position", "orientation")
-            return "foxglove.PoseInFrame", time | {"frame_id": sample.frame_id, "pose": pose}
-        case TransformsSample():
-            transforms = [
-                time
-                | {"parent_frame_id": one.parent, "child_frame_id": one.child}
-                | rigid(one.T_parent_child, "translation", "rotation")
-                for one in sample.transforms
-            ]
-            return "foxglove.FrameTransforms", {"transforms": transforms}
-    return None
-
-
-def write_foxglove_json(path: Path, entries: Sequence[Entry]) -> Path:
-    """Write Foxglove's schemas in JSON."""
-    found = [(entry, foxglove_json(entry.sample)) for entry in entries]
-    rows = [
-        (entry.topic, message[0], "json", json.dumps(message[1]).encode(), entry.sample.stamp_ns)
-        for entry, message in found
-        if message
-    ]
-    return write_messages(path, rows)

@@ -8,7 +8,7 @@ import pytest
 
 from svmdist.profile import Limits, Profile
 from svmdist.profile.robot import ArmFrames, ArmTopics, OtherInstrument
-from svmdist.recording.mcap_file.source import McapSource
+from svmdist.recording.mcap import McapSource
 from svmdist.recording.topics import Role, find_arms
 
 from .builders import write_messages

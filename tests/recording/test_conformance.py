@@ -10,13 +10,8 @@ import tarfile
 from pathlib import Path
 from typing import Any
 
-from mcap.opcode import Opcode
-
 from svmdist.profile import Limits
-from svmdist.recording.mcap_file.container import Container
-from svmdist.recording.mcap_file.content import MessageRecord
-from svmdist.recording.mcap_file.record_parsers import parse
-from svmdist.recording.source import Health
+from svmdist.recording.mcap import McapSource
 
 ARCHIVE = Path(__file__).parents[1] / "data" / "mcap-conformance.tar.xz"
 
@@ -35,24 +30,18 @@ def as_json(value: Any) -> Any:
 
 
 def read_as_json(path: Path) -> list[dict[str, Any]]:
-    """Read a file through the hardened container, every field of every record."""
-    health = Health()
+    """Read a file through the source, every field of every record."""
+    source = McapSource(path, Limits())
     found = []
-    for record in Container(path, Limits(), health).records():
-        if isinstance(record, MessageRecord):
-            kind = "Message"
-            fields: dict[str, Any] = {
-                "channel_id": record.channel_id,
-                "data": bytes(record.data),
-                "log_time": record.log_time_ns,
-                "publish_time": record.publish_time_ns,
-                "sequence": record.sequence,
+    for record in source.records():
+        fields = vars(record)
+        found.append(
+            {
+                "type": type(record).__name__,
+                "fields": [[name, as_json(fields[name])] for name in sorted(fields)],
             }
-        else:
-            body = parse(Opcode(record.opcode), record.body)
-            kind, fields = type(body).__name__, vars(body)
-        found.append({"type": kind, "fields": [[name, as_json(fields[name])] for name in sorted(fields)]})
-    assert health.losses == ()
+        )
+    assert source.health.losses == ()
     return found
 
 

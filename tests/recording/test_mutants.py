@@ -20,12 +20,10 @@ from svmdist.geometry.mesh_files import read_closed_mesh
 from svmdist.profile import Limits, Profile, load_profile
 from svmdist.recording.images import ImageError, decode_still
 from svmdist.recording.log import open_recording
-from svmdist.recording.messages.checks import DecodeError
-from svmdist.recording.messages.decoding import SCHEMAS, Decoder
-from svmdist.recording.rosbag.bag2_metadata import MetadataError, parse_metadata
+from svmdist.recording.messages import KINDS, DecodeError, Decoder
 from svmdist.recording.source import RawMessage
 from svmdist.recording.summary import inspect_recording
-from svmdist.remote_file import _blocks
+from svmdist.remote_file import _shared
 from svmdist.samples import Sample
 
 from .faults import mutate_body
@@ -49,18 +47,12 @@ def far(data: bytes, _: Path) -> None:
     import fsspec
 
     fsspec.filesystem("memory").pipe_file("/mutant.mcap", data)
-    _blocks.cache_clear()
+    _shared.cache_clear()
     with suppress(SvmdistError):
         recording = open_recording("memory://mutant.mcap", load_profile())
         for _ in recording.raw_messages():
             pass
         assert isinstance(recording.metadata, dict)
-
-
-def yaml(data: bytes, _: Path) -> None:
-    """The metadata.yaml of a bag."""
-    with suppress(MetadataError):
-        parse_metadata(data)
 
 
 def profile(data: bytes, folder: Path) -> None:
@@ -103,7 +95,7 @@ def message(encoding: str) -> Callable[[bytes, Path], None]:
     """A message of an encoding, taken for each schema that it may have."""
 
     def decode(data: bytes, _: Path) -> None:
-        for schema in SCHEMAS[encoding]:
+        for schema in KINDS[encoding]:
             raw = RawMessage("/t", schema, encoding, 1, data)
             with suppress(DecodeError):
                 found: Sample | object = Decoder(LIMITS).decode(raw)
@@ -120,13 +112,11 @@ TARGETS: dict[str, Callable[[bytes, Path], None]] = {
     "far": far,
     "bag1": log,
     "sqlite": log,
-    "yaml": yaml,
     "profile": profile,
     "toml": toml,
     "mesh": mesh,
     "image": image,
     "protobuf": message("protobuf"),
-    "json": message("json"),
     "cdr": message("cdr"),
     "ros1": message("ros1"),
 }

@@ -10,18 +10,15 @@ import zstandard
 from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError
-from svmdist.profile import Limits
-from svmdist.recording.log import LOOKS_LIKE, open_source
-from svmdist.recording.mcap_file.framing import MAGIC
-from svmdist.recording.mcap_file.source import McapSource
-from svmdist.recording.rosbag.bag1_source import Rosbag1Source
-from svmdist.recording.rosbag.bag2_source import Rosbag2Source
-from svmdist.recording.rosbag.sqlite_source import SqliteSource
+from svmdist.profile import load_profile
+from svmdist.recording.log import LOOKS_LIKE, open_recording
+from svmdist.recording.mcap import MAGIC, McapSource
+from svmdist.recording.rosbag import BagSource, FolderSource
 
 from .builders import Entry, write_messages
 from .other_recorders import ros_messages, write_rosbag1, write_rosbag2
 
-LIMITS = Limits()
+PROFILE = load_profile()
 
 
 def test_each_format_has_its_reader_whatever_its_name(
@@ -34,11 +31,11 @@ def test_each_format_has_its_reader_whatever_its_name(
     database = next(folder.glob("*.db3")).rename(tmp_path / "b.dat")
     mcap = tmp_path / "c.dat"
     mcap.write_bytes(native.read_bytes())
-    assert isinstance(open_source(mcap, LIMITS), McapSource)
-    assert isinstance(open_source(bag, LIMITS), Rosbag1Source)
-    assert isinstance(open_source(database, LIMITS), SqliteSource)
+    assert isinstance(open_recording(mcap, PROFILE).file.source, McapSource)
+    assert isinstance(open_recording(bag, PROFILE).file.source, BagSource)
+    assert isinstance(open_recording(database, PROFILE).file.source, BagSource)
     database.rename(folder / "b.db3")
-    assert isinstance(open_source(folder, LIMITS), Rosbag2Source)
+    assert isinstance(open_recording(folder, PROFILE).file.source, FolderSource)
 
 
 @pytest.mark.parametrize(
@@ -49,19 +46,19 @@ def test_another_kind_of_file_is_named(tmp_path: Path, number: int) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(magic + bytes(40))
     with pytest.raises(RecordingError, match=f"is {what}; expected an MCAP file, a ROS 1 bag or"):
-        open_source(path, LIMITS)
+        open_recording(path, PROFILE)
 
 
 def test_what_is_nothing_known_is_no_recording(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     for data, reason in (
         (b"", "is empty"),
-        (b"hello", "is no recording"),
+        (b"hello", "is not a recording"),
         (MAGIC[:5], "truncated at byte 5"),
     ):
         path.write_bytes(data)
         with pytest.raises(RecordingError, match=reason):
-            open_source(path, LIMITS)
+            open_recording(path, PROFILE)
 
 
 def test_a_path_that_is_no_file_is_told(tmp_path: Path) -> None:
@@ -75,7 +72,7 @@ def test_a_path_that_is_no_file_is_told(tmp_path: Path) -> None:
     }
     for path, reason in refused.items():
         with pytest.raises(RecordingError, match=reason):
-            open_source(path, LIMITS)
+            open_recording(path, PROFILE)
 
 
 def test_a_file_out_of_a_compressed_bag_asks_for_its_folder(tmp_path: Path) -> None:
@@ -83,4 +80,4 @@ def test_a_file_out_of_a_compressed_bag_asks_for_its_folder(tmp_path: Path) -> N
     compressed = zstandard.compress(bytes(100))
     path = write_messages(tmp_path / "a.mcap", [("/js", "sensor_msgs/msg/JointState", "cdr", compressed, 1)])
     with pytest.raises(RecordingError, match="compressed one by one; open the folder"):
-        open_source(path, LIMITS)
+        open_recording(path, PROFILE)

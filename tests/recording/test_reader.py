@@ -37,7 +37,7 @@ IMAGE = "foxglove.CompressedImage"
     [
         (None, "no such file"),
         (b"", "is empty"),
-        (b"hello, this is text", "is no recording; expected an MCAP file"),
+        (b"hello, this is text", "is not a recording; expected an MCAP file"),
         (b"\x89MCAP", "truncated at byte 5"),
         (gzip.compress(b"x"), "gzip-compressed"),
         (b"#ROSBAG V1.2\n", "version 1"),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-import io
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -18,8 +16,7 @@ from fsspec.spec import AbstractBufferedFile, AbstractFileSystem
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.log import open_recording
-from svmdist.recording.mcap_file.indexed import read_index
-from svmdist.recording.mcap_file.source import McapSource
+from svmdist.recording.mcap import McapSource, read_summary
 from svmdist.remote_file import RemoteFile, is_url
 from tests.recording.builders import rewrite
 from tests.synthetic import make_scene, write_log
@@ -154,10 +151,12 @@ def write_apart(log: Path, path: Path) -> None:
 
 def test_a_chunk_that_is_damaged_is_a_loss(log: Path) -> None:
     """As it is on a disk, at the same place."""
-    index = read_index(log, Limits())
-    assert index is not None
+    with log.open("rb") as file:
+        summary = read_summary(file)
+    assert summary is not None
+    chunk = summary.chunk_indexes[1]
     data = bytearray(log.read_bytes())
-    data[index.chunks[1].offset + index.chunks[1].length // 2] ^= 0xFF
+    data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0xFF
     log.write_bytes(data)
     near, far = McapSource(log, Limits()), McapSource(RemoteFile(f"counted://{log}"), Limits())
     assert everything(far) == everything(near)
@@ -210,33 +209,6 @@ def test_a_server_without_ranges_gives_the_file_whole(log: Path) -> None:
         server.shutdown()
 
 
-def test_what_is_kept_of_a_server_is_closed_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The copy of a file goes with the blocks that are read of it, though these are part of a circle."""
-    from svmdist import remote_file
-
-    made = []
-
-    def downloaded(file: object) -> object:
-        copy = io.BytesIO(b"0123456789")
-        made.append(copy)
-        return copy
-
-    class WholeOnly:
-        def info(self, path: str) -> dict[str, object]:
-            return {"name": path}
-
-        def open(self, path: str, *_: object, **__: object) -> io.BytesIO:
-            return io.BytesIO()
-
-    monkeypatch.setattr(remote_file, "_downloaded", downloaded)
-    monkeypatch.setattr(remote_file, "filesystem_of", lambda url: (WholeOnly(), url))
-    blocks = remote_file._Blocks("http://host/log.mcap")
-    assert blocks.read(2, 5) == b"234"
-    del blocks
-    gc.collect()
-    assert made[0].closed
-
-
 def test_a_protocol_that_nobody_knows() -> None:
     with pytest.raises(RecordingError, match="cannot read: Protocol not known: nowhere"):
         open_recording("nowhere://x/log.mcap", PROFILE)
@@ -255,7 +227,7 @@ def test_many_flipped_bits_give_no_wrong_value_and_no_silent_loss(log: Path, tmp
 def check_flips(path: Path, count: int) -> None:
     import random
 
-    from svmdist.remote_file import _blocks
+    from svmdist.remote_file import _shared
 
     rng = random.Random(count)
     data = path.read_bytes()
@@ -267,7 +239,7 @@ def check_flips(path: Path, count: int) -> None:
         flipped = bytearray(data)
         flipped[rng.randrange(len(flipped))] ^= 1 << rng.randrange(8)
         memory.pipe_file("/flipped.mcap", bytes(flipped))
-        _blocks.cache_clear()
+        _shared.cache_clear()
         source = McapSource(RemoteFile("memory://flipped.mcap"), Limits())
         try:
             found = everything(source, topics)

@@ -11,10 +11,7 @@ import pytest
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
-from svmdist.recording import observations as pairing
-from svmdist.recording import observations as transform_buffer
 from svmdist.recording.log import open_recording
-from svmdist.recording.observations import TransformBuffer
 from svmdist.samples import CameraSample, ImageSample, Observation, TransformSample, TransformsSample
 from svmdist.transforms import Array, inverse, rotation_x
 from tests.rotations import rotation_y
@@ -114,24 +111,6 @@ def test_the_right_topics_leave_the_left_ones_to_be_found(tmp_path: Path, profil
     assert [item.right for item in observations(path, profile)] == [None] * 5
 
 
-def test_waiting_right_images_are_bounded(
-    tmp_path: Path, profile: Profile, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Right images without left ones are forgotten, the oldest first, and never the newest."""
-    monkeypatch.setattr(pairing, "MAX_WAITING_BYTES", 1)
-    buffer = pairing.RightBuffer()
-    path = write_scene(tmp_path / "pair.mcap", with_right(scene()))
-    recording = open_recording(path, profile)
-    images = [
-        item for item in recording._observer.items("/ECM/left/image") if isinstance(item, pairing.LoggedImage)
-    ]
-    for logged in images:
-        buffer.add(logged)
-    assert buffer.take(images[0].image.stamp_ns) is None
-    assert buffer.take(images[-1].image.stamp_ns) is images[-1]
-    assert buffer.take(images[-1].image.stamp_ns) is None
-
-
 def test_an_unrectified_pair_is_turned_back() -> None:
     """T_left_right of two cameras, each turned into the common frame by its own rotation."""
     left = replace(CAMERA, R_rectified_camera=rotation_y(0.02))
@@ -172,16 +151,3 @@ def test_the_believed_base_is_interpolated_along_the_tree(tmp_path: Path, profil
 def test_a_log_whose_transforms_lack_the_base_has_none(tmp_path: Path, profile: Profile) -> None:
     path = write_scene(tmp_path / "plain.mcap", scene())
     assert [item.T_camera_base for item in observations(path, profile)] == [None] * 5
-
-
-def test_the_buffer_forgets_and_does_not_reach_across_gaps(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transform_buffer, "MAX_TRANSFORMS", 10)
-    buffer = TransformBuffer("camera", "base")
-    for step in range(30):
-        buffer.add(TransformSample(step * 10**7, "camera", "base", pose(step)), is_static=False)
-    assert buffer.at(0) is None
-    np.testing.assert_array_equal(buffer.at(29 * 10**7), pose(29))
-    buffer.add(TransformSample(50 * 10**7, "camera", "base", pose(1)), is_static=False)
-    assert buffer.at(40 * 10**7) is None
-    assert buffer.at(51 * 10**7) is None
-    assert buffer.newest_ns == 50 * 10**7

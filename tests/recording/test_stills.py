@@ -30,7 +30,7 @@ def test_sixteen_bits_and_no_image_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="16 bits; 8 are expected"):
         read_file(tmp_path / "deep.tiff", Limits())
     (tmp_path / "no.bmp").write_bytes(b"BMno")
-    with pytest.raises(SourceError, match=r"no.bmp: no image that can be decoded"):
+    with pytest.raises(SourceError, match=r"no.bmp: not an image that can be decoded"):
         read_file(tmp_path / "no.bmp", Limits())
     with pytest.raises(SourceError, match="cannot read"):
         read_file(tmp_path, Limits())

@@ -10,9 +10,9 @@ import pytest
 
 from svmdist.drawing import Part
 from svmdist.recording.log import open_recording
+from svmdist.report.annotated import write_video
 from svmdist.report.panels import draw_on
-from svmdist.report.video import write_video
-from svmdist.workflows.annotate import drawn_frames
+from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.request import prepare
 from tests.cli.conftest import Cli, cli
 
@@ -32,7 +32,7 @@ def test_every_image_is_shown_at_its_stamp_with_its_drawing(golden: Path, tmp_pa
     setup = prepare()
     recording = open_recording(golden / "occlusion.mcap", setup.profile)
     frames = list(drawn_frames(recording, setup, numbers=range(12)))
-    assert write_video(frames, tmp_path / "out.mp4", (640, 480)) == 12
+    write_video(frames, tmp_path / "out.mp4", (640, 480))
     shown = decoded(tmp_path / "out.mp4")
     begin_ns = frames[0].drawing.stamp_ns
     np.testing.assert_allclose(
@@ -53,7 +53,7 @@ def test_an_odd_size_and_a_clock_that_is_set_back_give_a_video(golden: Path, tmp
     setup = prepare()
     recording = open_recording(golden / "sweep.mcap", setup.profile)
     frames = list(drawn_frames(recording, setup, numbers=range(3)))
-    assert write_video([*frames, *frames], tmp_path / "out.mp4", (639, 479)) == 6
+    write_video([*frames, *frames], tmp_path / "out.mp4", (639, 479))
     shown = decoded(tmp_path / "out.mp4")
     assert [pixels.shape for _, pixels in shown] == [(480, 640, 3)] * 6
     assert (np.diff([seconds for seconds, _ in shown]) > 0).all()

@@ -11,9 +11,9 @@ from svmdist.profile import AutoSegmentation, load_profile
 from svmdist.recording.log import open_recording
 from svmdist.vision.segmentation import AutoSegmenter
 from svmdist.workflows.conditions import CLEAN, Condition
+from svmdist.workflows.frame_drawing import spread
 from svmdist.workflows.replay import adapted_segmenters, spread_observations
 from svmdist.workflows.request import prepare
-from svmdist.workflows.show import spread
 from tests.synthetic import write_log
 
 

@@ -21,9 +21,10 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.summary import TRUE_SUFFIX
+from svmdist.report.annotated import write_annotated
 from svmdist.results import FrameResult
-from svmdist.workflows.annotate import DrawnFrame, drawn_frames, write_annotated
 from svmdist.workflows.estimate import estimate
+from svmdist.workflows.frame_drawing import DrawnFrame, drawn_frames
 from svmdist.workflows.request import Setup, prepare
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -51,7 +52,8 @@ def annotated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, list
             yield frame
 
     recording = open_recording(DUO, setup.profile)
-    assert write_annotated(recording, kept(), setup, path) == len(frames) == 80
+    write_annotated(kept(), recording, setup, path)
+    assert len(frames) == 80
     return open_recording(path, setup.profile), frames, setup
 
 
@@ -142,7 +144,7 @@ def test_the_log_says_why_a_frame_was_not_measured(tmp_path: Path) -> None:
     setup = prepare()
     recording = open_recording(REPOSITORY / "recordings" / "occlusion.mcap", setup.profile)
     frames = list(drawn_frames(recording, setup))
-    write_annotated(recording, iter(frames), setup, tmp_path / "out.mcap")
+    write_annotated(iter(frames), recording, setup, tmp_path / "out.mcap")
     lines = messages_of(open_recording(tmp_path / "out.mcap", setup.profile), "/svmdist/log", Log)
     assert lines[0].level == Log.INFO
     assert "method overlay" in lines[0].message

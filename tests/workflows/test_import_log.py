@@ -13,7 +13,7 @@ from svmdist.errors import SourceError, UsageError
 from svmdist.importing.calibration import CalibrationOptions
 from svmdist.profile import load_profile
 from svmdist.recording.log import Recording, open_recording
-from svmdist.recording.messages.foxglove import parse_protobuf
+from svmdist.recording.messages import message_class
 from svmdist.samples import Image, ImageSample, Observation
 from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
 
@@ -37,7 +37,8 @@ def _images(recording: Recording) -> list[ImageSample]:
 
 
 def _messages(path: Path, topic: str) -> list[bytes]:
-    return [parse_protobuf(raw).data for raw in _open(path).raw_messages() if raw.topic == topic]
+    raws = [raw for raw in _open(path).raw_messages() if raw.topic == topic]
+    return [message_class(raw.schema).FromString(raw.data).data for raw in raws]
 
 
 def test_two_views_pass_through(tmp_path: Path) -> None:
@@ -190,7 +191,7 @@ def test_wrong_files(tmp_path: Path) -> None:
     (folder / "2_R.png").write_bytes((folder / "2_L.png").read_bytes()[:-30])
     assert "2_R.png: a PNG that ends early" in _fails(ImportOptions(pair, PAIR), output, SourceError)
     (folder / "2_R.png").write_bytes(b"no image")
-    assert "no image that can be decoded" in _fails(ImportOptions(pair, PAIR), output, SourceError)
+    assert "not an image that can be decoded" in _fails(ImportOptions(pair, PAIR), output, SourceError)
     cv2.imwrite(str(folder / "2_R.png"), _picture(1).astype(np.uint16))
     assert "16 bits" in _fails(ImportOptions(pair, PAIR), output, SourceError)
     same = ViewOptions(folder, right_pattern="*_L.png", rate_hz=1.0)

@@ -24,7 +24,6 @@ from tests.measuring import flat
 from tests.recording.builders import Entry
 from tests.recording.other_recorders import (
     ros_messages,
-    write_foxglove_json,
     write_ros2_mcap,
     write_rosbag1,
     write_rosbag2,
@@ -49,7 +48,6 @@ RECORDERS: dict[str, Callable[[Path, list[Entry]], Path]] = {
     ),
     "ros1 bag": lambda folder, entries: write_rosbag1(folder / "a.bag", ros_messages(entries)),
     "ros1 bag lz4": lambda folder, entries: write_rosbag1(folder / "a.bag", ros_messages(entries), LZ4),
-    "foxglove json": lambda folder, entries: write_foxglove_json(folder / "a.mcap", entries),
 }
 RULES = ("camera:tool", "camera:tissue")
 

@@ -15,7 +15,8 @@ import pytest
 
 from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
-from svmdist.recording.log import Reading, Window, open_recording
+from svmdist.recording.log import open_recording
+from svmdist.recording.observations import Reading, Window
 from svmdist.workflows.parallel import (
     LOOK_AHEAD,
     Steps,

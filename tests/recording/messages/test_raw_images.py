@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.profile import Limits
-from svmdist.recording.images import CHANNELS, CONVERSIONS, ImageError, decode_raw
+from svmdist.recording.images import RAW_ENCODINGS, ImageError, decode_raw
 
 LIMITS = Limits()
 WIDTH_PX, HEIGHT_PX = 6, 4
@@ -38,8 +38,7 @@ def decode(encoding: str, pixels: np.ndarray, padding_bytes: int = 0) -> np.ndar
 
 
 def test_every_layout_has_a_test() -> None:
-    assert set(CHANNELS) == {*LAYOUTS, *BAYER, *YUV}
-    assert set(CHANNELS) >= set(CONVERSIONS)
+    assert set(RAW_ENCODINGS) == {*LAYOUTS, *BAYER, *YUV}
 
 
 @pytest.mark.parametrize("padding_bytes", [0, 1, 5])
@@ -48,7 +47,7 @@ def test_pixels_come_out_in_bgr(encoding: str, padding_bytes: int) -> None:
     """To the bit: channels are put in order, grey is repeated, alpha and the padding of rows are dropped."""
     image = decode(encoding, LAYOUTS[encoding], padding_bytes)
     assert image.dtype == np.uint8
-    np.testing.assert_array_equal(image, np.repeat(GREY, 3, 2) if CHANNELS[encoding] == 1 else BGR)
+    np.testing.assert_array_equal(image, np.repeat(GREY, 3, 2) if RAW_ENCODINGS[encoding][0] == 1 else BGR)
 
 
 def test_the_image_is_a_copy_that_may_be_written() -> None:
@@ -91,10 +90,10 @@ def test_other_encodings_are_refused_with_the_choices(encoding: str) -> None:
         decode_raw(encoding, SIZE_PX, 2 * WIDTH_PX, bytes(2 * WIDTH_PX * HEIGHT_PX), LIMITS)
 
 
-@pytest.mark.parametrize("encoding", CHANNELS)
+@pytest.mark.parametrize("encoding", RAW_ENCODINGS)
 def test_sizes_that_contradict_each_other_are_refused(encoding: str) -> None:
     """A byte too few or too many, rows shorter than their pixels, or longer than the data."""
-    step_bytes = WIDTH_PX * CHANNELS[encoding]
+    step_bytes = WIDTH_PX * RAW_ENCODINGS[encoding][0]
     size_bytes = step_bytes * HEIGHT_PX
     for step, length in (
         (step_bytes, size_bytes - 1),
@@ -115,11 +114,13 @@ def test_dimensions_are_checked_first() -> None:
         decode_raw("mono8", SIZE_PX, WIDTH_PX, bytes(24), Limits(image_pixels=23))
 
 
-@pytest.mark.parametrize("encoding", CHANNELS)
+@pytest.mark.parametrize("encoding", RAW_ENCODINGS)
 def test_an_image_of_one_pixel_is_decoded_or_refused(encoding: str) -> None:
     """OpenCV has errors of its own for patterns that do not fit: these become the documented one."""
     try:
-        image = decode_raw(encoding, (1, 1), CHANNELS[encoding], bytes(CHANNELS[encoding]), LIMITS)
+        image = decode_raw(
+            encoding, (1, 1), RAW_ENCODINGS[encoding][0], bytes(RAW_ENCODINGS[encoding][0]), LIMITS
+        )
     except ImageError:
         return
     assert image.shape == (1, 1, 3)

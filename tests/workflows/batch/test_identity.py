@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from svmdist.estimation.alarms import AlarmRules
-from svmdist.recording.log import Window
 from svmdist.workflows.batch.identity import code_version, fingerprint, log_identity
 from svmdist.workflows.batch.store import ResultStore
 from svmdist.workflows.batch.task import LogFile
+
+from svmdist.estimation.alarms import AlarmRules
+from svmdist.recording.observations import Window
 from svmdist.workflows.request import prepare
 from tests.workflows.batch.jobs import CountJob
 

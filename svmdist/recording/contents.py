@@ -1,0 +1,272 @@
+"""Everything in a log but its images, in arrays over time: joints, poses, distances, and transforms by frame."""
+
+from __future__ import annotations
+
+from array import array
+from collections import deque
+from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.errors import RecordingError, did_you_mean
+from svmdist.profile import Limits
+from svmdist.recording.messages import (
+    DecodeError,
+    Decoder,
+    EncodedImage,
+    Message,
+    RawTransform,
+    RawTransforms,
+    broken_image,
+    matrices,
+)
+from svmdist.recording.observations import LoggedImage
+from svmdist.recording.source import Loss, LossKind, RawMessage, Source, sanitize, sanitize_list
+from svmdist.samples import CameraSample, DistanceSample, JointSample
+from svmdist.tracks import MAX_GAP_NS, Sampled, Stamps, TransformTrack, sort_stamps
+from svmdist.transforms import Array, inverse
+
+OTHER_JOINTS = "its joints are others than those of the first message"
+MAX_EDGES = 10_000
+"""Pairs of frames in one log; more than any robot has."""
+Edge = tuple[str, str]
+"""Names of the parent and the child frame."""
+
+
+@dataclass(eq=False)
+class Rows:
+    """Stamped rows of numbers in the order of the file."""
+
+    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
+    values: array[float] = field(default_factory=lambda: array("d"))
+
+    def add(self, stamp_ns: int, values: Iterable[float]) -> None:
+        """Append a row."""
+        self.stamps_ns.append(stamp_ns)
+        self.values.extend(values)
+
+    def sorted(self, late_ns: int = 0) -> tuple[Stamps, Array]:
+        """Distinct rising stamps, shape (n,), and their rows, shape (n, k); of equal stamps the last row counts."""
+        stamps_ns = np.array(self.stamps_ns, np.int64)
+        if late_ns:
+            stamps_ns += np.minimum(late_ns, np.iinfo(np.int64).max - stamps_ns)
+        order = sort_stamps(stamps_ns)
+        rows = np.frombuffer(self.values, np.float64) if self.values else np.zeros(0)
+        return stamps_ns[order], rows.reshape(len(stamps_ns), -1 if len(stamps_ns) else 0)[order]
+
+
+class Contents:
+    """What messages of some topics hold, topic by topic."""
+
+    def __init__(self) -> None:
+        self.rows: dict[str, dict[Hashable, Rows]] = {}
+        """By topic, and by names of joints, frame of poses, or edge of transforms."""
+        self.cameras: dict[str, Camera] = {}
+
+    def add(self, topic: str, message: Message) -> str | None:
+        """Take up a message; says why where it cannot be used."""
+        match message:
+            case CameraSample(camera=camera):
+                self.cameras.setdefault(topic, camera)
+            case JointSample():
+                known = self.rows.setdefault(topic, {})
+                if known and message.names not in known:
+                    return OTHER_JOINTS
+                known.setdefault(message.names, Rows()).add(message.stamp_ns, message.positions)
+            case DistanceSample():
+                row = (message.planar_m, message.spatial_m, message.clearance_m)
+                self._of(topic, None).add(message.stamp_ns, row)
+            case RawTransform():
+                self._of(topic, message.parent).add(message.stamp_ns, message.values)
+            case RawTransforms(transforms=transforms):
+                for one in transforms:
+                    edge = _frame(one.parent), _frame(one.child)
+                    self._of(topic, edge).add(one.stamp_ns, one.values)
+                if len(self.rows.get(topic, ())) > MAX_EDGES:
+                    raise RecordingError(f"more than {MAX_EDGES} pairs of frames in the transforms")
+            case _:
+                pass
+        return None
+
+    def _of(self, topic: str, key: Hashable) -> Rows:
+        return self.rows.setdefault(topic, {}).setdefault(key, Rows())
+
+    def tree(self, topics: Mapping[str, bool], late_ns: int = 0) -> TransformTree:
+        """The transforms of some topics, each with whether its transforms are static."""
+        edges: dict[Edge, tuple[Rows, bool]] = {}
+        for topic, is_static in topics.items():
+            for edge, rows in self.rows.get(topic, {}).items():
+                edges[edge] = rows, is_static  # type: ignore[index]
+        return TransformTree(edges, late_ns)
+
+
+class TransformTree:
+    """Transforms between any two frames of a log: edges over time, composed along the path that links them."""
+
+    def __init__(self, edges: Mapping[Edge, tuple[Rows, bool]], late_ns: int = 0) -> None:
+        self._edges = edges
+        self._late_ns = late_ns
+        self._tracks: dict[Edge, TransformTrack] = {}
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of the frames, sorted."""
+        return tuple(sorted({name for edge in self._edges for name in edge}))
+
+    def links(self, parent: str, child: str) -> bool:
+        """Whether a path links two frames."""
+        return parent != child and child in self._reach(parent)
+
+    def at(self, parent: str, child: str, stamps_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Sampled:
+        """`T_parent_child` at stamps, shape (n, 4, 4): every edge interpolated; invalid where one has no value.
+
+        Raises RecordingError where no path links the frames.
+        """
+        return _composed([self._track(*edge) for edge in self._path(parent, child)], stamps_ns, max_gap_ns)
+
+    def track(self, parent: str, child: str, max_gap_ns: int = MAX_GAP_NS) -> TransformTrack:
+        """`T_parent_child` at the stamps of all edges that move; RecordingError where no path links the frames.
+
+        A stamp is left out where one of the edges has no value.
+        """
+        tracks = [self._track(*edge) for edge in self._path(parent, child)]
+        if len(tracks) == 1:
+            return tracks[0]
+        moving = [track.stamps_ns for track in tracks if not track.is_static]
+        stamps_ns = np.unique(np.concatenate(moving)) if moving else np.zeros(1, np.int64)
+        found = _composed(tracks, stamps_ns, max_gap_ns)
+        return TransformTrack(
+            parent, child, stamps_ns[found.valid], found.values[found.valid], is_static=not moving
+        )
+
+    def _track(self, parent: str, child: str) -> TransformTrack:
+        if (parent, child) not in self._tracks:
+            is_forward = (parent, child) in self._edges
+            rows, is_static = self._edges[(parent, child) if is_forward else (child, parent)]
+            stamps_ns, values = rows.sorted(self._late_ns)
+            if is_static:
+                stamps_ns, values = stamps_ns[:1], np.array([rows.values[-7:]])
+            T = matrices(values)
+            T = T if is_forward else inverse(T)
+            self._tracks[parent, child] = TransformTrack(parent, child, stamps_ns, T, is_static)
+        return self._tracks[parent, child]
+
+    def _path(self, parent: str, child: str) -> list[Edge]:
+        """The shortest chain of edges, in either direction; RecordingError says what is missing."""
+        for frame in (parent, child):
+            if frame not in self.frames:
+                known = did_you_mean(frame, map(sanitize, self.frames))
+                raise RecordingError(f"no frame {frame} in the transforms: {known}")
+        if parent == child:
+            raise RecordingError(
+                f"a transform from {parent} to itself was asked for; two frames are expected"
+            )
+        reached = self._reach(parent)
+        if child not in reached:
+            here, there = (sanitize_list(sorted(self._reach(frame))) for frame in (parent, child))
+            raise RecordingError(
+                f"no transform links {parent} and {child}: on one side are {here}; on the other {there}"
+            )
+        path = []
+        while child != parent:
+            path.append((reached[child], child))
+            child = reached[child]
+        return path[::-1]
+
+    def _reach(self, start: str) -> dict[str, str]:
+        """Every frame that edges link to `start`, each with the frame it is reached from, breadth first."""
+        neighbours: dict[str, list[str]] = {}
+        for parent, child in self._edges:
+            neighbours.setdefault(parent, []).append(child)
+            neighbours.setdefault(child, []).append(parent)
+        reached = {start: start}
+        queue = deque([start])
+        while queue:
+            frame = queue.popleft()
+            for neighbour in neighbours.get(frame, []):
+                if neighbour not in reached:
+                    reached[neighbour] = frame
+                    queue.append(neighbour)
+        return reached
+
+
+def _composed(tracks: list[TransformTrack], stamps_ns: Stamps, max_gap_ns: int) -> Sampled:
+    T = np.repeat(np.eye(4)[None], len(stamps_ns), axis=0)
+    valid = np.ones(len(stamps_ns), np.bool_)
+    for track in tracks:
+        sampled = track.at(stamps_ns, max_gap_ns)
+        T = T @ sampled.values
+        valid &= sampled.valid
+    return Sampled(T, valid)
+
+
+def _frame(name: str) -> str:
+    """A frame's name as tf2 has it: tf of old wrote /base."""
+    return name.removeprefix("/")
+
+
+@dataclass(eq=False)
+class LogFile:
+    """An open file, and what was read of it beside images; all views of a recording share it.
+
+    Whichever pass over the whole file comes first reads `topics`, so that no other pass has to.
+    """
+
+    source: Source
+    limits: Limits
+    topics: frozenset[str]
+    _contents: Contents | None = None
+    _cameras: dict[str, Camera | None] = field(default_factory=dict)
+
+    @property
+    def contents(self) -> Contents:
+        """What the messages of `topics` hold."""
+        for _ in self.images(frozenset()) if self._contents is None else ():
+            pass
+        assert self._contents is not None
+        return self._contents
+
+    def images(self, image_topics: Collection[str]) -> Iterator[LoggedImage]:
+        """Yield the images of some topics in file order, not decoded; reads everything else too, if not yet read."""
+        contents = Contents() if self._contents is None else None
+        decoder = Decoder(self.limits)
+        for raw in self.source.messages(frozenset(image_topics) | (self.topics if contents else frozenset())):
+            if raw.topic in image_topics:
+                yield _logged_image(decoder, raw)
+            elif contents is not None:
+                self._collect(contents, decoder, raw)
+        self._contents = self._contents or contents
+
+    def camera(self, topic: str) -> Camera | None:
+        """The first usable calibration of a topic; None without one."""
+        if self._contents is not None:
+            return self._contents.cameras.get(topic)
+        if topic not in self._cameras:
+            found, decoder = Contents(), Decoder(self.limits)
+            for raw in self.source.messages({topic}):
+                self._collect(found, decoder, raw)
+                if found.cameras:
+                    break
+            self._cameras[topic] = found.cameras.get(topic)
+        return self._cameras[topic]
+
+    def _collect(self, contents: Contents, decoder: Decoder, raw: RawMessage) -> None:
+        try:
+            problem = contents.add(raw.topic, decoder.decode(raw))
+        except DecodeError as found:
+            problem = str(found)
+        if problem is not None:
+            self.source.health.add(Loss(LossKind.MESSAGE, problem, raw.offset, raw.topic))
+
+
+def _logged_image(decoder: Decoder, raw: RawMessage) -> LoggedImage:
+    """All of an image message but its pixels; one that is broken becomes an image that is broken."""
+    try:
+        image = decoder.decode(raw)
+    except DecodeError as problem:
+        image = broken_image(raw.log_time_ns, str(problem))
+    if not isinstance(image, EncodedImage):
+        image = broken_image(raw.log_time_ns, "no image")
+    return LoggedImage(image, raw.topic, raw.log_time_ns, len(raw.data), raw.offset)

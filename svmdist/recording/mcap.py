@@ -1,0 +1,366 @@
+"""MCAP files as a source of messages, read with the `mcap` library: whatever is whole, and what was lost.
+
+A chunk is delivered when its CRC is right, and dropped whole otherwise. Messages outside of chunks are protected by the
+CRC of the data section alone, which is known at its end: where it is wrong, that is a loss. A file on a disk is read
+and verified whole, one behind a URL by its index: only the chunks that hold what is asked for.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from functools import cached_property
+from io import BytesIO
+from typing import Any, BinaryIO
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema, Statistics
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.summary import Summary
+
+from svmdist.errors import RecordingError
+from svmdist.input_file import LogPath, open_regular, why
+from svmdist.profile import Limits
+from svmdist.recording.source import (
+    METADATA_NAME,
+    Health,
+    Loss,
+    LossKind,
+    RawMessage,
+    TopicInfo,
+    merge_topics,
+)
+from svmdist.remote_file import RemoteFile
+
+MAGIC = b"\x89MCAP0\r\n"
+HEAD = struct.Struct("<BQ")
+TAIL = struct.Struct("<BQQQI8s")
+"""The footer record and the magic, with which every complete file ends."""
+IN_CHUNKS = (Schema, Channel, Message)
+PARSED = frozenset(Opcode) - {Opcode.MESSAGE_INDEX}
+
+
+class McapSource:
+    """One MCAP file."""
+
+    def __init__(self, path: LogPath, limits: Limits) -> None:
+        self.path = path
+        self.health = Health()
+        self._limits = limits
+        self._metadata: dict[str, str] | None = None
+
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """List the topics: from the summary where its CRC is right, else by reading the whole file."""
+        return self._topics
+
+    def metadata(self) -> dict[str, str]:
+        """Read the record `svmdist`, unless the CRC of the data section is wrong."""
+        if self._metadata is None:
+            one_pass = _Pass(self, self._summary)
+            for _ in one_pass.frames(frozenset()):
+                pass
+            self._metadata = one_pass.metadata
+        return self._metadata
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield the messages of some topics, or of all, in file order."""
+        one_pass = _Pass(self, self._summary)
+        for offset, record in one_pass.records(topics):
+            if isinstance(record, Message):
+                channel = one_pass.channels[record.channel_id]
+                if topics is None or channel.topic in topics:
+                    yield RawMessage(
+                        channel.topic,
+                        one_pass.schema_name(channel),
+                        channel.message_encoding,
+                        record.log_time,
+                        record.data,
+                        offset,
+                        one_pass.loss_count,
+                    )
+        self._metadata = one_pass.metadata if self._metadata is None else self._metadata
+
+    def records(self) -> Iterator[McapRecord]:
+        """Yield every record in file order but message indexes, chunks unpacked."""
+        return (record for _, record in _Pass(self, self._summary).records(None))
+
+    @cached_property
+    def _summary(self) -> Summary | None:
+        """The summary section where its CRC covers every byte of it and is right."""
+        try:
+            with open_regular(self.path) as file:
+                return read_summary(file)
+        except OSError as problem:
+            raise RecordingError(f"{self.path}: cannot read: {why(problem)}") from None
+
+    @cached_property
+    def _topics(self) -> tuple[TopicInfo, ...]:
+        summary = self._summary
+        statistics = summary.statistics if summary else None
+        if summary and statistics and statistics.channel_count == len(summary.channels):
+            schemas, channels = summary.schemas, summary.channels
+            counts: Any = statistics.channel_message_counts
+            is_counted = sum(counts.values()) == statistics.message_count
+        else:
+            one_pass, counts, is_counted = _Pass(self, summary), Counter[int](), True
+            for _, record in one_pass.records(None):
+                counts.update([record.channel_id] if isinstance(record, Message) else [])
+            schemas, channels = one_pass.schemas, one_pass.channels
+        return merge_topics(
+            TopicInfo(
+                channel.topic,
+                schemas[channel.schema_id].name if channel.schema_id in schemas else "",
+                channel.message_encoding,
+                counts.get(key, 0) if is_counted else None,
+            )
+            for key, channel in channels.items()
+        )
+
+
+class _Pass:
+    """One pass over a file: the definitions so far, the metadata record, and the losses of this pass."""
+
+    def __init__(self, source: McapSource, summary: Summary | None) -> None:
+        self._path, self._health, self._limits = source.path, source.health, source._limits
+        self._summary = summary
+        # From the summary, so that the loss of a chunk does not take the definitions in it along.
+        self.schemas: dict[int, Schema] = dict(summary.schemas) if summary else {}
+        self.channels: dict[int, Channel] = dict(summary.channels) if summary else {}
+        self.metadata: dict[str, str] = {}
+        self.loss_count = 0
+        self._statistics = summary.statistics if summary else None
+        self._counts: Counter[int] = Counter()
+        self._undefined_count = 0
+
+    def schema_name(self, channel: Channel) -> str:
+        """Name of a channel's schema; empty where it has none."""
+        return self.schemas[channel.schema_id].name if channel.schema_id in self.schemas else ""
+
+    def records(self, topics: Collection[str] | None) -> Iterator[tuple[int, McapRecord]]:
+        """Yield the records with their offsets, chunks unpacked; of messages those with a known channel."""
+        is_chunked = False
+        for offset, record in self.frames(topics):
+            if isinstance(record, Chunk):
+                is_chunked = True
+                try:
+                    inner = breakup_chunk(_expanded(record, self._limits), validate_crc=True)
+                except Exception as problem:  # mcap raises a dozen kinds
+                    self._lose(LossKind.CHUNK, f"dropped: {problem or type(problem).__name__}", offset)
+                    continue
+            elif is_chunked and isinstance(record, IN_CHUNKS) and self._is_misplaced(record):
+                # Writers of chunks put everything into chunks: this is another record with a broken opcode.
+                self._lose(LossKind.RECORD, f"{type(record).__name__} outside of chunks dropped", offset)
+                continue
+            else:
+                inner = [record]
+            for one in inner:
+                if self._is_known(one, offset):
+                    yield offset, one
+        self._check_counts(topics)
+
+    def frames(self, topics: Collection[str] | None) -> Iterator[tuple[int, McapRecord]]:
+        """Yield the records as they stand in the file; of a remote file with an index, only chunks with some topics."""
+        self._summary_began = self._is_cut = False
+        try:
+            with open_regular(self._path) as file:
+                size_bytes = file.seek(0, 2)
+                file.seek(0)
+                if file.read(len(MAGIC)) != MAGIC:
+                    raise RecordingError(f"{self._path}: not an MCAP file")
+                if isinstance(self._path, RemoteFile) and self._summary and self._summary.chunk_indexes:
+                    yield from self._indexed(file, self._summary, topics)
+                else:
+                    yield from self._sequential(file, size_bytes)
+        except OSError as problem:
+            raise RecordingError(f"{self._path}: cannot read: {why(problem)}") from None
+
+    def _sequential(self, file: BinaryIO, size_bytes: int) -> Iterator[tuple[int, McapRecord]]:
+        crc: int | None = zlib.crc32(MAGIC)
+        offset = len(MAGIC)
+        while len(head := file.read(HEAD.size)) == HEAD.size:
+            opcode, length = HEAD.unpack(head)
+            end = offset + HEAD.size + length
+            if end > size_bytes or opcode == 0:
+                break
+            if length > self._limits.record_bytes:
+                detail = f"{length} bytes; the limit is {self._limits.record_bytes}"
+                self._lose(LossKind.RECORD, detail, offset)
+                file.seek(end)
+                crc = None  # so that a running CRC means nothing
+            else:
+                body = file.read(length)
+                record = self._parsed(head + body, offset)
+                if opcode == Opcode.DATA_END:
+                    self._end_data(int.from_bytes(body[:4], "little"), crc, offset)
+                elif crc is not None:
+                    crc = zlib.crc32(body, zlib.crc32(head, crc))
+                if record is not None:
+                    yield offset, record
+                if opcode == Opcode.FOOTER and end + len(MAGIC) == size_bytes:
+                    self._end_file(file, offset)
+                    return
+            offset = end
+        file.seek(max(size_bytes - TAIL.size, 0))
+        self._is_cut = not _is_tail(file.read())
+        if self._is_cut and head[:1] == bytes([Opcode.CHUNK]):
+            file.seek(offset + HEAD.size)
+            body = file.read(self._limits.record_bytes)
+            yield from ((offset, one) for one in _prefix(body, self._limits))
+        count = f"{self._counts.total()} messages recovered"
+        if self._is_cut:
+            self._lose(LossKind.TRUNCATED, count, size_bytes)
+        else:
+            detail = f"a record of impossible length; the rest is unreadable, {count}"
+            self._lose(LossKind.STRUCTURE, detail, offset)
+
+    def _indexed(
+        self, file: BinaryIO, summary: Summary, topics: Collection[str] | None
+    ) -> Iterator[tuple[int, McapRecord]]:
+        wanted = {key for key, one in summary.channels.items() if topics is None or one.topic in topics}
+        places = [(one.offset, one.length) for one in summary.metadata_indexes]
+        places += [
+            (one.chunk_start_offset, one.chunk_length)
+            for one in summary.chunk_indexes
+            if not one.message_index_offsets or wanted & one.message_index_offsets.keys()
+        ]
+        for offset, length in sorted(places):
+            if length <= self._limits.record_bytes + HEAD.size:
+                file.seek(offset)
+                record = self._parsed(file.read(length), offset)
+                if record is not None:
+                    yield offset, record
+
+    def _parsed(self, frame: bytes, offset: int) -> McapRecord | None:
+        """Parse one record, head included; None for a message index, an unknown record, and one that is broken."""
+        if frame[:1] not in (bytes([opcode]) for opcode in PARSED):
+            return None
+        try:
+            record = next(StreamReader(BytesIO(frame), skip_magic=True, emit_chunks=True).records)
+        except Exception as problem:
+            self._lose(LossKind.RECORD, str(problem) or "a record ends early", offset)
+            return None
+        if isinstance(record, Metadata) and record.name == METADATA_NAME and not self.metadata:
+            self.metadata = dict(record.metadata)
+        return record
+
+    def _is_misplaced(self, record: McapRecord) -> bool:
+        """Whether a schema, channel or message outside of chunks, where others stand in chunks, is out of place."""
+        return not self._is_cut and (not self._summary_began or isinstance(record, Message))
+
+    def _is_known(self, record: McapRecord, offset: int) -> bool:
+        """Take note of definitions and messages; whether the record may be delivered."""
+        if isinstance(record, Schema | Channel):
+            known: Any = self.schemas if isinstance(record, Schema) else self.channels
+            if known.setdefault(record.id, record) != record:
+                detail = f"{type(record).__name__.lower()} {record.id} is defined twice in different ways"
+                self._lose(LossKind.DEFINITION, detail, offset)
+        elif isinstance(record, Statistics):
+            self._statistics = record
+        elif isinstance(record, Message):
+            if record.channel_id not in self.channels:
+                self._undefined_count += 1
+                return False
+            self._counts[record.channel_id] += 1
+        return True
+
+    def _end_data(self, declared_crc: int, crc: int | None, offset: int) -> None:
+        self._summary_began = True
+        if declared_crc and crc is not None and declared_crc != crc:
+            self._lose(LossKind.DATA_CRC, "the CRC of the data section is wrong", offset)
+            if self.metadata:
+                self.metadata = {}
+                self._lose(LossKind.RECORD, "metadata dropped: no CRC vouches for it", offset)
+
+    def _end_file(self, file: BinaryIO, offset: int) -> None:
+        if not self._summary_began:
+            self._lose(LossKind.STRUCTURE, "the end of the data is missing", offset)
+        file.seek(-TAIL.size, 2)
+        _, _, start, _, crc, _ = TAIL.unpack(file.read())
+        if start and crc and self._summary is None:
+            self._lose(LossKind.SUMMARY, "its CRC is wrong, or it cannot be read", offset)
+
+    def _check_counts(self, topics: Collection[str] | None) -> None:
+        """Compare what was read with what the statistics declare."""
+        if self._undefined_count:
+            detail = f"{self._undefined_count} messages of a channel that is not defined"
+            self._lose(LossKind.MESSAGE, detail)
+        statistics = self._statistics
+        if statistics is None:
+            return
+        declared, found = Counter(statistics.channel_message_counts), self._counts
+        if isinstance(self._path, RemoteFile) and topics is not None:
+            wanted = {key for key, one in self.channels.items() if one.topic in topics}
+            declared, found = (
+                Counter({k: n for k, n in c.items() if k in wanted}) for c in (declared, found)
+            )
+        if declared != found and (declared or statistics.message_count != found.total()):
+            total = declared.total() or statistics.message_count
+            detail = f"the statistics declare {total} messages, {found.total()} were read"
+            if total == found.total():
+                detail = "the statistics declare other counts of messages by channel than were read"
+            self._lose(LossKind.STATISTICS, detail)
+
+    def _lose(self, kind: LossKind, detail: str, offset: int | None = None) -> None:
+        self.loss_count += 1
+        self._health.add(Loss(kind, detail, offset))
+
+
+def read_summary(file: BinaryIO) -> Summary | None:
+    """Read the summary section; None where there is none, or its CRC is missing or wrong."""
+    size_bytes = file.seek(0, 2)
+    file.seek(max(size_bytes - TAIL.size, 0))
+    tail = file.read()
+    if not _is_tail(tail):
+        return None
+    _, _, start, _, crc, _ = TAIL.unpack(tail)
+    if not start or not crc or start > size_bytes - TAIL.size:
+        return None
+    file.seek(start)
+    if zlib.crc32(file.read(size_bytes - len(MAGIC) - 4 - start)) != crc:
+        return None
+    file.seek(0)
+    try:
+        return SeekingReader(file).get_summary()
+    except Exception:  # right by its CRC, and still not MCAP
+        return None
+
+
+def _is_tail(tail: bytes) -> bool:
+    return len(tail) == TAIL.size and tail[:9] == HEAD.pack(Opcode.FOOTER, 20) and tail.endswith(MAGIC)
+
+
+def _expanded(chunk: Chunk, limits: Limits, *, is_whole: bool = True) -> Chunk:
+    """The chunk without compression; ValueError unless it has exactly the size that it declares, where it is whole."""
+    size_bytes = chunk.uncompressed_size
+    if size_bytes > limits.chunk_bytes:
+        raise ValueError(f"{size_bytes} bytes declared, the limit is {limits.chunk_bytes}")
+    match chunk.compression:
+        case "":
+            data = chunk.data
+        case "zstd":
+            # In a stream: a frame that declares a size of its own would be expanded to that at once.
+            decompressor = zstandard.ZstdDecompressor(max_window_size=limits.window_bytes)
+            data = decompressor.stream_reader(chunk.data).read(size_bytes + 1)
+        case "lz4":
+            import lz4.frame  # here, for few logs have it
+
+            data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size_bytes + 1)
+        case other:
+            raise ValueError(f"compression {other!r} is not known; the choices are zstd, lz4, none")
+    if is_whole and len(data) != size_bytes:
+        raise ValueError(f"{size_bytes} bytes declared, found {len(data)}")
+    return replace(chunk, compression="", data=data)
+
+
+def _prefix(body: bytes, limits: Limits) -> Iterator[McapRecord]:
+    """The records that are whole in a chunk inside of which a file was cut off; no CRC covers them."""
+    with suppress(Exception):  # it ends early, wherever that is
+        chunk = _expanded(Chunk.read(ReadDataStream(BytesIO(body))), limits, is_whole=False)
+        yield from StreamReader(BytesIO(chunk.data), skip_magic=True).records

@@ -1,1 +1,0 @@
-"""MCAP files to raw messages: framing, CRCs, chunks, definitions, the summary, and what was lost."""

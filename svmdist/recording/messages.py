@@ -1,0 +1,420 @@
+"""From raw messages to samples: which schemas are understood, what each one becomes, and the checks of its values.
+
+Foxglove's messages and svmdist's own come in protobuf, those of ROS in the layout of ROS 1 or in CDR.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from google.protobuf.message import DecodeError as ProtobufError
+
+from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
+from svmdist.profile import Limits
+from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
+from svmdist.recording.images import ImageError, VideoDecoder, decode_raw, decode_still
+from svmdist.recording.source import MAX_NAME_BYTES, RawMessage, cut
+from svmdist.samples import (
+    CameraSample,
+    DistanceSample,
+    Image,
+    ImageSample,
+    JointSample,
+    PoseSample,
+    Sample,
+    TransformSample,
+    TransformsSample,
+)
+from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
+
+MAX_STAMP_NS = (1 << 63) - 1
+NS = 1_000_000_000
+MAX_MAGNITUDE = 1e12
+"""In m, rad or px, far beyond anything real; squares and differences of such numbers are still finite."""
+MAX_JOINTS = 256
+"""Of one message: two arms on their set-up joints, and their instruments, have fifty."""
+MAX_TRANSFORMS = 1000
+"""Of one message: several robots with all their links have a hundred."""
+
+
+class DecodeError(ValueError):
+    """A message that does not hold what its schema promises."""
+
+
+class Kind(StrEnum):
+    """What a topic carries, whatever its encoding."""
+
+    IMAGE = "images"
+    CAMERA = "camera calibrations"
+    JOINTS = "joint states"
+    POSE = "poses"
+    TRANSFORMS = "transforms"
+    DISTANCE = "true distances"
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedImage:
+    """An image message whose pixels are decoded only when asked for, by any thread; `decode` raises ImageError.
+
+    Frames of a video refer to those before them: a `Decoder` decodes them at once, in file order.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    decode: Callable[[], Image]
+
+
+@dataclass(frozen=True, slots=True)
+class RawTransform:
+    """A transform, or the pose of something in `parent`, without its matrix, which few of the many in a log need.
+
+    `values` are the translation in m and the quaternion in the order x, y, z, w.
+    """
+
+    stamp_ns: int
+    parent: str
+    child: str
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RawTransforms:
+    """The transforms of one message."""
+
+    stamp_ns: int
+    transforms: tuple[RawTransform, ...]
+
+
+Message = JointSample | CameraSample | DistanceSample | EncodedImage | RawTransform | RawTransforms
+
+
+def matrices(values: Array) -> Array:
+    """The transforms, shape (n, 4, 4), of translations and quaternions, shape (n, 7)."""
+    return make_transform(rotation_from_quaternion_xyzw(values[:, 3:]), values[:, :3])
+
+
+def to_sample(message: Message) -> Sample:
+    """The same with matrices and pixels; ImageError where an image cannot be decoded."""
+    match message:
+        case EncodedImage():
+            return ImageSample(message.stamp_ns, message.frame_id, message.decode())
+        case RawTransform():
+            return PoseSample(message.stamp_ns, message.parent, matrices(np.array([message.values]))[0])
+        case RawTransforms(transforms=parts):
+            T = matrices(np.array([one.values for one in parts]).reshape(-1, 7))
+            samples = [
+                TransformSample(one.stamp_ns, one.parent, one.child, each)
+                for one, each in zip(parts, T, strict=True)
+            ]
+            return TransformsSample(message.stamp_ns, tuple(samples))
+    return message
+
+
+class Decoder:
+    """Turns the messages of one pass over a log into samples; videos need one that goes on."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._videos: dict[str, VideoDecoder] = {}
+        self._failure_count = 0
+
+    def decode(self, raw: RawMessage, *, with_video: bool = True) -> Message:
+        """Turn a message into a sample; DecodeError where it is too large, malformed, or holds impossible values.
+
+        Without `with_video`, frames of videos have no pixels.
+        """
+        try:
+            found = self._converted(raw)
+        except DecodeError:
+            self._failure_count += 1
+            raise
+        if isinstance(found, Pixels):
+            if found.video_format is None:
+                return EncodedImage(found.stamp_ns, found.frame_id, lambda: found.decode(self._limits))
+            video = self._videos.setdefault(raw.topic, VideoDecoder(self._limits))
+            losses = raw.losses_before + self._failure_count
+            decode = _decoded(video, found, losses) if with_video else _no_pixels
+            return EncodedImage(found.stamp_ns, found.frame_id, decode)
+        return found
+
+    def _converted(self, raw: RawMessage) -> Message | Pixels:
+        checked_stamp(raw.log_time_ns)
+        schema = _short(raw.schema)
+        kind = KINDS.get(raw.message_encoding, {}).get(schema)
+        if kind is None:
+            raise DecodeError(
+                f"schema {raw.schema!r} in {raw.message_encoding!r} is not one that svmdist reads"
+            )
+        limit = self._limits.message_bytes
+        if kind is Kind.IMAGE:
+            is_raw = schema in {"foxglove.RawImage", "sensor_msgs/Image"}
+            limit += 4 * self._limits.image_pixels if is_raw else self._limits.image_bytes
+        if len(raw.data) > limit:
+            raise DecodeError(f"a message of {len(raw.data)} bytes, the limit is {limit}")
+        if raw.message_encoding != "protobuf":
+            from svmdist.recording.ros_messages import decode_ros
+
+            return decode_ros(raw.message_encoding, schema, raw.data, raw.log_time_ns)
+        try:
+            message = message_class(schema).FromString(raw.data)
+        except (ProtobufError, RecursionError, UnicodeDecodeError, ValueError) as problem:
+            raise DecodeError(f"not a {schema}: {problem}") from None
+        return FOXGLOVE[schema][1](message, raw.log_time_ns)
+
+
+@cache
+def message_class(schema: str) -> Any:
+    """The protobuf class of a schema that svmdist reads."""
+    if schema == GroundTruthDistance.DESCRIPTOR.full_name:
+        return GroundTruthDistance
+    name = schema.removeprefix("foxglove.")
+    return getattr(import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
+
+
+def kind_of(schema: str, message_encoding: str) -> Kind | None:
+    """Tell what a topic carries; None for a schema or an encoding that svmdist does not read."""
+    return KINDS.get(message_encoding, {}).get(_short(schema))
+
+
+def broken_image(log_time_ns: int, reason: str) -> EncodedImage:
+    """Make an image whose decoding fails, for a message that is broken before its pixels."""
+
+    def fail() -> Image:
+        raise ImageError(reason)
+
+    return EncodedImage(min(log_time_ns, MAX_STAMP_NS), "", fail)
+
+
+def _short(schema: str) -> str:
+    """Leave out the `/msg/` of ROS 2, which ROS 1 and some recorders do not write."""
+    return schema.replace("/msg/", "/", 1)
+
+
+# Pixels
+
+
+@dataclass(frozen=True, slots=True)
+class Pixels:
+    """An image message: a raw one where `step_bytes` is given, a frame of a video where `video_format` is."""
+
+    stamp_ns: int
+    frame_id: str
+    data: Any
+    encoding: str = ""
+    size_px: tuple[int, int] = (0, 0)
+    step_bytes: int | None = None
+    video_format: str | None = None
+
+    def decode(self, limits: Limits) -> Image:
+        """Decode a still or raw image to BGR; raises ImageError."""
+        if self.step_bytes is None:
+            return decode_still(bytes(self.data), limits)
+        return decode_raw(self.encoding, self.size_px, self.step_bytes, self.data, limits)
+
+
+def _decoded(video: VideoDecoder, frame: Pixels, loss_count: int) -> Callable[[], Image]:
+    """Decode a frame of a video now, and give its pixels, or the reason why there are none, whenever asked."""
+    try:
+        pixels = video.decode(frame.video_format or "", frame.data, loss_count)
+    except ImageError as problem:
+        return broken_image(0, str(problem)).decode
+    return lambda: pixels
+
+
+def _no_pixels() -> Image:
+    raise ImageError("a frame of a video that was not decoded")
+
+
+# Foxglove's messages, and svmdist's own
+
+
+def _stamp_of(message: Any, log_time_ns: int) -> int:
+    """The message's own stamp in ns, or the log time where it has none."""
+    if not message.HasField("timestamp"):
+        return checked_stamp(log_time_ns)
+    return checked_stamp(message.timestamp.seconds * NS + message.timestamp.nanos)
+
+
+def _foxglove_image(message: Any, log_time_ns: int) -> Pixels:
+    """The `format` of a compressed image is ignored, for its data say what they are."""
+    return Pixels(_stamp_of(message, log_time_ns), message.frame_id, message.data)
+
+
+def _foxglove_raw_image(message: Any, log_time_ns: int) -> Pixels:
+    size_px = (message.width, message.height)
+    image = _foxglove_image(message, log_time_ns)
+    return replace(image, encoding=message.encoding, size_px=size_px, step_bytes=message.step)
+
+
+def _foxglove_video(message: Any, log_time_ns: int) -> Pixels:
+    return replace(_foxglove_image(message, log_time_ns), video_format=message.format)
+
+
+def _foxglove_camera(message: Any, log_time_ns: int) -> CameraSample:
+    camera = checked_camera(message, message.frame_id, (message.K, message.D, message.R, message.P))
+    return CameraSample(_stamp_of(message, log_time_ns), camera)
+
+
+def _foxglove_joints(message: Any, log_time_ns: int) -> JointSample:
+    """Joints without a position are left out."""
+    check_count(message.joints, MAX_JOINTS)
+    joints = [joint for joint in message.joints if joint.HasField("position")]
+    names, positions = [joint.name for joint in joints], [joint.position for joint in joints]
+    return checked_joints(_stamp_of(message, log_time_ns), names, positions)
+
+
+def _foxglove_pose(message: Any, log_time_ns: int) -> RawTransform:
+    pose = message.pose
+    q = pose.orientation if pose.HasField("orientation") else None
+    return checked_transform(_stamp_of(message, log_time_ns), message.frame_id, "", pose.position, q)
+
+
+def _foxglove_transforms(message: Any, log_time_ns: int) -> RawTransforms:
+    """Of a FrameTransform or FrameTransforms. An unset rotation means none; four zeros that are set are an error."""
+    parts = message.transforms if hasattr(message, "transforms") else [message]
+    check_count(parts, MAX_TRANSFORMS)
+    transforms = [
+        checked_transform(
+            _stamp_of(part, log_time_ns),
+            part.parent_frame_id,
+            part.child_frame_id,
+            part.translation,
+            part.rotation if part.HasField("rotation") else None,
+        )
+        for part in parts
+    ]
+    return transforms_of(transforms, log_time_ns)
+
+
+def _distance(message: Any, log_time_ns: int) -> DistanceSample:
+    values = (message.planar_m, message.spatial_m, message.clearance_m)
+    _check_numbers(values, "a distance")
+    return DistanceSample(_stamp_of(message, log_time_ns), *values)
+
+
+# Checks that all encodings share
+
+
+def checked_stamp(stamp_ns: int) -> int:
+    """Return a stamp that fits into 64 bits with sign and is not negative; DecodeError for any other."""
+    if not 0 <= stamp_ns <= MAX_STAMP_NS:
+        raise DecodeError(f"the stamp {stamp_ns} ns is out of range")
+    return stamp_ns
+
+
+def check_count(parts: Any, limit: int) -> None:
+    """Refuse too many parts of a message with DecodeError."""
+    if len(parts) > limit:
+        raise DecodeError(f"{len(parts)} elements, the limit is {limit}")
+
+
+def _check_numbers(values: Sequence[float], what: str) -> None:
+    """Refuse numbers that are not finite or absurdly large."""
+    # False for NaN and infinity too; ten times as fast as an array.
+    if sum(map(abs, values)) <= MAX_MAGNITUDE:
+        return
+    numbers = np.asarray(values, np.float64)
+    bad = ~(np.abs(numbers) <= MAX_MAGNITUDE)  # true for NaN too
+    if bad.any():
+        raise DecodeError(f"{what}: {numbers[bad][0]} is no usable number")
+
+
+def _check_names(names: Sequence[str], what: str) -> None:
+    """Refuse very long names: they would be kept."""
+    if max(map(len, names), default=0) > MAX_NAME_BYTES:
+        raise DecodeError(f"a {what}'s name of more than {MAX_NAME_BYTES} characters")
+
+
+def checked_transform(stamp_ns: int, parent: str, child: str, position: Any, rotation: Any) -> RawTransform:
+    """Take over a transform; DecodeError for values that are not finite or name no rotation."""
+    translation_m = (position.x, position.y, position.z)
+    quaternion = (
+        (0.0, 0.0, 0.0, 1.0) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
+    )
+    _check_numbers(translation_m, "a translation")
+    _check_numbers(quaternion, "a quaternion")
+    if max(map(abs, quaternion)) < 1e-8:  # far longer ones than those that name no rotation are looked at
+        try:
+            rotation_from_quaternion_xyzw(quaternion)
+        except ValueError as problem:
+            raise DecodeError(str(problem)) from None
+    _check_names((parent, child), "frame")
+    return RawTransform(stamp_ns, parent, child, translation_m + quaternion)
+
+
+def transforms_of(transforms: Sequence[RawTransform], log_time_ns: int) -> RawTransforms:
+    """One message of transforms, with the stamp of the first one."""
+    first_ns = transforms[0].stamp_ns if transforms else checked_stamp(log_time_ns)
+    return RawTransforms(first_ns, tuple(transforms))
+
+
+def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[float]) -> JointSample:
+    """Build a sample; DecodeError for names that repeat and positions that are missing or not finite."""
+    if len(names) != len(positions) or not names:
+        raise DecodeError(f"{len(names)} joint names and {len(positions)} positions")
+    if len(set(names)) != len(names):
+        raise DecodeError("joint names repeat")
+    _check_names(names, "joint")
+    _check_numbers(positions, "joint positions")
+    # Every message brings the same names: one string each serves all the samples that are kept.
+    return JointSample(stamp_ns, tuple(map(sys.intern, names)), np.array(positions, np.float64))
+
+
+def checked_camera(message: Any, frame_id: str, numbers: Sequence[Sequence[float]]) -> Camera:
+    """Build a camera; DecodeError for a matrix of another size, an uncalibrated camera or an unknown distortion."""
+    K, D, R, P = numbers
+    _check_names((frame_id,), "frame")
+    if len(K) != 9 or len(R) not in {0, 9} or len(P) not in {0, 12} or len(D) > MAX_COEFFICIENTS:
+        raise DecodeError(f"K, R, P, D have {len(K)}, {len(R)}, {len(P)}, {len(D)} elements")
+    _check_numbers([*K, *D, *R, *P], "a calibration")
+    model = cut(message.distortion_model)
+    if any(D) and model.lower() not in KNOWN_DISTORTION:
+        choices = ", ".join(sorted(filter(None, KNOWN_DISTORTION)))
+        raise DecodeError(f"distortion model {model!r} is not known; the choices are {choices}")
+    try:
+        return Camera(
+            message.width,
+            message.height,
+            np.array(K, np.float64).reshape(3, 3),
+            np.array(D, np.float64),
+            np.array(R, np.float64).reshape(3, 3) if any(R) else None,
+            np.array(P, np.float64).reshape(3, 4) if any(P) else None,
+            frame_id,
+            KNOWN_DISTORTION.get(model.lower(), "plumb_bob") if any(D) else "plumb_bob",
+        )
+    except ValueError as problem:
+        raise DecodeError(str(problem)) from None
+
+
+Converter = Callable[[Any, int], Message | Pixels]
+"""From a parsed message and its log time in ns."""
+FOXGLOVE: dict[str, tuple[Kind, Converter]] = {
+    "foxglove.CompressedImage": (Kind.IMAGE, _foxglove_image),
+    "foxglove.RawImage": (Kind.IMAGE, _foxglove_raw_image),
+    "foxglove.CompressedVideo": (Kind.IMAGE, _foxglove_video),
+    "foxglove.CameraCalibration": (Kind.CAMERA, _foxglove_camera),
+    "foxglove.JointStates": (Kind.JOINTS, _foxglove_joints),
+    "foxglove.PoseInFrame": (Kind.POSE, _foxglove_pose),
+    "foxglove.FrameTransform": (Kind.TRANSFORMS, _foxglove_transforms),
+    "foxglove.FrameTransforms": (Kind.TRANSFORMS, _foxglove_transforms),
+    "svmdist.GroundTruthDistance": (Kind.DISTANCE, _distance),
+}
+ROS: dict[str, Kind] = {
+    "sensor_msgs/Image": Kind.IMAGE,
+    "sensor_msgs/CompressedImage": Kind.IMAGE,
+    "sensor_msgs/CameraInfo": Kind.CAMERA,
+    "sensor_msgs/JointState": Kind.JOINTS,
+    "geometry_msgs/PoseStamped": Kind.POSE,
+    "geometry_msgs/TransformStamped": Kind.POSE,
+    "tf2_msgs/TFMessage": Kind.TRANSFORMS,
+    "tf/tfMessage": Kind.TRANSFORMS,
+}
+KINDS = {"protobuf": {schema: kind for schema, (kind, _) in FOXGLOVE.items()}, "cdr": ROS, "ros1": ROS}
+"""By encoding and schema."""

@@ -1,0 +1,113 @@
+"""Messages of ROS 1 and ROS 2, read with the types of the `rosbags` library."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+from svmdist.recording.messages import (
+    MAX_JOINTS,
+    MAX_TRANSFORMS,
+    NS,
+    DecodeError,
+    Message,
+    Pixels,
+    RawTransform,
+    RawTransforms,
+    check_count,
+    checked_camera,
+    checked_joints,
+    checked_stamp,
+    checked_transform,
+    transforms_of,
+)
+from svmdist.samples import CameraSample, JointSample
+
+
+@cache
+def _types(encoding: str) -> Any:
+    """The types of ROS, imported when the first of its messages is read."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    if encoding == "cdr":
+        return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(
+        get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
+    )
+    return store
+
+
+def decode_ros(encoding: str, schema: str, data: bytes, log_time_ns: int) -> Message | Pixels:
+    """Decode a message of ROS 1 (`ros1`) or ROS 2 (`cdr`), whose schema is named without `/msg/`."""
+    package, _, name = ("tf2_msgs/TFMessage" if schema == "tf/tfMessage" else schema).partition("/")
+    types = _types(encoding)
+    if encoding == "cdr" and data[:2] not in (b"\0\0", b"\0\1"):
+        raise DecodeError(f"not plain CDR: it begins with {data[:2].hex(' ')}")
+    read = types.deserialize_cdr if encoding == "cdr" else types.deserialize_ros1
+    try:
+        message = read(data, f"{package}/msg/{name}")
+    except Exception as problem:  # of the library: an error of its own, or of struct, NumPy and text
+        raise DecodeError(f"not a {schema}: {' '.join(str(problem).split())}") from None
+    return CONVERTERS[name](message, log_time_ns)
+
+
+def _header(message: Any, log_time_ns: int) -> tuple[int, str]:
+    """Stamp and frame of a header; a stamp of zero was never set, and the log time stands for it."""
+    header = message.header
+    return checked_stamp(header.stamp.sec * NS + header.stamp.nanosec or log_time_ns), header.frame_id
+
+
+def _image(message: Any, log_time_ns: int) -> Pixels:
+    size_px = (message.width, message.height)
+    head = _header(message, log_time_ns)
+    return Pixels(*head, message.data, message.encoding, size_px, message.step)
+
+
+def _compressed_image(message: Any, log_time_ns: int) -> Pixels:
+    return Pixels(*_header(message, log_time_ns), message.data)
+
+
+def _camera(message: Any, log_time_ns: int) -> CameraSample:
+    stamp_ns, frame_id = _header(message, log_time_ns)
+    # ROS 1 writes these names large, ROS 2 small.
+    numbers = [getattr(message, name, None) for name in "KDRP"]
+    if numbers[0] is None:
+        numbers = [getattr(message, name) for name in "kdrp"]
+    return CameraSample(stamp_ns, checked_camera(message, frame_id, [one.tolist() for one in numbers]))
+
+
+def _joints(message: Any, log_time_ns: int) -> JointSample:
+    check_count(message.name, MAX_JOINTS)
+    return checked_joints(_header(message, log_time_ns)[0], message.name, message.position.tolist())
+
+
+def _stamped(message: Any, log_time_ns: int) -> RawTransform:
+    """A TransformStamped; as a topic of its own it is the pose of its child, as older CRTK publishes `*_cp`."""
+    transform = message.transform
+    stamp_ns, parent = _header(message, log_time_ns)
+    return checked_transform(
+        stamp_ns, parent, message.child_frame_id, transform.translation, transform.rotation
+    )
+
+
+def _pose(message: Any, log_time_ns: int) -> RawTransform:
+    stamp_ns, parent = _header(message, log_time_ns)
+    return checked_transform(stamp_ns, parent, "", message.pose.position, message.pose.orientation)
+
+
+def _transforms(message: Any, log_time_ns: int) -> RawTransforms:
+    check_count(message.transforms, MAX_TRANSFORMS)
+    return transforms_of([_stamped(one, log_time_ns) for one in message.transforms], log_time_ns)
+
+
+CONVERTERS: dict[str, Callable[[Any, int], Message | Pixels]] = {
+    "Image": _image,
+    "CompressedImage": _compressed_image,
+    "CameraInfo": _camera,
+    "JointState": _joints,
+    "PoseStamped": _pose,
+    "TransformStamped": _stamped,
+    "TFMessage": _transforms,
+}

@@ -1,0 +1,242 @@
+"""ROS 1 bags and rosbag2 folders as sources of messages, read with the `rosbags` library.
+
+Neither bags nor databases have checksums: flipped bits in their values cannot be found.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import quote
+
+import yaml
+import zstandard
+from rosbags.rosbag1 import Reader as Bag1Reader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+from svmdist.errors import RecordingError
+from svmdist.input_file import LogPath, open_regular, read_regular, why
+from svmdist.profile import Limits
+from svmdist.recording.mcap import McapSource
+from svmdist.recording.source import (
+    METADATA_FILE,
+    Health,
+    Loss,
+    LossKind,
+    RawMessage,
+    Source,
+    TopicInfo,
+    is_message_compressed,
+    merge_topics,
+    sanitize,
+)
+
+METADATA_BYTES = 1 << 20
+SQLITE_HEADER_BYTES = 100
+UNMERGED_SUFFIXES = ("-wal", "-journal")
+
+
+class _Reader(Protocol):
+    """What the readers of `rosbags` have in common."""
+
+    connections: list[Any]
+
+    def open(self) -> None: ...
+    def close(self) -> None: ...
+    def messages(self, connections: Collection[Any]) -> Iterator[tuple[Any, int, bytes]]: ...
+
+
+class BagSource:
+    """One file that `rosbags` reads: a ROS 1 bag, or a database of rosbag2."""
+
+    def __init__(self, path: LogPath, encoding: str) -> None:
+        self.path = path
+        self.health = Health()
+        self._encoding = encoding
+        if encoding == "cdr":
+            _require_whole_database(Path(str(path)))
+            for left in (Path(f"{path}{suffix}") for suffix in UNMERGED_SUFFIXES):
+                if left.exists() and left.stat().st_size:
+                    detail = (
+                        f"{left.name} was left by an interrupted recorder and is not read; sqlite3 merges it"
+                    )
+                    self.health.add(Loss(LossKind.STRUCTURE, detail))
+        reader = self._opened()
+        self._topics = merge_topics(
+            TopicInfo(one.topic, one.msgtype, encoding, one.msgcount) for one in reader.connections
+        )
+        reader.close()
+
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """List the topics."""
+        return self._topics
+
+    def metadata(self) -> dict[str, str]:
+        """Bags have no metadata of svmdist's."""
+        return {}
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield the messages of some topics, or of all, in the order of their times."""
+        reader = self._opened()
+        count = 0
+        try:
+            wanted = [one for one in reader.connections if topics is None or one.topic in topics]
+            for one, time_ns, data in reader.messages(wanted) if wanted else ():
+                count += 1
+                yield RawMessage(one.topic, one.msgtype, self._encoding, time_ns, bytes(data))
+        except Exception as problem:  # rosbags lets through whatever its parsers raise
+            detail = (
+                f"the rest of {self.path.name} is unreadable ({_line(problem)}), {count} messages recovered"
+            )
+            self.health.add(Loss(LossKind.TRUNCATED, detail))
+        finally:
+            reader.close()
+
+    def _opened(self) -> _Reader:
+        """A reader that is open; RecordingError names the command that repairs the file."""
+        reader: Any
+        try:
+            if self._encoding == "ros1":
+                reader = Bag1Reader(self.path)
+            else:
+                reader = Sqlite3Reader(Path(quote(str(Path(str(self.path)).resolve()))))
+            reader.open()
+        except OSError as problem:
+            raise RecordingError(f"{self.path}: cannot read: {why(problem)}") from None
+        except Exception as problem:
+            if self._encoding == "cdr":
+                raise RecordingError(f"{self.path}: no usable rosbag2 database: {_line(problem)}") from None
+            raise RecordingError(
+                f"{self.path}: a ROS 1 bag that is truncated or damaged ({_line(problem)});"
+                f" what is left of it can be saved with: rosbag reindex {self.path.name}"
+            ) from None
+        return reader  # type: ignore[no-any-return]
+
+
+class FolderSource:
+    """A rosbag2 folder: its storage files one after another, messages expanded where they are compressed.
+
+    What `metadata.yaml` says of files and counts is only compared with what is there.
+    """
+
+    def __init__(self, path: Path, limits: Limits) -> None:
+        self.path = path
+        self.health = Health()
+        self._message_bytes = 4 * limits.image_pixels + limits.message_bytes
+        information = self._read_metadata()
+        packed = sorted(
+            file.name for file in path.iterdir() if file.name.endswith((".mcap.zstd", ".db3.zstd"))
+        )
+        if packed:
+            raise RecordingError(
+                f"{path}: its files are compressed as a whole; expand them first: zstd -d {sanitize(packed[0])}"
+            )
+        files = sorted((file for file in path.iterdir() if file.suffix in {".mcap", ".db3"}), key=_order)
+        if not files:
+            storage = information.get("storage_identifier")
+            found = f"; its storage is {sanitize(str(storage))}" if storage else ""
+            raise RecordingError(f"{path}: a rosbag2 folder without any .mcap or .db3 file{found}")
+        named = {Path(str(name)).name for name in information.get("relative_file_paths") or ()}
+        if missing := sorted(named - {file.name for file in files}):
+            detail = f"{', '.join(missing[:3])} named in {METADATA_FILE} but not there"
+            self.health.add(Loss(LossKind.STRUCTURE, detail))
+        self._declared: dict[str, int] = {
+            one["topic_metadata"]["name"]: one["message_count"]
+            for one in information.get("topics_with_message_count") or ()
+        }
+        self._parts: list[Source] = [
+            McapSource(file, limits) if file.suffix == ".mcap" else BagSource(file, "cdr") for file in files
+        ]
+        for part in self._parts:
+            self.health.join(part.health)
+            part.health = self.health
+        self._is_compressed = str(information.get("compression_mode", "")).upper() == "MESSAGE"
+        if not information:
+            self._is_compressed = is_message_compressed(self._parts[0])
+
+    def _read_metadata(self) -> dict[str, Any]:
+        """What the folder declares; where that cannot be read, nothing, and a loss: the messages are not in it."""
+        try:
+            document = yaml.safe_load(read_regular(self.path / METADATA_FILE, METADATA_BYTES))
+            information: dict[str, Any] = document["rosbag2_bagfile_information"]
+            for one in information.get("topics_with_message_count") or ():
+                int(one["message_count"]), str(one["topic_metadata"]["name"])
+            list(information.get("relative_file_paths") or ())
+        except Exception as problem:  # as the file is somebody else's, anything can be missing
+            self.health.add(Loss(LossKind.STRUCTURE, f"{METADATA_FILE} is not usable: {_line(problem)}"))
+            return {}
+        return information
+
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """List the topics of all files."""
+        return merge_topics(info for part in self._parts for info in part.topics())
+
+    def metadata(self) -> dict[str, str]:
+        """Read the record `svmdist` of the first file that has one."""
+        return next((found for part in self._parts if (found := part.metadata())), {})
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield the messages of some topics, or of all, file by file."""
+        losses = 0
+        counts: Counter[str] = Counter()
+        for part in self._parts:
+            part_losses = 0
+            for raw in part.messages(topics):
+                counts[raw.topic] += 1
+                part_losses = raw.losses_before
+                message = replace(raw, losses_before=losses + part_losses)
+                if self._is_compressed:
+                    try:
+                        message = replace(message, data=_expanded(raw.data, self._message_bytes))
+                    except (ValueError, zstandard.ZstdError) as problem:
+                        losses += 1
+                        self.health.add(Loss(LossKind.MESSAGE, str(problem), raw.offset, raw.topic))
+                        continue
+                yield message
+            losses += part_losses + 1  # what the end of a file lost shows in no message of it
+        if self.health.is_clean:
+            for topic, declared in self._declared.items():
+                if (topics is None or topic in topics) and declared != counts[topic]:
+                    detail = f"{METADATA_FILE} declares {declared} messages, {counts[topic]} were read"
+                    self.health.add(Loss(LossKind.STATISTICS, detail, None, topic))
+
+
+def _expanded(data: bytes, limit_bytes: int) -> bytes:
+    """Expand a message that was compressed on its own; ValueError where it declares more than the limit."""
+    size_bytes = zstandard.frame_content_size(data)
+    if not 0 <= size_bytes <= limit_bytes:
+        raise ValueError(f"a message of {size_bytes} bytes declared, the limit is {limit_bytes}")
+    return zstandard.ZstdDecompressor().decompress(data)
+
+
+def _order(path: Path) -> list[tuple[int, str]]:
+    """The order in which files were written: `_2` before `_10`."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+
+
+def _line(problem: Exception) -> str:
+    return " ".join(str(problem).split())[:200] or type(problem).__name__
+
+
+def _require_whole_database(path: Path) -> None:
+    """Raise RecordingError for a file shorter than its header says: SQLite may take zeros for the missing part."""
+    with open_regular(path) as file:
+        header = file.read(SQLITE_HEADER_BYTES)
+        size_bytes = file.seek(0, 2)
+    if len(header) < SQLITE_HEADER_BYTES:
+        raise RecordingError(f"{path}: truncated at byte {size_bytes}, inside the header")
+    (page_bytes,) = struct.unpack_from(">H", header, 16)
+    changes, page_count = struct.unpack_from(">II", header, 24)
+    (counted_at,) = struct.unpack_from(">I", header, 92)
+    declared_bytes = (65536 if page_bytes == 1 else page_bytes) * page_count
+    # The count of pages is valid only where it was written with the last change (SQLite file format, 1.3.7).
+    if changes == counted_at and size_bytes < declared_bytes:
+        raise RecordingError(
+            f"{path}: truncated at byte {size_bytes} of {declared_bytes}: an SQLite database cannot be read in"
+            f" part; what is left of it can be saved with: sqlite3 {path.name} .recover"
+        )

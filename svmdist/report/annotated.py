@@ -1,0 +1,140 @@
+"""A log with what a method found drawn on its images: a copy of the recording for viewers, and a video."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from svmdist.errors import OutputError, optional_package
+from svmdist.files import atomic_file
+from svmdist.recording.encode import EncodedSample
+from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.summary import copied_messages
+from svmdist.recording.topics import Role
+from svmdist.recording.viewer_messages import (
+    distance_estimate,
+    image_annotations,
+    log_line,
+    scene_update,
+    tool_transforms,
+)
+from svmdist.recording.writer import RecordingWriter
+from svmdist.report.panels import draw_on
+from svmdist.report.rows import estimate_values
+from svmdist.samples import Image
+from svmdist.workflows.frame_drawing import DrawnFrame, interval_m
+from svmdist.workflows.request import Setup
+
+ANNOTATIONS = "annotations"
+"""Below the image's topic: viewers that go by the names of topics lay it over the image."""
+SCENE_TOPIC, TF_TOPIC, LOG_TOPIC = "/svmdist/scene", "/svmdist/tf", "/svmdist/log"
+
+TIME_BASE = Fraction(1, 1000)
+"""Frames are shown at their stamps, to a millisecond: a log has no constant rate."""
+CODECS = ("libx264", "mpeg4")
+"""The first that this build of FFmpeg has. H.264 plays everywhere; MPEG-4 is part of every build."""
+QUALITY = {"crf": "20", "preset": "veryfast"}
+LARGEST_STEP_MS = 10_000
+"""A pause of a log is shown no longer than this."""
+
+
+def write_annotated(
+    frames: Iterable[DrawnFrame], recording: Recording, setup: Setup, output: Path, *, force: bool = False
+) -> None:
+    """Copy a recording to `output` with what was drawn of each image.
+
+    What is copied: see `copied_messages`. The file is written in the order of the log, each image followed by its
+    annotations, and holds a few frames at a time. Raises UsageError where the file exists and `force` is not set.
+    """
+    if recording.origin is None:
+        raise TypeError("only a recording as it was opened can be copied")
+    path, profile, limits, topics = recording.origin
+    # A pass of its own over the recording opened anew, so that losses are counted once.
+    copies = copied_messages(open_recording(path, profile, limits=limits, topics=topics))
+    metadata = {**recording.metadata, "annotated_by": f"svmdist estimate --method {setup.method}"}
+    with RecordingWriter(output, metadata, force=force) as writer:
+        annotations = _annotations(recording, frames, setup)
+        for topic, message in heapq.merge(copies, annotations, key=lambda pair: pair[1].stamp_ns):
+            writer.write(topic, message)
+
+
+def distance_topic(instrument: str) -> str:
+    """The topic of an instrument's estimates."""
+    return f"/svmdist/{instrument}/distance"
+
+
+def _annotations(
+    recording: Recording, frames: Iterable[DrawnFrame], setup: Setup
+) -> Iterator[tuple[str, EncodedSample]]:
+    frame_id = recording.logged_camera.frame_id
+    image_topic = f"{recording.topic_of(Role.IMAGE)}/{ANNOTATIONS}"
+    for at, frame in enumerate(frames):
+        drawing, stamp_ns, results = frame.drawing, frame.drawing.stamp_ns, frame.replayed.results
+        if at == 0:
+            text = f"svmdist {version('svmdist')}, method {setup.method}, profile {setup.profile.name}"
+            yield LOG_TOPIC, log_line(text, stamp_ns, is_warning=False)
+        yield image_topic, image_annotations(drawing)
+        for result in results:
+            bounds_m = interval_m(result.distances.clearance) if result.distances.clearance else None
+            values = estimate_values(result, setup.method, bounds_m, frame.alarms.get(result.instrument))
+            yield distance_topic(result.instrument), distance_estimate(values, stamp_ns)
+        poses = [
+            (f"{result.instrument}_tool_estimate", result.tool.pose.T_camera_tool)
+            for result in results
+            if result.measured and result.tool is not None
+        ]
+        if poses:
+            yield TF_TOPIC, tool_transforms(poses, frame_id, stamp_ns)
+        names = [result.instrument for result in results]
+        yield SCENE_TOPIC, scene_update(drawing.scene, names, frame_id, stamp_ns)
+        for line in drawing.lines:
+            if not line.measured or line.alarm:
+                yield LOG_TOPIC, log_line(line.text, stamp_ns, is_warning=True)
+
+
+def write_video(frames: Iterable[DrawnFrame], path: Path, size_px: tuple[int, int]) -> None:
+    """Write an MP4 of images of a size (width, height) in px.
+
+    An image that could not be read is black, with the reason. Raises OutputError where PyAV is missing, or the file
+    cannot be written.
+    """
+    av = optional_package("av", "video", "a video", OutputError)
+    width, height = (length + length % 2 for length in size_px)  # the codecs halve the colours' resolution
+    begin_ns: int | None = None
+    shown_ms = -1
+    with atomic_file(path) as target:
+        try:
+            with av.open(str(target), "w", format="mp4") as container:
+                codec = next(name for name in CODECS if name in av.codecs_available)
+                stream = container.add_stream(codec, rate=30, options=QUALITY if codec == "libx264" else {})
+                stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+                stream.codec_context.time_base = TIME_BASE
+                for frame in frames:
+                    stamp_ns = frame.drawing.stamp_ns
+                    begin_ns = stamp_ns if begin_ns is None else begin_ns
+                    at_ms = round((stamp_ns - begin_ns) / 1e6)
+                    # Clocks that are set back, or forth, make no gaps: a video's time only goes on.
+                    at_ms = min(max(at_ms, shown_ms + 1), shown_ms + LARGEST_STEP_MS)
+                    begin_ns = stamp_ns - at_ms * 1_000_000
+                    shown_ms = at_ms
+                    picture = av.VideoFrame.from_ndarray(_picture(frame, width, height), format="bgr24")
+                    picture.pts, picture.time_base = at_ms, TIME_BASE
+                    container.mux(stream.encode(picture))
+                container.mux(stream.encode())
+        except av.FFmpegError as problem:
+            raise OutputError(f"{path}: cannot write: {problem.strerror}") from None
+
+
+def _picture(frame: DrawnFrame, width: int, height: int) -> Image:
+    """The drawn image on black, of the video's size."""
+    image = frame.replayed.image_bgr
+    drawn = draw_on(np.zeros((height, width, 3), np.uint8) if image is None else image, frame.drawing)
+    padded = np.zeros((height, width, 3), np.uint8)
+    rows, columns = min(height, drawn.shape[0]), min(width, drawn.shape[1])
+    padded[:rows, :columns] = drawn[:rows, :columns]
+    return padded
