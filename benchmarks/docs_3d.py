@@ -11,9 +11,8 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.methods import SPATIAL_METHODS
 from svmdist.recording.log import Recording, open_recording
 from svmdist.workflows.compare import Figures, Run, measure_runs, pooled_figures
-from svmdist.workflows.conditions import CLEAN
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.request import prepare
+from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.scoring.score import Distance, DistanceScore, Readings, Score, score_pairs
 from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.validate import Validation, validate
@@ -32,24 +31,25 @@ CLEARANCE_BETWEEN = Distance(
     lambda found: found.to_instrument,
     lambda truth: truth.clearance_m,
 )
+LogRun = tuple[Recording, Run]
 ALL = "### All methods in 3D, both logs and all instruments\n"
 
 
-def measure_logs(names: Sequence[str] = LOGS) -> list[Run]:
+def measure_logs(names: Sequence[str] = LOGS) -> list[LogRun]:
     """Every method in 3D on golden logs, one run a method, log and instrument, timed by one core's work."""
     setups = [prepare(method=method) for method in SPATIAL_METHODS]
     recordings = [open_recording(RECORDINGS / f"{name}.mcap", setups[0].profile) for name in names]
-    return list(measure_runs(recordings, setups, (CLEAN,), jobs=1))
+    return [(one, run) for one in recordings for run in measure_runs(one, setups, jobs=1)]
 
 
 def score_alarms(names: Sequence[str] = LOGS) -> Validation:
     """`fused` on golden logs, with its alarms."""
     setup = prepare(method="fused")
     recordings = [open_recording(RECORDINGS / f"{name}.mcap", setup.profile) for name in names]
-    return validate(recordings, setup, TruthRules((Reference.GROUND_TRUTH,)), alarms=ALARMS)
+    return validate(recordings, Request(setup, alarms=ALARMS, rules=TruthRules((Reference.GROUND_TRUTH,))))
 
 
-def table_of_all(runs: Sequence[Run]) -> str:
+def table_of_all(runs: Sequence[LogRun]) -> str:
     """The table over both logs and all instruments, as the README shows it too."""
     return _table(runs)
 
@@ -71,22 +71,22 @@ def score_between() -> DistanceScore:
     return score
 
 
-def make_results_3d(runs: Sequence[Run], alarms: Validation, between: DistanceScore) -> str:
+def make_results_3d(runs: Sequence[LogRun], alarms: Validation, between: DistanceScore) -> str:
     """The generated part of docs/results.md about the logs in 3D."""
     parts = [ALL, _table(runs)]
-    for recording, instrument in dict.fromkeys((run.recording, run.instrument) for run in runs):
-        members = [run for run in runs if (run.recording, run.instrument) == (recording, instrument)]
+    for recording, instrument in dict.fromkeys((one, run.instrument) for one, run in runs):
+        members = [(one, run) for one, run in runs if (one, run.instrument) == (recording, instrument)]
         parts += [f"### {_label(recording, instrument)}\n", _table(members)]
     parts += [f"### Between {' and '.join(BETWEEN)} in `duo`, `fused`\n", _between_table(between)]
     parts += [f"### Alarms of `fused`, clearance below {ALARMS.below_m * 1e3:g} mm\n", _alarm_table(alarms)]
     return "\n".join(parts)
 
 
-def make_results_real(runs: Sequence[Run], alarms: Validation) -> str:
+def make_results_real(runs: Sequence[LogRun], alarms: Validation) -> str:
     """The generated part of docs/results.md about logs of worlds that are not the profile."""
     parts = ["### All methods in 3D, both logs\n", _table(runs)]
-    for recording in dict.fromkeys(run.recording for run in runs):
-        parts += [f"### {recording.name}\n", _table([run for run in runs if run.recording == recording])]
+    for recording in dict.fromkeys(one for one, _ in runs):
+        parts += [f"### {recording.name}\n", _table([pair for pair in runs if pair[0] == recording])]
     parts += [f"### Alarms of `fused`, clearance below {ALARMS.below_m * 1e3:g} mm\n", _alarm_table(alarms)]
     return "\n".join(parts)
 
@@ -96,9 +96,11 @@ def _label(recording: Recording, instrument: str) -> str:
     return recording.name if instrument == recording.instruments[0] else f"{recording.name} {instrument}"
 
 
-def _table(runs: Sequence[Run]) -> str:
-    methods = dict.fromkeys(run.method for run in runs)
-    rows = (_row(method, pooled_figures([run for run in runs if run.method == method])) for method in methods)
+def _table(runs: Sequence[LogRun]) -> str:
+    figures: dict[str, list[Figures]] = {}
+    for _, run in runs:
+        figures.setdefault(run.method, []).append(run.figures)
+    rows = (_row(method, pooled_figures(of)) for method, of in figures.items())
     return HEADER + "".join(rows)
 
 

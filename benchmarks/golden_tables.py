@@ -23,7 +23,7 @@ from benchmarks.docs_3d import (
 from benchmarks.pictures import IMAGES, PICTURES, make_picture
 from svmdist.recording.log import open_recording
 from svmdist.workflows.blur_bench import blur_bench
-from svmdist.workflows.request import Setup, prepare
+from svmdist.workflows.request import Request, Setup, prepare
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation, validate
@@ -69,7 +69,7 @@ def _markdown_row(score: Score) -> str:
 def score_logs(setup: Setup, names: Sequence[str] = LOGS) -> Validation:
     """Score the golden logs."""
     recordings = [open_recording(ROOT / "recordings" / f"{name}.mcap", setup.profile) for name in names]
-    return validate(recordings, setup)
+    return validate(recordings, Request(setup))
 
 
 def with_table(text: str, table: str, marks: tuple[str, str] = (BEGIN, END)) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.recording.log import Recording, open_recording
-from svmdist.workflows.compare import Run, group_of, measure_runs
+from svmdist.workflows.compare import Run, measure_runs
 from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.request import Setup, prepare
 from svmdist.workflows.scoring.score import Pairs, pooled
@@ -45,26 +45,27 @@ This page is made by `benchmarks/robustness.py` from logs of {frames} frames:
 """
 
 
-def measure(recordings: Sequence[Recording], methods: Sequence[str] = METHODS) -> list[Run]:
+def measure(recordings: Sequence[Recording], methods: Sequence[str] = METHODS) -> list[LogRun]:
     """All methods on all logs in all worlds; a log of a real world stays as it is."""
     setups: list[Setup] = [prepare(method=method) for method in methods]
     everywhere: list[LogCondition] = [
         CLEAN,
         *(PerturbedCondition(parse_perturbations(text)) for text in WORLDS),
     ]
-    runs: list[Run] = []
+    runs: list[LogRun] = []
     for recording in recordings:
         is_perturbed = "perturb" in recording.metadata
-        runs += measure_runs([recording], setups, [CLEAN] if is_perturbed else everywhere)
+        found = measure_runs(recording, setups, [CLEAN] if is_perturbed else everywhere)
+        runs += [(recording, run) for run in found]
     return runs
 
 
-def robustness_page(runs: Sequence[Run]) -> str:
+def robustness_page(runs: Sequence[LogRun]) -> str:
     """The whole page."""
-    recordings = dict.fromkeys(run.recording for run in runs)
-    frames = sum(next(run.frame_count for run in runs if run.recording is one) for one in recordings)
+    recordings = dict.fromkeys(one for one, _ in runs)
+    frames = sum(next(run.figures.frame_count for of, run in runs if of is one) for one in recordings)
     logs = "\n".join(f"- {_described(recording)}" for recording in recordings)
-    return HEAD.format(frames=frames, logs=logs) + "\n" + robustness_table(runs)
+    return HEAD.format(frames=frames, logs=logs) + "\n" + robustness_table([run for _, run in runs])
 
 
 def robustness_table(runs: Sequence[Run]) -> str:
@@ -78,6 +79,9 @@ def robustness_table(runs: Sequence[Run]) -> str:
     return "\n".join(lines) + "\n"
 
 
+LogRun = tuple[Recording, Run]
+
+
 def far_share(pairs: Pairs, stds: float = FAR_STDS) -> float | None:
     """The share of pairs that are off by more than so many stated deviations; None where none is stated."""
     stated = np.isfinite(pairs.std_m)
@@ -88,13 +92,13 @@ def far_share(pairs: Pairs, stds: float = FAR_STDS) -> float | None:
 
 
 def _world(run: Run) -> str:
-    return group_of(run.recording, run.condition).degradation
+    return run.group.degradation
 
 
 def _cell(runs: Sequence[Run]) -> str:
-    frames = sum(run.frame_count for run in runs)
+    frames = sum(run.figures.frame_count for run in runs)
     inconsistent = sum(run.statuses.get("inconsistent", 0) for run in runs) / max(frames, 1)
-    scored = [run.spatial.pairs for run in runs if run.spatial is not None]
+    scored = [run.figures.spatial.pairs for run in runs if run.figures.spatial is not None]
     if not scored:
         return f"– / – / {100.0 * inconsistent:.0f} / –"
     pairs = pooled(scored)

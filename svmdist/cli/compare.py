@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -45,6 +46,12 @@ if TYPE_CHECKING:
     from svmdist.workflows.request import Request, Setup
 
 
+class ComparePlot(StrEnum):
+    """`--plot`: the only one that there is."""
+
+    COMPARE = "compare"
+
+
 class CompareOptions(GoldenLogOptions, CalibrationOption, ReadOptions, LagOption, WindowOptions, GroupOption):
     """What `compare` takes."""
 
@@ -68,6 +75,7 @@ class CompareOptions(GoldenLogOptions, CalibrationOption, ReadOptions, LagOption
     form: str | None = format_option(Holds.FIGURES)
     output: Path | None = output_option()
     save_plot: Path | None = PLOT
+    plot: ComparePlot | None = option(None, "--plot", None, "What --save-plot draws.", hidden=True)
 
     @property
     def conditions(self) -> list[LogCondition]:
@@ -110,6 +118,8 @@ def compare_command(given: CompareOptions) -> None:
     logs = Logs(given)
     require_output(given.output, logs.paths)
     require_plot(given.save_plot, logs.paths)
+    if given.plot is not None and given.save_plot is None:
+        raise UsageError(f"--plot {given.plot}: says what --save-plot FILE draws, which is not given")
     writer = choose_writer(given.form, given.output, Holds.FIGURES)
     keys, lag = given.group_keys, given.given_lag
     conditions = given.conditions

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from svmdist.cli.estimate_targets import EstimateTargets
-from svmdist.errors import OutputError, UsageError
+from svmdist.errors import OutputError
 from svmdist.report.plots import COLUMN_IN, LEVELS, PAGE_IN, SeriesPlot, draw_series, pooled, rejected_spans
 from tests.cli.conftest import Cli, cli
 from tests.report.html.test_report_page import make_series
@@ -86,10 +85,3 @@ def test_commands_write_plots(golden: Path, cli: Cli, tmp_path: Path) -> None:
     assert alone.code == 2
     assert "--save-plot" in alone.err
     assert cli("estimate", log, "--save-plot", tmp_path / "e.txt").code == 1
-
-
-def test_targets_that_contradict_each_other_are_refused() -> None:
-    with pytest.raises(UsageError, match="leave out one"):
-        EstimateTargets.of(None, Path("a.html"), Path("b.html"), None)
-    with pytest.raises(UsageError, match="by itself"):
-        EstimateTargets.of(None, Path("a.mp4"), None, Path("b.png"))
