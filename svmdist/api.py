@@ -125,10 +125,7 @@ def compare(
 
 
 def _setup(recording: Recording, method: Method, calibration: Path | None = None) -> Setup:
-    if recording.origin is None:
-        raise SvmdistError("expected a recording of open_recording, found a view of one")
-    profile = recording.origin[1]
-    return prepare(profile, method, "corrected", calibration)
+    return prepare(recording.origin.profile, method, "corrected", calibration)
 
 
 def _dataframe(rows: Sequence[Row], keys: Sequence[str]) -> DataFrame:

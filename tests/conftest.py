@@ -45,11 +45,13 @@ def synthetic_calibration(synthetic_log: Path) -> Path:
     from svmdist.estimation.plane_mapping import save_calibration
     from svmdist.profile import load_profile
     from svmdist.recording.log import open_recording
-    from svmdist.workflows.calibrate import calibrate
+    from svmdist.workflows.calibrate import collect_part, fit_parts
 
     profile = load_profile()
     path = synthetic_log.with_suffix(".calibration.toml")
-    save_calibration(calibrate([open_recording(synthetic_log, profile)], profile), path)
+    save_calibration(
+        fit_parts([collect_part(open_recording(synthetic_log, profile), profile, "overlay")], "overlay"), path
+    )
     return path
 
 

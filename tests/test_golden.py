@@ -15,7 +15,7 @@ from svmdist.estimation.lag import estimate_lag
 from svmdist.estimation.plane_mapping import load_calibration
 from svmdist.profile import load_profile, profile_path
 from svmdist.recording.log import open_recording
-from svmdist.workflows.calibrate import calibrate
+from svmdist.workflows.calibrate import collect_part, fit_parts
 from svmdist.workflows.lag import predictor
 from svmdist.workflows.scoring.baseline import find_regressions, load_baseline
 from svmdist.workflows.scoring.score import Score
@@ -113,7 +113,10 @@ def test_the_shipped_calibration_is_reproduced() -> None:
     profile = load_profile()
     assert profile.calibration is not None
     shipped = load_calibration(profile_path("psm13").parent / profile.calibration)
-    fitted = calibrate([open_recording(RECORDINGS / "calibration.mcap", profile)], profile)
+    fitted = fit_parts(
+        [collect_part(open_recording(RECORDINGS / "calibration.mcap", profile), profile, "overlay")],
+        "overlay",
+    )
     assert shipped.sources == fitted.sources
     assert shipped.camera == fitted.camera
     for axis in ("x", "y"):

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.instruments import Labels
+from training.instruments import DISTAL, Labels
 from training.scene import HEIGHT, WIDTH, render
 
 VALIDATION_SEED = 10_000_000
@@ -68,6 +68,18 @@ def halved(images: NDArray[np.uint8], labels: Labels) -> tuple[NDArray[np.uint8]
     count, height, width = labels.shape
     fours = images.reshape(count, height // 2, 2, width // 2, 2, 3)
     return fours.mean((2, 4)).astype(np.uint8), np.ascontiguousarray(labels[:, ::2, ::2])
+
+
+def iou(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks of one shape; 1 of two that are empty."""
+    either = int((found | truth).sum())
+    return float((found & truth).sum()) / either if either else 1.0
+
+
+def union_ious(found: NDArray[np.uint8], labels: Labels) -> NDArray[np.float64]:
+    """The IoU of the union of instruments in each picture that has one."""
+    pairs = zip(found >= DISTAL, labels >= DISTAL, strict=True)
+    return np.array([iou(one, two) for one, two in pairs if two.any()], np.float64)
 
 
 def fingerprint() -> str:

@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from benchmarks.overlap import union_ious
 from svmdist.vision.network import network_input
-from training.dataset import VALIDATION_SEED, Pictures, rendered
+from training.dataset import VALIDATION_SEED, Pictures, rendered, union_ious
 from training.layout import network_rules
 
 if TYPE_CHECKING:

@@ -17,18 +17,25 @@ from svmdist.estimation.coloured_regions import (
     nominal_instrument,
 )
 from svmdist.estimation.frame import Frame, OtherMasks
-from svmdist.estimation.region_tracking import Identity, RegionTracker, assignments
+from svmdist.estimation.region_tracking import CONTEST, MAX_REGIONS, Identity, RegionTracker, assignments
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import EntrySide
-from svmdist.profile.settings import AssociationSettings
 from svmdist.results import Failure
 from svmdist.samples import Image, Observation
 from svmdist.transforms import Array, inverse
 from svmdist.vision.find_instruments import SeenInstrument
 from svmdist.vision.frame_context import FrameContext
 
-DEFAULT = AssociationSettings()
+PLACED_FRACTION = 0.05  # of the width: a hidden region less certain than this assigns no shaft
+SIDE_STD = 0.25  # from the middle of its side, over the image's size, for a new instrument
+ENTRY_STD = 0.04  # from the previous entry: the outline is found a little longer or wider
+ENTRY_SPEED = 0.05  # how that grows, per s: a trocar holds the instrument, and the camera moves slowly
+END_STD = 0.06  # the same for the shaft's end
+END_SPEED = 0.3  # the same for the shaft's end, per s, as instruments move
+UNSEEN_COST = 6.0  # -log of the chance that an instrument is not seen although it is there, or is not there
+UNNAMED_COST = 6.0  # -log of the chance that what is seen as an instrument is none of those in the profile
+
 SIDES: dict[EntrySide, tuple[float, float]] = {
     "left": (0.0, 0.5),
     "right": (1.0, 0.5),
@@ -60,20 +67,15 @@ class EntryTracker:
     """Names the seen instruments of one camera's images, in the order of their stamps."""
 
     def __init__(
-        self,
-        names: Sequence[str],
-        sides: Sequence[EntrySide | None],
-        size: tuple[int, int],
-        settings: AssociationSettings = DEFAULT,
+        self, names: Sequence[str], sides: Sequence[EntrySide | None], size: tuple[int, int]
     ) -> None:
         self._names = tuple(names)
         self._size = np.array([size[1], size[0]], np.float64)
-        self._settings = settings
         self._tracks = [_Track(place) for place in expected_places(sides)]
 
     def update(self, stamp_ns: int, seen: Sequence[SeenInstrument]) -> tuple[NamedInstrument, ...]:
         """Name the seen instruments of the next image; an entry for each name."""
-        seen = seen[: self._settings.max_regions]
+        seen = seen[:MAX_REGIONS]
         entries = np.array([one.entry_px / self._size for one in seen]).reshape(-1, 2)
         ends = np.array([one.end_px / self._size for one in seen]).reshape(-1, 2)
         cost = np.array(
@@ -100,27 +102,26 @@ class EntryTracker:
 
     def _cost(self, track: _Track, stamp_ns: int, entry: Array, end: Array) -> float:
         """-log likelihood of a seen instrument under a track, up to a constant that all tracks share."""
-        settings = self._settings
         if track.entry is None or track.end is None:
             if track.side is None:
-                return 2.0 * math.log(settings.side_std)
+                return 2.0 * math.log(SIDE_STD)
             off = entry - track.side
-            return 0.5 * float(off @ off) / settings.side_std**2 + 2.0 * math.log(settings.side_std)
+            return 0.5 * float(off @ off) / SIDE_STD**2 + 2.0 * math.log(SIDE_STD)
         passed_s = max(0.0, (stamp_ns - track.stamp_ns) / 1e9)
-        entry_std = min(settings.entry_std + settings.entry_speed * passed_s, settings.side_std)
-        end_std = min(settings.end_std + settings.end_speed * passed_s, settings.side_std)
+        entry_std = min(ENTRY_STD + ENTRY_SPEED * passed_s, SIDE_STD)
+        end_std = min(END_STD + END_SPEED * passed_s, SIDE_STD)
         from_entry, from_end = entry - track.entry, end - track.end
         of_entry = 0.5 * float(from_entry @ from_entry) / entry_std**2 + 2.0 * math.log(entry_std)
         # Ends say nothing more once they may be anywhere.
-        of_end = 0.5 * float(from_end @ from_end) / end_std**2 + 2.0 * math.log(end_std / settings.side_std)
+        of_end = 0.5 * float(from_end @ from_end) / end_std**2 + 2.0 * math.log(end_std / SIDE_STD)
         return of_entry + of_end
 
     def _total(self, hypothesis: Sequence[int | None], cost: Array) -> float:
         """-log likelihood of naming all at once: each one that goes unnamed, or unseen, costs."""
         unnamed = cost.shape[1] - sum(at is not None for at in hypothesis)
-        total: float = self._settings.unnamed_cost * unnamed
+        total: float = UNNAMED_COST * unnamed
         for place, at in enumerate(hypothesis):
-            total += self._settings.unseen_cost if at is None else float(cost[place, at])
+            total += UNSEEN_COST if at is None else float(cost[place, at])
         return float(total)
 
     def _doubt(
@@ -132,7 +133,7 @@ class EntryTracker:
     ) -> str:
         """Why a name is in doubt: another naming of this instrument, or of this name, is nearly as likely."""
         for cost, other in hypotheses[1:]:
-            if cost - best_cost > self._settings.contest:
+            if cost - best_cost > CONTEST:
                 return ""
             if other[place] == at:
                 continue
@@ -145,10 +146,7 @@ class EntryTracker:
 
 
 def expected_places(sides: Sequence[EntrySide | None]) -> list[Array | None]:
-    """Where instruments are expected to come in, shape (2,) each over the picture's size.
-
-    Without sides several are expected from left to right in their order, and one may come from anywhere.
-    """
+    """Where instruments are expected to come in, shape (2,) each over the picture's size."""
     count = len(sides)
     places: list[Array | None] = []
     for at, side in enumerate(sides):
@@ -212,7 +210,7 @@ class Association:
         if name not in self._entries:
             profiles = [arm.profile for arm in self._arms]
             names, sides = [one.instrument_name for one in profiles], [one.entry for one in profiles]
-            self._entries[name] = EntryTracker(names, sides, context.shape, self._settings)
+            self._entries[name] = EntryTracker(names, sides, context.shape)
         masks: list[Image | None] = []
         doubts = []
         for named in self._entries[name].update(stamp_ns, seen):
@@ -251,9 +249,9 @@ class Association:
         """For each instrument the mask, shape (h, w), of coloured and dark pixels that are not its own."""
         height, width = context.shape
         tracker = self._trackers.setdefault(name, RegionTracker(len(nominal), width, height, self._settings))
-        regions = ColouredRegions.of(context.masks.instrument, self._gate, self._settings)
+        regions = ColouredRegions.of(context.masks.instrument, self._gate)
         shafts = context.masks.shaft
-        dark = None if shafts is None else DarkPixels.of(shafts, context.masks.black, self._settings)
+        dark = None if shafts is None else DarkPixels.of(shafts, context.masks.black)
 
         # Whose the regions are, by where they are expected and by whose shaft is behind them.
         evidence = np.zeros((len(nominal), len(regions.blobs)))
@@ -291,6 +289,6 @@ class Association:
         expected = identity.expected
         if expected is None or identity.radius_px is None:
             return None
-        if expected.std_px > self._settings.placed_fraction * camera.width_px:
+        if expected.std_px > PLACED_FRACTION * camera.width_px:
             return None
         return tool.shaft_from(expected.mean, identity.radius_px, camera)

@@ -16,13 +16,21 @@ from svmdist.estimation.region_tracking import Blob, Gaussian, NominalPlace
 from svmdist.estimation.scene import Arm
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import AreaGate, Instrument
-from svmdist.profile.settings import AssociationSettings
 from svmdist.results import Failure, ToolPose
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
 
-DEFAULT = AssociationSettings()
+# A tool's nominal depth is taken to be at least this, since its pixel diverges towards the camera
+MIN_DEPTH_M = 0.02
+RAY_COUNT = 12  # points along a shaft's expected axis at which the image is asked whether it is dark
+RAY_SPAN = (1.25, 2.2)  # where along the axis they lie, over the distance from the region to the shaft's end
+LIKELY_DARK = 0.85  # how much of the line where its shaft should be is dark, for the right instrument
+UNLIKELY_DARK = 0.3  # the same for another instrument
+MIN_RAY_FRACTION = 0.4  # a line of which less is inside the picture tells nothing
+SHAFT_REACH = 2.5  # a dark pixel farther from an axis than so many radii is not that shaft's
+GROWN_PX = 5  # side of the dilation of other masks: borders differ between detectors
+FRAGMENT_REACH = 2.5  # radii within which coloured fragments belong to an instrument's region
 
 
 @dataclass(frozen=True)
@@ -47,10 +55,9 @@ class ColouredRegions:
     blobs: tuple[Blob, ...]
     names: tuple[int, ...]
     fragments: tuple[tuple[int, Blob], ...]
-    settings: AssociationSettings = DEFAULT
 
     @classmethod
-    def of(cls, mask: Image, rule: AreaGate, settings: AssociationSettings = DEFAULT) -> ColouredRegions:
+    def of(cls, mask: Image, rule: AreaGate) -> ColouredRegions:
         """Find them in the mask of all instruments, shape (h, w)."""
         count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
         areas = stats[:, cv2.CC_STAT_AREA]
@@ -58,26 +65,20 @@ class ColouredRegions:
         whole = [(label, blob) for label, blob in parts if blob.area_px > rule.min_area_px]
         fragments = tuple((label, blob) for label, blob in parts if blob.area_px <= rule.min_area_px)
         names, blobs = tuple(label for label, _ in whole), tuple(blob for _, blob in whole)
-        return cls(mask, np.asarray(labels, np.int32), blobs, names, fragments, settings)
+        return cls(mask, np.asarray(labels, np.int32), blobs, names, fragments)
 
     @property
     def _square(self) -> Image:
-        return np.ones((self.settings.grown_px, self.settings.grown_px), np.uint8)
+        return np.ones((GROWN_PX, GROWN_PX), np.uint8)
 
     def without(self, index: int | None) -> Image:
-        """Mask of everything coloured but one region and the fragments about it; of everything for None.
-
-        It reaches a little beyond the rest's borders, where another look at the image may draw them.
-        """
+        """Mask of everything coloured but one region and the fragments about it; of everything for None."""
         grown = np.asarray(cv2.dilate(self.mask, self._square), np.uint8)
         if index is None:
             return grown
         blob, own = self.blobs[index], [self.names[index]]
         for label, fragment in self.fragments:
-            if (
-                np.linalg.norm(fragment.centre_px - blob.centre_px)
-                < self.settings.fragment_reach * blob.radius_px
-            ):
+            if np.linalg.norm(fragment.centre_px - blob.centre_px) < FRAGMENT_REACH * blob.radius_px:
                 own.append(label)
         mine = np.where(np.isin(self.labels, own), self.mask, 0).astype(np.uint8)
         rest = cv2.dilate(cv2.subtract(self.mask, mine), self._square)
@@ -90,27 +91,26 @@ class DarkPixels:
 
     mask: Image
     view: Image
-    settings: AssociationSettings = DEFAULT
 
     @classmethod
-    def of(cls, shafts: Image, black: Image | None, settings: AssociationSettings = DEFAULT) -> DarkPixels:
+    def of(cls, shafts: Image, black: Image | None) -> DarkPixels:
         """Find them in the mask of all shafts, shape (h, w), and that of what may be border beside them."""
         mask = np.asarray(cv2.medianBlur(shafts, 3), np.uint8)
         view = field_of_view(mask if black is None else np.asarray(mask | black))
-        return cls(mask, view, settings)
+        return cls(mask, view)
 
     def evidence(self, axis: ShaftAxis) -> float:
         """Log-likelihood ratio of a shaft being there against none, from a line along its axis."""
-        along = np.linspace(*self.settings.ray_span, self.settings.ray_count) * axis.begin_px
+        along = np.linspace(*RAY_SPAN, RAY_COUNT) * axis.begin_px
         points = np.round(axis.tool_px + along[:, None] * axis.direction).astype(int)
         height, width = self.mask.shape
         inside = np.all((points >= 0) & (points < [width, height]), axis=1)
         x, y = points[inside].T
         seen = self.view[y, x] > 0
-        if np.count_nonzero(seen) < self.settings.min_ray_fraction * self.settings.ray_count:
+        if np.count_nonzero(seen) < MIN_RAY_FRACTION * RAY_COUNT:
             return 0.0
         dark = float(np.mean(self.mask[y[seen], x[seen]] > 0))
-        likely, unlikely = self.settings.likely_dark, self.settings.unlikely_dark
+        likely, unlikely = LIKELY_DARK, UNLIKELY_DARK
         yes, no = np.log(likely / unlikely), np.log((1 - likely) / (1 - unlikely))
         return float(dark * yes + (1.0 - dark) * no)
 
@@ -118,7 +118,7 @@ class DarkPixels:
         """For every pixel the index of the axis that it is nearest to, shape (h, w); -1 where it is no shaft's."""
         owner = np.full(self.mask.shape, -1, np.int8)
         y, x = np.nonzero(self.mask)
-        best = np.full(len(x), self.settings.shaft_reach)
+        best = np.full(len(x), SHAFT_REACH)
         found = np.full(len(x), -1, np.int8)
         for index, axis in enumerate(axes):
             if axis is None:
@@ -139,7 +139,6 @@ class NominalInstrument:
 
     pose: ToolPose
     instrument: Instrument | None
-    settings: AssociationSettings = DEFAULT
 
     def moved(self, T_other_camera: Array) -> NominalInstrument:
         """The same in the frame of another camera beside this one; covariances stay as they are."""
@@ -153,7 +152,7 @@ class NominalInstrument:
     def place(self, camera: Camera) -> NominalPlace:
         """Where the tool is in the image by nominal kinematics, to first order."""
         x, y, z = self.pose.position_m
-        z = max(float(z), self.settings.min_depth_m)
+        z = max(float(z), MIN_DEPTH_M)
         fx, fy = float(camera.K[0, 0]), float(camera.K[1, 1])
         mean = np.array([camera.K[0, 2] + fx * x / z, camera.K[1, 2] + fy * y / z])
         J = np.array([[fx / z, 0.0, -fx * x / z**2], [0.0, fy / z, -fy * y / z**2]])
@@ -188,4 +187,4 @@ def nominal_instrument(arm: Arm, robot: RobotState | Failure) -> NominalInstrume
     if isinstance(robot, Failure) or robot.T_camera_base is None or arm.chain is None:
         return None
     tool = nominal_tool(arm.chain, arm.profile.kinematic_error, robot)
-    return NominalInstrument(tool, arm.profile.instrument, arm.profile.settings.association)
+    return NominalInstrument(tool, arm.profile.instrument)

@@ -12,18 +12,18 @@ from svmdist.estimation.surface import DEGREE, StereoSurface
 from svmdist.geometry.surfaces import Mesh
 from svmdist.least_squares import median, scale_of
 from svmdist.profile import Dome
-from svmdist.profile.settings import StereoSettings
 from svmdist.transforms import Array, inverse, transform_points
+
+INNER_RADIUS = 0.9  # of the dome, normalised: beyond it the rim is too steep for a surface of low order
+SMOOTH_FRACTION = 0.4  # as smooth as a dome; seven organs' shapes stand 0.11 mm off without a prior
+MAX_SPREAD = 3.0  # points that scatter about the dome by so many of their deviations are no view of it
 
 FULL_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, slots=True)
 class PolarOutline:
-    """An outline's corners about an apex, shape (2,): vectors from it, shape (n, 2), their angles, and 1 / lengths.
-
-    The angles ascend from -π to π; reciprocals have shape (n,), in 1/m.
-    """
+    """An outline's corners about an apex (2,): vectors (n, 2), ascending angles, and 1 / lengths in 1/m, (n,)."""
 
     apex_m: Array
     from_apex_m: Array
@@ -85,8 +85,7 @@ def _across(vectors: Array) -> Array:
 
 
 RINGS = 14
-SIDES = 72
-"""The dome's mesh: chords of 5° stand 0.03 mm off an outline of 28 mm."""
+SIDES = 72  # the dome's mesh: chords of 5° stand 0.03 mm off an outline of 28 mm
 SHAPE_SIZE = 5
 MIN_EXPONENTS, MAX_EXPONENTS = np.array([1.0, 0.2]), np.array([20.0, 2.0])
 """Beyond these a dome is a cone, a spike or a box; a fit does not go there."""
@@ -135,10 +134,7 @@ class DomeModel:
         return replace(self, T_camera_tissue=T, outline_m=factor * self.outline_m, shape=shape)
 
     def mesh(self) -> Mesh:
-        """The closed surface in the camera frame, made once.
-
-        The normalised radius runs from 0 to 1; rings crowd at the rim, where the dome is steep.
-        """
+        """The closed surface in the camera frame, made once."""
         return self._mesh
 
     def to_tissue_frame(self, points_m: Array) -> Array:
@@ -154,10 +150,7 @@ class DomeModel:
         return np.asarray(self.shape[2] * self._profile(self._polar.normalised_radius(points_m)))
 
     def derivative(self, points_m: Array) -> Array:
-        """Of the height at points in the tissue's frame, shape (n, 2), by the shape: shape (n, 5).
-
-        The height counts as zero beyond the outline, and there the derivative does, too.
-        """
+        """Of the height (0 beyond the outline) at points, shape (n, 2), by the shape: shape (n, 5)."""
         radius, by_apex = self._polar.with_derivative(points_m)
         height_m, a, b = self.shape[2:]
         power = radius**a
@@ -177,10 +170,7 @@ class DomeModel:
         )
 
     def variance_m2(self, point_m: Array, direction: Array) -> float:
-        """By how much the surface at a point of the camera frame, shape (3,), may move along a unit vector, shape (3,).
-
-        Another shape moves the surface along the plane's normal; along d a part of it remains: (d · n)².
-        """
+        """By how much the surface at a point of the camera frame, (3,), may move along a unit vector, (3,)."""
         flat_m = self.to_tissue_frame(point_m[None])[:, :2]
         radius = float(self._polar.normalised_radius(flat_m)[0])
         if radius > STEEP_RADIUS:
@@ -211,10 +201,7 @@ def _ring_radii() -> Array:
 
 
 def _dome_vertices(outline_m: Array, shape: Array, profile: Array) -> Array:
-    """Apex, rings of `SIDES` vertices from the apex outwards, and the floor's middle: shape (v, 3).
-
-    `profile`, shape (RINGS,), has the rings' heights over the apex's.
-    """
+    """Apex, rings of `SIDES` vertices from the apex outwards, and the floor's middle: shape (v, 3)."""
     if _signed_area(outline_m) < 0.0:
         outline_m = outline_m[::-1]
     apex_m, height_m = shape[:2], float(shape[2])
@@ -253,7 +240,6 @@ def _signed_area(polygon_m: Array) -> float:
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-DEFAULT = StereoSettings()
 MIN_POINTS = 100
 FREEDOM = (DEGREE + 1) * (DEGREE + 2) / 2
 """Coefficients of the disparity surface: so many of its points err independently, and no more."""
@@ -262,7 +248,7 @@ STEP_SETTLED = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
 """A step below it moves no point of the dome by more than a micrometre."""
 
 
-def fit_dome(dome: DomeModel, surface: StereoSurface, settings: StereoSettings = DEFAULT) -> DomeModel | None:
+def fit_dome(dome: DomeModel, surface: StereoSurface) -> DomeModel | None:
     """The dome with apex, height and exponents as the surface shows them; None where it shows something else.
 
     The most probable shape given the dome's own and the points' heights (Gauss–Newton, Cauchy's weights). The
@@ -270,7 +256,7 @@ def fit_dome(dome: DomeModel, surface: StereoSurface, settings: StereoSettings =
     of which the smooth part looks like another shape. What has no deviation stays as it is.
     """
     points_m = dome.to_tissue_frame(surface.points_m)
-    inner = dome.normalised_radius(points_m[:, :2], np.zeros(2)) < settings.inner_radius
+    inner = dome.normalised_radius(points_m[:, :2], np.zeros(2)) < INNER_RADIUS
     flat_m, height_m = points_m[inner, :2], points_m[inner, 2]
     free = np.flatnonzero(np.diag(dome.covariance) > 0.0)
     if len(flat_m) < MIN_POINTS or len(free) == 0:
@@ -283,10 +269,7 @@ def fit_dome(dome: DomeModel, surface: StereoSurface, settings: StereoSettings =
         std_m = max(surface.std_m, scale_of(error_m - median(error_m)))
         J = now.derivative(flat_m)[:, free]
         weight = (
-            FREEDOM
-            / len(flat_m)
-            / (settings.smooth_fraction * std_m) ** 2
-            / (1.0 + (error_m / (2.0 * std_m)) ** 2)
+            FREEDOM / len(flat_m) / (SMOOTH_FRACTION * std_m) ** 2 / (1.0 + (error_m / (2.0 * std_m)) ** 2)
         )
         weighted = J * weight[:, None]
         information = prior + weighted.T @ J
@@ -297,7 +280,7 @@ def fit_dome(dome: DomeModel, surface: StereoSurface, settings: StereoSettings =
         now = now.shaped(now.shape + step, dome.covariance)
         if np.abs(step / STEP_SETTLED).max() < 1.0:
             break
-    if std_m > settings.max_spread * surface.std_m or not now.shape[2] > 0.0:
+    if std_m > MAX_SPREAD * surface.std_m or not now.shape[2] > 0.0:
         return None
     covariance = np.zeros_like(dome.covariance)
     covariance[at] = np.linalg.inv(information)

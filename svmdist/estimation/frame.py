@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from svmdist.vision.shaft_segmentation import ShaftRegion
     from svmdist.vision.silhouette import Silhouette
 
+# Bright part of a dark stub above which it is a tag's print, half of which is white
+MAX_PRINTED_FRACTION = 0.1
+
 
 class View:
     """One camera's image as the methods of one instrument see it, and what it shows of that instrument.
@@ -74,10 +77,7 @@ class View:
 
     @cached_property
     def regions_as_recorded(self) -> tuple[Region | None, Region | None]:
-        """Tissue and distal part by the image as it is, as the paper's methods find them.
-
-        First loop: the tissue's region, if larger than its gate (eqs. 1, 2). Second loop: the instrument's (eqs. 7, 8).
-        """
+        """Tissue (eqs. 1, 2) and distal part (eqs. 7, 8) by the image as it is, for the paper's methods."""
         rules, masks, outline = self._arm.profile.segmentation, self.masks_as_recorded, self._settings.outline
         return (
             find_region(masks.tissue, rules.tissue, outline),
@@ -109,8 +109,6 @@ class View:
             masks.seen[0],
             masks.picture,
             wrist_shape(self._arm.required_chain, instrument),
-            self._settings.silhouette,
-            self._settings.shaft,
         )
 
     @cached_property
@@ -120,15 +118,15 @@ class View:
         from svmdist.vision.tags import tag_plate
 
         profile, masks, corners_px = self._arm.profile, self.masks, self.tag_corners_px
-        rule, settings = profile.segmentation.shaft, self._settings.shaft
+        rule = profile.segmentation.shaft
         if rule is None or masks.shaft is None:
             return None
         covered = None if corners_px is None else tag_plate(corners_px, masks.shaft.shape, self._settings.tag)
-        region = find_shaft(masks.shaft, rule, covered, masks.black, settings)
+        region = find_shaft(masks.shaft, rule, covered, masks.black)
         if region is None or profile.fiducial is None or covered is not None or not region.is_stub:
             return region
         # The border may cut the plate, whose black print is then as wide as the shaft and ends where it does.
-        return None if bright_fraction(region, masks.shaft) > settings.max_printed_fraction else region
+        return None if bright_fraction(region, masks.shaft) > MAX_PRINTED_FRACTION else region
 
     @cached_property
     def shaft(self) -> ShaftDetection:
@@ -136,7 +134,7 @@ class View:
         from svmdist.estimation.instrument.shaft_detection import detect_shaft, detect_silhouette
 
         if self.masks.seen is not None:
-            return detect_silhouette(self.silhouette, self.camera, self._settings.shaft)
+            return detect_silhouette(self.silhouette, self.camera)
         return detect_shaft(self.context.brightness, self.shaft_region, self.camera, self._settings.shaft)
 
 
@@ -223,13 +221,11 @@ class Frame:
         """The tag's pose near a predicted rotation, shape (3, 3), of a standard deviation in rad."""
         from svmdist.estimation.instrument.tag_pose import find_tag_pose
 
-        left, pattern, settings = self.left, self.arm.tag_pattern, self.arm.profile.settings.tag
+        left, pattern = self.left, self.arm.tag_pattern
         corners_px = left.tag_corners_px
         if corners_px is None or pattern is None:
             return None
-        return find_tag_pose(
-            left.context.grey, corners_px, left.camera, pattern, R_camera_tag, std_rad, settings
-        )
+        return find_tag_pose(left.context.grey, corners_px, left.camera, pattern, R_camera_tag, std_rad)
 
     @cached_property
     def shaft_fit(self) -> ShaftFit | Failure:
@@ -248,10 +244,7 @@ class Frame:
 
 
 def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
-    """The frame of the only instrument of an observation; raises WrongImageError for what is no image of its camera.
-
-    Images of logs are checked when they are decoded; these were made by a caller.
-    """
+    """The frame of the only instrument of an observation; raises WrongImageError for what is no image of its camera."""
     require_bgr(observation.image_bgr, observation.camera, "image_bgr")
     if observation.right is not None:
         require_bgr(observation.right.image_bgr, observation.right.camera, "right.image_bgr")
@@ -263,10 +256,7 @@ Clock = Callable[[], float]
 
 
 def prefetch(source: object, names: Iterable[str], clock: Clock = time.thread_time) -> dict[str, float]:
-    """Compute detections of a scene or a frame before they are asked for; gives by name what each took, in s.
-
-    Names may go through views: `right.shaft` is computed only where there is a right view.
-    """
+    """Compute detections ahead, `right.shaft` where there is a right view; gives by name what each took, in s."""
     seconds = {}
     for name in names:
         start_s, found = clock(), source

@@ -15,22 +15,38 @@ from svmdist.estimation.instrument.consistency import GatingResult
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
+    POSE_CORRELATION_TIME_S,
     ContourMeasurement,
     DisparityMeasurement,
     PointsMeasurement,
     PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.instrument.shaft_detection import DistalMarker, marker_centre
+from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, DistalMarker, marker_centre
+from svmdist.estimation.instrument.two_views import ROW_TOLERANCE_PX
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue_tracking import FollowedTissue
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile.settings import Settings
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Status
 from svmdist.transforms import inverse
 from svmdist.vision.edges import Disc
 from svmdist.vision.regions import Region
+
+COLOUR_DELAY_STD_S = 0.008  # of colours against brightness: 4:2:0 mixes those of both fields, 1/60 s apart
+VISIBLE_MIDDLE = 0.05  # off the true one over the radius: 6 % of the disc hidden on one side moves it so
+SHADING_BIAS = 0.12  # over radius and angle of the light: half of √(1 - 0.97²), Lambert's dark limb
+CENTRE_NOISE = 0.02  # what is left over the radius: pixels, shading, the view's angle
+UNKNOWN_SHAPE_STD_PX = 4.0  # a third of the marker's radius, as where blood covers a side of it
+MIN_VISIBLE_FRACTION = 0.4  # of a whole marker's area: with less of it visible its centroid cannot be used
+WHOLE_AREA_SPREAD = 0.1  # of a whole marker over its disc's: jaws hide some, a fork adds
+MIN_RELATIVE_DEPTH_STD = 0.01  # where depth is known this well, the marker's size adds nothing
+TRACKED_DISPARITY_NOISE = 0.008  # over the radius, where a filter estimates what lasts
+INTERLACED_DISPARITY_NOISE = 0.03  # over the radius: colours of both fields are mixed, 0.4 px at 12 px
+LASTING_DISPARITY = 0.016  # over the radius: blood and shading differ in each view, 0.1 to 0.2 px at 12 px
+# By how much the marker's areas in both views differ when nothing is wrong, over their sum
+EVEN_AREA_FRACTION = 0.02
+DEPTH_KNOWN_FRACTION = 0.05  # standard deviation over depth, below which depth tells the marker's size
 
 
 def measurements(frame: Frame, robot: RobotState, predicted: ToolPose) -> list[LinkMeasurement]:
@@ -47,24 +63,24 @@ def measurements(frame: Frame, robot: RobotState, predicted: ToolPose) -> list[L
 def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
     """The distal marker's centre is a point on the tool, as certain as its region is whole; and its disparity."""
     profile, region, camera = frame.arm.profile, frame.left.region, frame.left.camera
-    settings, stereo, instrument = profile.settings.distal_marker, profile.settings.stereo, profile.instrument
+    instrument = profile.instrument
     radius_m = instrument.knuckle_radius_m if instrument is not None else 0.0
     if region is None:
         return
-    whole_std_px = _centroid_std_px(camera, region, predicted, radius_m, profile.settings)
+    whole_std_px = _centroid_std_px(camera, region, predicted, radius_m)
     if whole_std_px is None:
         return
     depth_m, radius_px = float(predicted.position_m[2]), float(np.sqrt(region.area_px / np.pi))
     place_m, place_std_m = np.zeros(3), 0.0
     if instrument is not None:
         place_m, place_std_m = np.array(instrument.knuckle_position_m), instrument.knuckle_position_std_m
-    point_std_m = float(np.hypot(settings.visible_middle * radius_m, place_std_m))
-    shading_px = settings.shading_bias * radius_px if radius_m > 0.0 else 0.0
+    point_std_m = float(np.hypot(VISIBLE_MIDDLE * radius_m, place_std_m))
+    shading_px = SHADING_BIAS * radius_px if radius_m > 0.0 else 0.0
     centre_px, blur_px = marker_centre(region, _disc(frame.left.distal_marker), camera, depth_m, radius_m)
-    std_px = float(np.hypot(whole_std_px, settings.border_std_per_blur * blur_px))
+    std_px = float(np.hypot(whole_std_px, BORDER_STD_PER_BLUR * blur_px))
     covariance = std_px**2 * np.eye(2)
     lasts_s = profile.settings.filter.point_correlation_time_s
-    delay_std_s = profile.settings.interlace.colour_delay_std_s if frame.scene.is_interlaced else 0.0
+    delay_std_s = COLOUR_DELAY_STD_S if frame.scene.is_interlaced else 0.0
     yield PointsMeasurement(
         "distal marker",
         None,
@@ -83,18 +99,16 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
     if right is None or right.region is None or geometry is None:
         return
     other = right.region
-    if abs(other.centroid_px[1] - region.centroid_px[1]) > stereo.row_tolerance_px:
+    if abs(other.centroid_px[1] - region.centroid_px[1]) > ROW_TOLERANCE_PX:
         return
-    if _centroid_std_px(right.camera, other, predicted, radius_m, profile.settings) is None:
+    if _centroid_std_px(right.camera, other, predicted, radius_m) is None:
         return
     # What one view shows more of moves its centroid by up to half of it.
     uneven = abs(region.area_px - other.area_px) / (region.area_px + other.area_px)
     std_px = radius_px * float(
         np.hypot(
-            stereo.interlaced_disparity_noise
-            if frame.scene.is_interlaced
-            else stereo.tracked_disparity_noise,
-            max(0.0, uneven - stereo.even_area_fraction),
+            INTERLACED_DISPARITY_NOISE if frame.scene.is_interlaced else TRACKED_DISPARITY_NOISE,
+            max(0.0, uneven - EVEN_AREA_FRACTION),
         )
     )
     other_px, _ = marker_centre(other, _disc(right.distal_marker), right.camera, depth_m, radius_m)
@@ -111,16 +125,13 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
         correlation_time_s=lasts_s,
         deviations=frame.arm.deviations,
         delay_std_s=delay_std_s,
-        lasting_std_px=radius_px * stereo.lasting_disparity,
+        lasting_std_px=radius_px * LASTING_DISPARITY,
         p_link_m=place_m,
     )
 
 
 def _wrist(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
-    """The tool's origin by the outline of its wrist, where no marker has a colour; and its disparity.
-
-    Half of the variance lasts: how jaws and clevis divide an outline changes as they turn, and no faster.
-    """
+    """The tool's origin by the outline of its wrist, where no marker has a colour; and its disparity."""
     wrist, right = frame.left.shaft.wrist, frame.right
     geometry, settings = frame.scene.observation.right, frame.arm.profile.settings
     camera = frame.left.camera
@@ -144,7 +155,7 @@ def _wrist(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
     if right is None or right.shaft.wrist is None or geometry is None:
         return
     other = right.shaft.wrist
-    if abs(other.pixel[1] - wrist.pixel[1]) > settings.stereo.row_tolerance_px + wrist.std_px:
+    if abs(other.pixel[1] - wrist.pixel[1]) > ROW_TOLERANCE_PX + wrist.std_px:
         return
     variance_px2 = wrist.std_px**2 + other.std_px**2
     yield DisparityMeasurement(
@@ -162,31 +173,28 @@ def _wrist(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
     )
 
 
-def _centroid_std_px(
-    camera: Camera, region: Region, predicted: ToolPose, radius_m: float, settings: Settings
-) -> float | None:
+def _centroid_std_px(camera: Camera, region: Region, predicted: ToolPose, radius_m: float) -> float | None:
     """How far the marker's centroid may be off, by what part of it is missing; None where too much is."""
-    marker = settings.distal_marker
     x, y, width, height = cv2.boundingRect(region.hull)
     if x <= 0 or y <= 0 or x + width >= camera.width_px or y + height >= camera.height_px:
         return None
     depth_m, depth_std_m = predicted.position_m[2], np.sqrt(predicted.covariance[2, 2])
-    if radius_m == 0.0 or depth_m <= 0.0 or depth_std_m > settings.fused.depth_known_fraction * depth_m:
-        return marker.unknown_shape_std_px
+    if radius_m == 0.0 or depth_m <= 0.0 or depth_std_m > DEPTH_KNOWN_FRACTION * depth_m:
+        return UNKNOWN_SHAPE_STD_PX
     radius_px = camera.K[0, 0] * radius_m / depth_m
     whole = region.area_px / (np.pi * radius_px**2)
-    if whole < marker.min_visible_fraction:
+    if whole < MIN_VISIBLE_FRACTION:
         return None
     # What is missing, or too much, lies on one side: at worst it moves the centroid by half of it.
-    wrong = max(0.0, abs(1.0 - whole) - marker.whole_area_spread)
-    return float(radius_px * np.hypot(marker.centre_noise, 0.5 * wrong))
+    wrong = max(0.0, abs(1.0 - whole) - WHOLE_AREA_SPREAD)
+    return float(radius_px * np.hypot(CENTRE_NOISE, 0.5 * wrong))
 
 
 def _size(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
     """The whole marker's radius: a depth right within some percent, where nothing better tells one yet."""
-    settings, instrument = frame.arm.profile.settings.distal_marker, frame.arm.profile.instrument
+    instrument = frame.arm.profile.instrument
     depth_std_m = np.sqrt(predicted.covariance[2, 2])
-    if instrument is None or depth_std_m < settings.min_relative_depth_std * predicted.position_m[2]:
+    if instrument is None or depth_std_m < MIN_RELATIVE_DEPTH_STD * predicted.position_m[2]:
         return
     marker = frame.left.distal_marker
     if marker is not None and marker.radius_px is not None:
@@ -221,7 +229,7 @@ def _tag(frame: Frame, robot: RobotState, predicted: ToolPose) -> Iterator[LinkM
             tag.T_camera_tag,
             (1.0 - share) * tag.covariance,
             share * tag.covariance,
-            frame.arm.profile.settings.filter.pose_correlation_time_s,
+            POSE_CORRELATION_TIME_S,
             _focal_px(frame),
             frame.arm.deviations,
         )

@@ -19,9 +19,19 @@ from svmdist.profile.settings import HandEyeSettings
 from svmdist.results import Failure
 from svmdist.transforms import Array, make_transform, rotation_of, skew
 
+# Part of the frames that must agree: else what is seen is another thing than what the robot moves
+MIN_FRACTION = 0.5
+GATE = 16.3  # largest squared normalised residual of a place that agrees: chi square of 3 degrees of freedom, 99.9 %
+HUBER = 2.0  # normalised residual from which on a frame counts less
+TRIALS = 400  # samples of three frames that the fit starts from
+AXIS_FLOOR_RAD = 0.01  # of a shaft's direction in the image: what its outline does not show, 0.6°
+AXIS_TILT_FLOOR_RAD = 0.17  # towards the camera: edges in shadows tilted it by 10° in simulated rooms
+POSITION_FLOOR_M = 2e-4  # standard deviation added to that of a place, along each axis
+# How long errors of a detection and play of joints last: between two reversals of a joint
+CORRELATION_TIME_S = 0.5
+
 MAX_STEPS = 50
-CLOUD_STD_M = 1e-3
-"""Places within this of a line or a point do not tell a rotation."""
+CLOUD_STD_M = 1e-3  # places within this of a line or a point do not tell a rotation
 
 
 @dataclass(frozen=True)
@@ -74,23 +84,23 @@ def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | 
     spread_m = np.linalg.svd(places.nominal_m - places.nominal_m.mean(0), compute_uv=False) / np.sqrt(count)
     if spread_m[0] < CLOUD_STD_M:
         return Failure(f"the tool moved by {spread_m[0] * 1e3:.1f} mm only: move it through the view")
-    T = _start(places, settings)
+    T = _start(places)
     if T is None:
         return Failure("the tool moved along a line only: move it in all directions")
-    agrees = _agrees(places, T, settings)
+    agrees = _agrees(places, T)
     for _ in range(10):
-        T = _refined(places, T, agrees, settings)
-        now = _agrees(places, T, settings)
+        T = _refined(places, T, agrees)
+        now = _agrees(places, T)
         if (now == agrees).all():
             break
         agrees = now
     number = int(agrees.sum())
-    if number < settings.min_count or number < settings.min_fraction * count:
+    if number < settings.min_count or number < MIN_FRACTION * count:
         return Failure(
             f"{number} of {count} places of the tool agree with the robot's motion: is it the same instrument, at the"
             " same time (--lag)?"
         )
-    covariance, effects, ratio = _covariance(places, T, agrees, settings)
+    covariance, effects, ratio = _covariance(places, T, agrees)
     turn_std_rad = float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
     if not turn_std_rad <= settings.max_turn_std_rad:
         return Failure(
@@ -110,18 +120,18 @@ def rigid_fit(seen_m: Array, nominal_m: Array, weights: Array | None = None) -> 
     return make_transform(R, a0 - R @ b0)
 
 
-def _start(places: ToolPlaces, settings: HandEyeSettings) -> Array | None:
+def _start(places: ToolPlaces) -> Array | None:
     """The best of transforms by three frames each (RANSAC): the one with the least truncated residuals."""
     rng = np.random.default_rng(0)
     best, least = None, np.inf
-    for _ in range(settings.trials):
+    for _ in range(TRIALS):
         three = rng.choice(len(places), 3, replace=False)
         corner = places.nominal_m[three]
         area_m2 = np.linalg.norm(np.cross(corner[1] - corner[0], corner[2] - corner[0]))
         if area_m2 < CLOUD_STD_M**2:
             continue
         T = rigid_fit(places.seen_m[three], corner)
-        cost = float(np.minimum(_normalised(places, T, settings), settings.gate).sum())
+        cost = float(np.minimum(_normalised(places, T), GATE).sum())
         if cost < least:
             best, least = T, cost
     return best
@@ -131,10 +141,10 @@ def _residuals(places: ToolPlaces, T: Array) -> Array:
     return np.asarray(places.seen_m - (places.nominal_m @ T[:3, :3].T + T[:3, 3]))
 
 
-def _place_covariance(places: ToolPlaces, T: Array, settings: HandEyeSettings) -> Array:
+def _place_covariance(places: ToolPlaces, T: Array) -> Array:
     """Of each residual: what was seen, and what of the robot differs from frame to frame, (n, 3, 3)."""
     R = T[:3, :3]
-    floor = settings.position_floor_m**2 * np.eye(3)
+    floor = POSITION_FLOOR_M**2 * np.eye(3)
     return np.asarray(places.covariance + R @ places.nominal_covariance @ R.T + floor)
 
 
@@ -150,15 +160,15 @@ def _shared(places: ToolPlaces, T: Array) -> Array:
     return np.concatenate([turned, places.camera_shared], axis=2)
 
 
-def _normalised(places: ToolPlaces, T: Array, settings: HandEyeSettings) -> Array:
+def _normalised(places: ToolPlaces, T: Array) -> Array:
     """Squared residuals of places over their covariance, shared errors included, (n,)."""
-    S = _place_covariance(places, T, settings) + _shared_covariance(places, T)
+    S = _place_covariance(places, T) + _shared_covariance(places, T)
     r = _residuals(places, T)
     return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(S, r[..., None])[..., 0]))
 
 
-def _agrees(places: ToolPlaces, T: Array, settings: HandEyeSettings) -> NDArray[np.bool_]:
-    return np.asarray(_normalised(places, T, settings) <= settings.gate)
+def _agrees(places: ToolPlaces, T: Array) -> NDArray[np.bool_]:
+    return np.asarray(_normalised(places, T) <= GATE)
 
 
 @dataclass(frozen=True)
@@ -170,13 +180,11 @@ class _Rows:
     H: Array
 
 
-def _rows(
-    places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], settings: HandEyeSettings, *, robust: bool = True
-) -> _Rows:
+def _rows(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], *, robust: bool = True) -> _Rows:
     """Places, three rows a frame, then directions, two rows a frame."""
     R = T[:3, :3]
     r = _residuals(places, T)[agrees]
-    S = _place_covariance(places, T, settings)[agrees]
+    S = _place_covariance(places, T)[agrees]
     shared = _shared(places, T)[agrees]
     whiten = np.linalg.inv(np.linalg.cholesky(S))
     J = np.concatenate(
@@ -187,7 +195,7 @@ def _rows(
     if known.any():
         predicted = places.nominal_axes[agrees][known] @ R.T
         across = _across(predicted, places.seen_m[agrees][known])
-        floors = [settings.axis_floor_rad, settings.axis_tilt_floor_rad]
+        floors = [AXIS_FLOOR_RAD, AXIS_TILT_FLOOR_RAD]
         std = np.hypot(places.axis_std_rad[agrees][known][:, None], floors)[..., None]
         seen = places.axes[agrees][known]
         e = across @ (seen - predicted)[..., None]
@@ -198,7 +206,7 @@ def _rows(
         weight = np.ones((len(residual), 1, 1))
         if robust:
             length = np.linalg.norm(residual, axis=1, keepdims=True)
-            weight = np.sqrt(np.minimum(1.0, settings.huber / np.maximum(length, 1e-12)))
+            weight = np.sqrt(np.minimum(1.0, HUBER / np.maximum(length, 1e-12)))
         parts.append(
             (
                 (weight * residual).ravel(),
@@ -209,12 +217,12 @@ def _rows(
     return _Rows(*(np.concatenate([part[k] for part in parts]) for k in range(3)))
 
 
-def _refined(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], settings: HandEyeSettings) -> Array:
+def _refined(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> Array:
     """Gauss–Newton with Huber's weights, over the agreeing frames."""
     if agrees.sum() < 3:
         return T
     for _ in range(MAX_STEPS):
-        rows = _rows(places, T, agrees, settings)
+        rows = _rows(places, T, agrees)
         # Scaled, for metres and radians differ; least norm where a direction is not told.
         step = np.linalg.lstsq(rows.J, rows.residual, rcond=1e-9)[0]
         T = make_transform(rotation_of(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
@@ -223,9 +231,7 @@ def _refined(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], settings: 
     return T
 
 
-def _covariance(
-    places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], settings: HandEyeSettings
-) -> tuple[Array, Array, float]:
+def _covariance(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> tuple[Array, Array, float]:
     """Covariance of (δt, δφ), the part in it of each shared error, (6, m), and the ratio.
 
     The ratio is the mean squared residual over what is expected of it.
@@ -234,17 +240,17 @@ def _covariance(
     by what the residuals show or the settings say: errors of detections and play of joints last for some frames, where
     the covariances of single frames hide them. What is shared is added whole.
     """
-    rows = _rows(places, T, agrees, settings)
+    rows = _rows(places, T, agrees)
     information = rows.J.T @ rows.J
     gain = np.linalg.pinv(information, hermitian=True)
-    plain = _rows(places, T, agrees, settings, robust=False)
+    plain = _rows(places, T, agrees, robust=False)
     ratio = float(plain.residual @ plain.residual) / max(1, len(plain.residual) - 6)
     number = int(agrees.sum())
     series = plain.residual[: 3 * number].reshape(number, 3)
     power = float((series**2).sum())
     repeated = float((series[1:] * series[:-1]).sum()) / power if power > 0 else 0.0
     step_s = float(np.median(np.diff(places.stamps_ns[agrees]))) / 1e9
-    repeated = min(max(repeated, float(np.exp(-step_s / settings.correlation_time_s))), 0.95)
+    repeated = min(max(repeated, float(np.exp(-step_s / CORRELATION_TIME_S))), 0.95)
     noise = max(1.0, ratio) * (1.0 + repeated) / (1.0 - repeated)
     # What was seen is off by H c, so the fit is off by as much, and its correction is the opposite.
     effects = -gain @ rows.J.T @ rows.H

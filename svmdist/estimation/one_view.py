@@ -26,6 +26,8 @@ from svmdist.transforms import Array, inverse, skew
 if TYPE_CHECKING:
     from svmdist.estimation.instrument.shaft_detection import ShaftDetection
 
+NEAR_M = 0.2  # up to here that deviation holds; beyond, it grows in proportion
+
 
 class KinematicEstimator:
     """`--method kinematic`: nothing of the tool is taken from the image. Keeps the tissue's pose between frames."""
@@ -52,8 +54,7 @@ class KinematicEstimator:
         return measured(result.rejected(Status.OK), frame, tool, tissue)
 
 
-NO_FOCAL_PX = np.ones(2)
-"""Where no deviation asks for it."""
+NO_FOCAL_PX = np.ones(2)  # where no deviation asks for it
 
 
 def tool_from_tag(
@@ -64,11 +65,7 @@ def tool_from_tag(
     deviations: Deviations = EXACT,
     focal_px: Array = NO_FOCAL_PX,
 ) -> ToolPose:
-    """The tool's pose from the tag's, through the mounting and the joints behind it.
-
-    `deviations` are those of camera, tag and mounting, whose errors the tag's own covariance does not hold; they need
-    the camera's focal lengths, shape (2,).
-    """
+    """The tool's pose from the tag's, through the mounting and the joints behind it."""
     T_base_tag = robot.T_base_link(fiducial.link) @ fiducial.T_link_tag
     T_camera_base = tag.T_camera_tag @ inverse(T_base_tag)
     T_camera_tool = T_camera_base @ robot.T_base_tool
@@ -184,7 +181,7 @@ class ShaftEstimator:
         if isinstance(fit, Failure):
             return result.rejected(_status(frame.left.shaft), fit.reason)
         std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
-        farther = max(1.0, float(np.linalg.norm(fit.pose.position_m)) / self._settings.near_m)
+        farther = max(1.0, float(np.linalg.norm(fit.pose.position_m)) / NEAR_M)
         if not std_m <= farther * self._settings.max_position_std_m:
             detail = f"the position is uncertain by {std_m * 1e3:.1f} mm"
             return result.rejected(Status.UNCERTAIN, detail)

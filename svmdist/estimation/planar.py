@@ -13,7 +13,7 @@ from svmdist.estimation.plane_mapping import PlaneMapping, planar_distance_m
 from svmdist.estimation.scene import Arm
 from svmdist.profile import Features as FeatureRules
 from svmdist.profile import Marker
-from svmdist.profile.settings import MarkerSettings
+from svmdist.profile.settings import MarkerSettings, OutlineSettings
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings, as_pixel
 from svmdist.samples import Image, Status
 from svmdist.transforms import Array
@@ -59,19 +59,14 @@ def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: Pla
     return replace(result.with_image(tool_px=as_pixel(tool_px)), distances=distances)
 
 
-DEFAULT = MarkerSettings()
+DEFAULT, DEFAULT_OUTLINE = MarkerSettings(), OutlineSettings()
 
-SUBPIXEL_BITS = 4
-"""OpenCV draws at 1/16 px with this shift."""
+SUBPIXEL_BITS = 4  # OpenCV draws at 1/16 px with this shift
 
 
 @dataclass(frozen=True, slots=True)
 class MarkerDetection:
-    """The result of the search for the marker: a status, counts and places, None where it did not get that far.
-
-    `keypoint_count` counts ORB's keypoints in the window about the marker. `corners_px` has shape (4, 2) and
-    `centroid_px` shape (2,), both in px of the image.
-    """
+    """The search's status, counts and places, `corners_px` (4, 2) and `centroid_px` (2,); None where not reached."""
 
     status: Status
     keypoint_count: int
@@ -89,11 +84,7 @@ def template_features(marker: Marker, rules: FeatureRules) -> Features:
 
 
 def mark(image_bgr: Image, centre_px: Array, marker: Marker) -> MarkedWindow:
-    """Paste the marker on an image, shape (h, w, 3), about `centre_px`, shape (2,).
-
-    ORB finds no keypoint within its edge margin of a border, at no level of its pyramid. The marker with this margin
-    is thus all of the image where keypoints of the template can be found again.
-    """
+    """Paste the marker about `centre_px`, (2,), in a window with the margin in which ORB finds no keypoint."""
     return paste_marker(image_bgr, centre_px, marker.size_px, EDGE_MARGIN_PX)
 
 
@@ -103,6 +94,7 @@ def detect_marker(
     marker: Marker,
     rules: FeatureRules,
     settings: MarkerSettings = DEFAULT,
+    outline: OutlineSettings = DEFAULT_OUTLINE,
 ) -> MarkerDetection:
     """Find the marker in its window, draw its outline, and take the outline's centroid by colour."""
     grey = to_grey(marked.window_bgr)
@@ -112,11 +104,11 @@ def detect_marker(
     matches = match_features(template, features, rules.ratio)
     if len(matches) < rules.min_match_count:
         return MarkerDetection(Status.TOO_FEW_MATCHES, len(features), len(matches))
-    homography = fit_homography(matches, rules.reprojection_px, settings)
+    homography = fit_homography(matches, rules.reprojection_px)
     if homography is None or not is_plausible(homography.H, marker.size_px, settings):
         return MarkerDetection(Status.NO_HOMOGRAPHY, len(features), len(matches))
     corners_px = transfer(homography.H, square_corners(marker.size_px))
-    region = third_contour(marked.window_bgr, corners_px, marker)
+    region = third_contour(marked.window_bgr, corners_px, marker, outline)
     origin_px = np.array(marked.origin_px, np.float64)
     return MarkerDetection(
         Status.NO_OUTLINE if region is None else Status.OK,
@@ -128,11 +120,10 @@ def detect_marker(
     )
 
 
-def third_contour(window_bgr: Image, corners_px: Array, marker: Marker) -> Region | None:
-    """Draw the outline on a copy of the window and find it again by its colour, behind a gate of 100 px (eqs. 19, 20).
-
-    Only the outline's bounding box is looked at; an outline that leaves the window is cut at its border.
-    """
+def third_contour(
+    window_bgr: Image, corners_px: Array, marker: Marker, settings: OutlineSettings = DEFAULT_OUTLINE
+) -> Region | None:
+    """Draw the outline on a copy of the window and find it again by its colour, gated at 100 px (eqs. 19, 20)."""
     height, width = window_bgr.shape[:2]
     reach_px = marker.outline_width_px + 1
     low = np.clip(np.floor(corners_px.min(0)) - reach_px, 0, [width - 1, height - 1])
@@ -140,7 +131,7 @@ def third_contour(window_bgr: Image, corners_px: Array, marker: Marker) -> Regio
     (x0, y0), (x1, y1) = low.astype(int), high.astype(int)
     box_bgr = window_bgr[y0:y1, x0:x1].copy()
     draw_outline(box_bgr, corners_px - low, marker)
-    region = find_region(colour_mask(to_hsv(box_bgr), marker.outline), marker.outline)
+    region = find_region(colour_mask(to_hsv(box_bgr), marker.outline), marker.outline, settings)
     if region is None:
         return None
     return replace(region, centroid_px=region.centroid_px + low, hull=region.hull + low.astype(np.int32))
@@ -165,7 +156,7 @@ class OverlayEstimator:
         profile = arm.profile
         self._marker = profile.marker
         self._rules = profile.features
-        self._settings = profile.settings.marker
+        self._settings = profile.settings.marker, profile.settings.outline
         self._mapping = mapping
         self._template = template_features(profile.marker, profile.features)
 
@@ -178,7 +169,7 @@ class OverlayEstimator:
         marked = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, self._marker)
 
         # Second phase: features, matches, homography, outline.  Final phase: third contour.
-        found = detect_marker(marked, self._template, self._marker, self._rules, self._settings)
+        found = detect_marker(marked, self._template, self._marker, self._rules, *self._settings)
         result = result.with_image(
             keypoint_count=found.keypoint_count,
             match_count=found.match_count,

@@ -11,6 +11,21 @@ import numpy as np
 from svmdist.profile.settings import AssociationSettings
 from svmdist.transforms import Array
 
+GATE_D2 = 18.4  # squared Mahalanobis distance in two dimensions that a right region exceeds once in 10,000
+CLUTTER_COUNT = 0.05  # regions of nothing that an image of any size has, on average
+MARGIN = 2.0  # a newcomer is named when no other naming is more than e^-2 times as likely
+CONTEST = 4.6  # two tracks contest a region that is less than a hundred times (e^4.6) as likely one's as the other's
+UNCERTAIN_FRACTION = 0.08  # of the width: a prediction less certain than this identifies nothing any more
+MERGED_AREA = 1.4  # a region this much larger than its instrument's is two that touch
+MAX_REGIONS = 6  # the largest; assignments grow with their number to the power of the tracks
+SPREAD_FRACTION = 0.2  # of a region's radius: shading and jaws move its centroid
+MIN_STD_PX = 1.0  # standard deviation of a centroid at least, by segmentation
+FIRST_SPEED_WIDTHS = 0.6  # standard deviation of the speed of what was detected once, in widths per s
+LINEAR_STD = 0.4  # of seen over nominal motion: the nominal depth is off by as much
+DRIFT_WIDTHS = 0.01  # how the offset between seen and nominal place drifts, in widths per square root of s
+# How the relation of seen and nominal motion drifts, as the depth changes, per square root of s
+LINEAR_DRIFT = 0.05
+
 DEFAULT = AssociationSettings()
 
 
@@ -32,7 +47,7 @@ class SteadyMotion:
 
     def __init__(self, width_px: int, settings: AssociationSettings = DEFAULT) -> None:
         self._acceleration = settings.acceleration_widths * width_px
-        self._first_speed = settings.first_speed_widths * width_px
+        self._first_speed = FIRST_SPEED_WIDTHS * width_px
         self._x: Array | None = None
         self._P = np.zeros((4, 4))
         self._stamp_ns = 0
@@ -73,10 +88,7 @@ class SteadyMotion:
 
 @dataclass(frozen=True, slots=True)
 class NominalPlace:
-    """Where the tool is by nominal kinematics: in the image, and in the camera frame, shape (3,) in m.
-
-    `px_per_m` is how large a metre is seen there.
-    """
+    """Where the tool is by nominal kinematics: in the image, in the camera frame, (3,) in m, and its scale."""
 
     place: Gaussian
     position_m: Array
@@ -91,9 +103,8 @@ class NominalMotion:
     for px of motion, are the eight states of a Kalman filter. The relation outlives occlusions.
     """
 
-    def __init__(self, width_px: int, settings: AssociationSettings = DEFAULT) -> None:
-        self._drift = settings.drift_widths * width_px
-        self._settings = settings
+    def __init__(self, width_px: int) -> None:
+        self._drift = DRIFT_WIDTHS * width_px
         self._x = np.zeros(8)
         self._P: Array | None = None
         self._origin: NominalPlace | None = None
@@ -115,7 +126,7 @@ class NominalMotion:
             return nominal.place
         dt = max(0.0, (stamp_ns - self._stamp_ns) / 1e9)
         self._stamp_ns = stamp_ns
-        self._P = self._P + dt * np.diag([self._drift**2] * 2 + [self._settings.linear_drift**2] * 6)
+        self._P = self._P + dt * np.diag([self._drift**2] * 2 + [LINEAR_DRIFT**2] * 6)
         H = self._H(nominal)
         return Gaussian(nominal.place.mean + H @ self._x, H @ self._P @ H.T)
 
@@ -127,7 +138,7 @@ class NominalMotion:
         if self._P is None:
             self._origin = self._now
             self._x = np.concatenate([offset, np.zeros(6)])
-            self._P = np.diag([std_px**2] * 2 + [self._settings.linear_std**2] * 6)
+            self._P = np.diag([std_px**2] * 2 + [LINEAR_STD**2] * 6)
             return
         # From here on motion counts from this place: what is unsure of M shows in what comes, not in what was.
         moved = np.eye(8)
@@ -168,7 +179,6 @@ class _Track:
 
     steady: SteadyMotion
     nominal: NominalMotion
-    settings: AssociationSettings
     area_px: float | None = None
 
     @property
@@ -182,7 +192,7 @@ class _Track:
         return steady if nominal is None else nominal
 
     def update(self, blob: Blob) -> None:
-        std_px = _centroid_std_px(blob, self.settings)
+        std_px = _centroid_std_px(blob)
         if self.area_px is not None and blob.area_px < 0.7 * self.area_px:
             std_px += 0.5 * float(
                 np.sqrt(self.area_px / np.pi)
@@ -200,10 +210,7 @@ class _Track:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """One instrument in one image: the index of its region, None where it coasts, and where it was expected.
-
-    `radius_px` is that of its region as it was last seen whole, None before.
-    """
+    """One instrument in one image: its region's index, None where it coasts, its expected place, last radius."""
 
     blob: int | None
     expected: Gaussian | None
@@ -216,14 +223,13 @@ class RegionTracker:
     def __init__(
         self, count: int, width_px: int, height_px: int, settings: AssociationSettings = DEFAULT
     ) -> None:
-        self._settings = settings
         self._width_px = width_px
-        self._extra_region_cost = float(np.log(width_px * height_px / settings.clutter_count))
+        self._settings = settings
+        self._extra_region_cost = float(np.log(width_px * height_px / CLUTTER_COUNT))
         self.identities: tuple[Identity, ...] = ()
         """Of the latest image."""
         self._tracks = [
-            _Track(SteadyMotion(width_px, settings), NominalMotion(width_px, settings), settings)
-            for _ in range(count)
+            _Track(SteadyMotion(width_px, settings), NominalMotion(width_px)) for _ in range(count)
         ]
 
     def update(
@@ -239,7 +245,7 @@ class RegionTracker:
         (n_instruments, n_blobs), is the log-likelihood of what else is seen around each region, were it that
         instrument's.
         """
-        order = sorted(range(len(blobs)), key=lambda at: -blobs[at].area_px)[: self._settings.max_regions]
+        order = sorted(range(len(blobs)), key=lambda at: -blobs[at].area_px)[:MAX_REGIONS]
         seen = [blobs[at] for at in order]
         said = np.zeros((len(self._tracks), len(blobs))) if evidence is None else np.asarray(evidence)
         expected = [t.predict(stamp_ns, b) for t, b in zip(self._tracks, places, strict=True)]
@@ -264,16 +270,14 @@ class RegionTracker:
             for a, blob in enumerate(blobs):
                 S = (
                     where.covariance
-                    + (self._settings.spread_fraction * blob.radius_px) ** 2 * np.eye(2)
-                    + self._settings.min_std_px**2 * np.eye(2)
+                    + (SPREAD_FRACTION * blob.radius_px) ** 2 * np.eye(2)
+                    + MIN_STD_PX**2 * np.eye(2)
                 )
                 offset = blob.centre_px - where.mean
                 d2 = float(offset @ np.linalg.solve(S, offset))
                 if self._is_uncertain(where):
-                    d2 = min(
-                        d2, self._settings.gate_d2
-                    )  # a newcomer may be anywhere; only the comparison counts
-                if d2 <= self._settings.gate_d2:
+                    d2 = min(d2, GATE_D2)  # a newcomer may be anywhere; only the comparison counts
+                if d2 <= GATE_D2:
                     cost[i, a] = 0.5 * d2 + 0.5 * float(np.log(np.linalg.det(2.0 * np.pi * S)))
         return cost
 
@@ -290,7 +294,7 @@ class RegionTracker:
             if self._is_uncertain(expected[i]):
                 # Another region for this one, or this region for another one.
                 others = [c for c, h in hypotheses if h[i] != a and (h[i] is not None or a in h)]
-                if min(others, default=np.inf) - best_cost < self._settings.margin:
+                if min(others, default=np.inf) - best_cost < MARGIN:
                     found[i] = None
             elif self._is_contested(i, a, best, expected, blobs, cost):
                 found[i] = None
@@ -309,12 +313,12 @@ class RegionTracker:
         for j, (taken, where) in enumerate(zip(best, expected, strict=True)):
             if j == i or taken is not None or where is None or self._is_uncertain(where):
                 continue
-            if float(cost[j, a] - cost[i, a]) < self._settings.contest:
+            if float(cost[j, a] - cost[i, a]) < CONTEST:
                 return True
             area_px = self._tracks[i].area_px
             reach_px = 2.0 * blobs[a].radius_px + 3.0 * where.std_px
             near = float(np.linalg.norm(where.mean - blobs[a].centre_px)) < reach_px
-            if near and area_px is not None and bool(blobs[a].area_px > self._settings.merged_area * area_px):
+            if near and area_px is not None and bool(blobs[a].area_px > MERGED_AREA * area_px):
                 return True
         return False
 
@@ -325,11 +329,11 @@ class RegionTracker:
         return total
 
     def _is_uncertain(self, where: Gaussian | None) -> bool:
-        return where is None or where.std_px > self._settings.uncertain_fraction * self._width_px
+        return where is None or where.std_px > UNCERTAIN_FRACTION * self._width_px
 
 
-def _centroid_std_px(blob: Blob, settings: AssociationSettings) -> float:
-    return max(settings.min_std_px, settings.spread_fraction * blob.radius_px)
+def _centroid_std_px(blob: Blob) -> float:
+    return max(MIN_STD_PX, SPREAD_FRACTION * blob.radius_px)
 
 
 def assignments(track_count: int, blob_count: int) -> Iterator[tuple[int | None, ...]]:

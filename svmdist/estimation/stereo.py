@@ -24,6 +24,10 @@ from svmdist.samples import Rejection, RightView, Status
 from svmdist.transforms import inverse
 from svmdist.vision.stereo import RectifiedPair
 
+TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
+OTHER_PART_PLACE = 3.0  # over the marker's radius: a ring or a clip, anywhere on the distal part
+DEPTH_GATE_STDS = 3.5  # between disparity and one view's pose, above which they contradict each other
+
 
 def with_calibration(
     match: StereoMatch, right: RightView, pair: RectifiedPair, deviations: Deviations
@@ -65,7 +69,7 @@ class StereoEstimator:
         self._profile = profile
         self._uses_shaft = profile.segmentation.shaft is not None and profile.instrument is not None
         self._has_plate = False
-        self._watch = DisparityWatch(profile.settings.stereo)
+        self._watch = DisparityWatch()
         parts = ("distal_marker", "shaft") if self._uses_shaft else ("distal_marker",)
         views = tuple(f"{view}.{part}" for part in parts for view in ("left", "right"))
         self.needs = Needs(("tissue", "stereo_surface", "left.tags"), views, right_view=True)
@@ -99,10 +103,7 @@ class StereoEstimator:
         return measured(result, frame, ToolEstimate(pose, frame.joints, self._has_plate), seen)
 
     def _off_plane_m(self, surface: StereoSurface, std_m: float) -> float:
-        """How far the surface stands off where the profile's plane and shape allow it, 0 where it does not.
-
-        Matching of tissue that has hardly any texture may find any surface.
-        """
+        """How far the surface stands off where the profile's plane and shape allow it, 0 where it does not."""
         tissue = self._tissue
         height_m = surface.points_m @ np.array(tissue.plane_normal) + tissue.plane_distance_m
         top_m = 0.0 if tissue.dome is None else tissue.dome.height_m
@@ -117,7 +118,7 @@ class StereoEstimator:
             shape_m,
             tissue.plane_tilt_std_rad * beside_m,
         )
-        allowed_m = self._profile.settings.stereo.depth_gate_stds * float(np.linalg.norm(parts))
+        allowed_m = DEPTH_GATE_STDS * float(np.linalg.norm(parts))
         middle_m = float(np.median(height_m))
         off_m = max(-middle_m, middle_m - top_m, 0.0)
         return off_m if off_m > allowed_m else 0.0
@@ -165,7 +166,7 @@ class StereoEstimator:
         )
         if isinstance(match, StereoMatch) and match.is_other_part:
             # What is coloured is not what the profile describes: it is somewhere about the tool's origin.
-            place_m = settings.stereo.other_part_place * instrument.knuckle_radius_m
+            place_m = OTHER_PART_PLACE * instrument.knuckle_radius_m
             model = replace(model, marker_std_m=float(np.hypot(model.marker_std_m, place_m)))
         seen = TwoViews(
             _landmarks(frame.left),
@@ -175,7 +176,7 @@ class StereoEstimator:
             right_view.camera,
             inverse(right.T_left_right),
             pair,
-            settings.stereo.tool_speed_m_s * abs(right.delay_s),
+            TOOL_SPEED_M_S * abs(right.delay_s),
         )
         shaft = settings.shaft
         if instrument.shaft_end_m is None:  # where the dark part ends is guessed from another size

@@ -14,6 +14,13 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.stereo import RectifiedPair, match_region
 
+MIN_AGREEING_MATCHES = 0.8  # that lie on the surface: of matched noise two of three, of tissue nearly all
+MARGIN_PX = 7  # matches this close to the tissue's edge mix two surfaces within one block
+# Both views are smoothed before they are aligned, so that a step of a pixel stays on a slope
+SMOOTHING_PX = 1.5
+SURFACE_STD_PX = 0.12  # of an aligned low-order surface: measured 0.36 mm at 105 mm, 5 mm baseline
+CLEAN_MISMATCH_PX = 0.36  # in those measurements; JPEG and noise shift pixels and surface in proportion
+
 DEFAULT = StereoSettings()
 DEGREE = 3
 SCALE_PX = 100.0
@@ -23,11 +30,9 @@ BRIGHTNESS_TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 """Powers of u and v by which the views may differ in brightness."""
 MAX_SAMPLES = 15_000
 """Pixels used in the alignment: beyond some ten thousand, noise is no longer what limits it."""
-MAX_START_SAMPLES = 1000
-"""Matches that the alignment starts from: it must begin within a pixel, no better."""
+MAX_START_SAMPLES = 1000  # matches that the alignment starts from: it must begin within a pixel, no better
 START_STEPS, ALIGN_STEPS = 6, 12
-SETTLED_PX = 0.005
-"""A step that moves no pixel by more ends the alignment."""
+SETTLED_PX = 0.005  # A step that moves no pixel by more ends the alignment
 SCALE_STRIDE = 4
 """The offset and the spread of the images' difference are medians over every fourth pixel: right within a percent."""
 RIDGE = 1e-3
@@ -63,12 +68,8 @@ def fit_surface(
     max_px: int,
     settings: StereoSettings = DEFAULT,
 ) -> DisparitySurface | None:
-    """Fit the disparity surface of a region, a mask of shape (h, w); None with too few matches in it.
-
-    `right_region` is the same region's mask in the right image: what leaves it there is hidden. `min_px` and `max_px`
-    bound the search.
-    """
-    side_px = 2 * settings.margin_px + 1
+    """Fit the disparity surface of a region, a mask of shape (h, w); None with too few matches in it."""
+    side_px = 2 * MARGIN_PX + 1
     core = np.asarray(cv2.erode(region, np.ones((side_px, side_px), np.uint8)), np.uint8)
     matches = match_region(left_grey, right_grey, core, min_px, max_px, settings)
     if matches is None:
@@ -92,7 +93,6 @@ def fit_surface(
         is_matched[thinned, thinned],
         centre_px,
         start,
-        settings,
     )
     matched_fraction = count / max(int(np.count_nonzero(matches.is_core)), 1)
     error_px = matches.disparity_px[is_matched][few] - _basis(points_px[few], centre_px) @ coefficients
@@ -127,15 +127,14 @@ def _align(
     is_used: NDArray[np.bool_],
     centre_px: Array,
     coefficients: Array,
-    settings: StereoSettings,
 ) -> tuple[Array, float]:
     """Gauss–Newton on right(u - d(u, v), v) - left(u, v), with a free, smooth field of brightness between the images.
 
     `columns`, `rows` and `is_used`, shape (h, w), make the grid of the left image's pixels that are aligned. Gives the
     coefficients and the mismatch that they leave, in px.
     """
-    left, slope = _smoothed_with_slope(left_grey, columns, rows, settings.smoothing_px)
-    right, first_row = _smoothed_where_seen(right_grey, right_region, rows, settings)
+    left, slope = _smoothed_with_slope(left_grey, columns, rows, SMOOTHING_PX)
+    right, first_row = _smoothed_where_seen(right_grey, right_region, rows)
     u, v = (
         np.vander((px - middle) / SCALE_PX, 2 * DEGREE + 1, increasing=True)
         for px, middle in ((columns, centre_px[0]), (rows, centre_px[1]))
@@ -165,11 +164,7 @@ def _align(
 
 
 def _brightness_field(error: Array, usable: NDArray[np.bool_], u: Array, v: Array) -> tuple[Array, Array]:
-    """What differs in brightness between the views smoothly, shape (h, w), and what of a sample it leaves, (k,).
-
-    A vignette and a lamp beside the lens darken what both views show at other places of the image. Taken for texture,
-    that shifts the whole surface; a parabola over the grid, fitted robustly, takes it up.
-    """
+    """What differs in brightness between the views smoothly, shape (h, w), and what of a sample it leaves, (k,)."""
     rows, columns = np.nonzero(usable)
     few = slice(None, None, SCALE_STRIDE)
     rows, columns = rows[few], columns[few]
@@ -199,13 +194,13 @@ def _smoothed_with_slope(
 
 
 def _smoothed_where_seen(
-    grey: Image, region: Image, rows: NDArray[np.intp], settings: StereoSettings
+    grey: Image, region: Image, rows: NDArray[np.intp]
 ) -> tuple[NDArray[np.float32], int]:
     """Rows of the smoothed image, NaN where the region's edge is near or passed, and which row is the first."""
-    margin = max(int(4 * settings.smoothing_px) + 2, settings.margin_px)
+    margin = max(int(4 * SMOOTHING_PX) + 2, MARGIN_PX)
     top, bottom = max(int(rows[0]) - margin, 0), int(rows[-1]) + margin + 1
-    smooth = cv2.GaussianBlur(grey[top:bottom], (0, 0), settings.smoothing_px).astype(np.float32)
-    side_px = max(settings.margin_px, 1)
+    smooth = cv2.GaussianBlur(grey[top:bottom], (0, 0), SMOOTHING_PX).astype(np.float32)
+    side_px = max(MARGIN_PX, 1)
     inside = cv2.erode(region[top:bottom], np.ones((side_px, side_px), np.uint8))
     smooth[inside == 0] = np.nan
     return np.asarray(smooth, np.float32), top
@@ -227,10 +222,7 @@ def _slope_along_u(coefficients: Array, u: Array, v: Array) -> Array:
 
 
 def _step(weight: Array, pull: Array, u: Array, v: Array, damping: float) -> Array:
-    """The step of least squares, shape (n,), from weights and weighted errors on a grid, shape (h, w) each.
-
-    The products of two terms are terms again: their sums are moments of the weights.
-    """
+    """The step of least squares, shape (n,), from weights and weighted errors on a grid, shape (h, w) each."""
     moments = u.T @ weight.T @ v
     i, j = np.transpose(TERMS)
     normal = moments[i[:, None] + i, j[:, None] + j]
@@ -257,10 +249,7 @@ def detect_stereo_surface(
     masks: tuple[Image, Image],
     settings: StereoSettings = DEFAULT,
 ) -> StereoSurface | None:
-    """The tissue's surface inside its hull in the left image, under the instrument too; None if the views disagree.
-
-    The grey images and the tissue's `masks` in both have shape (h, w); `hull` has shape (n, 1, 2) in px.
-    """
+    """The tissue's surface inside its hull in the left image, under the instrument too; None if the views disagree."""
     if pair.R_rows_left is not None:
         left_grey, right_grey, masks, hull = _turned(left_grey, right_grey, pair, hull, masks)
     far_px, near_px = (
@@ -268,11 +257,11 @@ def detect_stereo_surface(
     )
     bounds = (int(np.floor(far_px)), int(np.ceil(near_px)))
     surface = fit_surface(left_grey, right_grey, *masks, *bounds, settings)
-    if surface is None or surface.agreeing_fraction < settings.min_agreeing_matches:
+    if surface is None or surface.agreeing_fraction < MIN_AGREEING_MATCHES:
         return None
     points_m = _cloud(surface, hull, pair, masks[0].shape, settings.far_m)
     depth_m = float(np.median(points_m[:, 2]))
-    std_px = settings.surface_std_px * max(1.0, surface.mismatch_px / settings.clean_mismatch_px)
+    std_px = SURFACE_STD_PX * max(1.0, surface.mismatch_px / CLEAN_MISMATCH_PX)
     return StereoSurface(points_m, depth_m / pair.disparity_at(depth_m) * std_px)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.dome import SHAPE_SIZE, DomeModel, fit_dome
+from svmdist.estimation.dome import INNER_RADIUS, SHAPE_SIZE, DomeModel, fit_dome
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
@@ -19,13 +19,20 @@ from svmdist.estimation.tissue import TissuePose, ray_on_plane_biases, require_t
 from svmdist.geometry.surfaces import Plane
 from svmdist.least_squares import median
 from svmdist.profile import Tissue
-from svmdist.profile.settings import StereoSettings, TissueTrackingSettings
+from svmdist.profile.settings import TissueTrackingSettings
 from svmdist.samples import RightView
 from svmdist.transforms import Array, inverse
 
+MIN_SCATTER_COUNT = 4.0  # fewer poses do not tell how much they scatter beyond their stated covariance
+SHAPE_COUNT = 8  # views of the dome at first, then one in as many frames: they err alike
+# Normal quantile of the gate for a pose against the remembered one: 1 in 1,000 true ones is refused
+GATE_Z = 3.09
+# Wet, breathing tissue scatters by 0.10 to 0.20 from frame to frame; 0.98 leaves 0.20
+LASTING_HEIGHT_SHARE = 0.98
+HEIGHT_CORRELATION_TIME_S = 30.0  # how long that lasts: longer than the logs of 8 s that it was seen in
+
 DEFAULT = TissueTrackingSettings()
-TINY_M2 = 1e-14
-"""Added to covariances of poses that lie on one plane, so that they have an inverse."""
+TINY_M2 = 1e-14  # added to covariances of poses that lie on one plane, so that they have an inverse
 
 
 @dataclass
@@ -62,7 +69,7 @@ class CorrelatedMean:
         spread = np.linalg.inv(self._information)
         mean = np.asarray(spread @ self._weighted, np.float64)
         excess = 1.0
-        if self.count >= self.settings.min_scatter_count:
+        if self.count >= MIN_SCATTER_COUNT:
             scatter = self._squares - float(self._weighted @ mean)
             excess = max(1.0, scatter / (self.degrees_of_freedom * (self.count - 1.0)))
         return mean, np.asarray(excess * self.count * spread, np.float64)
@@ -83,7 +90,7 @@ class TissueTracker:
     @property
     def wants_shape(self) -> bool:
         """Whether another view of the dome's shape is worth its time."""
-        every = self._settings.shape_count
+        every = SHAPE_COUNT
         return self._frame_count < every or self._frame_count % every == 0
 
     def add_shape(self, dome: DomeModel) -> None:
@@ -131,11 +138,10 @@ class TissueTracker:
         position_m, covariance = place
         offset_m = pose.position_m - position_m
         nis = offset_m @ np.linalg.solve(pose.own_covariance + covariance + TINY_M2 * np.eye(3), offset_m)
-        return bool(nis <= chi_square_bound(3, self._settings.gate_z))
+        return bool(nis <= chi_square_bound(3, GATE_Z))
 
 
-MIN_POINTS = 50
-"""Of a surface inside of the dome's rim: fewer are no view of it."""
+MIN_POINTS = 50  # of a surface inside of the dome's rim: fewer are no view of it
 OUTLINE = "tissue height"
 
 
@@ -176,16 +182,10 @@ def measured_height(
     camera: Camera,
     right: RightView,
     deviations: Deviations,
-    stereo: StereoSettings,
-    tracking: TissueTrackingSettings,
 ) -> tuple[Linearised, float] | None:
-    """The height over the dome where the profile has it, as a measurement, and in m; None where too little is seen.
-
-    A surface by stereo errs by as much over all of the tissue as its texture misleads the matching: the larger part
-    of that lasts.
-    """
+    """The height over the dome where the profile has it, as a measurement, and in m; None where too little is seen."""
     points_m = dome.to_tissue_frame(surface.points_m)
-    inner = dome.normalised_radius(points_m[:, :2], dome.shape[:2]) < stereo.inner_radius
+    inner = dome.normalised_radius(points_m[:, :2], dome.shape[:2]) < INNER_RADIUS
     if np.count_nonzero(inner) < MIN_POINTS:
         return None
     over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
@@ -197,10 +197,10 @@ def measured_height(
     dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
     own = SharedBias(
         OUTLINE,
-        np.array([[np.hypot(tracking.lasting_height_share * surface.std_m, dome_std_m)]]),
-        tracking.height_correlation_time_s,
+        np.array([[np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)]]),
+        HEIGHT_CORRELATION_TIME_S,
     )
-    noise_m2 = (1.0 - tracking.lasting_height_share**2) * surface.std_m**2
+    noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
     part = Linearised(
         np.array([over_m]),
         np.zeros((1, 0)),
@@ -256,17 +256,7 @@ class FollowedTissue:
         surface = None if known is None or known.dome is None or right is None else frame.scene.stereo_surface
         if known is None or known.dome is None or surface is None or right is None or height is None:
             return None
-        settings = self._profile.settings
-        found = measured_height(
-            surface,
-            known.dome,
-            height,
-            frame.left.camera,
-            right,
-            self._deviations,
-            settings.stereo,
-            settings.tissue,
-        )
+        found = measured_height(surface, known.dome, height, frame.left.camera, right, self._deviations)
         if found is None:
             return None
         part, over_m = found

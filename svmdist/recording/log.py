@@ -336,7 +336,8 @@ class Recording:
             if tree is not None:
                 found = tree.at(frames.camera, frames.base, np.array([stamp_ns], np.int64))
                 T_camera_base = found.values[0] if found.valid[0] else None
-            return ArmState(*_joints_at(joints, stamp_ns), T_camera_base)
+            at_stamp, around = (None, None) if joints is None else _joints_at(joints, stamp_ns)
+            return ArmState(at_stamp, around, T_camera_base)
 
         return at
 
@@ -479,10 +480,10 @@ def _topics_beside_images(arms: Iterable[LoggedArm]) -> frozenset[str]:
     return frozenset(topic for topic in topics if topic is not None)
 
 
-def _joints_at(track: JointTrack | None, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:
+def _joints_at(track: JointTrack, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:
     """Joints interpolated to a stamp, and those around it; None where there are none within 0.1 s."""
-    sampled = None if track is None else track.at(np.array([stamp_ns], np.int64))
-    if track is None or sampled is None or not sampled.valid[0]:
+    sampled = track.at(np.array([stamp_ns], np.int64))
+    if not sampled.valid[0]:
         return None, None
     first, last = np.searchsorted(track.stamps_ns, [stamp_ns - JOINT_TRACK_NS, stamp_ns + JOINT_TRACK_NS + 1])
     around = JointTrack(track.stamps_ns[first:last], track.names, track.positions[first:last])

@@ -14,6 +14,14 @@ from svmdist.profile import ColourRegion, HsvSegmentation
 from svmdist.profile.settings import ExposureSettings
 from svmdist.samples import Image
 
+SAMPLING_PX = 4  # levels are counted on every n-th row and column, enough for a percentile
+BORDER_FRACTION = 0.2  # of the bright level; what is darker may be the endoscope's black border
+BLACK_PERCENTILE = 0.5  # the darkest things in view. The stub of a shaft is half a percent of the view
+MIDDLE_PERCENTILE = 50.0  # the middle of the scene, by which automatic exposure goes
+DISTINCT_FRACTION = 0.7  # of the median; with a brighter darkest part nothing dark is in view
+NOISY_GAIN = 1.5  # dim light comes with shot noise: from this gain on, neighbouring pixels are averaged
+NOISE_SIGMA_PX = 1.0  # width of that average
+
 
 class HsvMasks:
     """The masks of one image, shape (h, w) with 0 or 255, each made when it is first asked for."""
@@ -137,23 +145,23 @@ class Exposure:
 
 def exposure_of(bgr: Image, settings: ExposureSettings) -> Exposure:
     """The map that normalises the exposure of an image, shape (h, w, 3)."""
-    step = settings.sampling_px
+    step = SAMPLING_PX
     value = brightest_channel(np.ascontiguousarray(bgr[::step, ::step]))
     bright = percentiles(value, (90.0,))[0]
-    view = field_of_view(np.asarray(255 * (value <= settings.border_fraction * bright), np.uint8))
+    view = field_of_view(np.asarray(255 * (value <= BORDER_FRACTION * bright), np.uint8))
     if not view.any():
         return Exposure(0.0, 1.0)
-    black, middle = percentiles(value, (settings.black_percentile, settings.middle_percentile), view)
-    veil = max(0.0, black - settings.dark_level) if black < settings.distinct_fraction * middle else 0.0
+    black, middle = percentiles(value, (BLACK_PERCENTILE, MIDDLE_PERCENTILE), view)
+    veil = max(0.0, black - settings.dark_level) if black < DISTINCT_FRACTION * middle else 0.0
     return Exposure(veil, max(1.0, settings.fair_level / max(middle - veil, 1.0)))
 
 
-def apply_exposure(bgr: Image, exposure: Exposure, settings: ExposureSettings) -> Image:
+def apply_exposure(bgr: Image, exposure: Exposure) -> Image:
     """The image at normalised exposure, shape (h, w, 3); the same array where it is well exposed already."""
     if exposure.is_plain:
         return bgr
-    if exposure.gain > settings.noisy_gain:
-        bgr = np.asarray(cv2.GaussianBlur(bgr, (0, 0), settings.noise_sigma_px), np.uint8)
+    if exposure.gain > NOISY_GAIN:
+        bgr = np.asarray(cv2.GaussianBlur(bgr, (0, 0), NOISE_SIGMA_PX), np.uint8)
     levels = exposure.gain * (np.arange(256) - exposure.veil)
     return np.asarray(cv2.LUT(bgr, np.clip(np.rint(levels), 0, 255).astype(np.uint8)), np.uint8)
 
@@ -174,16 +182,13 @@ def percentiles(values: Image, wanted: Sequence[float], mask: Image | None = Non
 
 
 HUES = range(0, 180, 10)
-HALF_WIDTH = 10
-"""A mark's hue varies by this much with light and shade."""
+HALF_WIDTH = 10  # A mark's hue varies by this much with light and shade
 MIN_SATURATION, MIN_VALUE = 100, 60
 SMALLEST, LARGEST = 1e-4, 1e-2
 """Share of the image that one mark may cover: a joint's ring or cap, neither a speck nor tissue."""
-MIN_SHARE = 0.8
-"""How much of a hue's pixels must belong to the marks: else something else has the hue."""
+MIN_SHARE = 0.8  # how much of a hue's pixels must belong to the marks: else something else has the hue
 MIN_FRAMES = 0.8
-MIN_MOTION = 0.01
-"""What instruments carry moves, over the image's width."""
+MIN_MOTION = 0.01  # what instruments carry moves, over the image's width
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,10 +202,7 @@ class DistinctColour:
 
 
 def find_distinct_colour(images: Sequence[Image], mark_count: int = 1) -> DistinctColour | None:
-    """The colour of the marks of `mark_count` instruments in images of one log, BGR; None for no such colour.
-
-    Of several candidates, the one with the largest marks.
-    """
+    """The colour of the largest distinct marks of `mark_count` instruments in a log's BGR images; None without."""
     if len(images) < 3:
         return None
     hsv = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), np.uint8) for image in images]

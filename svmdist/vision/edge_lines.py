@@ -9,15 +9,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.least_squares import median, scale_of
-from svmdist.profile.settings import ShaftSettings, SilhouetteSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edges import STEP_PX, slope_filter
+from svmdist.vision.edges import SLOPE_SIGMA_PX, STEP_PX, slope_filter
 
-BLOCK, MIN_BLOCKS = 8, 2
-"""Neighbouring profiles that vote as one, and the least number of such votes."""
-FAINT = 0.3
-"""The slope of a point of an edge over that of most of them, below which it is none."""
+EDGE_REACH_FRACTION = 0.012  # how far from a rough side the image's edge is searched, over the image's width
+# The same over the shaft's width, where that is more: jaws and ears lead a rough side astray
+EDGE_REACH_WIDTHS = 0.3
+EDGE_TURN_WIDTHS = 0.35  # of an edge's ends in opposite directions, over the shaft's width
+SEARCH_SCALE_WIDTHS = 0.04  # of the slope that is sought first: texture of tissue is finer
+# A slope of so many times the neighbourhood's median counts half as much as the largest one
+TEXTURE_FACTOR = 1.5
+FULL_CONTRAST_LEVELS = 16.0  # counts half as much as the largest step: straightness matters, not strength
+# The least step of colour at a point of an edge, levels of 255: compression leaves less
+MIN_CONTRAST_LEVELS = 12.0
+MIN_FOUND = 0.7  # of the profiles that show an edge, on the line: texture shows most beside it
+MIN_SEEN = 0.3  # of all profiles across an edge: a dark shaft before dark tissue has none for a while
+MIN_SUPPORT = 0.4  # mean response below which there is no edge of an instrument
+STRAIGHT_PX = 0.6  # of an edge's point off the shaft's line: the wrist goes on a pixel or two beside it
+STRAIGHT_WIDTHS = 0.02  # the same over the shaft's width, where that is more
+END_SHARE = 0.6  # the cylinder ends where less than this part of the points beyond lie on its line
+END_REACH_WIDTHS = 2.0  # how far beyond a rough side its continuation is followed, over the shaft's width
+
+BLOCK, MIN_BLOCKS = 8, 2  # neighbouring profiles that vote as one, and the least number of such votes
+FAINT = 0.3  # the slope of a point of an edge over that of most of them, below which it is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +54,7 @@ class Profiles:
 
 @dataclass(frozen=True, slots=True)
 class LineAcross:
-    """A line across profiles: its offset in the side's middle and how much more at its end, px, and how distinct.
-
-    `part` is how much of the side it goes along.
-    """
+    """A line across profiles: offset in the side's middle, more at its end, px, support, and the part it goes along."""
 
     offset_px: float
     slant_px: float
@@ -57,10 +69,7 @@ class LineAcross:
 def profiles_across(
     bgr: Image, feet_px: Array, across: Array, half_px: float, sigma_px: float, picture: Image | None
 ) -> Profiles:
-    """The profiles of an image, shape (h, w, 3), through points, shape (n, 2), along a unit vector `across`, (2,).
-
-    They reach `half_px` to both sides, and beyond by what the slope's scale takes.
-    """
+    """The profiles of an image, shape (h, w, 3), through points, shape (n, 2), along a unit vector `across`, (2,)."""
     half_px += 3.0 * sigma_px
     half_px = np.ceil(half_px / STEP_PX) * STEP_PX
     offsets = np.arange(-half_px, half_px + STEP_PX / 2, STEP_PX)
@@ -85,9 +94,7 @@ def profiles_across(
     return Profiles(np.asarray(slopes, np.float64), offsets, seen, sigma_px)
 
 
-def straightest(
-    profiles: Profiles, where: Array, reach_px: float, turn_px: float, settings: SilhouetteSettings
-) -> LineAcross | None:
+def straightest(profiles: Profiles, where: Array, reach_px: float, turn_px: float) -> LineAcross | None:
     """The most distinct line within a reach of the segment, turned by so much at its ends; None without any.
 
     `where`, shape (n,), says how far along the segment each profile is, from 0 to 1. Neighbouring profiles vote as one,
@@ -101,8 +108,8 @@ def straightest(
     strength = np.sqrt(np.sum(common * common, 0))
     # A step of height c, smoothed, has slope c / (σ √(2π)); what is common in the neighbourhood is no step.
     half = max(
-        settings.full_contrast_levels / (np.sqrt(2.0 * np.pi) * 1.4 * sigma_px),
-        settings.texture_factor * float(np.median(strength)),
+        FULL_CONTRAST_LEVELS / (np.sqrt(2.0 * np.pi) * 1.4 * sigma_px),
+        TEXTURE_FACTOR * float(np.median(strength)),
     )
     blocks = strength / (strength + half)
     blocks[~seen[: count * BLOCK].reshape(count, BLOCK, -1).all(1)] = 0.0
@@ -113,7 +120,7 @@ def straightest(
     steps = np.rint(slants[:, None] * (2.0 * middle - 1.0) / STEP_PX).astype(int)  # (slants, blocks)
     columns = np.clip(candidates[None, None, :] + steps[:, :, None], 0, len(offsets) - 1)
     # Wrist and jaws may make the rough side too long: the edge goes as far as it gains by that.
-    gain = np.cumsum(blocks[np.arange(count)[None, :, None], columns] - settings.min_support, axis=1)
+    gain = np.cumsum(blocks[np.arange(count)[None, :, None], columns] - MIN_SUPPORT, axis=1)
     gain[:, : min(MIN_BLOCKS, count) - 1] = -np.inf
     last = np.argmax(gain, axis=1)
     total = np.take_along_axis(gain, last[:, None], 1)[:, 0]  # (slants, offsets)
@@ -121,17 +128,14 @@ def straightest(
     best, reached = float(total[slant, offset]), int(last[slant, offset]) + 1
     if not best > 0.0:
         return None
-    support = best / reached + settings.min_support
+    support = best / reached + MIN_SUPPORT
     return LineAcross(
         float(offsets[candidates[offset]]), float(slants[slant]), support, float(reached / count)
     )
 
 
 def points_near(profiles: Profiles, place: Array, reach_px: float, min_slope: float) -> Array:
-    """Sub-pixel offset of each profile's edge near a line at offsets `place`, shape (n,); NaN where there is none.
-
-    Colours are projected on what most of the neighbourhood changes by, so that a step has one sign.
-    """
+    """Sub-pixel offset of each profile's edge near a line at offsets `place`, shape (n,); NaN where there is none."""
     slopes, offsets, seen = profiles.slopes, profiles.offsets, profiles.seen
     rows = np.arange(len(place))
     column = np.rint((place - offsets[0]) / STEP_PX).astype(int)
@@ -157,18 +161,14 @@ def points_near(profiles: Profiles, place: Array, reach_px: float, min_slope: fl
     return np.where(good, offsets[peak] + np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan)
 
 
-DEFAULT, DEFAULT_SHAFT = SilhouetteSettings(), ShaftSettings()
-SPACING_PX = 1.5
-"""Between profiles."""
+SPACING_PX = 1.5  # between profiles
 PEAK_REACH_PX, REFINEMENTS = 2.0, 2
 """From a line to a profile's own edge, at least; and how often the line is looked at anew."""
 WINDOW = 3.0
 """Where a profile's own edge is sought, over how far it may be off: of texture a third is that near, of an edge all."""
-REFINED_PER_SCALE = 1.5
-"""How far from the rough line the fine one is sought, over the rough one's scale."""
+REFINED_PER_SCALE = 1.5  # how far from the rough line the fine one is sought, over the rough one's scale
 MIN_POINTS = 8
-START_PART = 0.8
-"""Of an edge that was found roughly, what is surely shaft: the rest may be wrist already."""
+START_PART = 0.8  # of an edge that was found roughly, what is surely shaft: the rest may be wrist already
 END_STEPS = 3
 UNSEEN_SHARE = 0.15
 """Against a line by a profile that shows no edge, where one beside the line counts `end_share`."""
@@ -196,10 +196,7 @@ class EdgeLine:
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
-    """A rough side, continued: its start, unit vectors along and across it, (2,), its length, and places on it, (n,).
-
-    An offset is how far something is to the side of it.
-    """
+    """A rough side, continued: start, unit vectors along and across it, (2,), length, and places on it, (n,)."""
 
     start_px: Array
     along: Array
@@ -236,25 +233,14 @@ class _Line:
         return np.asarray(self.offset_px + self.slope * at)
 
 
-def edge_line(
-    bgr: Image,
-    rough: Array,
-    width_px: float,
-    picture: Image | None = None,
-    settings: SilhouetteSettings = DEFAULT,
-    shaft: ShaftSettings = DEFAULT_SHAFT,
-) -> EdgeLine | None:
-    """The edge of an image, shape (h, w, 3), near a rough side, shape (2, 2) from start to end; None without one.
-
-    `width_px` is the shaft's: the rough side may be off by a part of it. `picture`, shape (h, w), marks what is not
-    border around the endoscope's view: edges of the border are none.
-    """
-    segment = _Segment.of(rough, settings.end_reach_widths * width_px)
-    line = None if segment is None else _first_line(bgr, segment, width_px, picture, settings, shaft)
+def edge_line(bgr: Image, rough: Array, width_px: float, picture: Image | None = None) -> EdgeLine | None:
+    """The edge of an image, shape (h, w, 3), near a rough side, shape (2, 2) from start to end; None without one."""
+    segment = _Segment.of(rough, END_REACH_WIDTHS * width_px)
+    line = None if segment is None else _first_line(bgr, segment, width_px, picture)
     if segment is None or line is None:
         return None
-    at, sigma_px = segment.at, shaft.slope_sigma_px
-    straight_px = max(settings.straight_px, settings.straight_widths * width_px)
+    at, sigma_px = segment.at, SLOPE_SIGMA_PX
+    straight_px = max(STRAIGHT_PX, STRAIGHT_WIDTHS * width_px)
     reach_px = max(PEAK_REACH_PX, WINDOW * straight_px)
     off_px = np.full(len(at), np.nan)
     # Its points are sought about the line through them, which may lie beyond what was looked at before, farther on.
@@ -263,16 +249,16 @@ def edge_line(
         profiles = profiles_across(
             bgr, segment.points(at, place), segment.across, reach_px, sigma_px, picture
         )
-        off_px = place + points_near(profiles, np.zeros(len(at)), reach_px, _min_slope(settings, sigma_px))
-        line = _ending_line(at, off_px, line.end_at, straight_px, settings.end_share)
+        off_px = place + points_near(profiles, np.zeros(len(at)), reach_px, _min_slope(sigma_px))
+        line = _ending_line(at, off_px, line.end_at, straight_px, END_SHARE)
         if line is None:
             return None
     before = at <= line.end_at
     used = np.isfinite(off_px) & before
     on_line = used & (np.abs(np.where(used, off_px, np.inf) - line.at(at)) < straight_px)
     # A line through texture has its points here and there: most of what is seen beside it is not on it.
-    count, least = np.count_nonzero(on_line), settings.min_seen * np.count_nonzero(before)
-    if count < max(MIN_POINTS, least, settings.min_found * np.count_nonzero(used)):
+    count, least = np.count_nonzero(on_line), MIN_SEEN * np.count_nonzero(before)
+    if count < max(MIN_POINTS, least, MIN_FOUND * np.count_nonzero(used)):
         return None
     ends_at = np.array([0.0, line.end_at])
     first, last = segment.points(ends_at, line.at(ends_at))
@@ -280,52 +266,41 @@ def edge_line(
     return EdgeLine(first, last, segment.points(at[used], off_px[used]), ends)
 
 
-def _first_line(
-    bgr: Image,
-    segment: _Segment,
-    width_px: float,
-    picture: Image | None,
-    settings: SilhouetteSettings,
-    shaft: ShaftSettings,
-) -> _Line | None:
+def _first_line(bgr: Image, segment: _Segment, width_px: float, picture: Image | None) -> _Line | None:
     """The edge roughly: at a scale that tissue's texture is small against, then at the scale of the optics."""
     at, across = segment.at, segment.across
     side = int(np.count_nonzero(at <= segment.length_px))
     where = at / segment.length_px
-    coarse_px = max(shaft.slope_sigma_px, settings.search_scale_widths * width_px)
-    reach_px = max(settings.edge_reach_fraction * bgr.shape[1], settings.edge_reach_widths * width_px)
-    turn_px = max(reach_px, settings.edge_turn_widths * width_px)
+    coarse_px = max(SLOPE_SIGMA_PX, SEARCH_SCALE_WIDTHS * width_px)
+    reach_px = max(EDGE_REACH_FRACTION * bgr.shape[1], EDGE_REACH_WIDTHS * width_px)
+    turn_px = max(reach_px, EDGE_TURN_WIDTHS * width_px)
     feet_px = segment.points(at[:side], np.zeros(side))
     profiles = profiles_across(bgr, feet_px, across, reach_px + turn_px, coarse_px, picture)
-    rough = straightest(profiles, where[:side], reach_px, turn_px, settings)
+    rough = straightest(profiles, where[:side], reach_px, turn_px)
     if rough is None:
         return None
     place, reach_px = rough.at(where), REFINED_PER_SCALE * coarse_px
     profiles = profiles_across(
-        bgr, segment.points(at, place), across, 2.0 * reach_px, shaft.slope_sigma_px, picture
+        bgr, segment.points(at, place), across, 2.0 * reach_px, SLOPE_SIGMA_PX, picture
     )
-    fine = straightest(profiles.first(side), where[:side], reach_px, reach_px, settings)
+    fine = straightest(profiles.first(side), where[:side], reach_px, reach_px)
     if fine is None:
         return None
-    near_px, min_slope = max(PEAK_REACH_PX, coarse_px), _min_slope(settings, shaft.slope_sigma_px)
+    near_px, min_slope = max(PEAK_REACH_PX, coarse_px), _min_slope(SLOPE_SIGMA_PX)
     off_px = place + points_near(profiles, fine.at(where), near_px, min_slope)
-    straight_px = max(settings.straight_px, settings.straight_widths * width_px)
-    return _ending_line(at, off_px, fine.part * segment.length_px, straight_px, settings.end_share)
+    straight_px = max(STRAIGHT_PX, STRAIGHT_WIDTHS * width_px)
+    return _ending_line(at, off_px, fine.part * segment.length_px, straight_px, END_SHARE)
 
 
-def _min_slope(settings: SilhouetteSettings, sigma_px: float) -> float:
+def _min_slope(sigma_px: float) -> float:
     """A step of height c smoothed by σ has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ."""
-    return float(settings.min_contrast_levels / (np.sqrt(2.0 * np.pi) * 2.0 * sigma_px))
+    return float(MIN_CONTRAST_LEVELS / (np.sqrt(2.0 * np.pi) * 2.0 * sigma_px))
 
 
 def _ending_line(
     at: Array, off_px: Array, length_px: float, straight_px: float, end_share: float
 ) -> _Line | None:
-    """The straight part from the border on, of offsets, shape (n,), at places, shape (n,); NaN is no edge.
-
-    A wrist runs on beside the shaft's line, a pixel or two off it. So the line is that of the part next to the
-    border, and it ends where fewer than half of the points lie on it.
-    """
+    """The straight part from the border on, of offsets, shape (n,), at places, shape (n,); NaN is no edge."""
     end_at = START_PART * length_px
     found = np.isfinite(off_px)
     line = (0.0, 0.0)

@@ -10,13 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.least_squares import huber_weights, median, scale_of
-from svmdist.profile.settings import DistalMarkerSettings, ShaftSettings
+from svmdist.profile.settings import ShaftSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
 
+SLOPE_SIGMA_PX = 1.2  # of the derivative of Gaussian: as wide as usual optics blur
+SLOPE_SIGMA_PER_BLUR = 0.8  # a blurred edge is sought at this scale over its own
+# Levels of chroma between inside and outside of the border below which there is no border to find
+MIN_CHROMA = 25.0
+MIN_AGREEING_FRACTION = 0.5  # of rays on the border's circle: with less the circle is a guess
+
 DEFAULT = ShaftSettings()
-STEP_PX = 0.5
-"""Between samples across the edge: half a pixel loses nothing of what the pixels hold."""
+STEP_PX = 0.5  # between samples across the edge: half a pixel loses nothing of what the pixels hold
 BLUR_PLACES, BLUR_STRIPS = 8, 7
 """An edge's blur is the median over so many places, each the mean of so many neighbouring profiles."""
 
@@ -39,7 +44,7 @@ def edge_points(
     length_px = float(np.linalg.norm(end_px - start_px))
     if length_px < 2.0:
         return np.zeros((0, 2))
-    sigma_px = slope_sigma_px(blur_px, settings)
+    sigma_px = slope_sigma_px(blur_px)
     at = np.arange(0.5, length_px, 1.0)
     feet_px, across = _feet(start_px, end_px, outward, at)
     profiles, offsets, inside = profiles_across(brightness, feet_px, across, reach_px + 3.0 * sigma_px)
@@ -69,14 +74,11 @@ def edge_blur_px(
     reach_px: float,
     settings: ShaftSettings = DEFAULT,
 ) -> float:
-    """The blur of an edge near a segment: the deviation in px of the Gaussian as wide at half its height as its slope.
-
-    0 for an edge as sharp as the derivative's own scale, and where none is found; arguments as in `edge_points`.
-    """
+    """An edge's blur: the deviation in px of the Gaussian as wide at half its height as the edge's slope."""
     length_px = float(np.linalg.norm(end_px - start_px))
     if length_px < 2.0 * BLUR_STRIPS:
         return 0.0
-    sigma_px = settings.slope_sigma_px
+    sigma_px = SLOPE_SIGMA_PX
     middles = np.linspace(0.5 * BLUR_STRIPS, length_px - 0.5 * BLUR_STRIPS, BLUR_PLACES)
     at = (middles[:, None] + np.arange(BLUR_STRIPS) - BLUR_STRIPS // 2).ravel()
     feet_px, across = _feet(start_px, end_px, outward, at)
@@ -100,9 +102,9 @@ def edge_blur_px(
     return float(np.sqrt(max(0.0, edge_sigma_px**2 - sigma_px**2)))
 
 
-def slope_sigma_px(blur_px: float, settings: ShaftSettings = DEFAULT) -> float:
+def slope_sigma_px(blur_px: float) -> float:
     """Scale of the derivative that finds an edge of a blur: as wide as usual optics, or nearly as the blur."""
-    return max(settings.slope_sigma_px, settings.slope_sigma_per_blur * blur_px)
+    return max(SLOPE_SIGMA_PX, SLOPE_SIGMA_PER_BLUR * blur_px)
 
 
 def _feet(start_px: Array, end_px: Array, outward: Array, at: Array) -> tuple[Array, Array]:
@@ -137,10 +139,7 @@ def _min_slope(min_contrast: float, sigma_px: float) -> float:
 
 
 def _sampled(window: Image, x: Array, y: Array, column: int, row: int) -> Array:
-    """Brightness at places, shape (n, k) in px, with cubic interpolation; the border is repeated.
-
-    `window` is the part of the image that begins at a column and a row.
-    """
+    """Brightness at places, shape (n, k) in px, with cubic interpolation; the border is repeated."""
     # Subtracted in single precision, where the difference is exact: the image's own coordinates decide.
     places = (x.astype(np.float32) - np.float32(column), y.astype(np.float32) - np.float32(row))
     values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
@@ -163,13 +162,7 @@ MAX_SHIFT = 0.25
 """Of the slope's scale: a larger shift by shading is no small one, and its first order is not enough."""
 
 
-def shading_shift_px(
-    brightness: Image,
-    points_px: Array,
-    outward: Array,
-    settings: ShaftSettings = DEFAULT,
-    blur_px: float = 0.0,
-) -> float:
+def shading_shift_px(brightness: Image, points_px: Array, outward: Array, blur_px: float = 0.0) -> float:
     """How far outward shading beside an edge drew its points, shape (n, 2) in px, as `edge_points` found them.
 
     A step of height c under an even kernel k, between shades that change by g per px inside and outside, has the
@@ -180,7 +173,7 @@ def shading_shift_px(
     and k(0) / -k''(0), for a Gaussian its variance, is read off the slope's own peak. `outward` (2,) has length 1.
     The shades are those of the median profile beyond the blur; 0 where it is no such edge.
     """
-    sigma_px = slope_sigma_px(blur_px, settings)
+    sigma_px = slope_sigma_px(blur_px)
     clear_px = SHADE_FROM_PX + SHADE_FROM_BLUR * blur_px
     profiles, offsets, inside = profiles_across(brightness, points_px, outward, clear_px + SHADE_LENGTH_PX)
     profiles = profiles[inside.all(1)]
@@ -208,7 +201,6 @@ def _line_through(x: Array, y: Array) -> tuple[float, float]:
     return slope, float(height - slope * middle)
 
 
-DEFAULT_DISC = DistalMarkerSettings()
 RAYS = 64
 STEP_PX_DISC = 0.25
 INSIDE, OUTSIDE = (0.4, 0.7), (1.25, 1.7)
@@ -235,13 +227,7 @@ def strength_of(image_hsv: Image, hue: float) -> Array:
     return np.asarray(hsv[..., 1] * hsv[..., 2] / 255.0 * np.cos(angle), np.float64)
 
 
-def fit_disc(
-    image_hsv: Image,
-    mask: Image,
-    centre_px: Array,
-    radius_px: float,
-    settings: DistalMarkerSettings = DEFAULT_DISC,
-) -> Disc | None:
+def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) -> Disc | None:
     """The disc near a rough one; None where its border is not to be found. `mask`, shape (h, w), has its colour."""
     half = int(np.ceil(2.0 * radius_px)) + 2
     x0, y0 = (np.floor(centre_px).astype(int) - half).tolist()
@@ -271,15 +257,15 @@ def fit_disc(
     high = np.asarray(np.median(values[:, within], axis=1), np.float64)
     low = np.asarray(np.median(values[:, reach_px >= OUTSIDE[0] * radius_px], axis=1), np.float64)
     half_px = _crossing(values, reach_px, 0.5 * (high + low))
-    usable = np.isfinite(half_px) & (high - low > settings.min_chroma)
-    if np.count_nonzero(usable) < settings.min_agreeing_fraction * RAYS:
+    usable = np.isfinite(half_px) & (high - low > MIN_CHROMA)
+    if np.count_nonzero(usable) < MIN_AGREEING_FRACTION * RAYS:
         return None
     spread_px = _crossing(values, reach_px, 0.16 * high + 0.84 * low) - _crossing(
         values, reach_px, 0.84 * high + 0.16 * low
     )
     blur_px = float(np.nanmedian(spread_px[usable])) / 2.0 if np.isfinite(spread_px[usable]).any() else 0.0
     points_px = centre_px + half_px[usable, None] * directions[usable]
-    return _circle(points_px, centre_px, max(blur_px, 0.0), origin_px, settings.min_agreeing_fraction)
+    return _circle(points_px, centre_px, max(blur_px, 0.0), origin_px, MIN_AGREEING_FRACTION)
 
 
 def _crossing(values: Array, reach_px: Array, level: Array) -> Array:

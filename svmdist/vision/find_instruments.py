@@ -23,6 +23,12 @@ from svmdist.vision.working_image import (
     learnt_from,
 )
 
+MOST_AREA = 0.45  # what is larger is background that shares the instrument's colour
+LEAST_EVIDENCE = 0.2  # evidence, from 0 to 1, of two straight edges: what has less is tissue
+# Evidence that the surest bar of an image must have for anything to be learnt from it
+TEACHING_EVIDENCE = 0.44
+SURE_EVIDENCE = 0.4  # evidence from which on a bar's colours are learnt
+
 PERCENTILES = (4, 8, 13, 19, 26, 34)
 """Of each channel in the picture: thresholds under which instruments are sought. They cover 3 to 40 % of a picture."""
 RATIO_LEVELS = (0.0, 1.0, 2.0)
@@ -41,10 +47,7 @@ class Found:
 
 
 def learnt_appearance(images: Sequence[WorkingImage]) -> Appearance | None:
-    """What instruments look like in images of one log; None where none of them shows one for sure.
-
-    First from bars in whatever channel they are straightest in; then once more from all of what those colours show.
-    """
+    """What instruments look like in images of one log; None where none of them shows one for sure."""
     bars = [search_bars(image) for image in images]
     first = learnt_from(
         example for image, sought in zip(images, bars, strict=True) if (example := _of_bars(image, sought))
@@ -81,10 +84,7 @@ def search_bars(image: WorkingImage) -> list[JudgedBar]:
 def find_instruments(
     image: WorkingImage, appearance: Appearance | None, sought: Sequence[JudgedBar] = ()
 ) -> list[Found]:
-    """The instruments of an image, the surest first. `sought` are bars that are known without their colours.
-
-    Without an appearance, only what else is known of its pixels tells where to look.
-    """
+    """The instruments of an image, the surest first. `sought` are bars that are known without their colours."""
     ratio = image.hint if appearance is None else appearance.of(image) + image.hint
     settings = image.settings
     likely = _above(ratio, 0.0, image)
@@ -93,7 +93,7 @@ def find_instruments(
         for level in RATIO_LEVELS
         for one in _judged_bars(_above(ratio, level, image) if level else likely, image, 3, ratio)
     ]
-    bars += [one for one in sought if one.evidence > settings.sure_evidence]
+    bars += [one for one in sought if one.evidence > SURE_EVIDENCE]
     bars.sort(key=lambda one: -one.evidence)
     bars = [JudgedBar(sharpened(one.bar, image), one.evidence) for one in bars]
     taken = np.zeros(image.core.shape, bool)
@@ -126,11 +126,8 @@ def _above(ratio: Floats, level: float, image: WorkingImage) -> Image:
 def _judged_bars(
     mask: Image, image: WorkingImage, most_bars: int, ratio: Floats | None = None
 ) -> list[JudgedBar]:
-    settings = image.settings
-    every = (
-        judged(bar, part, image, ratio) for bar, part in bars_in(mask, image, settings.most_area, most_bars)
-    )
-    return [one for one in every if one is not None and one.evidence > settings.least_evidence]
+    every = (judged(bar, part, image, ratio) for bar, part in bars_in(mask, image, MOST_AREA, most_bars))
+    return [one for one in every if one is not None and one.evidence > LEAST_EVIDENCE]
 
 
 def _apart(sought: list[JudgedBar], image: WorkingImage) -> list[JudgedBar]:
@@ -147,10 +144,10 @@ def _apart(sought: list[JudgedBar], image: WorkingImage) -> list[JudgedBar]:
 
 def _of_bars(image: WorkingImage, sought: Sequence[JudgedBar]) -> Example | None:
     """What the sure bars of an image teach; what is near to any bar may be either, and teaches nothing."""
-    if not sought or sought[0].evidence < image.settings.teaching_evidence:
+    if not sought or sought[0].evidence < TEACHING_EVIDENCE:
         return None
     shape = image.core.shape[0], image.core.shape[1]
-    least = min(0.6 * sought[0].evidence, image.settings.sure_evidence)
+    least = min(0.6 * sought[0].evidence, SURE_EVIDENCE)
     inside, near = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
     for one in sought:
         strip = one.bar.filled(shape)
@@ -222,11 +219,7 @@ def seen_instrument(found: Found, image: WorkingImage, size: tuple[int, int]) ->
 
 
 def outline_geometry(mask: NDArray[np.bool_], sides: Array) -> tuple[Array, Array, Array]:
-    """Both sides from where they begin to where the outline leaves them, shape (2, 2, 2), the end and the tip, (2,).
-
-    `mask`, shape (h, w), is the instrument; `sides`, shape (2, 2, 2), are lines along its shaft, border first. The
-    outline is that of a cylinder for as long as the mask's edges stay on both lines.
-    """
+    """Both sides from where they begin to where the outline leaves them, shape (2, 2, 2), the end and the tip, (2,)."""
     start = sides[:, 0].mean(axis=0)
     axis = sides[:, 1].mean(axis=0) - start
     axis = axis / max(float(np.linalg.norm(axis)), 1e-9)

@@ -15,9 +15,14 @@ from svmdist.transforms import Array, make_transform
 from svmdist.vision.colour import Exposure, apply_exposure, exposure_of
 from svmdist.vision.segmentation import Masks, Segmenter
 
+COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's rows: fine texture does both
+# Side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
+BLOCK_PX = 9
+MIN_FRACTION = 0.12  # of a block's pixels that are combed, where its odd rows are mended
+MIN_PIXELS = 60  # combed pixels in a whole image, at 640 columns, below which nothing is looked at further
+
 DEFAULT = InterlaceSettings()
-COLUMNS = 640
-"""Sizes in px are for images of so many columns."""
+COLUMNS = 640  # sizes in px are for images of so many columns
 REACH = 3
 """Blocks about a combed one that are mended with it: of one moving body some parts have too little contrast to tell."""
 
@@ -39,13 +44,13 @@ def first_field(bgr: Image, settings: InterlaceSettings = DEFAULT) -> Image:
     scale = bgr.shape[1] / COLUMNS
     green = np.asarray(cv2.extractChannel(bgr, 1), np.uint8)
     combed = _stands_out(green, 1, settings.comb_levels)
-    if cv2.countNonZero(combed) < settings.min_pixels * scale**2:
+    if cv2.countNonZero(combed) < MIN_PIXELS * scale**2:
         return bgr
     textured = _stands_out(green, 2, settings.comb_levels)
-    side = 2 * round(0.5 * settings.block_px * scale) + 1
+    side = 2 * round(0.5 * BLOCK_PX * scale) + 1
     of_block = [cv2.boxFilter(mask, cv2.CV_32F, (side, side)) for mask in (combed, textured)]
-    is_combed = (of_block[0] > settings.min_fraction) & (of_block[0] > settings.comb_ratio * of_block[1])
-    if np.count_nonzero(is_combed) < settings.min_pixels * scale**2:
+    is_combed = (of_block[0] > MIN_FRACTION) & (of_block[0] > COMB_RATIO * of_block[1])
+    if np.count_nonzero(is_combed) < MIN_PIXELS * scale**2:
         return bgr
     places = cv2.dilate(is_combed.astype(np.uint8), np.ones((REACH * side, REACH * side), np.uint8))
     mended = bgr.copy()
@@ -68,10 +73,7 @@ def _stands_out(green: Image, away: int, levels: float) -> Image:
 
 
 def as_pinholes(observation: Observation, row_offset_px: float = 0.0) -> Observation:
-    """The observation with both views as ideal cameras give them; the same object where they are already.
-
-    `row_offset_px` is by how much rows of the right view lie below those of the left one after that; it is removed.
-    """
+    """Both views as ideal cameras give them, the right one `row_offset_px` higher; the same object where they do."""
     left, right = observation.camera, observation.right
     if left.has_distortion:
         image = _mapped(observation.image_bgr, left, np.eye(3), left)
@@ -190,7 +192,7 @@ class FrameContext:
     @cached_property
     def bgr(self) -> Image:
         """The image at normalised exposure; the same array where it is well exposed already."""
-        return apply_exposure(self.bgr_as_recorded, self.exposure, self._settings)
+        return apply_exposure(self.bgr_as_recorded, self.exposure)
 
     @cached_property
     def hsv_as_recorded(self) -> Image:

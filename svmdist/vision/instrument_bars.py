@@ -9,19 +9,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.working_image import SQUARE_5, WorkingImage
 
+COLOUR_STEP = 0.12  # a difference of logarithms of two channels' ratio that is seen as a step of colour
+BRIGHTNESS_STEP = 0.25  # the same of brightness, which shading changes more
+LINE_WITHIN_PX = 1.3  # of points off a straight edge's line: rounding and the working image's blur
+LEAST_SIDE_PX = 8.0  # points of an outline that must lie on a line for it to be a side
+MOST_TAPER_COS = 0.92  # of the largest angle between both sides, 23°: a cylinder seen along its axis
+USUAL_TAPER_RAD = 0.2  # standard deviation of that angle: a shaft's sides run more alike than those of jaws
+# An instrument's least width, over the working image's: less is a thread or a vessel
+LEAST_WIDTH_FRACTION = 0.02
+MOST_WIDTH_FRACTION = 0.4  # an instrument's largest width, over the working image's
+BESIDE_WIDTHS = 0.5  # how far an instrument goes beyond its bar's sides where its colours leave no doubt
+DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft, over its width there
+DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over its width
+
 CHORDS_PX = (10, 20, 40, 70)
 """Lengths of outline whose chords are tried as lines: sides of small and of large instruments."""
-CHORD_STARTS = 60
-"""Places of an outline at which chords begin."""
-MOST_LINES = 14
-"""Different lines of one outline that are paired."""
-SAMPLES = 24
-"""Places along a side at which colours are compared."""
+CHORD_STARTS = 60  # places of an outline at which chords begin
+MOST_LINES = 14  # different lines of one outline that are paired
+SAMPLES = 24  # places along a side at which colours are compared
 
 
 @dataclass(frozen=True)
@@ -110,7 +119,7 @@ def bars_in(
         free = image.inner[contour[:, 1], contour[:, 0]]
         part = None
         for _ in range(most_bars):
-            bar = best_bar(contour, free, mask.shape[1], settings)
+            bar = best_bar(contour, free, mask.shape[1])
             if bar is None:
                 break
             if part is None:
@@ -121,13 +130,8 @@ def bars_in(
             free = free & (used[contour[:, 1], contour[:, 0]] == 0)
 
 
-def best_bar(
-    contour: NDArray[np.int32], free: NDArray[np.bool_], width_px: int, settings: AutoSettings
-) -> Bar | None:
-    """The pair of opposite lines with the most points of a closed contour, shape (n, 2), on the lesser of both.
-
-    `free`, shape (n,), says which points are away from the picture's border.
-    """
+def best_bar(contour: NDArray[np.int32], free: NDArray[np.bool_], width_px: int) -> Bar | None:
+    """The pair of opposite lines with the most points of a closed contour, shape (n, 2), on the lesser of both."""
     points = contour.astype(np.float64)
     if len(points) < 24 or np.count_nonzero(free) < 16:
         return None
@@ -139,23 +143,23 @@ def best_bar(
         return None
     normals = np.stack([-along[:, 1], along[:, 0]], axis=1)
     off = points_free @ normals.T - (starts * normals).sum(axis=1)
-    near = (np.abs(off) < settings.line_within_px) & (tangents_free @ along.T > 0.85)
+    near = (np.abs(off) < LINE_WITHIN_PX) & (tangents_free @ along.T > 0.85)
     support = near.sum(axis=0)
-    lines = _different_lines(starts, along, normals, support, settings)
+    lines = _different_lines(starts, along, normals, support)
     best: tuple[float, int, int, Array] | None = None
     for place, first in enumerate(lines):
         for second in lines[place + 1 :]:
             cosine = -float(along[first] @ along[second])
-            if cosine < settings.most_taper_cos:
+            if cosine < MOST_TAPER_COS:
                 continue
-            taper = float(np.arccos(min(cosine, 1.0))) / settings.usual_taper_rad
+            taper = float(np.arccos(min(cosine, 1.0))) / USUAL_TAPER_RAD
             score = (float(support[second]) + 1e-3 * float(support[first])) * float(np.exp(-0.5 * taper**2))
             if best is not None and score <= best[0]:
                 continue
             axis = along[first] - along[second]
             axis = axis / np.linalg.norm(axis)
             on_first, on_second = points_free[near[:, first]], points_free[near[:, second]]
-            if _are_beside(on_first, on_second, axis, width_px, settings):
+            if _are_beside(on_first, on_second, axis, width_px):
                 best = score, first, second, axis
     if best is None:
         return None
@@ -164,12 +168,10 @@ def best_bar(
     return Bar(sides, (float(support[first]), float(support[second])), len(points_free))
 
 
-def _different_lines(
-    starts: Array, along: Array, normals: Array, support: NDArray[np.int_], settings: AutoSettings
-) -> list[int]:
+def _different_lines(starts: Array, along: Array, normals: Array, support: NDArray[np.int_]) -> list[int]:
     """Numbers of the lines with the most points, the best first, each of which is another line than those before it."""
     order = np.argsort(-support, kind="stable")
-    order = order[support[order] >= settings.least_side_px]
+    order = order[support[order] >= LEAST_SIDE_PX]
     starts, along, normals = starts[order], along[order], normals[order]
     left = np.ones(len(order), np.bool_)
     lines: list[int] = []
@@ -177,7 +179,7 @@ def _different_lines(
         best = int(np.argmax(left))
         lines.append(int(order[best]))
         apart = np.abs(((starts - starts[best]) * normals[best]).sum(axis=1))
-        left &= ~((along @ along[best] > 0.97) & (apart < 2.0 * settings.line_within_px))
+        left &= ~((along @ along[best] > 0.97) & (apart < 2.0 * LINE_WITHIN_PX))
         left[best] = False
     return lines
 
@@ -201,7 +203,7 @@ def _chords(points: Array, free: NDArray[np.bool_]) -> tuple[Array, Array]:
     return np.vstack(starts), np.vstack(along)
 
 
-def _are_beside(first: Array, second: Array, axis: Array, width_px: int, settings: AutoSettings) -> bool:
+def _are_beside(first: Array, second: Array, axis: Array, width_px: int) -> bool:
     """Whether points of two lines, shape (n, 2) each, lie side by side, as far apart as an instrument is wide."""
     a, b = first @ axis, second @ axis
     common = min(a.max(), b.max()) - max(a.min(), b.min())
@@ -209,7 +211,7 @@ def _are_beside(first: Array, second: Array, axis: Array, width_px: int, setting
         return False
     normal = np.array([-axis[1], axis[0]])
     apart = abs(float((second @ normal).mean() - (first @ normal).mean())) / width_px
-    return settings.least_width_fraction < apart < settings.most_width_fraction
+    return LEAST_WIDTH_FRACTION < apart < MOST_WIDTH_FRACTION
 
 
 def _line_of(points: Array, axis: Array) -> Array:
@@ -221,14 +223,10 @@ def _line_of(points: Array, axis: Array) -> Array:
     return np.stack([middle + at.min() * along, middle + at.max() * along])
 
 
-PLACES = 32
-"""Places along a side at which its edge is sought."""
-STEP_PX = 0.5
-"""Distance of the samples across a side."""
-HALF_STEP_PX = 1.5
-"""Colours this far to either side of an edge are compared: the working image's blur."""
-LEAST_AGREEING = 0.5
-"""Part of the places whose edges must lie on one line; else the side stays where it was."""
+PLACES = 32  # places along a side at which its edge is sought
+STEP_PX = 0.5  # distance of the samples across a side
+HALF_STEP_PX = 1.5  # colours this far to either side of an edge are compared: the working image's blur
+LEAST_AGREEING = 0.5  # part of the places whose edges must lie on one line; else the side stays where it was
 
 
 def sharpened(bar: Bar, image: WorkingImage) -> Bar:
@@ -239,7 +237,6 @@ def sharpened(bar: Bar, image: WorkingImage) -> Bar:
 
 
 def _sharpened_side(bar: Bar, side: int, reach_px: float, image: WorkingImage) -> Array:
-    settings = image.settings
     start, end = bar.sides[side]
     normal = bar.inward(side)
     offsets = np.arange(-reach_px, reach_px + 0.5 * STEP_PX, STEP_PX)
@@ -248,7 +245,7 @@ def _sharpened_side(bar: Bar, side: int, reach_px: float, image: WorkingImage) -
     places = along[:, None] + wide[None, :, None] * normal
     x, y = np.ascontiguousarray(places[..., 0], np.float32), np.ascontiguousarray(places[..., 1], np.float32)
     colours = np.asarray(cv2.remap(image.colours, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-    scale = np.array([settings.colour_step, settings.colour_step, settings.brightness_step])
+    scale = np.array([COLOUR_STEP, COLOUR_STEP, BRIGHTNESS_STEP])
     change = np.linalg.norm((colours[:, len(offsets) :] - colours[:, : len(offsets)]) / scale, axis=2)
     # Of edges alike in height the one nearer to the outline is meant.
     best = np.argmax(change * (1.0 - 0.4 * np.abs(offsets) / max(reach_px, 1e-9)), axis=1)
@@ -263,7 +260,7 @@ def _sharpened_side(bar: Bar, side: int, reach_px: float, image: WorkingImage) -
     )
     direction, at = np.array([vx, vy]), np.array([x0, y0])
     off = np.abs((points[seen] - at) @ np.array([-vy, vx]))
-    if np.mean(off < settings.line_within_px) < LEAST_AGREEING:
+    if np.mean(off < LINE_WITHIN_PX) < LEAST_AGREEING:
         return np.asarray(bar.sides[side])
     return np.stack([at + direction * float((end_px - at) @ direction) for end_px in (start, end)])
 
@@ -286,7 +283,6 @@ class Zones:
     @classmethod
     def of(cls, bar: Bar, image: WorkingImage) -> Zones:
         """The zones of a bar whose first end is towards the border."""
-        settings = image.settings
         height, width = image.core.shape
         x = np.arange(width, dtype=np.float32)[None, :]
         y = np.arange(height, dtype=np.float32)[:, None]
@@ -302,9 +298,9 @@ class Zones:
         before = along < 0.0
         strip = before & (depth > -0.08 * bar.width_px - 1.0)
         middle = before & (depth > 0.5) & (along > -length)
-        beyond = (along >= -0.3 * end_width) & (along < settings.distal_widths * end_width)
-        reach = settings.distal_half_widths * end_width + 0.1 * np.maximum(along, 0.0)
+        beyond = (along >= -0.3 * end_width) & (along < DISTAL_WIDTHS * end_width)
+        reach = DISTAL_HALF_WIDTHS * end_width + 0.1 * np.maximum(along, 0.0)
         distal = beyond & (across < reach)
-        narrow = distal & (across < 0.6 * end_width) & (along < 0.6 * settings.distal_widths * end_width)
-        beside = before & (depth > -settings.beside_widths * bar.width_px)
+        narrow = distal & (across < 0.6 * end_width) & (along < 0.6 * DISTAL_WIDTHS * end_width)
+        beside = before & (depth > -BESIDE_WIDTHS * bar.width_px)
         return cls(strip, middle, distal, narrow, beside)

@@ -12,8 +12,20 @@ from numpy.typing import NDArray
 
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.instrument_bars import Bar, Zones
+from svmdist.vision.instrument_bars import BRIGHTNESS_STEP, COLOUR_STEP, Bar, Zones
 from svmdist.vision.working_image import SQUARE_3, SQUARE_5, Floats, WorkingImage
+
+LEAST_LENGTH_WIDTHS = 0.8  # of both sides, over the width: less is any blob that has been cut off
+LEAST_LENGTH_PX = 12.0  # the same in px: shorter edges of tissue are straight by chance
+REACH_PX = 2.5  # colours beside a side are compared this far inside and outside of it
+LEAST_STEP_FRACTION = 0.6  # part of each side along which there is a step; shadows have none of that height
+LEAST_RATIO_STEP = 1.0  # a step in the log ratio of colour likelihoods, once they are known
+LEAST_COOLER = 0.05  # how much less red an instrument is than what is on either side of it, as a logarithm
+LEAST_DARKER = 0.25  # how much darker, where it is not less red: dark steel on grey paper
+MOST_WARMER = 0.08  # how much redder it may then be, where it has a colour
+GREY_CHROMA = 0.15  # less chroma is no colour: paper in bluish light makes grey steel look redder
+MOST_YELLOWER = 0.15  # than either side: fat is less red than muscle, and no instrument
+YELLOW_FROM = 0.3  # log(G/B) of something yellow: beside purple tissue steel is more yellow, and is not
 
 Value = TypeVar("Value", bound=np.uint8 | np.float32)
 
@@ -36,7 +48,7 @@ def judged(bar: Bar, part: Image, image: WorkingImage, ratio: Floats | None = No
     and no redder.
     """
     settings = image.settings
-    if bar.length_px < max(settings.least_length_widths * bar.width_px, settings.least_length_px):
+    if bar.length_px < max(LEAST_LENGTH_WIDTHS * bar.width_px, LEAST_LENGTH_PX):
         return None
     inwards = _from_border(bar, part, image)
     if inwards is None:
@@ -46,20 +58,20 @@ def judged(bar: Bar, part: Image, image: WorkingImage, ratio: Floats | None = No
         return None
     fraction = min(first.fraction, second.fraction)
     cooler, darker = min(first.cooler, second.cooler), min(first.darker, second.darker)
-    is_cooler = cooler > settings.least_cooler
-    is_grey = max(first.chroma, second.chroma) < settings.grey_chroma
-    is_darker = darker > settings.least_darker and (cooler > -settings.most_warmer or is_grey)
-    is_yellow = max(first.yellow, second.yellow) > settings.yellow_from
-    if is_yellow and max(first.yellower, second.yellower) > settings.most_yellower:
+    is_cooler = cooler > LEAST_COOLER
+    is_grey = max(first.chroma, second.chroma) < GREY_CHROMA
+    is_darker = darker > LEAST_DARKER and (cooler > -MOST_WARMER or is_grey)
+    is_yellow = max(first.yellow, second.yellow) > YELLOW_FROM
+    if is_yellow and max(first.yellower, second.yellower) > MOST_YELLOWER:
         return None
-    is_known = min(first.likelier, second.likelier) > settings.least_ratio_step
-    if fraction < settings.least_step_fraction or not (is_cooler or is_darker or is_known):
+    is_known = min(first.likelier, second.likelier) > LEAST_RATIO_STEP
+    if fraction < LEAST_STEP_FRACTION or not (is_cooler or is_darker or is_known):
         return None
     lengths = np.linalg.norm(inwards.sides[:, 1] - inwards.sides[:, 0], axis=1)
     straight = min(1.0, float((np.array(inwards.support) / np.maximum(lengths, 1.0)).min()))
     straight *= min(1.0, inwards.length_px / (1.2 * inwards.width_px))
     long = min(1.0, inwards.length_px / (0.25 * settings.working_px)) ** 0.5
-    mean_cooler = max(0.5 * (first.cooler + second.cooler), -settings.most_warmer)
+    mean_cooler = max(0.5 * (first.cooler + second.cooler), -MOST_WARMER)
     likelier = max(min(first.likelier, second.likelier), 0.0)
     distinct = min(1.0, 0.4 + 2.0 * min(mean_cooler, 0.3) + 0.4 * max(darker, 0.0) + 0.1 * likelier)
     return JudgedBar(inwards, float(fraction * straight * long * max(distinct, 0.0)))
@@ -91,11 +103,7 @@ def _way_out(start: Array, along: Array, part: Image, image: WorkingImage, longe
 
 @dataclass(frozen=True)
 class _Steps:
-    """Along one side: the part of it with a step, and what the inside is.
-
-    How much less red and how much darker than the outside, how coloured, how much likelier an instrument's, and how
-    much more yellow; and how yellow it is itself.
-    """
+    """Along one side: the part of it with a step, and what the inside is."""
 
     fraction: float
     cooler: float
@@ -107,20 +115,19 @@ class _Steps:
 
 
 def _steps(bar: Bar, side: int, image: WorkingImage, ratio: Floats | None) -> _Steps | None:
-    settings = image.settings
-    inside = np.rint(bar.places(side, settings.reach_px)).astype(int)
-    outside = np.rint(bar.places(side, -settings.reach_px)).astype(int)
+    inside = np.rint(bar.places(side, REACH_PX)).astype(int)
+    outside = np.rint(bar.places(side, -REACH_PX)).astype(int)
     seen = (_values(image.core, inside) > 0) & (_values(image.core, outside) > 0)
     if np.count_nonzero(seen) < 6:
         return None
     own = _values(image.colours, inside[seen])
     step = _values(image.colours, outside[seen]) - own
-    scaled = step / np.array([settings.colour_step, settings.colour_step, settings.brightness_step])
+    scaled = step / np.array([COLOUR_STEP, COLOUR_STEP, BRIGHTNESS_STEP])
     steps = np.linalg.norm(scaled, axis=1) > 1.0
     likelier = 0.0
     if ratio is not None:
         rise = _values(ratio, inside[seen]) - _values(ratio, outside[seen])
-        steps |= rise > settings.least_ratio_step
+        steps |= rise > LEAST_RATIO_STEP
         likelier = float(np.median(rise))
     fraction = float(np.mean(steps))
     cooler = float(np.median(step[:, 0] + 0.5 * step[:, 1]))
@@ -146,14 +153,10 @@ def _values(field: NDArray[Value], places: NDArray[np.int_]) -> NDArray[Value]:
     return np.asarray(values)
 
 
-RATIO_SURE = 1.5
-"""A colour that speaks for an instrument by more belongs to the one that it touches."""
-RATIO_DOUBT = 2.0
-"""A colour that speaks against an instrument by no more may be that of a wrist."""
-FAR_D2 = 16.0
-"""Squared deviation from the colours around, of three numbers, that one in a thousand exceeds."""
-MOST_GOING_ON_PX = 3
-"""Pixels of a part beside a bar that may touch what goes on beyond."""
+RATIO_SURE = 1.5  # A colour that speaks for an instrument by more belongs to the one that it touches
+RATIO_DOUBT = 2.0  # A colour that speaks against an instrument by no more may be that of a wrist
+FAR_D2 = 16.0  # squared deviation from the colours around, of three numbers, that one in a thousand exceeds
+MOST_GOING_ON_PX = 3  # pixels of a part beside a bar that may touch what goes on beyond
 MOST_CUT_FRACTION = 0.08
 """Of the border of where wrist and jaws can be: where more of it is likely on both sides, they end elsewhere."""
 MOST_ELSEWHERE = 0.05
@@ -164,10 +167,7 @@ SQUARE_9 = np.ones((9, 9), np.uint8)
 
 
 def belonging(zones: Zones, likely: Image, ratio: Floats, image: WorkingImage) -> NDArray[np.bool_]:
-    """What of the likely pixels belongs to the instrument of these zones: what hangs together with its bar.
-
-    `likely`, shape (h, w), is what looks like an instrument, and `ratio` how much.
-    """
+    """What of the likely pixels belongs to the instrument of these zones: what hangs together with its bar."""
     likely = likely | _unlike_nearby(zones, ratio, image)
     sure = ratio > RATIO_SURE
     distal = zones.distal & (likely > 0)
@@ -187,10 +187,7 @@ def belonging(zones: Zones, likely: Image, ratio: Floats, image: WorkingImage) -
 def with_missed_parts(
     masks: Sequence[NDArray[np.bool_]], ratio: Floats, image: WorkingImage
 ) -> list[NDArray[np.bool_]]:
-    """The instruments' masks with large parts that look like them and touch them: a shaft found by its narrow wrist.
-
-    Only where next to nothing else in the picture looks so: then it is no colour of the background's.
-    """
+    """The instruments' masks with large parts that look like them and touch them: a shaft found by its narrow wrist."""
     mask = np.any(masks, axis=0) if masks else np.zeros(image.core.shape, bool)
     rest = np.asarray(((ratio > RATIO_SURE) & image.inner & ~mask).astype(np.uint8))
     rest = np.asarray(cv2.morphologyEx(rest, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
@@ -210,10 +207,7 @@ def with_missed_parts(
 
 
 def _unlike_nearby(zones: Zones, ratio: Floats, image: WorkingImage) -> Image:
-    """What in the distal zone has not the colours around it, shape (h, w): wrists are reddish by tissue's reflection.
-
-    The colours around are one normal distribution; a pixel far outside of it is not of what lies there.
-    """
+    """What in the distal zone has not the colours around it, (h, w): wrists are reddish by tissue's reflection."""
     near = cv2.dilate(zones.distal.astype(np.uint8), SQUARE_9) > 0
     around = near & ~zones.distal & ~zones.strip & (image.core > 0) & (ratio < 0.0)
     inside = zones.distal & (image.core > 0) & (ratio > -RATIO_DOUBT)

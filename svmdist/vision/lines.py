@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.least_squares import huber_weights, scale_of
-from svmdist.profile.settings import ShaftSettings
 from svmdist.transforms import Array, cross, skew
 
-DEFAULT = ShaftSettings()
+# Neighbouring edge points share pixels: points closer than this along the edge err alike
+POINT_CORRELATION_PX = 2.0
+MIN_POINT_STD_PX = 0.05  # what pixel grid and interpolation leave even without noise
+
 HUBER = 1.5
 """Deviations beyond which a point counts singly, at 95 % efficiency on normal errors about 1.35 (Huber 1964)."""
 FIT_STEPS, TRIALS, SEED = 6, 120, 7
@@ -67,8 +69,8 @@ def fit_line(
     min_count: int = 8,
     inlier_px: float = 1.0,
     systematic_px: float = 0.0,
-    correlation_px: float = DEFAULT.point_correlation_px,
-    min_point_std_px: float = DEFAULT.min_point_std_px,
+    correlation_px: float = POINT_CORRELATION_PX,
+    min_point_std_px: float = MIN_POINT_STD_PX,
 ) -> Line | None:
     """The line through most of the points, shape (n, 2): RANSAC, then total least squares with Huber's weights.
 
@@ -98,13 +100,7 @@ def fit_line(
     shared = (systematic_px * unit) ** 2
     turn = (variance / weight.sum() + shared) / max(float(weight @ position**2 / weight.sum()), 1e-30)
     shift = variance / weight.sum() + shared
-    return Line(
-        normal,
-        float(normal @ centre),
-        centre,
-        np.diag([turn, shift]),
-        len(points),
-    )
+    return Line(normal, float(normal @ centre), centre, np.diag([turn, shift]), len(points))
 
 
 def _main_direction(offsets: Array, weight: Array) -> Array:
@@ -145,11 +141,7 @@ MIN_SINE = 5e-3
 
 @dataclass(frozen=True, slots=True)
 class TangentPlane:
-    """A plane through the camera's centre that touches the cylinder.
-
-    `normal` (3,), of length 1, points to the cylinder's side; `covariance` (3, 3) is that of the normal, with
-    nothing along it.
-    """
+    """A plane through the camera's centre that touches the cylinder: unit normal (3,), covariance (3, 3)."""
 
     normal: Array
     covariance: Array
@@ -163,10 +155,7 @@ class TangentPlane:
 
 @dataclass(frozen=True, slots=True)
 class CylinderAxis:
-    """The axis: the point nearest to the camera's centre, (3,) in m, its direction, (3,), of length 1.
-
-    `covariance` (6, 6) belongs to (point, direction).
-    """
+    """The axis: point nearest to the camera's centre (3,) in m, unit direction (3,), and covariance (6, 6) of both."""
 
     point_m: Array
     direction: Array
@@ -189,10 +178,7 @@ def tangent_plane(line: Line, inside: Array) -> TangentPlane:
 
 
 def axis_of_cylinder(first: TangentPlane, second: TangentPlane, radius_m: float) -> CylinderAxis | None:
-    """The axis of a cylinder of known radius between two planes; None where the planes nearly coincide.
-
-    They do where the cylinder has no measurable width, and where the camera looks along it from inside.
-    """
+    """The axis of a cylinder of known radius between two planes; None where the planes nearly coincide."""
     n1, n2 = first.normal, second.normal
     across = cross(n1, n2)
     sine, cosine = float(np.linalg.norm(across)), float(n1 @ n2)
@@ -236,10 +222,7 @@ def tangent_normal_with_derivatives(
 
 
 def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> Array:
-    """Radius, shape (...), of the disc as large as the image of a small sphere about a centre, shape (..., 3).
-
-    f r / z, and 1 / cos θ longer away from the axis.
-    """
+    """Radius of the disc as large as a small sphere's image: f r / z, and 1 / cos θ longer away from the axis."""
     z_m = centre_m[..., 2]
     stretch = np.sqrt(np.linalg.norm(centre_m, axis=-1) / np.abs(z_m))
     return np.asarray(camera.K[0, 0] * radius_m / z_m * stretch)

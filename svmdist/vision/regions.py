@@ -16,10 +16,26 @@ from svmdist.profile.settings import OutlineSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array, polygon_centroid
 
+SPECK_FRACTION = 0.02  # of the largest part; specks of colour elsewhere would pull the convex hull
+SAMPLE_STEP_PX = 2.0  # distance of the hull's samples; whole pixels tell no finer ones apart
+MAX_SAMPLE_COUNT = 480  # upper bound of the samples of one hull: longer hulls are sampled at a larger step
+GAP_REACH_PX = 2.0  # a sample of the hull further than this from any visible pixel bridges a gap
+# Tested stretch c √R: a chord of a circle is c² / 8 = 2.5 px off its middle
+STRAIGHT_LENGTH_PER_ROOT_PX = 4.5
+# Of the chord: flatter than a circle of three times the radius, so an instrument's edge
+STRAIGHT_WITHIN_PX = 0.8
+SHOULDER_SAMPLES = 4  # dropped on both sides of a hidden one: the corners of the cut lie there
+HARMONICS = 6  # number of harmonics of the Fourier series r(θ)
+HIDDEN_STD = 0.3  # of the hull's centroid over the radius, where the hull is used as it is
+MAX_ITERATIONS = 8  # upper bound of the moves of the centre; one to three suffice on the golden logs
+CORRELATION_SAMPLES = 3.0  # neighbouring samples with a common error: steps of a border in whole pixels
+MASK_STD_PX = 0.3  # standard deviation of a mask's border: that of rounding to whole pixels, 1 / √12
+OUTSIDE_DEVIATIONS = 3.0  # samples this many standard deviations outside the curve lose weight
+INSIDE_DEVIATIONS = 2.0  # less than outside: what covers an object can only cut its outline short
+
 DEFAULT = OutlineSettings()
 CURVE_POINTS = 360
-BORDER_PX = 3
-"""Samples closer than this to the image's border may be cut by it."""
+BORDER_PX = 3  # samples closer than this to the image's border may be cut by it
 CENTRE_SETTLED_PX = 0.01
 
 
@@ -41,30 +57,26 @@ class CompletedOutline:
 def complete_outline(
     mask: NDArray[np.uint8], hull: NDArray[np.int32], settings: OutlineSettings = DEFAULT
 ) -> CompletedOutline:
-    """Fit the outline that a partly hidden object has.
-
-    `mask`, shape (h, w), holds the visible part; `hull`, shape (n, 1, 2), is its convex hull. Points at the
-    image's border are no outline either: the object goes on there.
-    """
+    """Fit the outline of a partly hidden object to its mask (h, w) and hull; the image's border is no outline."""
     corners = hull.reshape(-1, 2).astype(np.float64)
-    points_px, step_px = _sample(corners, settings)
+    points_px, step_px = _sample(corners)
     centroid_px = polygon_centroid(corners)
     radius_px = float(np.sqrt(cv2.contourArea(hull) / np.pi))
-    visible = _is_outline(points_px, step_px, mask, radius_px, settings)
+    visible = _is_outline(points_px, step_px, mask, radius_px)
     visible_count = int(np.count_nonzero(visible))
     fraction = visible_count / len(points_px)
-    if visible_count < 4 * settings.harmonics + 2 or fraction < settings.min_visible_fraction:
-        spread_px = settings.hidden_std * radius_px
+    if visible_count < 4 * HARMONICS + 2 or fraction < settings.min_visible_fraction:
+        spread_px = HIDDEN_STD * radius_px
         return CompletedOutline(centroid_px, spread_px**2 * np.eye(2), corners, fraction, False)
     return _fit(points_px[visible], centroid_px, step_px, fraction, settings)
 
 
-def _sample(corners: Array, settings: OutlineSettings) -> tuple[Array, float]:
+def _sample(corners: Array) -> tuple[Array, float]:
     """Points along a closed polygon, shape (n, 2), and the step between them in px."""
     closed = np.concatenate([corners, corners[:1]])
     edges = closed[1:] - closed[:-1]
     along = np.concatenate([[0.0], np.cumsum(np.hypot(edges[:, 0], edges[:, 1]))])
-    count = int(min(max(along[-1] / settings.sample_step_px, 3), settings.max_sample_count))
+    count = int(min(max(along[-1] / SAMPLE_STEP_PX, 3), MAX_SAMPLE_COUNT))
     step_px = float(along[-1]) / count
     at = step_px * np.arange(count)
     points = np.stack([np.interp(at, along, closed[:, 0]), np.interp(at, along, closed[:, 1])], -1)
@@ -72,21 +84,17 @@ def _sample(corners: Array, settings: OutlineSettings) -> tuple[Array, float]:
 
 
 def _is_outline(
-    points_px: Array,
-    step_px: float,
-    mask: NDArray[np.uint8],
-    radius_px: float,
-    settings: OutlineSettings,
+    points_px: Array, step_px: float, mask: NDArray[np.uint8], radius_px: float
 ) -> NDArray[np.bool_]:
     """Which points, shape (n,), of the hull lie at visible pixels, off straight edges and inside the image."""
     height, width = mask.shape
     column, row = np.rint(points_px.T).astype(np.intp)
     left, top = column.min(), row.min()  # all that matters lies inside the hull's bounding box
-    near = cv2.dilate(mask[top : row.max() + 1, left : column.max() + 1], _disc(settings.gap_reach_px))
+    near = cv2.dilate(mask[top : row.max() + 1, left : column.max() + 1], _disc(GAP_REACH_PX))
     hidden = near[row - top, column - left] == 0
-    length = round(settings.straight_length_per_root_px * np.sqrt(radius_px) / step_px)
-    hidden |= _is_straight(points_px, length, settings.straight_within_px)
-    shoulder = min(settings.shoulder_samples, (len(hidden) - 1) // 2)
+    length = round(STRAIGHT_LENGTH_PER_ROOT_PX * np.sqrt(radius_px) / step_px)
+    hidden |= _is_straight(points_px, length, STRAIGHT_WITHIN_PX)
+    shoulder = min(SHOULDER_SAMPLES, (len(hidden) - 1) // 2)
     outline = ~_any_of(hidden, shoulder, shoulder)
     outline &= (column >= BORDER_PX) & (column < width - BORDER_PX)
     outline &= (row >= BORDER_PX) & (row < height - BORDER_PX)
@@ -134,24 +142,22 @@ def _fit(
     """Fit r(θ) about a centre, move the centre to the curve's centroid, and repeat until it rests."""
     x, y = np.ascontiguousarray(points_px.T)
     centre_px = start_px
-    correlation = max(1.0, settings.correlation_samples * settings.sample_step_px / step_px)
-    prior = _relative_prior_std(settings.harmonics, settings.irregularity)
+    correlation = max(1.0, CORRELATION_SAMPLES * SAMPLE_STEP_PX / step_px)
+    prior = _relative_prior_std(HARMONICS, settings.irregularity)
     weight = np.ones(len(x))
-    for _ in range(settings.max_iterations):
+    for _ in range(MAX_ITERATIONS):
         offset = (x - centre_px[0]) + 1j * (y - centre_px[1])
         radius_px = np.abs(offset)
-        terms = _series(offset / radius_px, settings.harmonics)
+        terms = _series(offset / radius_px, HARMONICS)
         prior_information = np.diag((median(radius_px) * prior) ** -2.0)
-        std_px = settings.mask_std_px
+        std_px = MASK_STD_PX
         for _ in range(2):  # the deviation and the weights follow from the residual, and it from them
             weighted = terms * (weight / (correlation * std_px**2))
             information = weighted @ terms.T
             coefficients = np.linalg.solve(information + prior_information, weighted @ radius_px)
             residual_px = radius_px - coefficients @ terms
-            std_px = max(settings.mask_std_px, scale_of(residual_px))
-            bound_px = np.where(
-                residual_px < 0.0, settings.inside_deviations * std_px, settings.outside_deviations * std_px
-            )
+            std_px = max(MASK_STD_PX, scale_of(residual_px))
+            bound_px = np.where(residual_px < 0.0, INSIDE_DEVIATIONS * std_px, OUTSIDE_DEVIATIONS * std_px)
             weight = huber_weights(residual_px, bound_px) ** 2
         fitted_about_px = centre_px
         moved_px, J = _centroid(coefficients)
@@ -163,7 +169,7 @@ def _fit(
     shift_px[:5] = settings.border_std_px / np.sqrt(3.0)
     follows = posterior @ information  # how the fit follows a shift of the visible border
     covariance = posterior + (follows * shift_px**2) @ follows.T
-    unit, series = _circle(settings.harmonics)
+    unit, series = _circle(HARMONICS)
     on_curve = (coefficients @ series) * unit
     curve_px = np.stack([on_curve.real, on_curve.imag], -1) + fitted_about_px
     return CompletedOutline(centre_px, J @ covariance @ J.T, curve_px, visible_fraction, True)
@@ -244,10 +250,7 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A connected part: its outer contour, shape (n, 1, 2), and its own pixels in the contour's bounding box.
-
-    `pixels`, shape (h, w), is 0 outside the part and in its holes; `corner_px` is its top left pixel (x, y).
-    """
+    """A connected part: its outer contour, shape (n, 1, 2), and its own pixels in the contour's bounding box."""
 
     contour: NDArray[np.int32]
     pixels: Image
@@ -263,7 +266,7 @@ def find_region(mask: Image, rule: AreaGate, settings: OutlineSettings = DEFAULT
     largest = max(parts, key=lambda part: part.area_px)
     if rule.components == "largest":
         parts = [largest]
-    least_px = settings.speck_fraction * largest.area_px
+    least_px = SPECK_FRACTION * largest.area_px
     parts = [part for part in parts if part.area_px > rule.min_area_px and part.area_px >= least_px]
     if not parts:
         return None

@@ -1,7 +1,4 @@
-"""The instrument's shaft in the image: a dark bar that comes in from the border of what the endoscope shows.
-
-Its contour starts at the border, runs along one side, around the distal end and back along the other side.
-"""
+"""The instrument's shaft in the image: a dark bar that comes in from the border of what the endoscope shows."""
 
 from __future__ import annotations
 
@@ -13,14 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.profile import AreaGate
-from svmdist.profile.settings import ShaftSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
 
-DEFAULT = ShaftSettings()
-MAX_SAMPLES = 120
-"""Points of a contour among which its two corners are searched."""
+VIEW_BORDER_FRACTION = 0.006  # of the image's width, left out: optics fade at the field of view's border
+GLARE_WIDTH_FRACTION = 0.03  # of the image's width; narrower bright stripes are reflections, and are closed
+SPECK_WIDTH_FRACTION = 0.008  # of the image's width; narrower dark lines are vessels or gaps, and are opened
+MIN_SIDE_PX = 6.0  # the shortest side of a shaft: the least that a line can be fitted to
+MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera has no contour lines
+
+MAX_SAMPLES = 120  # points of a contour among which its two corners are searched
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +71,7 @@ class ShaftRegion:
 
 
 def find_shaft(
-    shaft: Image,
-    rule: AreaGate,
-    covered: Image | None = None,
-    black: Image | None = None,
-    settings: ShaftSettings = DEFAULT,
+    shaft: Image, rule: AreaGate, covered: Image | None = None, black: Image | None = None
 ) -> ShaftRegion | None:
     """Find the shaft in its mask, shape (h, w); None where none comes in from the border.
 
@@ -87,9 +83,9 @@ def find_shaft(
     view = field_of_view(dark if black is None else np.asarray(dark | black))
     if covered is not None:
         dark = np.asarray(cv2.subtract(dark, covered), np.uint8)
-    rim_px = max(2, round(settings.view_border_fraction * width))
-    speck_px = max(1, round(settings.speck_width_fraction * width / 2))
-    gap_px = round(settings.glare_width_fraction * width / 2)
+    rim_px = max(2, round(VIEW_BORDER_FRACTION * width))
+    speck_px = max(1, round(SPECK_WIDTH_FRACTION * width / 2))
+    gap_px = round(GLARE_WIDTH_FRACTION * width / 2)
     # Masks are opened and closed in a box about what is dark, which has room for the closing.
     box = _Box.about(cv2.boundingRect(cv2.bitwise_and(dark, view)), 2 * gap_px + 2, width, height)
     wide = _Box.about(box.rectangle, rim_px + 2, width, height)
@@ -107,7 +103,7 @@ def find_shaft(
             return None
         points = np.asarray(contour.reshape(-1, 2), np.int32)
         inside = at_border[points[:, 1], points[:, 0]] == 0
-        sides = _sides_of(points + np.array([box.left, box.top], np.int32), inside, settings)
+        sides = _sides_of(points + np.array([box.left, box.top], np.int32), inside)
         if sides is not None:
             shape = np.zeros_like(shaft)
             cv2.drawContours(shape, [contour], -1, 255, cv2.FILLED, offset=(box.left, box.top))
@@ -116,34 +112,28 @@ def find_shaft(
 
 
 def bright_fraction(region: ShaftRegion, dark: Image) -> float:
-    """How much of the region's inside is not dark: streaks of glare on a shaft, and the white cells of a print.
-
-    `dark`, shape (h, w), is the mask that the region was found in.
-    """
+    """How much of the region's inside is not dark: streaks of glare on a shaft, and the white cells of a print."""
     inside = _eroded(region.mask, 2)
     return 1.0 - cv2.countNonZero(cv2.bitwise_and(inside, dark)) / max(cv2.countNonZero(inside), 1)
 
 
 def _sides_of(
-    contour: NDArray[np.int32], inside: NDArray[np.bool_], settings: ShaftSettings
+    contour: NDArray[np.int32], inside: NDArray[np.bool_]
 ) -> tuple[Side, Side, Array | None] | None:
-    """The two sides of a closed contour, shape (n, 2), and the middle of its distal end.
-
-    `inside`, shape (n,), says which of its points are away from the border.
-    """
-    arcs = _arcs_inside(contour, inside, settings.min_side_px)
+    """The two sides of a closed contour, shape (n, 2), and the middle of its distal end."""
+    arcs = _arcs_inside(contour, inside, MIN_SIDE_PX)
     if not arcs:
         return None
     arcs.sort(key=len, reverse=True)
     if len(arcs) > 1 and len(arcs[1]) > 0.4 * len(arcs[0]):
         # Through the whole image: one arc along each side, run in opposite directions.
         first, second = _fitted_side(arcs[0]), _fitted_side(arcs[1][::-1])
-        return (first, second, None) if _are_sides(first, second, settings) else None
-    split = _split(arcs[0], settings.min_side_px)
+        return (first, second, None) if _are_sides(first, second) else None
+    split = _split(arcs[0], MIN_SIDE_PX)
     if split is None:
         return None
     first, second = split
-    if not _are_sides(first, second, settings):
+    if not _are_sides(first, second):
         return None
     return first, second, 0.5 * (first.end_px + second.end_px)
 
@@ -216,12 +206,12 @@ def _fitted_side(points: Array) -> Side:
     return Side(start, end)
 
 
-def _are_sides(first: Side, second: Side, settings: ShaftSettings) -> bool:
+def _are_sides(first: Side, second: Side) -> bool:
     """Whether two lines run alike and side by side."""
     lengths = [float(np.linalg.norm(side.end_px - side.start_px)) for side in (first, second)]
-    if min(lengths) < settings.min_side_px:
+    if min(lengths) < MIN_SIDE_PX:
         return False
-    return bool(first.direction @ second.direction > np.cos(settings.max_taper_rad))
+    return bool(first.direction @ second.direction > np.cos(MAX_TAPER_RAD))
 
 
 def _disc(radius_px: int) -> NDArray[np.uint8]:

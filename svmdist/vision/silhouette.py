@@ -8,15 +8,26 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.profile.settings import ShaftSettings, SilhouetteSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edge_lines import EdgeLine, edge_line
 from svmdist.vision.find_instruments import SeenInstrument
 
-DEFAULT = SilhouetteSettings()
-WIDTH_CELLS = 24
-"""Of the patch that is looked at, across the shaft: its cost is the same for every image."""
+MIN_SIDE_PER_WIDTH = 0.5  # the shorter side over the shaft's width: less of it does not tell where it points
+MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera shows no length
+ENDS_AGREE_WIDTHS = 0.3  # both edges' ends along the shaft: clevises are lopsided
+MIN_END_STD_WIDTHS = 0.08  # of the cylinder's end, over the width: ears and bevels hide it
+WRIST_REACH = 1.25  # of wrist and jaws over their straight length: they may come towards the camera
+WRIST_STD = 0.12  # of the tool's origin, over the outline's length beyond the end: jaws open and turn
+MIN_WRIST_WIDTHS = 0.5  # an outline that ends closer behind the cylinder's end shows no wrist
+MIN_WRIST_SHARE = 0.5  # of a straight wrist: less is another tip, or points at the camera by over 60°
+FLANK_STDS = 4.0  # from the colours on both sides: one pixel of paper in a thousand is so far
+# The least scatter of lightness, levels of 255: light falls off over a wrist's length
+FLANK_LIGHT_LEVELS = 8.0
+FLANK_COLOUR_LEVELS = 3.0  # the least scatter of Lab's a and b: compression leaves as much
+MAX_FLANK_OUTLIERS = 0.05  # with more of a flank so far off, fat or vessels lie beside the wrist
+
+WIDTH_CELLS = 24  # of the patch that is looked at, across the shaft: its cost is the same for every image
 BEHIND, BESIDE = 0.75, 2.0
 """How far the patch reaches behind the end and to each side of the axis, over the shaft's width."""
 FLANK = 0.75
@@ -31,11 +42,7 @@ FAR_PERCENTILE = 99.0
 
 @dataclass(frozen=True, slots=True)
 class WristShape:
-    """A straight wrist with closed jaws beyond the shaft's end, as an outline.
-
-    `tool_fraction` is where between end and tip the tool's origin is, `length_widths` how long all of it is over the
-    shaft's width.
-    """
+    """A straight wrist beyond the shaft's end: the tool's origin as a fraction of it, its length over the width."""
 
     tool_fraction: float
     length_widths: float
@@ -51,13 +58,7 @@ class WristPoint:
 
 
 def wrist_point(
-    bgr: Image,
-    mask: Image,
-    end_px: Array,
-    along: Array,
-    width_px: float,
-    shape: WristShape,
-    settings: SilhouetteSettings = DEFAULT,
+    bgr: Image, mask: Image, end_px: Array, along: Array, width_px: float, shape: WristShape
 ) -> WristPoint | None:
     """Where the tool's origin is beyond a shaft's end, in an image, shape (h, w, 3); None where no wrist is seen.
 
@@ -67,7 +68,7 @@ def wrist_point(
     that is much shorter tells nothing.
     """
     cell_px = width_px / WIDTH_CELLS
-    farthest = settings.wrist_reach * shape.length_widths
+    farthest = WRIST_REACH * shape.length_widths
     u = np.arange(-BEHIND, farthest, 1.0 / WIDTH_CELLS) * width_px
     v = np.arange(-BESIDE, BESIDE + 0.5 / WIDTH_CELLS, 1.0 / WIDTH_CELLS) * width_px
     across = np.array([-along[1], along[0]])
@@ -80,7 +81,7 @@ def wrist_point(
     known = cv2.remap(mask, x, y, cv2.INTER_NEAREST) > 0
     ahead, off_axis = u[:, None] / width_px, np.abs(v)[None, :] / width_px
     shaft = (ahead < 0.0) & (off_axis < 0.5)
-    different = _unlike_flanks(patch, seen & ~known & (off_axis > FLANK), v, settings)
+    different = _unlike_flanks(patch, seen & ~known & (off_axis > FLANK), v)
     if different is None:
         different = np.zeros(known.shape, np.bool_)
     near = np.hypot(ahead, off_axis) < farthest
@@ -93,9 +94,9 @@ def wrist_point(
     distance = np.linalg.norm(offset, axis=1)
     reach_px = float(np.percentile(distance, FAR_PERCENTILE))
     expected_px = shape.length_widths * width_px
-    if reach_px < max(settings.min_wrist_widths * width_px, settings.min_wrist_share * expected_px):
+    if reach_px < max(MIN_WRIST_WIDTHS * width_px, MIN_WRIST_SHARE * expected_px):
         return None  # another tip than the profile's, or one that is mostly missed
-    ring = np.abs(distance - shape.tool_fraction * reach_px) < 0.5 * settings.wrist_std * reach_px
+    ring = np.abs(distance - shape.tool_fraction * reach_px) < 0.5 * WRIST_STD * reach_px
     if np.count_nonzero(ring) < 3:
         return None
     at = offset[ring].mean(0)
@@ -105,20 +106,13 @@ def wrist_point(
     beyond_px = shape.tool_fraction * max(0.0, expected_px - reach_px)
     tip = offset[distance > reach_px - cell_px].mean(0)
     pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
-    return WristPoint(pixel, float(np.hypot(settings.wrist_std * reach_px, FROM_ONE_END * beyond_px)), tip_px)
+    return WristPoint(pixel, float(np.hypot(WRIST_STD * reach_px, FROM_ONE_END * beyond_px)), tip_px)
 
 
-def _unlike_flanks(
-    patch: Image, flanks: NDArray[np.bool_], v: Array, settings: SilhouetteSettings
-) -> NDArray[np.bool_] | None:
-    """What of a patch, shape (m, n, 3), looks like neither flank; None without a flank of one colour.
-
-    Each flank is a colour with its scatter: on tissue that is large, and little differs from it.
-    """
+def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_] | None:
+    """What of a patch, shape (m, n, 3), looks like neither flank; None without a flank of one colour."""
     lab = cv2.cvtColor(patch, cv2.COLOR_BGR2LAB).astype(np.float32)
-    floor = np.array(
-        [settings.flank_light_levels, settings.flank_colour_levels, settings.flank_colour_levels]
-    )
+    floor = np.array([FLANK_LIGHT_LEVELS, FLANK_COLOUR_LEVELS, FLANK_COLOUR_LEVELS])
     unlike: NDArray[np.bool_] | None = None
     for side in (v < 0.0, v > 0.0):
         pixels = lab[flanks & side[None, :]]
@@ -126,8 +120,8 @@ def _unlike_flanks(
             continue
         middle = np.median(pixels, axis=0)
         scatter = np.maximum(MAD * np.median(np.abs(pixels - middle), axis=0), floor)
-        away = np.sqrt(np.sum(((lab - middle) / scatter) ** 2, axis=2)) > settings.flank_stds
-        if np.mean(away[flanks & side[None, :]]) > settings.max_flank_outliers:
+        away = np.sqrt(np.sum(((lab - middle) / scatter) ** 2, axis=2)) > FLANK_STDS
+        if np.mean(away[flanks & side[None, :]]) > MAX_FLANK_OUTLIERS:
             return None  # several things are there, and a wrist would be one more
         unlike = away if unlike is None else unlike & away
     return unlike
@@ -144,7 +138,6 @@ def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.b
     return np.asarray(labels == np.bincount(own).argmax())
 
 
-DEFAULT_SILHOUETTE, DEFAULT_SHAFT = SilhouetteSettings(), ShaftSettings()
 ENDS_APART = 0.3
 """Deviation of an end over the distance of both ends: those of a uniform distribution between them."""
 
@@ -187,20 +180,12 @@ class Silhouette:
 
 
 def find_silhouette(
-    bgr: Image,
-    seen: SeenInstrument,
-    picture: Image | None,
-    wrist: WristShape,
-    settings: SilhouetteSettings = DEFAULT_SILHOUETTE,
-    shaft: ShaftSettings = DEFAULT_SHAFT,
+    bgr: Image, seen: SeenInstrument, picture: Image | None, wrist: WristShape
 ) -> Silhouette | None:
-    """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges.
-
-    `picture`, shape (h, w), marks what is not border. `wrist` is what may be seen beyond the cylinder's end.
-    """
-    found = [edge_line(bgr, side, seen.width_px, picture, settings, shaft) for side in seen.sides]
+    """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges."""
+    found = [edge_line(bgr, side, seen.width_px, picture) for side in seen.sides]
     first, second = found
-    if first is None or second is None or not _are_a_pair(first, second, settings):
+    if first is None or second is None or not _are_a_pair(first, second):
         return None
     width_px = _width_px(first, second)
     along = first.direction + second.direction
@@ -211,24 +196,24 @@ def find_silhouette(
     places = [float(end @ along) for end in ends]
     # One edge may fade before the other, on dark tissue; beyond the cylinder neither stays on its line.
     apart_px = max(places) - min(places)
-    agree = apart_px <= settings.ends_agree_widths * width_px
+    agree = apart_px <= ENDS_AGREE_WIDTHS * width_px
     place = float(np.mean(places)) if agree else max(places)
     middle_px = 0.5 * (first.end_px + second.end_px)
     end_px = middle_px + (place - float(middle_px @ along)) * along
-    std_px = settings.min_end_std_widths * width_px + (
+    std_px = MIN_END_STD_WIDTHS * width_px + (
         ENDS_APART * apart_px if len(places) == 2 else ENDS_APART * width_px
     )
-    point = wrist_point(bgr, seen.mask, end_px, along, width_px, wrist, settings)
+    point = wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
     return Silhouette((first, second), end_px, std_px, point)
 
 
-def _are_a_pair(first: EdgeLine, second: EdgeLine, settings: SilhouetteSettings) -> bool:
+def _are_a_pair(first: EdgeLine, second: EdgeLine) -> bool:
     """Whether two edges run alike, side by side, and are long enough to tell where."""
-    if first.direction @ second.direction < np.cos(settings.max_taper_rad):
+    if first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
         return False
     width_px = _width_px(first, second)
     lengths_px = [float(np.linalg.norm(edge.end_px - edge.start_px)) for edge in (first, second)]
-    return min(lengths_px) > settings.min_side_per_width * width_px > 0.0
+    return min(lengths_px) > MIN_SIDE_PER_WIDTH * width_px > 0.0
 
 
 def _width_px(first: EdgeLine, second: EdgeLine) -> float:

@@ -15,6 +15,9 @@ from svmdist.results import Failure
 from svmdist.samples import Image, RightView
 from svmdist.transforms import Array
 
+MATCHED_DISPARITIES = 32  # views are reduced to so many: matching places the surface within a pixel or two
+MIN_ROW_POINTS = 40  # points in all these pairs that must agree on an offset
+
 MAX_OFF_AXIS = 0.02
 """A right camera this far above, below, before or behind the left one, over the baseline, counts as beside it: rows of
 both views then differ by half a pixel at a disparity of 25 px. Further off, both views are turned."""
@@ -121,10 +124,8 @@ def _rows_along(x: Array) -> Array:
 DEFAULT = StereoSettings()
 POINTS, CONTRAST, EDGE = 1000, 0.015, 8.0
 """Of SIFT: wet tissue and paper have little contrast, and a point on an edge has no place along it."""
-RATIO = 0.8
-"""Of the distances to the nearest and the next descriptor (Lowe 2004)."""
-PEAK_PX = 1.5
-"""Differences of rows this near to the most frequent one are of points that do correspond."""
+RATIO = 0.8  # of the distances to the nearest and the next descriptor (Lowe 2004)
+PEAK_PX = 1.5  # differences of rows this near to the most frequent one are of points that do correspond
 MIN_PEAK_SHARE = 0.3
 """Of all matches, those at the most frequent difference. Of differences that mean nothing it is a fifth."""
 LEAST_STD_PX = 0.02
@@ -142,10 +143,7 @@ class RowOffset:
 def row_differences(
     left_grey: Image, right_grey: Image, min_px: float, max_px: float, settings: StereoSettings = DEFAULT
 ) -> Array:
-    """Row in the right view less that in the left one, shape (n,) in px, of points that look alike (SIFT, Lowe 2004).
-
-    `min_px` and `max_px` bound their disparity; only differences within the settings' range are looked for.
-    """
+    """Row in the right view less that in the left one, (n,) in px, of points that look alike (SIFT, Lowe 2004)."""
     sift = cv2.SIFT.create(POINTS, 3, CONTRAST, EDGE)
     (at_left, left), (at_right, right) = (
         sift.detectAndCompute(image, None) for image in (left_grey, right_grey)
@@ -168,15 +166,15 @@ def row_differences(
     return np.asarray(rows_px[index[is_match], nearest[is_match]], np.float64)
 
 
-def agreed_offset(differences_px: Array, settings: StereoSettings = DEFAULT) -> RowOffset | None:
+def agreed_offset(differences_px: Array) -> RowOffset | None:
     """The offset that most differences, shape (n,), agree on; None where too few do."""
-    if len(differences_px) < settings.min_row_points:
+    if len(differences_px) < MIN_ROW_POINTS:
         return None
     ordered = np.sort(differences_px)
     inside = np.searchsorted(ordered, ordered + 2.0 * PEAK_PX, "right") - np.arange(len(ordered))
     first = int(np.argmax(inside))
     peak = ordered[first : first + int(inside[first])]
-    if len(peak) < max(settings.min_row_points, MIN_PEAK_SHARE * len(ordered)):
+    if len(peak) < max(MIN_ROW_POINTS, MIN_PEAK_SHARE * len(ordered)):
         return None
     middle_px = median(peak)
     # Points of one texture err alike: a tenth of them count.
@@ -209,7 +207,7 @@ def match_region(
     """Matches in the region's core, on images reduced until the search spans the settings' number of disparities."""
     # Matching costs most of all; only the region's rows, and the columns that its matches can lie in, are needed.
     x, y, width, height = cv2.boundingRect(core)
-    step = max(1, round((max_px - min_px) / settings.matched_disparities))
+    step = max(1, round((max_px - min_px) / MATCHED_DISPARITIES))
     low, high = int(np.floor(min_px / step)), int(np.ceil(max_px / step))
     least_px = step * _least_width_px(low, high, settings.block_px)
     left_px = max(0, min(x - max(max_px, 0), core.shape[1] - least_px))
@@ -230,17 +228,9 @@ def match_region(
 
 
 def _match(
-    left_grey: Image,
-    right_grey: Image,
-    min_px: int,
-    max_px: int,
-    block_px: int,
-    speckle_px2: int,
+    left_grey: Image, right_grey: Image, min_px: int, max_px: int, block_px: int, speckle_px2: int
 ) -> Array:
-    """Disparity of every left pixel, shape (h, w) in px; NaN where there is none.
-
-    `min_px` and `max_px` bound the search; OpenCV searches a multiple of 16.
-    """
+    """Disparity of every left pixel, shape (h, w) in px; NaN where there is none."""
     if left_grey.shape[1] < _least_width_px(min_px, max_px, block_px):
         return np.full(left_grey.shape, np.nan)
     count = 16 * int(np.ceil((max_px - min_px) / 16))
@@ -271,13 +261,10 @@ def _reduced(image: Image, step: int) -> Image:
     return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-NEAREST_M, FURTHEST_M = 0.04, 0.5
-"""Where tissue lies in front of an endoscope, with room on both sides."""
-WIDTH_PX = 640
-"""Images are matched at about this width: a plane needs no more."""
+NEAREST_M, FURTHEST_M = 0.04, 0.5  # where tissue lies in front of an endoscope, with room on both sides
+WIDTH_PX = 640  # images are matched at about this width: a plane needs no more
 MAX_DISPARITIES = 256
-ROW_OFFSETS_PX = (-2, -1, 0, 1, 2)
-"""Rows of a pair that is called rectified were found 1.5 px apart."""
+ROW_OFFSETS_PX = (-2, -1, 0, 1, 2)  # rows of a pair that is called rectified were found 1.5 px apart
 SAMPLE_COUNT = 20_000
 INLIER_PX = 1.5
 MIN_INLIER_FRACTION, MIN_MATCHED_FRACTION = 0.4, 0.1
@@ -286,10 +273,7 @@ TRIALS = 200
 
 @dataclass(frozen=True, slots=True)
 class StereoPlane:
-    """A plane n · p = -d as a pair shows it: unit normal (3,) towards the camera, and d in m.
-
-    `surface_std_m` is how far what is on it stands off it; `row_offset_px` how far right rows are above left ones.
-    """
+    """A plane n · p = -d: unit normal (3,), d in m, what stands off it, and by how much right rows are above left."""
 
     normal: Array
     distance_m: float
@@ -319,11 +303,7 @@ def fit_plane(left_bgr: Image, right_bgr: Image, K: Array, baseline_m: float) ->
     kept = rng.choice(len(rows), min(len(rows), SAMPLE_COUNT), replace=False)
     rows, columns = rows[kept], columns[kept]
     rays = np.column_stack(
-        [
-            (columns * step - K[0, 2]) / K[0, 0],
-            (rows * step - K[1, 2]) / K[1, 1],
-            np.ones(len(rows)),
-        ]
+        [(columns * step - K[0, 2]) / K[0, 0], (rows * step - K[1, 2]) / K[1, 1], np.ones(len(rows))]
     )
     values = disparity_px[rows, columns]
     q = _robust_plane(rays, values, rng)

@@ -12,20 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.least_squares import NormalEquations, huber_weights, scale_of
-from svmdist.profile.settings import TagSettings
 from svmdist.transforms import Array
 from svmdist.vision.tags import DICTIONARIES
 
-CELL_SAMPLES = 16
-"""Texture samples per cell: three for each pixel of a tag that is seen 40 px wide."""
-PAD_CELLS = 2
-"""Of white around the black square. What is further off is as white as its rim."""
+MARGIN_CELLS = 0.6  # of the white margin that is compared; what lies behind shines into the rest
+BLUR_STARTS_PX = (0.8, 1.6, 3.2)  # of the image's blur, the best one starts the search: sharp, soft, moving
+EDGE_SLOPE = 0.2  # of the pattern's largest: residuals on edges tell the standard deviation
+MIN_PIXELS = 50  # pixels on the tag below which there is no pose
+MIN_CONTRAST = 4.0  # grey levels between black and white below which there is no pattern to compare
+
+CELL_SAMPLES = 16  # texture samples per cell: three for each pixel of a tag that is seen 40 px wide
+PAD_CELLS = 2  # of white around the black square. What is further off is as white as its rim
 SHEET_COLUMNS = 64
 BLUR_RATIO = 1.01
 """Textures are made for blurs at powers of this ratio and kept. Between them the brightness follows the derivative by
 the blur, which is right within 1e-5 of the contrast."""
-KEPT_TEXTURES = 48
-"""Of 0.6 MB each: tags from 30 to 60 px wide at one blur of the image need no more."""
+KEPT_TEXTURES = 48  # of 0.6 MB each: tags from 30 to 60 px wide at one blur of the image need no more
 SMALLEST_BLUR_CELLS = 0.3 / CELL_SAMPLES
 
 
@@ -77,10 +79,7 @@ class TagPattern:
     def _profiles(
         self, blur_cells: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """How much of each sample is each cell's, and the derivatives by place and blur, shape (samples, cells) each.
-
-        A step under a Gaussian blur is the normal distribution's integral, a cell is the difference of two steps.
-        """
+        """How much of each sample is each cell's, and derivatives by place and blur, (samples, cells) each."""
         samples = (self.cell_count + 2 * PAD_CELLS) * CELL_SAMPLES
         place = (np.arange(samples) + 0.5) / CELL_SAMPLES - PAD_CELLS
         u = (place[:, None] - np.arange(self.cell_count + 1)) / blur_cells
@@ -173,10 +172,7 @@ class LaidPattern(NormalEquations):
 
     @property
     def cell(self) -> NDArray[np.int64]:
-        """The cluster of each pixel, shape (n,): of the size of a cell about the cells' corners.
-
-        No edge lies between two of them.
-        """
+        """The cluster of each pixel, (n,): of a cell's size about the cells' corners, where no edge divides it."""
         column, row = (self.xy_cells + 0.5 * self.clusters_across).astype(np.int64)
         return np.asarray(row * self.clusters_across + column)
 
@@ -206,10 +202,7 @@ class LaidPattern(NormalEquations):
 
 
 class _PixelsOnTag(NamedTuple):
-    """Pixels on the tag: brightness (n,) and the share by which each counts (n,).
-
-    In the tag's frame their rays' x/z and y/z, shape (2, n), and their feet in cells, shape (2, n).
-    """
+    """Pixels on the tag: brightness (n,) and the share by which each counts (n,)."""
 
     brightness: Array
     share: Array
@@ -218,37 +211,32 @@ class _PixelsOnTag(NamedTuple):
 
 
 def start_overlay(
-    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings
+    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern
 ) -> tuple[Overlay, float] | None:
-    """The blur, brightness and contrast that fit best at a first pose, and the standard deviation on the edges.
-
-    None where the tag is not on the pixels.
-    """
-    on_tag = _pixels_on_tag(pixels, T_camera_tag, pattern, settings)
+    """Blur, brightness and contrast that fit best at a first pose, and the deviation; None beside the tag."""
+    on_tag = _pixels_on_tag(pixels, T_camera_tag, pattern)
     if on_tag is None:
         return None
     px_per_cell = _px_per_cell(pixels, T_camera_tag, pattern)
     brightness = on_tag.brightness - on_tag.brightness.mean()
     starts = []
-    for blur_px in settings.blur_starts_px:
+    for blur_px in BLUR_STARTS_PX:
         model, by_x, by_y, _ = pattern.sample(on_tag.xy_cells, blur_px / px_per_cell)
         centred = model - model.mean()
         contrast = float(centred @ brightness) / max(float(centred @ centred), 1e-12)
         residual = brightness - contrast * centred
         offset = float(on_tag.brightness.mean() - contrast * model.mean())
-        std = _std_on_edges(residual, by_x, by_y, settings.edge_slope)
+        std = _std_on_edges(residual, by_x, by_y, EDGE_SLOPE)
         starts.append((float(residual @ residual), std, Overlay(T_camera_tag, blur_px, offset, contrast)))
     _, std, overlay = min(starts, key=lambda start: start[0])
     return overlay, std
 
 
-def lay_pattern(
-    pixels: TagPixels, overlay: Overlay, pattern: TagPattern, loss: Loss, settings: TagSettings
-) -> LaidPattern | None:
+def lay_pattern(pixels: TagPixels, overlay: Overlay, pattern: TagPattern, loss: Loss) -> LaidPattern | None:
     """Residual and derivatives of the pattern laid so; None where it is off the pixels or has no contrast."""
     T, contrast = overlay.T_camera_tag, overlay.contrast
-    on_tag = _pixels_on_tag(pixels, T, pattern, settings)
-    if on_tag is None or not contrast >= settings.min_contrast:
+    on_tag = _pixels_on_tag(pixels, T, pattern)
+    if on_tag is None or not contrast >= MIN_CONTRAST:
         return None
     px_per_cell = _px_per_cell(pixels, T, pattern)
     model, by_x, by_y, by_blur = pattern.sample(on_tag.xy_cells, overlay.blur_px / px_per_cell)
@@ -268,7 +256,7 @@ def lay_pattern(
     weighted = weight * J
     # The ridge keeps the blur's row regular where an image is sharper than any blur is seen.
     information = weighted @ J.T + RIDGE
-    clusters_across = pattern.cell_count + 3 + 2 * int(settings.margin_cells)
+    clusters_across = pattern.cell_count + 3 + 2 * int(MARGIN_CELLS)
     return LaidPattern(
         cost,
         weighted @ residual,
@@ -280,7 +268,7 @@ def lay_pattern(
         on_tag.xy_cells,
         (by_x, by_y),
         clusters_across,
-        settings.edge_slope,
+        EDGE_SLOPE,
     )
 
 
@@ -289,9 +277,7 @@ def _std_on_edges(residual: Array, by_x: Array, by_y: Array, edge_slope: float) 
     return scale_of(residual[steepness > edge_slope**2 * steepness.max()]) + TINY_LEVEL
 
 
-def _pixels_on_tag(
-    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings
-) -> _PixelsOnTag | None:
+def _pixels_on_tag(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> _PixelsOnTag | None:
     """The pixels on the tag and some of its margin; None where they are too few, or the tag is behind the camera."""
     if T_camera_tag[2, 3] <= 0.0:
         return None
@@ -300,9 +286,9 @@ def _pixels_on_tag(
     rays = R_tag_camera @ pixels.rays
     depth_cells = t_cells[2] / rays[2]
     x, y = rays[0] * depth_cells - t_cells[0], rays[1] * depth_cells - t_cells[1]
-    inward_cells = pattern.cell_count / 2.0 + settings.margin_cells - np.maximum(np.abs(x), np.abs(y))
+    inward_cells = pattern.cell_count / 2.0 + MARGIN_CELLS - np.maximum(np.abs(x), np.abs(y))
     inside = np.flatnonzero(inward_cells > 0.0)
-    if len(inside) < settings.min_pixels:
+    if len(inside) < MIN_PIXELS:
         return None
     share = np.minimum(1.0, inward_cells[inside] / FADE_CELLS)
     xy_cells = np.stack([x[inside], y[inside]])

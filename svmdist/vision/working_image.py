@@ -14,9 +14,15 @@ from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.colour import field_of_view
 
+# A black border differs from the darkest thing in the image by no more: noise and compression
+BORDER_LEVELS = 6.0
+BORDER_FLOOR_LEVEL = 10.0  # what is darker than this is border, whatever the darkest thing is
+BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haze may lift it
+# Added to levels before their logarithm is taken: noise of one or two levels must not be a colour
+LEVEL_OFFSET = 8.0
+
 Floats = NDArray[np.float32]
-Hint = Callable[[Image], Floats]
-"""Gives log odds of instrument, shape (h, w), of an image, shape (h, w, 3)."""
+Hint = Callable[[Image], Floats]  # gives log odds of instrument, shape (h, w), of an image, shape (h, w, 3)
 
 SQUARE_3 = np.ones((3, 3), np.uint8)
 SQUARE_5 = np.ones((5, 5), np.uint8)
@@ -43,7 +49,7 @@ class WorkingImage:
         size = (round(scale * width), round(scale * height))
         how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
         small = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
-        return cls(small, picture_of(small, settings), scale, settings, hinting)
+        return cls(small, picture_of(small), scale, settings, hinting)
 
     @cached_property
     def hint(self) -> Floats:
@@ -75,7 +81,7 @@ class WorkingImage:
     @cached_property
     def colours(self) -> Floats:
         """log(R/G), log(G/B) and the mean of all three logarithms, shape (h, w, 3): light scales only the last."""
-        return colour_logs(self._softened, self.settings.level_offset)
+        return colour_logs(self._softened, LEVEL_OFFSET)
 
     @cached_property
     def warmth(self) -> Floats:
@@ -85,8 +91,8 @@ class WorkingImage:
     @cached_property
     def channels(self) -> tuple[Floats, ...]:
         """What instruments may be low in, shape (h, w) each: warmth, twice, chroma, light, and darkness."""
-        keen = colour_logs(self._softened, 0.5 * self.settings.level_offset)
-        blunt = colour_logs(self._softened, 3.0 * self.settings.level_offset)
+        keen = colour_logs(self._softened, 0.5 * LEVEL_OFFSET)
+        blunt = colour_logs(self._softened, 3.0 * LEVEL_OFFSET)
         light = self.colours[..., 2]
         return (
             keen[..., 0] + 0.5 * keen[..., 1],
@@ -101,16 +107,13 @@ class WorkingImage:
         return np.asarray(cv2.GaussianBlur(self.bgr, (0, 0), 0.8), np.uint8)
 
 
-def picture_of(bgr: Image, settings: AutoSettings) -> Image:
-    """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border.
-
-    A border is the darkest thing in the image; haze lifts both alike. A shaft is brighter, if only by a little.
-    """
+def picture_of(bgr: Image) -> Image:
+    """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border."""
     value = bgr.max(axis=2)
     floor = float(np.percentile(value, 0.5))
-    level = max(floor + settings.border_levels, settings.border_floor_level)
+    level = max(floor + BORDER_LEVELS, BORDER_FLOOR_LEVEL)
     above = value[value > level]
-    if not len(above) or floor > settings.border_fraction * float(np.median(above)):
+    if not len(above) or floor > BORDER_FRACTION * float(np.median(above)):
         return np.full_like(value, 255)
     black = value <= level
     view = field_of_view(np.asarray(255 * black, np.uint8))
@@ -128,14 +131,11 @@ BINS = (20, 20, 12)
 LOWEST = np.array([-0.7, -0.9, 2.0], np.float32)
 HIGHEST = np.array([1.5, 1.0, 5.6], np.float32)
 """Bounds of log(R/G), log(G/B) and the mean logarithm: what lies outside counts with the nearest bin."""
-ACHROMATIC_SHARE = 0.3
-"""How much of an instrument is steel and glare that no image before has shown."""
+ACHROMATIC_SHARE = 0.3  # how much of an instrument is steel and glare that no image before has shown
 ACHROMATIC_STD = 0.15
 """How far the colour ratio of steel is from that of the instruments seen: light that tissue has reflected."""
-UNKNOWN_SHARE = 0.02
-"""How much of anything has a colour not seen before: it speaks for neither."""
-MOST_RATIO = 4.0
-"""One pixel's colour says no more than this, as the logarithm of a likelihood ratio."""
+UNKNOWN_SHARE = 0.02  # how much of anything has a colour not seen before: it speaks for neither
+MOST_RATIO = 4.0  # one pixel's colour says no more than this, as the logarithm of a likelihood ratio
 
 
 @dataclass(frozen=True)

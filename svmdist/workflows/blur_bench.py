@@ -135,7 +135,7 @@ def blur_rows(parts: Sequence[Mapping[Blur, BlurTally]], kernels_px: Mapping[Blu
 
 def _count(frame: Frame, result: FrameResult, tally: BlurTally) -> None:
     profile, masks, context = frame.arm.profile, frame.left.masks_as_recorded, frame.left.context
-    instrument = find_region(masks.instrument, profile.segmentation.instrument)
+    instrument = find_region(masks.instrument, profile.segmentation.instrument, profile.settings.outline)
     if instrument is None:
         return
     feature_count = profile.features.feature_count

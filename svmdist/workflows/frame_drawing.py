@@ -317,7 +317,7 @@ def virtual_marker(frame: Frame, profile: Profile) -> VirtualMarker | None:
     matches = match_features(template_features(profile.marker, rules), features, rules.ratio)
     inliers, corners_px = np.zeros(len(matches), np.bool_), None
     if len(matches) >= rules.min_match_count:
-        homography = fit_homography(matches, rules.reprojection_px, settings)
+        homography = fit_homography(matches, rules.reprojection_px)
         if homography is not None and is_plausible(homography.H, profile.marker.size_px, settings):
             inliers = homography.inliers
             corners_px = transfer(homography.H, square_corners(profile.marker.size_px)) + origin_px

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.errors import RecordingError, UsageError
+from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
+from svmdist.estimation.instrument.error_model import ErrorModel
+from svmdist.kinematics.dh import chain_of, shaft_of
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile, stated_deviations
 from svmdist.profile.hand_eye import (
     BASELINE,
@@ -23,39 +27,51 @@ from svmdist.profile.hand_eye import (
 )
 from svmdist.recording.log import Recording
 from svmdist.recording.topics import FixedTransform
-from svmdist.results import Failure, FrameResult, ToolPose
-from svmdist.transforms import Array, inverse, rotation_angle
+from svmdist.results import Failure, FrameResult
+from svmdist.samples import JointSample
+from svmdist.tracks import JointTrack
+from svmdist.transforms import Array, inverse, rotation_angle, skew
 from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
-from svmdist.workflows.reported_tool import Against, ReportedTool, default_reference, reported_tool
 from svmdist.workflows.request import Setup
 
-SEEING_METHODS = ("fiducial", "stereo", "shaft")
-"""Methods whose tool is from the images alone, the surest first."""
+Against = Literal["kinematics", "pose"]
+SEEN_SIZES = {"fiducial": TAG_SIZE, "stereo": BASELINE, "shaft": SHAFT_RADIUS}
+"""Methods that find the tool by images alone, the most accurate first, and the size that determines their depth."""
+SEEING_METHODS = tuple(SEEN_SIZES)
+NEAR_NS = 200_000_000
+"""Joint rates come from the joint states within this of an image."""
 
 
 @dataclass(frozen=True)
 class HandEyeResult:
     """The transform of an instrument's base, and how it was found.
 
-    `tool_std_m` is how certain the transform places the tool, at the middle of the places that were seen, in the worst
-    direction; `from_log` how far the log's own transform is from it: turn in rad and shift of the tool in m.
+    `tool_std_m` is the standard deviation of the tool placed by the transform, at the mean seen position, in the worst
+    direction; `from_log` the difference of the log's own transform: rotation in rad and translation of the tool in m.
     """
 
     hand_eye: HandEye
     fit: HandEyeFit
-    stamps_ns: NDArray[np.int64]
     tool_std_m: float
     from_log: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
-class _Fitted:
-    """The fit, or why there is none, the places that it is of, and what constants did to it."""
+class ReportedTool:
+    """What the robot reports at stamps: poses in the base's frame (n, 4, 4), which are known, and their errors.
 
-    fit: HandEyeFit | Failure
-    places: ToolPlaces
-    effects: tuple[ConstantEffect, ...]
+    `axes` (n, 3) are the shaft's directions, NaN where not known; `noise` (n, 3, 3) the error that differs from frame
+    to frame; `shared` (n, 6, m) the effects of errors that all frames share, of the constants `names`, on position and
+    direction.
+    """
+
+    T_base_tool: Array
+    valid: NDArray[np.bool_]
+    axes: Array
+    noise: Array
+    shared: Array
+    names: tuple[str, ...] = ()
 
 
 def hand_eye(
@@ -66,71 +82,123 @@ def hand_eye(
     jobs: int | None = None,
     on_progress: Progress | None = None,
 ) -> HandEyeResult | Failure:
-    """Fit the camera-to-base transform of an instrument; a Failure says why it cannot be told.
+    """Fit the camera-to-base transform of an instrument; a Failure says why that is impossible.
 
     The method of the setup sees the tool, without any transform of the log. `against` is what the robot reports:
     kinematics of its joints, or poses; None takes the joints where log and profile have them. With joints, a second
-    pass lets the method know how the wrist is bent in the camera's frame, by the transform of the first pass.
-    `on_progress` is told of the images of both.
-    Raises UsageError for a method that does not see the tool, RecordingError where the log lacks joints and poses.
+    pass measures again with the orientation of the wrist by the transform of the first pass. `on_progress` counts the
+    images of both. Raises UsageError for a method that needs kinematics, RecordingError where the log lacks joints and
+    poses.
     """
     if setup.method not in SEEING_METHODS:
         raise UsageError(
             f"--method {setup.method}: hand-eye needs the tool as images show it: {', '.join(SEEING_METHODS)}"
         )
-    profile = replace_profile(setup.profile, instrument)
+    setup = replace(setup, profile=setup.profile.model_copy(update={"hand_eye": None}))
+    profile = setup.profile.for_instrument(instrument)
     own = recording.for_instrument(instrument)
     against = against or default_reference(own, profile)
-    blind = recording.with_bases({name: FixedTransform(None) for name in recording.instruments})
-    focal_px = float(recording.camera.K[0, 0])
     twice = against == "kinematics" and setup.method != "fiducial"
     steps = Steps(on_progress, image_total([recording], lambda _: 2 if twice else 1))
-    rows, missed = _seen(blind, setup, instrument, jobs, steps)
-    reported = reported_tool(own, profile, against, _stamps(rows))
-    fitted = _fit(rows, reported, setup, profile, focal_px)
-    if isinstance(fitted.fit, HandEyeFit) and twice:
-        knowing = blind.with_bases({instrument: FixedTransform(fitted.fit.T_camera_base)})
-        again, _ = _seen(knowing, setup, instrument, jobs, steps)
-        reported_again = reported_tool(own, profile, against, _stamps(again))
-        second = _fit(again, reported_again, setup, profile, focal_px)
-        if isinstance(second.fit, HandEyeFit):
-            rows, fitted = again, second
-    if isinstance(fitted.fit, Failure):
-        is_for_want_of_rows = len(rows) < profile.settings.hand_eye.min_count
-        return Failure(f"{fitted.fit.reason}{missed}") if is_for_want_of_rows else fitted.fit
-    return _result(fitted.fit, fitted, _stamps(rows), own, setup, profile, against)
+
+    def fit_to(log: Recording) -> _Fitted | Failure:
+        lanes = steps.of(replay(log, [setup], wanted=[instrument], jobs=jobs))
+        rows = [replayed.results[0] for (replayed,) in lanes]
+        seen = [row for row in rows if row.measured and row.tool is not None]
+        stamps_ns = np.array([row.stamp_ns for row in seen], np.int64)
+        fitted = _fit(seen, reported_tool(own, profile, against, stamps_ns), setup.method, profile, focal_px)
+        if isinstance(fitted, Failure) and len(seen) < profile.settings.hand_eye.min_count:
+            said = Counter(row.detail or row.status for row in rows if not row.measured).most_common(1)
+            return Failure(fitted.reason + "".join(f"; {count} frames say: {why}" for why, count in said))
+        return fitted
+
+    focal_px = float(recording.camera.K[0, 0])
+    blind = recording.with_bases({name: FixedTransform(None) for name in recording.instruments})
+    fitted = fit_to(blind)
+    if isinstance(fitted, _Fitted) and twice:
+        second = fit_to(blind.with_bases({instrument: FixedTransform(fitted.fit.T_camera_base)}))
+        fitted = second if isinstance(second, _Fitted) else fitted
+    return fitted if isinstance(fitted, Failure) else _result(fitted, own, setup.method, profile, against)
 
 
-def replace_profile(profile: Profile, instrument: str) -> Profile:
-    """The profile as one of its instruments sees it, without an earlier hand-eye file."""
-    return profile.model_copy(update={"hand_eye": None}).for_instrument(instrument)
+def default_reference(recording: Recording, profile: Profile) -> Against:
+    """The joints where log and profile have them, else the poses; raises RecordingError where the log lacks both."""
+    if profile.robot is not None and recording.topic_of("joints") is not None:
+        there = set(recording.joint_track().names)
+        moving = [joint for joint in profile.robot.joints if joint.type != "fixed"]
+        if all(there & {joint.name, *joint.aliases} for joint in moving):
+            return "kinematics"
+    if recording.topic_of("pose") is not None:
+        return "pose"
+    raise RecordingError(
+        f"{recording.path.name}: no joint states of profile {profile.name}'s chain and no poses of"
+        f" {profile.instrument_name}: hand-eye needs the one or the other"
+    )
 
 
-def _seen(
-    recording: Recording, setup: Setup, instrument: str, jobs: int | None, steps: Steps
-) -> tuple[list[FrameResult], str]:
-    """The rows in which the method saw the tool, and what most of the others say, to be put behind a reason."""
-    bare = replace(setup, profile=setup.profile.model_copy(update={"hand_eye": None}))
-    lanes = steps.of(replay(recording, [bare], wanted=[instrument], jobs=jobs))
-    rows = [replayed.results[0] for (replayed,) in lanes]
-    seen = [row for row in rows if row.measured and row.tool is not None]
-    said = Counter(row.detail or row.status for row in rows if not row.measured).most_common(1)
-    return seen, "".join(f"; {count} frames say: {reason}" for reason, count in said)
+def reported_tool(
+    recording: Recording, profile: Profile, against: Against, stamps_ns: NDArray[np.int64]
+) -> ReportedTool:
+    """The tool by the robot's joints or its poses; RecordingError where the log lacks them.
+
+    Of joints, backlash is noise of each frame, and the other errors of the profile are shared by all frames.
+    """
+    count = len(stamps_ns)
+    axes = np.full((count, 3), np.nan)
+    if against == "pose":
+        poses = recording.pose_track().at(stamps_ns)
+        noise = np.repeat(profile.settings.hand_eye.pose_std_m**2 * np.eye(3)[None], count, 0)
+        return ReportedTool(poses.values, poses.valid, axes, noise, np.zeros((count, 6, 0)))
+    if profile.robot is None:
+        raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
+    chain = chain_of(profile.robot)
+    model = ErrorModel(chain, profile.kinematic_error)
+    shaft, joints = shaft_of(chain), recording.joint_track()
+    columns = list(model.constant_columns.values())
+    T_base_tool = np.full((count, 4, 4), np.nan)
+    noise, shared = np.zeros((count, 3, 3)), np.zeros((count, 6, len(columns)))
+    sampled = joints.at(stamps_ns)
+    for at in np.flatnonzero(sampled.valid):
+        near = np.abs(joints.stamps_ns - stamps_ns[at]) <= NEAR_NS
+        track = (
+            JointTrack(joints.stamps_ns[near], joints.names, joints.positions[near]) if near.any() else None
+        )
+        sample = JointSample(int(stamps_ns[at]), joints.names, sampled.values[at])
+        # With the base at the camera: all that follows is in the base's frame.
+        state = RobotState.of(chain, sample, np.eye(4), sample.stamp_ns, track)
+        if isinstance(state, Failure):
+            raise KinematicsError(state.reason)
+        links = model.links(model.nominal(state), model.no_correction(), model.anchor_m(state))
+        tool = links.link(None)
+        T_base_tool[at] = tool.T_camera_link
+        noise[at] = tool.derivative[:3] @ model.play_covariance @ tool.derivative[:3].T
+        shared[at, :3] = tool.derivative[:3][:, columns]
+        if shaft is not None:
+            link = links.link(shaft.link)
+            axes[at] = link.T_camera_link[:3, :3] @ shaft.axis
+            shared[at, 3:] = -skew(axes[at]) @ link.derivative[3:][:, columns]
+        shared[at] *= np.sqrt(np.diag(model.prior(state)))[columns]
+    return ReportedTool(T_base_tool, sampled.valid, axes, noise, shared, tuple(model.constant_columns))
 
 
-def _stamps(rows: Sequence[FrameResult]) -> NDArray[np.int64]:
-    return np.array([row.stamp_ns for row in rows], np.int64)
+@dataclass(frozen=True)
+class _Fitted:
+    """A fit, the mean position of the frames that agree with it, and the effects of calibration errors on it."""
+
+    fit: HandEyeFit
+    middle_m: Array
+    effects: tuple[ConstantEffect, ...]
 
 
 def _fit(
-    rows: Sequence[FrameResult], reported: ReportedTool, setup: Setup, profile: Profile, focal_px: float
-) -> _Fitted:
+    rows: list[FrameResult], reported: ReportedTool, method: str, profile: Profile, focal_px: float
+) -> _Fitted | Failure:
     known = np.flatnonzero(reported.valid)
-    tools = [_pose(rows[int(place)]) for place in known]
+    tools = [rows[at].tool.pose for at in known]  # type: ignore[union-attr]  # rows of a seen tool
     seen_m = np.reshape([tool.position_m for tool in tools], (-1, 3))
-    camera = _camera_errors(seen_m, setup.method, profile, focal_px)
+    camera = _camera_errors(seen_m, method, profile, focal_px)
     places = ToolPlaces(
-        _stamps(rows)[known],
+        np.array([rows[at].stamp_ns for at in known], np.int64),
         seen_m,
         np.reshape([tool.position_covariance for tool in tools], (-1, 3, 3)),
         reported.T_base_tool[known, :3, 3],
@@ -142,74 +210,56 @@ def _fit(
         np.concatenate(list(camera.values()), 2),
     )
     fit = fit_hand_eye(places, profile.settings.hand_eye)
-    return _Fitted(
-        fit, places, () if isinstance(fit, Failure) else tuple(_effects(fit, reported, camera, profile))
-    )
-
-
-def _pose(row: FrameResult) -> ToolPose:
-    assert row.tool is not None
-    return row.tool.pose
-
-
-SEEN_SIZES = {"fiducial": TAG_SIZE, "shaft": SHAFT_RADIUS, "stereo": BASELINE}
-"""The size that depth goes by, for each method that sees the tool."""
+    if isinstance(fit, Failure):
+        return fit
+    return _Fitted(fit, seen_m[fit.agrees].mean(0), tuple(_effects(fit, reported, camera, profile)))
 
 
 def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> dict[str, Array]:
-    """What constants of the camera, and of what is seen, that are larger than stated do to places, by their names.
+    """Effects of one standard deviation of calibration parameters on seen positions, (n, 6, k) for k numbers each.
 
-    Each is (n, 6, k), for one deviation of each of its k numbers. By a size that is stated too small, or a baseline,
-    a place is seen too near; by a focal length its depth is. A principal point turns places about the camera; what it
-    does to directions is small beside their own deviation.
+    A size or baseline that is too small scales positions towards the camera, a focal length their depth. A principal
+    point rotates positions about the camera; its effect on directions is negligible.
     """
-    stated = stated_deviations(profile)
-    depth_m, turn_rad = seen_m * [0.0, 0.0, 1.0], stated[PRINCIPAL_POINT] / focal_px
-    turns = np.array([[0.0, turn_rad, 0.0], [-turn_rad, 0.0, 0.0]])
+    std = stated_deviations(profile)
+    rotation_rad = std[PRINCIPAL_POINT] / focal_px
+    rotations = np.array([[0.0, rotation_rad, 0.0], [-rotation_rad, 0.0, 0.0]])
+    offsets = {
+        SEEN_SIZES[method]: [-std.get(SEEN_SIZES[method], 0.0) * seen_m],
+        FOCAL_LENGTH: [-std[FOCAL_LENGTH] * seen_m * [0.0, 0.0, 1.0]],
+        PRINCIPAL_POINT: [np.cross(rotation, seen_m) for rotation in rotations],
+    }
     return {
-        SEEN_SIZES[method]: _alone(-stated.get(SEEN_SIZES[method], 0.0) * seen_m)[..., None],
-        FOCAL_LENGTH: _alone(-stated[FOCAL_LENGTH] * depth_m)[..., None],
-        PRINCIPAL_POINT: np.stack([_alone(np.cross(turn, seen_m)) for turn in turns], -1),
+        name: np.stack([np.hstack([offset_m, np.zeros_like(offset_m)]) for offset_m in of_name], -1)
+        for name, of_name in offsets.items()
     }
 
 
 def _effects(
     fit: HandEyeFit, reported: ReportedTool, camera: Mapping[str, Array], profile: Profile
 ) -> Iterator[ConstantEffect]:
-    """What each constant did to a fit, for the estimators that use it; without those that are stated to be exact."""
+    """The effect of each calibration parameter on a fit, for estimators that use it; without exact ones."""
     counts = dict.fromkeys(reported.names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
-    stated, at = stated_deviations(profile), 0
+    std, at = stated_deviations(profile), 0
     for name, count in counts.items():
         rows, at = fit.effects[:, at : at + count].T, at + count
-        if stated.get(name, 0.0) > 0.0:
-            yield ConstantEffect(constant=name, deviation=stated[name], effects=rows.tolist())
-
-
-def _alone(shift_m: Array) -> Array:
-    """A shift that turns nothing."""
-    return np.concatenate([shift_m, np.zeros_like(shift_m)], 1)
+        if std.get(name, 0.0) > 0.0:
+            yield ConstantEffect(constant=name, deviation=std[name], effects=rows.tolist())
 
 
 def _result(
-    fit: HandEyeFit,
-    fitted: _Fitted,
-    stamps_ns: NDArray[np.int64],
-    recording: Recording,
-    setup: Setup,
-    profile: Profile,
-    against: Against,
+    fitted: _Fitted, recording: Recording, method: str, profile: Profile, against: Against
 ) -> HandEyeResult:
-    T, frames = fit.T_camera_base, profile.frames
-    C = 0.5 * (fit.covariance + fit.covariance.T)
-    stated = HandEye.model_validate(
+    fit, frames = fitted.fit, profile.frames
+    found = HandEye.model_validate(
         {
             "instrument": profile.instrument_name,
             "camera": frames.camera,
             "base": frames.base,
-            "rotation": T[:3, :3].tolist(),
-            "translation_m": T[:3, 3].tolist(),
-            "covariance": C.tolist(),
-            "method": setup.method,
+            "rotation": fit.T_camera_base[:3, :3].tolist(),
+            "translation_m": fit.T_camera_base[:3, 3].tolist(),
+            "covariance": (0.5 * (fit.covariance + fit.covariance.T)).tolist(),
+            "method": method,
             "reference": against,
             "frame_count": len(fit.agrees),
             "inlier_count": int(fit.agrees.sum()),
@@ -217,15 +267,15 @@ def _result(
             "residual_rms_m": float(np.sqrt(np.mean(fit.residuals_m[fit.agrees] ** 2))),
         }
     )
-    middle_m = fitted.places.seen_m[fit.agrees].mean(0)
-    tool_std_m = float(np.sqrt(np.linalg.eigvalsh(stated.covariance_at(middle_m)[:3, :3])[-1]))
-    return HandEyeResult(stated, fit, stamps_ns, tool_std_m, _from_log(recording, profile, T, middle_m))
+    tool_std_m = float(np.sqrt(np.linalg.eigvalsh(found.covariance_at(fitted.middle_m)[:3, :3])[-1]))
+    from_log = _from_log(recording, profile, fit.T_camera_base, fitted.middle_m)
+    return HandEyeResult(found, fit, tool_std_m, from_log)
 
 
 def _from_log(
     recording: Recording, profile: Profile, T_camera_base: Array, middle_m: Array
 ) -> tuple[float, float] | None:
-    """How far the log's own transform is from a fitted one: turn in rad, and shift of the tool in m."""
+    """Rotation in rad, and translation of the tool in m, from a fitted transform to the log's own."""
     try:
         track = recording.transform_track(profile.frames.camera, profile.frames.base)
     except RecordingError:
@@ -234,5 +284,5 @@ def _from_log(
         return None
     T_log = track.T_parent_child[0]
     nominal = inverse(T_camera_base) @ np.append(middle_m, 1.0)
-    turn_rad = float(rotation_angle(T_log[:3, :3], T_camera_base[:3, :3]))
-    return turn_rad, float(np.linalg.norm((T_log @ nominal)[:3] - middle_m))
+    rotation_rad = float(rotation_angle(T_log[:3, :3], T_camera_base[:3, :3]))
+    return rotation_rad, float(np.linalg.norm((T_log @ nominal)[:3] - middle_m))

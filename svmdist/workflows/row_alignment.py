@@ -5,8 +5,6 @@ It is found from the first pairs before any row is made, so that rows do not dep
 
 from __future__ import annotations
 
-from itertools import islice
-
 import numpy as np
 
 from svmdist.profile import Profile
@@ -18,6 +16,10 @@ from svmdist.transforms import Array
 from svmdist.vision.frame_context import as_pinholes, to_grey, with_first_fields
 from svmdist.vision.stereo import RowOffset, agreed_offset, rectified_pair, row_differences
 
+ROW_STRIDE = 12  # the steps between these pairs
+# A smaller offset is left: it does less harm than shifting an image between its pixels
+MIN_ROW_OFFSET_PX = 0.5
+
 
 def row_offset(recording: Recording, profile: Profile) -> RowOffset | None:
     """The offset between the rows of both views; None where the log has no pairs, or they do not tell it."""
@@ -25,18 +27,23 @@ def row_offset(recording: Recording, profile: Profile) -> RowOffset | None:
     needs = Needs(joints=False, transforms=False, right=True)
     encoded = recording.encoded_observations(recording.instruments[:1], needs)
     found: list[Array] = []
-    for one in islice(encoded, 0, settings.row_pairs * settings.row_stride, settings.row_stride):
+    end = settings.row_pairs * ROW_STRIDE
+    for number, one in enumerate(encoded):
+        if number >= end and recording.file.is_read:
+            break  # else to the end: this pass reads the joints and transforms, too, which no other has to
+        if number >= end or number % ROW_STRIDE:
+            continue
         decoded = one.decode().found
         if isinstance(decoded, Rejection) or decoded[0].right is None:
             continue
         found.append(_differences(decoded[0], profile))
-    return agreed_offset(np.concatenate(found), settings) if found else None
+    return agreed_offset(np.concatenate(found)) if found else None
 
 
 def row_offset_to_remove_px(recording: Recording, profile: Profile) -> float:
     """The offset where it is more than the settings leave, and known; else 0."""
     offset = row_offset(recording, profile)
-    if offset is None or abs(offset.px) < profile.settings.stereo.min_row_offset_px:
+    if offset is None or abs(offset.px) < MIN_ROW_OFFSET_PX:
         return 0.0
     return offset.px
 

@@ -134,7 +134,7 @@ def test_trajectories_are_the_tools_poses(golden: Path, cli: Cli) -> None:
 
 
 def test_the_page_explains_every_column_once() -> None:
-    """docs/metrics.md is made from the tables of columns: `uv run python -m benchmarks.make_metrics_page`."""
+    """docs/metrics.md is made from the tables of columns: `uv run python -m benchmarks.generated_pages`."""
     page = columns_page()
     assert (REPOSITORY / "docs" / "metrics.md").read_text("utf-8") == page
     of_rows, of_scores = (
@@ -143,7 +143,7 @@ def test_the_page_explains_every_column_once() -> None:
             for cell in re.findall(r"^\| (`.+?) \|", part, re.MULTILINE)
             for key in re.findall(r"`(\w+)`", cell)
         ]
-        for part in page.split("\n## Scores")
+        for part in page.split("\n## Metrics")
     )
     assert sorted(of_rows) == sorted(ESTIMATE_KEYS)
     labels = {

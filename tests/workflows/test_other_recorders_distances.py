@@ -15,7 +15,7 @@ from svmdist.recording.log import open_recording
 from svmdist.results import FrameResult
 from svmdist.samples import Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, rotation_z
-from svmdist.workflows.calibrate import calibrate
+from svmdist.workflows.calibrate import collect_part, fit_parts
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.request import Setup, prepare
 from svmdist.workflows.scoring.truth import Reference, truth_rules
@@ -82,7 +82,9 @@ def setup(native: Path) -> Setup:
     path = write_log(native.with_name("calibration.mcap"), frame_count=20)
     profile = prepare().profile
     calibration = native.with_suffix(".toml")
-    save_calibration(calibrate([open_recording(path, profile)], profile), calibration)
+    save_calibration(
+        fit_parts([collect_part(open_recording(path, profile), profile, "overlay")], "overlay"), calibration
+    )
     return prepare(calibration=calibration)
 
 

@@ -11,7 +11,7 @@ from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.workflows.fk import fk
-from svmdist.workflows.reported_tool import default_reference, reported_tool
+from svmdist.workflows.hand_eye import default_reference, reported_tool
 
 PROFILE = load_profile()
 

@@ -49,17 +49,16 @@ def log(path: Path, rows_px: float, apart_ns: int = 0) -> Path:
 
 
 @pytest.mark.parametrize("rows_px", [-2.5, 0.0, 1.5])
-def test_the_offset_of_a_log_is_found(tmp_path: Path, rows_px: float) -> None:
+def test_the_offset_of_a_log_is_found(
+    tmp_path: Path, rows_px: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """To a tenth of a pixel; none, or less than half a pixel, is left alone."""
     recording = open_recording(log(tmp_path / "pair.mcap", rows_px), PROFILE)
-    settings = PROFILE.settings.model_copy(
-        update={"stereo": PROFILE.settings.stereo.model_copy(update={"row_stride": 2})}
-    )
-    profile = PROFILE.model_copy(update={"settings": settings})
-    found = row_offset(recording, profile)
+    monkeypatch.setattr("svmdist.workflows.row_alignment.ROW_STRIDE", 2)
+    found = row_offset(recording, PROFILE)
     assert found is not None
     assert found.px == pytest.approx(rows_px, abs=0.1)
-    removed_px = row_offset_to_remove_px(recording, profile)
+    removed_px = row_offset_to_remove_px(recording, PROFILE)
     assert removed_px == (found.px if rows_px else 0.0)
 
 

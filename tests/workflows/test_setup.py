@@ -8,8 +8,7 @@ import pytest
 
 from svmdist.errors import CalibrationError, UsageError
 from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
-from svmdist.profile import load_profile, profile_path
-from svmdist.workflows.calibrate import calibrate
+from svmdist.profile import profile_path
 from svmdist.workflows.request import prepare
 
 
@@ -31,8 +30,6 @@ def test_methods_in_3d_need_no_calibration(method: str) -> None:
         prepare(method=method, equations="printed")
     with pytest.raises(UsageError, match="measures in 3D"):
         prepare(method=method, calibration=Path("mine.toml"))
-    with pytest.raises(UsageError, match="measures in 3D"):
-        calibrate([], load_profile(), method)
 
 
 def test_a_profile_without_a_calibration_says_what_to_do(tmp_path: Path) -> None:

@@ -10,6 +10,24 @@ from functools import lru_cache
 
 from svmdist.profile.settings import FilterSettings
 
+WINDOW_SOLVES = (
+    1,
+    2,
+    3,
+    5,
+    8,
+    12,
+    20,
+)  # frames after which a young filter solves anew: linearisation is cm off at first
+CONSISTENCY_WINDOW_S = 1.5  # of averaged innovations: a hundred degrees of freedom at 10 Hz
+CONSISTENCY_MIN_DEGREES = 8  # fewer degrees of freedom in that window tell nothing of consistency
+MAX_REFUSED_FRAMES = 4  # in a row, all refused: what hides an instrument misleads two or three
+MAX_REFUSED_SHARE = 0.5  # of degrees of freedom: more than half contradicts the prediction
+MAX_YOUNG_REFUSED_SHARE = 0.2  # in the first frames, by which later ones are judged
+USUAL_CONSTANT_DEVIATIONS = 2.5  # one constant of twenty is, one time in four; beyond, deviations grow
+MAX_TIME_OFFSET_DEVIATIONS = 5.0  # beyond, the offset leaves the joints that travel with an image
+PROBATION_S = 3.0  # after a restart: what the profile has wrong contradicts again by then
+
 GATE_Z = FilterSettings().gate_z
 
 
@@ -34,8 +52,7 @@ def chi_square_bound(degrees_of_freedom: int, z: float = GATE_Z) -> float:
     return degrees_of_freedom * (1.0 - c + z * math.sqrt(c)) ** 3
 
 
-CODED = "tag"
-"""The source that nothing else can be taken for."""
+CODED = "tag"  # the source that nothing else can be taken for
 
 
 @dataclass(slots=True)
@@ -78,7 +95,7 @@ class Consistency:
     def add(self, stamp_ns: int, results: Sequence[GatingResult], *, of_tool: bool = True) -> None:
         """Take up a frame's results, of the tool or of something else; a frame without any tells nothing."""
         self._now_ns = stamp_ns
-        horizon_ns = stamp_ns - round(1e9 * self._settings.consistency_window_s)
+        horizon_ns = stamp_ns - round(1e9 * CONSISTENCY_WINDOW_S)
         while self._frames and self._frames[0][0] < horizon_ns:
             self._frames.popleft()
         if results:
@@ -123,10 +140,7 @@ class Consistency:
 
     @property
     def ratio(self) -> float | None:
-        """Innovations squared over what is expected of them: 1 is as expected; None before anything was measured.
-
-        Of accepted measurements, so that a wild one alone is no contradiction.
-        """
+        """Innovations squared of accepted measurements over what is expected of them; None before any."""
         accepted = sum(tally.accepted for tally in self._tallies.values())
         return sum(tally.square for tally in self._tallies.values()) / accepted if accepted else None
 
@@ -146,17 +160,14 @@ class Consistency:
         mistakable = [name for name in of_tool if name != CODED]
         worst = max(mistakable, default="", key=lambda name: of_tool[name].refused)
         others = [tally for name, tally in of_tool.items() if name != worst]
-        if sum(tally.accepted for tally in others) < self._settings.consistency_min_degrees:
+        if sum(tally.accepted for tally in others) < CONSISTENCY_MIN_DEGREES:
             return self.refused_share
         return _refused_share(others)
 
     @property
     def widening(self) -> float:
-        """By what variances grow: the ratio where innovations are larger than expected (Birge 1932).
-
-        So do they where a constant is far from what is stated: it may be off as far again, and others with it.
-        """
-        return max(1.0, self.ratio or 1.0, (self._furthest / self._settings.usual_constant_deviations) ** 2)
+        """By what variances grow: the ratio where innovations are larger than expected (Birge 1932)."""
+        return max(1.0, self.ratio or 1.0, (self._furthest / USUAL_CONSTANT_DEVIATIONS) ** 2)
 
     @property
     def contradiction(self) -> str:
@@ -167,7 +178,7 @@ class Consistency:
     def doubt(self) -> str:
         """Why no distance is told: a contradiction, or one before that what was seen since has not yet outlived."""
         since_ns = self._untrusted_since_ns
-        if since_ns is not None and self._now_ns < since_ns + round(1e9 * self._settings.probation_s):
+        if since_ns is not None and self._now_ns < since_ns + round(1e9 * PROBATION_S):
             return self.contradiction or "begun anew after a contradiction"
         return self.contradiction
 
@@ -176,7 +187,7 @@ class Consistency:
         settings = self._settings
         if self._furthest > settings.max_constant_deviations:
             return f"{self._furthest_name} is {self._furthest:.1f} stated deviations from its stated value"
-        if self._late_deviations > settings.max_time_offset_deviations:
+        if self._late_deviations > MAX_TIME_OFFSET_DEVIATIONS:
             return (
                 f"joints seem {self._late_s:+.2f} s late, {self._late_deviations:.0f} stated deviations: is there a lag"
                 " of the images to be given?"
@@ -185,7 +196,7 @@ class Consistency:
 
     def _all_refused(self) -> str:
         """What was refused whole, frame after frame: all of the tool, or the tissue."""
-        most = self._settings.max_refused_frames
+        most = MAX_REFUSED_FRAMES
         if self._refused_frames >= most:
             return f"all that was measured in {self._refused_frames} frames contradicts the prediction: {self._worst()}"
         # What never agreed has nothing that speaks for it: one frame is enough.
@@ -196,12 +207,12 @@ class Consistency:
     def _disagreement(self) -> str:
         """What disagrees with predictions over the window: too much refused, or accepted by far too little."""
         settings = self._settings
-        if sum(tally.degrees for tally in self._tallies.values()) < settings.consistency_min_degrees:
+        if sum(tally.degrees for tally in self._tallies.values()) < CONSISTENCY_MIN_DEGREES:
             return ""
-        share, most = self.refused_share, settings.max_refused_share
-        if self._frame_count <= max(settings.window_solves) and share <= most:
+        share, most = self.refused_share, MAX_REFUSED_SHARE
+        if self._frame_count <= max(WINDOW_SOLVES) and share <= most:
             # A young filter has no past that outweighs what it refuses: it may have begun with other joints.
-            share, most = self.young_refused_share, settings.max_young_refused_share
+            share, most = self.young_refused_share, MAX_YOUNG_REFUSED_SHARE
         if share > most:
             return f"{share:.0%} of what was measured contradicts the prediction: {self._worst()}"
         if (self.ratio or 0.0) > settings.max_consistency:

@@ -11,7 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.instrument.consistency import Consistency, GatingResult, chi_square_bound
+from svmdist.estimation.instrument.consistency import (
+    USUAL_CONSTANT_DEVIATIONS,
+    WINDOW_SOLVES,
+    Consistency,
+    GatingResult,
+    chi_square_bound,
+)
 from svmdist.estimation.instrument.corrected_links import Correction
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
@@ -24,16 +30,18 @@ from svmdist.profile.settings import FilterSettings
 from svmdist.results import ToolPose, across_std_rad
 from svmdist.transforms import Array
 
+MAX_ITERATIONS = 8  # gauss–Newton steps; two or three are usual, more where frames are cm off
+DEPTH_UNKNOWN_STD_M = 0.01  # standard deviation of the tool's depth above which it counts as unknown
+MAX_REJECTIONS = 8  # frames in a row with nothing accepted: the filter has lost the arm and restarts
+MAX_CONTRADICTIONS = 25  # frames in a row: a filter that went astray recovers by starting anew
+
 SETTLED, NEARLY_SETTLED = 1e-3, 0.1
 """Of its standard deviation: an element of the state that moves by less has come to rest, or will with a next step."""
 
 
 @dataclass(frozen=True, slots=True)
 class MostProbable:
-    """The most probable change x of the state, with derivatives, noise and gain there, and its squared deviation.
-
-    `nis` is xᵀ P⁻¹ x + rᵀ R⁻¹ r at its minimum: what prior and measurements have to give way, together.
-    """
+    """The most probable change x of the state, with derivatives, noise and gain there, and its squared deviation."""
 
     x: Array
     H: Array
@@ -49,17 +57,14 @@ def most_probable(
     parts: Sequence[Linearised],
     settings: FilterSettings,
 ) -> MostProbable | None:
-    """The state that measurements make the most probable; None where no start leads to one that shows them all.
-
-    `parts` are the measurements about the present state.
-    """
+    """The state that measurements make the most probable; None where no start leads to one that shows them all."""
     size = sum(len(part.residual) for part in parts)
     bound = chi_square_bound(size, settings.gate_z)
-    best = _descend(state, measurements, np.zeros(len(state.P)), settings, parts)
+    best = _descend(state, measurements, np.zeros(len(state.P)), parts)
     if best is not None and best.nis <= bound:
         return best
     for start in _other_depths(state, settings):
-        found = _descend(state, measurements, start, settings)
+        found = _descend(state, measurements, start)
         if found is not None and (best is None or found.nis < best.nis):
             best = found
         if best is not None and best.nis <= bound:
@@ -68,14 +73,11 @@ def most_probable(
 
 
 def _other_depths(state: ErrorState, settings: FilterSettings) -> Iterator[Array]:
-    """While depth is as good as unknown, the most probable states at other depths.
-
-    Of robots that err by centimetres some report their tool behind the camera, where nothing can be seen.
-    """
+    """While depth is as good as unknown, the most probable states at other depths."""
     tool = state.link(None)
     along = state.P[:, : state.model.size] @ tool.derivative[2]
     variance_m2 = float(tool.derivative[2] @ along[: state.model.size])
-    if variance_m2 > settings.depth_unknown_std_m**2:
+    if variance_m2 > DEPTH_UNKNOWN_STD_M**2:
         for depth_m in settings.depth_candidates_m:
             yield along * (depth_m - tool.T_camera_link[2, 3]) / variance_m2
 
@@ -84,7 +86,6 @@ def _descend(
     state: ErrorState,
     measurements: Sequence[LinkMeasurement],
     x: Array,
-    settings: FilterSettings,
     parts: Sequence[Linearised] | None = None,
 ) -> MostProbable | None:
     """x ← K (r + H x) until x rests; None where a measurement's link leaves the view.
@@ -96,7 +97,7 @@ def _descend(
     R = block_diagonal([measurement.covariance for measurement in measurements])
     deviations = np.sqrt(np.diag(P) + 1e-18)
     there, moved = state, np.inf
-    for _ in range(settings.max_iterations):
+    for _ in range(MAX_ITERATIONS):
         if parts is None:
             there = state.retracted(x)
             parts = there.linearise(measurements)
@@ -123,10 +124,7 @@ DEFAULT = FilterSettings()
 
 
 class KinematicErrorFilter:
-    """Estimates the error of nominal kinematics; `predict` once per frame, then `update` with its measurements.
-
-    The state is the error state of `ErrorModel`, then the biases of measurements in units of their deviations.
-    """
+    """Estimates the error of nominal kinematics; `predict` once per frame, then `update` with its measurements."""
 
     def __init__(self, chain: DHChain, error: KinematicError, settings: FilterSettings = DEFAULT) -> None:
         self._settings = settings
@@ -164,10 +162,7 @@ class KinematicErrorFilter:
             self._state.propagate(elapsed_s)
 
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
-        """Take up what the image shows, all at once; tells what passed the gate.
-
-        An iterated update of the prior by all accepted residuals (`iterated_update`).
-        """
+        """Take up what the image shows by one iterated update; gives what passed the gate."""
         parts = self._state.linearise(measurements)
         self._state.augment_state(parts)
         results = [self._gate(*pair) for pair in zip(measurements, parts, strict=True)]
@@ -189,10 +184,10 @@ class KinematicErrorFilter:
             self._keep_in_window(measurements)
         elif measurements:
             self._rejections += 1
-        if self._contradictions >= self._settings.max_contradictions:
+        if self._contradictions >= MAX_CONTRADICTIONS:
             self._start()
             self.consistency.distrust(self._state.robot.stamp_ns)
-        elif self._rejections >= self._settings.max_rejections:
+        elif self._rejections >= MAX_REJECTIONS:
             self._start()
         return tuple(results)
 
@@ -277,10 +272,7 @@ class KinematicErrorFilter:
         return GatingResult(measurement.name, nis, size, nis <= bound, measurement.source)
 
     def _correct(self, measurements: Sequence[LinkMeasurement], parts: Sequence[Linearised]) -> bool:
-        """Go to the most probable state; covariance in Joseph's form at the last linearisation.
-
-        False where there is none: the iteration does not come to rest, or the measurements contradict each other.
-        """
+        """Go to the most probable state, covariance in Joseph's form; False where there is none."""
         found = most_probable(self._state, measurements, parts, self._settings)
         bound = chi_square_bound(sum(len(part.residual) for part in parts), self._settings.gate_z)
         if found is None or not found.is_settled or found.nis > bound:
@@ -295,7 +287,7 @@ class KinematicErrorFilter:
         The first frames are linearised tens of millimetres off, where a camera is far from linear; a Kalman
         filter can never take back a linearisation, a batch can.
         """
-        solves = self._settings.window_solves
+        solves = WINDOW_SOLVES
         if len(self._window) < max(solves):
             self._window.add(MeasurementsAt(self._state.robot, tuple(measurements)))
             if len(self._window) in solves:
@@ -304,23 +296,17 @@ class KinematicErrorFilter:
                     self._take_solution(solved)
 
     def _take_solution(self, at: Correction) -> None:
-        """Go on from the batch's solution, unless it asks constants to be what no user would state so wrongly.
-
-        Filtered along a wrong linearisation, shared constants explain what they cannot.
-        """
+        """Go on from the batch's solution, unless it asks constants to be what no user would state so wrongly."""
         before, far = copy(self._state), self._furthest_constant()
         self._replay(at)
-        if self._furthest_constant() > max(far, self._settings.usual_constant_deviations):
+        if self._furthest_constant() > max(far, USUAL_CONSTANT_DEVIATIONS):
             self._state = before
 
     def _furthest_constant(self) -> float:
         return max((abs(off) for _, off in self._state.constants()), default=0.0)
 
     def _replay(self, at: Correction) -> None:
-        """Filter the window's frames once more, all linearised at the batch's solution.
-
-        The batch takes the biases of measurements for noise; the filter knows that they last.
-        """
+        """Filter the window's frames once more, all linearised at the batch's solution."""
         size, state = self._model.size, self._state
         state.reset_bias_states(self._window.prior_at(at), self._window.prior_with_constants_at(at))
         # What is to be added to `at`: at first all the way back to no correction.

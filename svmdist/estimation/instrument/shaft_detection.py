@@ -14,10 +14,43 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edge_lines import EdgeLine
 from svmdist.vision.edges import Disc, edge_blur_px, edge_points, fit_disc, shading_shift_px
-from svmdist.vision.lines import TangentPlane, fit_line, tangent_plane, undistorted, without_perspective
+from svmdist.vision.lines import (
+    MIN_POINT_STD_PX,
+    POINT_CORRELATION_PX,
+    TangentPlane,
+    fit_line,
+    tangent_plane,
+    undistorted,
+    without_perspective,
+)
 from svmdist.vision.regions import Region
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
 from svmdist.vision.silhouette import Silhouette, WristPoint
+
+# How far sub-pixel edges are searched from the mask's contour, over the image's width
+EDGE_REACH_FRACTION = 0.007
+MIN_EDGE_REACH_PX = 4.0  # the least of that reach: a threshold cuts an edge of usual blur within this
+SIDE_TRIM_FRACTION = 0.06  # of a side at each end: corners of the shaft's end and the picture's border
+BLUR_REACH_FRACTION = 0.022  # of the image's width: a tool at 200 mm/s moves so far in 1/60 s
+PENUMBRA_RATIO = 1.6  # of the edges' blurs; beyond, one is a shadow's border: both edges are equally far
+PENUMBRA_BLUR_PX = 1.0  # blur that any edge may have, px: below it the ratio of two blurs is noise
+# How far a point of an edge may lie off its line: ten times the least deviation of a point
+LINE_INLIER_PX = 0.5
+LINE_INLIER_PER_BLUR = 0.2  # shading over twice the width shifts the steepest point by more
+LINE_INLIER_PER_WIDTH = 0.012  # for a silhouette's edges: near ones are less sharp, and lenses bend them
+SHADING_STD_PX = 0.08  # what shading beside an edge shifts it, in addition to noise: see the error budget
+SHADING_STD_PER_BLUR = 0.05  # how that grows with the edge's blur, for the same reason
+OUTLINE_SHADING_STD_PX = 0.15  # where nothing is known of the light: a limb fades or shines
+END_STRIP_FRACTION = 0.25  # of the half width about the middle, where the end's arc has its apex
+END_REACH_HALF_WIDTHS = 0.9  # along the shaft: an arc's apex lies up to one half width before the corners
+# The least deviation of the shaft's end: a few points across a rounded end share their error
+MIN_END_STD_PX = 0.3
+MAX_LOG_RATIO = 0.25  # between radii by circle and area: further apart they are different things
+# Points of the border that err independently: it is cut by fork and jaws, each over an eighth
+BORDER_POINTS = 8.0
+# What neighbours of other colours within the border's blur shift it, over that blur
+BORDER_STD_PER_BLUR = 0.1
+CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, over the radius
 
 DEFAULT = DistalMarkerSettings()
 
@@ -48,33 +81,26 @@ def detect_distal_marker(
     """
     if region is None or _median_saturation(image_hsv, mask) < settings.min_saturation:
         return None
-    disc = marker_disc(image_hsv, mask, region, settings)
+    disc = marker_disc(image_hsv, mask, region)
     if disc is None:
         std_px = 0.5 * float(np.sqrt(region.area_px / np.pi))
         return DistalMarker(region.centroid_px, std_px, None, 0.0, None, region.area_px)
     whole_px = disc.radius_px / settings.visible_radius
-    own_px = np.hypot(
-        disc.scatter_px / np.sqrt(settings.border_points), settings.border_std_per_blur * disc.blur_px
-    )
+    own_px = np.hypot(disc.scatter_px / np.sqrt(BORDER_POINTS), BORDER_STD_PER_BLUR * disc.blur_px)
     radius_std_px = float(np.hypot(settings.radius_std * whole_px, own_px))
-    std_px = settings.centroid_std * whole_px
+    std_px = CENTROID_STD * whole_px
     return DistalMarker(region.centroid_px, std_px, whole_px, radius_std_px, disc, region.area_px)
 
 
-def marker_disc(
-    image_hsv: Image, mask: Image, region: Region, settings: DistalMarkerSettings = DEFAULT
-) -> Disc | None:
-    """The circle along the border of a region of a mask, shape (h, w).
-
-    None at the image's border, or where the colour makes another border than the mask.
-    """
+def marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
+    """The circle along a region's border; None at the image's border, or where the colour's border is another."""
     corners = region.hull.reshape(-1, 2)
     height, width = mask.shape
     if not bool(((corners > 1) & (corners < [width - 2, height - 2])).all()):
         return None
     radius_px = float(np.sqrt(region.area_px / np.pi))
-    disc = fit_disc(image_hsv, mask, region.centroid_px, radius_px, settings)
-    if disc is None or abs(np.log(disc.radius_px / radius_px)) >= settings.max_log_ratio:
+    disc = fit_disc(image_hsv, mask, region.centroid_px, radius_px)
+    if disc is None or abs(np.log(disc.radius_px / radius_px)) >= MAX_LOG_RATIO:
         return None
     return disc
 
@@ -119,11 +145,7 @@ class Contour:
 
 @dataclass(frozen=True, slots=True)
 class Rim:
-    """Where the shaft ends on its middle line: a pixel (2,), the unit direction to the tip (2,), px.
-
-    `is_outline` says that the outline ends to be a cylinder's there; otherwise its dark part ends, on the side that
-    faces the camera.
-    """
+    """The shaft's end on its middle line: pixel (2,), direction to the tip (2,); by the outline or the dark part."""
 
     pixel: Array
     towards_tip: Array
@@ -154,10 +176,7 @@ NO_SHAFT = ShaftDetection((), None, None, None, True)
 def detect_shaft(
     brightness: Image, region: ShaftRegion | None, camera: Camera, settings: ShaftSettings = DEFAULT_SHAFT
 ) -> ShaftDetection:
-    """Measure contours and rim of a shaft that was found; `NO_SHAFT` for none.
-
-    `brightness`, shape (h, w), is the brightest channel at normalised exposure.
-    """
+    """Measure contours and rim of a shaft that was found; `NO_SHAFT` for none."""
     if region is None:
         return NO_SHAFT
     towards_tip = region.first.direction + region.second.direction
@@ -167,7 +186,7 @@ def detect_shaft(
     contours: list[Contour] = []
     for side, blur_px, other_px in zip(sides, blurs_px, blurs_px[::-1], strict=True):
         # Both edges of a shaft are as sharp as each other; a shadow beside it ends in a penumbra.
-        if blur_px > settings.penumbra_ratio * max(other_px, settings.penumbra_blur_px):
+        if blur_px > PENUMBRA_RATIO * max(other_px, PENUMBRA_BLUR_PX):
             continue
         contour = _contour(brightness, side, region, towards_tip, blur_px, camera, settings)
         if contour is not None and all(contour.side != other.side for other in contours):
@@ -177,16 +196,14 @@ def detect_shaft(
     return ShaftDetection(tuple(contours), rim, known, region.middle_px, region.is_stub)
 
 
-def detect_silhouette(
-    silhouette: Silhouette | None, camera: Camera, settings: ShaftSettings = DEFAULT_SHAFT
-) -> ShaftDetection:
+def detect_silhouette(silhouette: Silhouette | None, camera: Camera) -> ShaftDetection:
     """Contours, end and wrist of a shaft whose silhouette was found, whatever its colour; `NO_SHAFT` for none."""
     if silhouette is None:
         return NO_SHAFT
     towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
     contours: list[Contour] = []
     for edge in silhouette.edges:
-        contour = _edge_contour(edge, silhouette.width_px, middle_px, towards_tip, camera, settings)
+        contour = _edge_contour(edge, silhouette.width_px, middle_px, towards_tip, camera)
         if contour is not None and all(contour.side != other.side for other in contours):
             contours.append(contour)
     end_px = silhouette.end_px
@@ -201,21 +218,16 @@ def wrist_marker(shaft: ShaftDetection) -> DistalMarker | None:
 
 
 def _edge_contour(
-    edge: EdgeLine,
-    width_px: float,
-    middle_px: Array,
-    towards_tip: Array,
-    camera: Camera,
-    settings: ShaftSettings,
+    edge: EdgeLine, width_px: float, middle_px: Array, towards_tip: Array, camera: Camera
 ) -> Contour | None:
     line = fit_line(
         undistorted(camera, edge.points_px),
         1.0 / float(camera.K[0, 0]),
         min_count=MIN_LINE_POINTS,
-        inlier_px=max(settings.line_inlier_px, settings.line_inlier_per_width * width_px),
-        systematic_px=settings.outline_shading_std_px,
-        correlation_px=settings.point_correlation_px,
-        min_point_std_px=settings.min_point_std_px,
+        inlier_px=max(LINE_INLIER_PX, LINE_INLIER_PER_WIDTH * width_px),
+        systematic_px=OUTLINE_SHADING_STD_PX,
+        correlation_px=POINT_CORRELATION_PX,
+        min_point_std_px=MIN_POINT_STD_PX,
     )
     if line is None:
         return None
@@ -225,17 +237,17 @@ def _edge_contour(
     return Contour(plane, 1 if right > 0 else -1)
 
 
-def _trimmed(side: Side, region: ShaftRegion, settings: ShaftSettings) -> tuple[Array, Array, Array]:
+def _trimmed(side: Side, region: ShaftRegion) -> tuple[Array, Array, Array]:
     """A side's start and end without its corners, and a vector from the shaft's middle to it, shape (2,) each."""
-    trim = settings.side_trim_fraction * (side.end_px - side.start_px)
+    trim = SIDE_TRIM_FRACTION * (side.end_px - side.start_px)
     outward = 0.5 * (side.start_px + side.end_px) - region.middle_px
     return side.start_px + trim, side.end_px - trim, outward
 
 
 def _blur_px(brightness: Image, side: Side, region: ShaftRegion, settings: ShaftSettings) -> float:
     """The blur of the edge along a side, as its deviation in px."""
-    reach_px = settings.blur_reach_fraction * brightness.shape[1]
-    return edge_blur_px(brightness, *_trimmed(side, region, settings), reach_px, settings)
+    reach_px = BLUR_REACH_FRACTION * brightness.shape[1]
+    return edge_blur_px(brightness, *_trimmed(side, region), reach_px, settings)
 
 
 def _contour(
@@ -248,26 +260,26 @@ def _contour(
     settings: ShaftSettings,
 ) -> Contour | None:
     along = side.end_px - side.start_px
-    start_px, end_px, outward = _trimmed(side, region, settings)
+    start_px, end_px, outward = _trimmed(side, region)
     width_px = brightness.shape[1]
     # A threshold may cut a blurred edge two of its deviations off its middle.
-    reach_px = max(settings.min_edge_reach_px, settings.edge_reach_fraction * width_px) + 2.0 * blur_px
+    reach_px = max(MIN_EDGE_REACH_PX, EDGE_REACH_FRACTION * width_px) + 2.0 * blur_px
     points_px = edge_points(brightness, start_px, end_px, outward, reach_px, settings, blur_px)
     points_px = _inside_view(points_px, region.field_of_view)
     if len(points_px) == 0:
         return None
     across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
     across = across if across @ outward > 0.0 else -across
-    points_px = points_px - shading_shift_px(brightness, points_px, across, settings, blur_px) * across
+    points_px = points_px - shading_shift_px(brightness, points_px, across, blur_px) * across
     unit = 1.0 / float(camera.K[0, 0])
     line = fit_line(
         undistorted(camera, points_px),
         unit,
         min_count=MIN_LINE_POINTS,
-        inlier_px=settings.line_inlier_px + settings.line_inlier_per_blur * blur_px,
-        systematic_px=float(np.hypot(settings.shading_std_px, settings.shading_std_per_blur * blur_px)),
-        correlation_px=max(settings.point_correlation_px, 2.0 * blur_px),
-        min_point_std_px=settings.min_point_std_px,
+        inlier_px=LINE_INLIER_PX + LINE_INLIER_PER_BLUR * blur_px,
+        systematic_px=float(np.hypot(SHADING_STD_PX, SHADING_STD_PER_BLUR * blur_px)),
+        correlation_px=max(POINT_CORRELATION_PX, 2.0 * blur_px),
+        min_point_std_px=MIN_POINT_STD_PX,
     )
     if line is None:
         return None
@@ -280,9 +292,9 @@ def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: S
     if region.end_px is None:
         return None
     half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
-    strip = settings.end_strip_fraction * half_width_px
+    strip = END_STRIP_FRACTION * half_width_px
     across = np.array([-towards_tip[1], towards_tip[0]]) * strip
-    reach_px = settings.end_reach_half_widths * half_width_px
+    reach_px = END_REACH_HALF_WIDTHS * half_width_px
     points_px = edge_points(
         brightness, region.end_px - across, region.end_px + across, towards_tip, reach_px, settings
     )
@@ -290,7 +302,7 @@ def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: S
         return None
     ahead_px = (points_px - region.end_px) @ towards_tip
     middle_px = median(ahead_px)
-    std_px = max(settings.min_end_std_px, scale_of(ahead_px - middle_px))
+    std_px = max(MIN_END_STD_PX, scale_of(ahead_px - middle_px))
     return Rim(region.end_px + middle_px * towards_tip, towards_tip, std_px)
 
 

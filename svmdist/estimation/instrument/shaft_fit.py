@@ -28,15 +28,14 @@ from svmdist.results import Failure, ToolPose, across_std_rad
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.lines import CylinderAxis, apparent_radius_px, axis_of_cylinder, undistorted
 
-MAX_TURN_RAD = 0.5
-"""Of one step: beyond it the derivatives of the residuals say nothing."""
+GATE_CHI2 = 12.0  # squared deviation that one in 400 true measurements of two numbers exceeds
+DOUBT_SQUARE = 2.25  # of the marker's size against the depth by the shaft: 1.5 deviations, more than chance
+
+MAX_TURN_RAD = 0.5  # of one step: beyond it the derivatives of the residuals say nothing
 
 
 def normal_equations(found: Sequence[Residual]) -> NormalEquations:
-    """Cost, gradient and information of all residuals about a state.
-
-    Errors of constants are unknowns of variance one, solved for and left out: I + C Cᵀ in place of I.
-    """
+    """Cost, gradient and information of all residuals; errors of constants are solved for and left out."""
     r = np.concatenate([residual.whitened for residual in found])
     J = np.concatenate([residual.derivative for residual in found])
     C = by_constants(found)
@@ -186,7 +185,7 @@ def fit_shaft(
     for trusted in _readings(Landmarks(shaft, marker)):
         fit = _fit(trusted, model, camera, settings, deviations)
         if isinstance(fit, ShaftFit):
-            return _with_doubt(fit, marker, model, camera, settings, deviations)
+            return _with_doubt(fit, marker, model, camera, deviations)
         failure = failure or fit
     return failure or Failure("nothing of the shaft is to be seen")
 
@@ -228,7 +227,7 @@ def _fit(
             found += marker_residuals(seen.marker, BentTool.of(state, model), model, camera, deviations)
         if seen.shaft.wrist is not None:
             tool = BentTool.of(state, model)
-            found.append(tip_residual(seen.shaft.wrist, tool, model, camera, settings))
+            found.append(tip_residual(seen.shaft.wrist, tool, model, camera))
         return [*found, prior_residual(state, start, model)]
 
     least = minimise(
@@ -239,7 +238,7 @@ def _fit(
     found = residuals(least.state)
     squares = [normalised_square(residual) for residual in found]
     worst = int(np.argmax(squares))
-    if squares[worst] > settings.gate_chi2:
+    if squares[worst] > GATE_CHI2:
         return Failure(f"{found[worst].name} does not fit the rest")
     tool = BentTool.of(least.state, model)
     of_state = np.asarray(np.linalg.inv(least.equations.information))
@@ -250,25 +249,16 @@ def _fit(
 
 
 def _with_doubt(
-    fit: ShaftFit,
-    marker: DistalMarker | None,
-    model: ShaftModel,
-    camera: Camera,
-    settings: ShaftSettings,
-    deviations: Deviations,
+    fit: ShaftFit, marker: DistalMarker | None, model: ShaftModel, camera: Camera, deviations: Deviations
 ) -> ShaftFit:
-    """The fit, as uncertain in depth as the size of a whole marker contradicts it, whether it took that or not.
-
-    A shadow beside the shaft, or blood on it, moves an edge far beyond its deviation; blood on the marker makes it
-    small. Which of the two is right, one image does not tell.
-    """
+    """The fit, as uncertain in depth as the size of a whole marker contradicts it, whether it took that or not."""
     if marker is None or marker.radius_px is None:
         return fit
     tool_m = fit.pose.position_m
     expected_px = float(apparent_radius_px(tool_m, model.knuckle_radius_m, camera))
     off_px = marker.radius_px - expected_px
     std_px = float(np.hypot(marker.radius_std_px, deviations.marker_radius_fraction * expected_px))
-    if off_px**2 < settings.doubt_square * std_px**2:
+    if off_px**2 < DOUBT_SQUARE * std_px**2:
         return fit
     covariance = fit.pose.covariance.copy()
     covariance[:3, :3] += (off_px / expected_px) ** 2 * np.outer(tool_m, tool_m)

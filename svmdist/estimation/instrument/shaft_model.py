@@ -20,6 +20,10 @@ from svmdist.transforms import Array, inverse, make_transform, rotation_of, rota
 from svmdist.vision.lines import apparent_radius_px, tangent_normal_with_derivatives
 from svmdist.vision.silhouette import WristPoint, WristShape
 
+OUTLINE_END_STD_RADII = 0.25  # of the cylinder's end in an outline: clevises differ, a bent wrist hides them
+UNKNOWN_OUTLINE_END_STD_RADII = 0.45  # without the profile's word: real instruments had 0 and 0.9 radii
+JAW_TIP_STD = 0.35  # of an outline's tip over the length of closed, straight jaws: they open and turn
+
 DEFAULT = ShaftSettings()
 OUTLINE_END_PER_RADIUS = 0.9
 """The clevis of a da Vinci instrument of 8 mm reaches so far beyond the wrist's pitch axis, over the shaft's radius."""
@@ -90,11 +94,7 @@ def shaft_model(
         float(np.hypot(instrument.knuckle_position_std_m, error.length_std_m)),
         outline_end_m(instrument),
         instrument.shaft_radius_m
-        * (
-            settings.unknown_outline_end_std_radii
-            if instrument.outline_end_m is None
-            else settings.outline_end_std_radii
-        ),
+        * (UNKNOWN_OUTLINE_END_STD_RADII if instrument.outline_end_m is None else OUTLINE_END_STD_RADII),
         instrument.jaw_length_m,
         straight[2, :3].copy(),
     )
@@ -126,11 +126,7 @@ def roll_row(chain: DHChain) -> int:
 
 
 def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
-    """`T_base_shaft` and `T_shaft_tool` at joints `q`, shape (n_joints,).
-
-    The shaft's frame: z along the roll's axis, which is the insertion's, to the tip; its origin is the point of that
-    axis next to the wrist's pitch axis.
-    """
+    """`T_base_shaft` and `T_shaft_tool` at joints `q`, shape (n_joints,)."""
     frames = frame_transforms(chain, q)
     roll = roll_row(chain)
     z, on_axis_m = joint_axis(chain, frames, roll)
@@ -142,8 +138,7 @@ def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
     return T_base_shaft, inverse(T_base_shaft) @ frames[-1] @ chain.T_last_tool
 
 
-NO_FOCAL_PX = np.ones(2)
-"""Where no deviation asks for it."""
+NO_FOCAL_PX = np.ones(2)  # where no deviation asks for it
 FREE_RAD, FREE_M = 3.0, 0.1
 """Standard deviations of an angle and of a place of which nothing is known: half a turn, a whole scene."""
 
@@ -171,10 +166,7 @@ class Landmarks:
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """Measured minus predicted over its standard deviation, shape (k,), and the prediction's derivative, (k, 8).
-
-    `constants` says what errors of camera and instrument do to it, each of variance one.
-    """
+    """Measured minus predicted, whitened, (k,), the prediction's derivative, (k, 8), and that by `constants`."""
 
     name: str
     whitened: Array
@@ -256,11 +248,7 @@ def rim_residual(
 
 
 def marker_residuals(
-    marker: DistalMarker,
-    tool: BentTool,
-    model: ShaftModel,
-    camera: Camera,
-    deviations: Deviations = EXACT,
+    marker: DistalMarker, tool: BentTool, model: ShaftModel, camera: Camera, deviations: Deviations = EXACT
 ) -> list[Residual]:
     """The marker's middle at the tool's origin, and its radius where the whole of it is visible."""
     tool_m, by_state = tool.T[:3, 3], tool.derivative[:3]
@@ -296,14 +284,12 @@ def marker_residuals(
     return found
 
 
-def tip_residual(
-    wrist: WristPoint, tool: BentTool, model: ShaftModel, camera: Camera, settings: ShaftSettings
-) -> Residual:
+def tip_residual(wrist: WristPoint, tool: BentTool, model: ShaftModel, camera: Camera) -> Residual:
     """The outline's tip: closed jaws that go on as the wrist does. How long it looks tells how far that is turned."""
     along = tool.T[:3, :3] @ model.jaws
     arm_m = model.jaw_length_m * along
     pixel, by_point = camera.project_with_derivative(tool.T[:3, 3] + arm_m)
-    std_px = settings.jaw_tip_std * model.jaw_length_m * float(camera.K[0, 0]) / float(tool.T[2, 3])
+    std_px = JAW_TIP_STD * model.jaw_length_m * float(camera.K[0, 0]) / float(tool.T[2, 3])
     by_state = tool.derivative[:3] - skew(arm_m) @ tool.derivative[3:]
     off = (wrist.tip_px - pixel) / std_px
     # The deviation depends on the depth, too.

@@ -15,6 +15,8 @@ import numpy as np
 from svmdist.estimation.instrument.consistency import chi_square_bound
 from svmdist.estimation.instrument.measurement import EXACT, Deviations
 from svmdist.estimation.instrument.shaft_fit import (
+    DOUBT_SQUARE,
+    GATE_CHI2,
     ShaftFit,
     by_constants,
     first_shaft,
@@ -45,24 +47,27 @@ from svmdist.profile.settings import ShaftSettings, StereoSettings
 from svmdist.results import Failure, ToolPose, across_std_rad
 from svmdist.transforms import Array, inverse, make_transform
 
+MISTAKEN_EDGE = 0.03  # how often a long edge belongs to something else; decides what to leave out
+MISTAKEN_STUB = 0.2  # the same for a stub: one edge in five
+MISTAKEN_RIM = 0.2  # how often the cylinder's end is something else: what lies across the shaft ends it, too
+# How often what has the marker's colour is not the marker. A disc in both views never is
+MISTAKEN_MARKER = 0.05
+MISTAKEN_SIZE = 0.1  # how often the marker's size is not that of the whole marker: blood and jaws hide a part
+MISTAKEN_DISPARITY = 0.02  # how often the marker's disparity is wrong
+MAX_REFUSED = 4  # parts that may contradict the rest; with more nothing tells which is right
+KEPT_DOUBT_STDS = 2.5  # the same in one frame, of a disparity that is not refused
+
 STEPS = Steps(max_steps=20, settled=1e-5, damping=1e-6)
 PRIOR = "nominal kinematics"
-MAX_CHECK_STD = 0.1
-"""Of the depth: what tells it less certainly is no check of a disparity."""
-CERTAIN = 100.0
-"""What costs more to refuse than this is not refused."""
-SUSPECTS = 6
-"""Of contradicting measurements, those with the largest residuals are tried to do without."""
-ONE_IN_400 = 2.807
-"""Deviations that one in 400 normal numbers exceeds, to one side or the other."""
+MAX_CHECK_STD = 0.1  # of the depth: what tells it less certainly is no check of a disparity
+CERTAIN = 100.0  # what costs more to refuse than this is not refused
+SUSPECTS = 6  # of contradicting measurements, those with the largest residuals are tried to do without
+ONE_IN_400 = 2.807  # deviations that one in 400 normal numbers exceeds, to one side or the other
 
 
 @dataclass(frozen=True, slots=True)
 class StereoFit:
-    """The fit, and the measurements that were left out of it because they contradict the rest.
-
-    `check` holds the disparity against the depth by everything else, None where nothing else tells it.
-    """
+    """The fit, and the measurements that were left out of it because they contradict the rest."""
 
     fit: ShaftFit
     refused: tuple[str, ...]
@@ -102,20 +107,16 @@ def fit_two_views(
         if isinstance(start, Failure):
             failure = start
             continue
-        agreed = _agreeing(start, measured, _penalties(seen, stereo), model, settings.gate_chi2, stereo)
-        found = (
-            agreed
-            if isinstance(agreed, Failure)
-            else _fitted(agreed, measured, seen, model, settings, stereo)
-        )
+        agreed = _agreeing(start, measured, _penalties(seen), model, GATE_CHI2)
+        found = agreed if isinstance(agreed, Failure) else _fitted(agreed, measured, seen, model)
         if isinstance(found, StereoFit) and found.fit.pose.position_std_m <= stereo.max_depth_std_m:
             return found
         if whole and MARKER in measured:
             # A disc at one place in both views is the tool, whatever stands beside it.
             only = {name: measured[name] for name in (MARKER, DISPARITY)}
             alone = _solve(start, only, model)
-            if alone is not None and max(alone.excess(settings.gate_chi2).values()) <= 1.0:
-                return _fitted(alone, measured, seen, model, settings, stereo)
+            if alone is not None and max(alone.excess(GATE_CHI2).values()) <= 1.0:
+                return _fitted(alone, measured, seen, model)
         failure = found if isinstance(found, Failure) else Failure(_uncertain(found.fit.pose))
     return failure
 
@@ -130,12 +131,7 @@ def _is_disc_in_both(seen: TwoViews) -> bool:
 
 
 def _fitted(
-    agreed: _Solution,
-    measured: dict[str, Predicted],
-    seen: TwoViews,
-    model: ShaftModel,
-    settings: ShaftSettings,
-    stereo: StereoSettings,
+    agreed: _Solution, measured: dict[str, Predicted], seen: TwoViews, model: ShaftModel
 ) -> StereoFit:
     state = agreed.state
     tool = BentTool.of(state, model)
@@ -145,7 +141,7 @@ def _fitted(
     pose = ToolPose(tool.T, covariance, T[:3, 2].copy(), across_std_rad(of_state[3:6, 3:6], T[:3, 2]))
     refused = tuple(name for name in measured if name not in agreed.found)
     check = _check(agreed, measured, seen, model)
-    pose = _with_doubt(pose, measured, agreed, check, settings, stereo)
+    pose = _with_doubt(pose, measured, agreed, check)
     return StereoFit(ShaftFit(pose, T, tuple(agreed.found)), refused, check)
 
 
@@ -157,10 +153,7 @@ def _has_width(found: Mapping[str, object]) -> bool:
 def _check(
     agreed: _Solution, measured: dict[str, Predicted], seen: TwoViews, model: ShaftModel
 ) -> DisparityCheck | None:
-    """The disparity against the depth by the width of a long shaft; None without both.
-
-    A marker's size is no check: blood and jaws make it small. Nor are the edges of a stub, which are often mistaken.
-    """
+    """The disparity against the depth by the width of a long shaft; None without both."""
     is_long = dict(zip(VIEWS, (not view.shaft.is_stub for view in (seen.left, seen.right)), strict=True))
     others = {
         name: predict
@@ -188,13 +181,13 @@ def _check(
     return DisparityCheck(float(residual.whitened[0]) / per_whole, std / per_whole)
 
 
-def _penalties(seen: TwoViews, stereo: StereoSettings) -> dict[str, float]:
+def _penalties(seen: TwoViews) -> dict[str, float]:
     """What refusing each measurement costs, -2 log of how often such a one is mistaken."""
-    share = {RIM: stereo.mistaken_rim, SIZE: stereo.mistaken_size, DISPARITY: stereo.mistaken_disparity}
+    share = {RIM: MISTAKEN_RIM, SIZE: MISTAKEN_SIZE, DISPARITY: MISTAKEN_DISPARITY}
     # Two views do not mistake something for a disc at one place.
-    share[MARKER] = 0.0 if _is_disc_in_both(seen) else stereo.mistaken_marker
+    share[MARKER] = 0.0 if _is_disc_in_both(seen) else MISTAKEN_MARKER
     for view, landmarks in zip(VIEWS, (seen.left, seen.right), strict=True):
-        edge = stereo.mistaken_stub if landmarks.shaft.is_stub else stereo.mistaken_edge
+        edge = MISTAKEN_STUB if landmarks.shaft.is_stub else MISTAKEN_EDGE
         share |= {f"{view} side {side}": edge for side in ("+1", "-1")}
     return {name: -2.0 * float(np.log(max(value, 1e-300))) for name, value in share.items()}
 
@@ -205,19 +198,18 @@ def _agreeing(
     penalties: dict[str, float],
     model: ShaftModel,
     gate_chi2: float,
-    stereo: StereoSettings,
 ) -> _Solution | Failure:
     """The fit to all measurements, or to those that are left when as few as needed are refused."""
     kept = dict(measured)
     solution = _solve(start, kept, model)
     if solution is None:
         return Failure("the fit to both views does not converge")
-    for count in range(stereo.max_refused + 1):
+    for count in range(MAX_REFUSED + 1):
         excess = solution.excess(gate_chi2)
         worst = max(excess, key=lambda name: excess[name])
         if excess[worst] <= 1.0:
             return solution
-        if count == stereo.max_refused or len(kept) < 2:
+        if count == MAX_REFUSED or len(kept) < 2:
             break
         # The largest residual need not be the wrong measurement: it is the one without which the rest fits best, and
         # of the kind that is often mistaken.
@@ -236,10 +228,7 @@ def _agreeing(
 
 
 def first_poses(seen: TwoViews, model: ShaftModel) -> Iterator[Array | Failure]:
-    """First `T_left_shaft`, shape (4, 4): by the sides in either view, by the triangulated marker; or what is missing.
-
-    Both sides of a shaft tell its direction, which nominal kinematics may not.
-    """
+    """First `T_left_shaft`, (4, 4): by the sides in either view, by the triangulated marker; or what is missing."""
     tool_m = None if seen.match is None else seen.pair.point(seen.match.left_px, seen.match.disparity_px)[0]
     right_model = model
     if model.R_camera_shaft is not None:
@@ -289,28 +278,19 @@ def _bound(gate_chi2: float, count: int) -> float:
 
 
 def _with_doubt(
-    pose: ToolPose,
-    measured: dict[str, Predicted],
-    agreed: _Solution,
-    check: DisparityCheck | None,
-    settings: ShaftSettings,
-    stereo: StereoSettings,
+    pose: ToolPose, measured: dict[str, Predicted], agreed: _Solution, check: DisparityCheck | None
 ) -> ToolPose:
-    """The pose as uncertain in depth as size or disparity contradict it, where no two others agree about the depth.
-
-    Blood makes a marker small, a turned camera a disparity large, a shadow a shaft wide: one against one, there is no
-    telling which is wrong; one against two is. A disparity that was not refused pulls the others, right or wrong.
-    """
+    """The pose as uncertain in depth as size or disparity contradict it, where no two others agree about the depth."""
     found = agreed.found
     has_width = _has_width(found)
     variance, is_alone = 0.0, has_width + (SIZE in found) < 2
     if check is not None and (DISPARITY in found or is_alone):
-        bound = stereo.kept_doubt_stds if DISPARITY in found else np.sqrt(settings.doubt_square)
+        bound = KEPT_DOUBT_STDS if DISPARITY in found else np.sqrt(DOUBT_SQUARE)
         if abs(check.off) > bound * check.std:
             variance = check.off**2
     if SIZE in measured and has_width + (DISPARITY in found) < 2:
         residual = measured[SIZE](agreed.state)
-        bound = stereo.kept_doubt_stds**2 if SIZE in found else settings.doubt_square
+        bound = KEPT_DOUBT_STDS**2 if SIZE in found else DOUBT_SQUARE
         if normalised_square(residual) > bound:
             towards = np.concatenate([pose.position_m, np.zeros(5)])  # of a depth that is larger by its whole
             off = float(residual.whitened[0]) / float(residual.derivative[0] @ towards)

@@ -11,7 +11,6 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.geometry.rays import pixel_rays
 from svmdist.least_squares import Steps, minimise
-from svmdist.profile.settings import TagSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform, rotation_angle
 from svmdist.vision.tag_overlay import (
@@ -26,10 +25,28 @@ from svmdist.vision.tag_overlay import (
 )
 from svmdist.vision.tags import pose_candidates
 
+WINDOW_MARGIN = 0.2  # around the corners, over the tag's size: 0.075 is needed, more allows for wrong corners
+BLUR_MIN_PX = 0.3  # the sharpest image that is considered: a pixel's own area blurs by 0.29 px
+# The most blurred image that is considered. Of a tag 40 px wide no cell would be seen any more
+BLUR_MAX_PX = 6.0
+# How many pixels the search from a first pose looks at; a tag 40 px wide has twice as many
+COARSE_PIXELS = 1500
+COARSE_STEPS = 16  # steps of the search from each first pose, at most. It takes 4 on a clear image
+COARSELY_SETTLED = 3e-3  # largest part of a last step, in tag sides, rad and px of blur
+COARSE_BOUND = 3.0  # pixels that differ by more standard deviations count singly (Huber)
+FINE_STEPS = 16  # steps of the refinement, at most. It takes 4 on a clear image
+SETTLED = 1e-4  # a last step: what is left is 0.3 µm of a tag of 7 mm, a hundredth of its deviation
+OUTLIER_BOUND = 6.0  # tukey's biweight, 95 % efficient on normal errors: glare and blood are outliers
+CLUSTER_INFLATION = 2.2  # pixels that sample a point shift edges along rows: measured on 450 tags of 40 px
+DECIDED_RATIO = 1.15  # of residuals of both poses: above 1.3 in nine of ten of 347 simulated frames
+# Poses closer than this are one: a tag that is seen head-on has one minimum, with a wide covariance
+NEAR_RAD = 0.05
+SURE_RAD = 0.03  # a predicted rotation so certain tells poses apart even at 10° of tilt
+PREDICTED_WITHIN_RAD = 0.35  # twice 2° about each axis and 1° in each of seven joints
+
 STEP_LIMIT = np.array([0.2] * 6 + [0.5] + [2.0] * 2)
 """In tag sides, rad, px of blur and GREY: beyond it the linearisation says nothing."""
 DAMPING = 1e-3
-DEFAULT = TagSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,53 +64,43 @@ class TagPose:
     blur_px: float
 
 
-def lay_coarsely(
-    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern, settings: TagSettings = DEFAULT
-) -> LaidPattern | None:
+def lay_coarsely(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> LaidPattern | None:
     """From a first pose to near the minimum, on some of the pixels; None where the pattern does not hold."""
-    some = pixels.thinned(settings.coarse_pixels)
-    start = start_overlay(some, T_camera_tag, pattern, settings)
+    some = pixels.thinned(COARSE_PIXELS)
+    start = start_overlay(some, T_camera_tag, pattern)
     if start is None:
         return None
     overlay, std = start
-    loss = Loss(settings.coarse_bound * std, is_biweight=False)
-    return _minimise(some, overlay, pattern, loss, settings, settings.coarse_steps, settings.coarsely_settled)
+    loss = Loss(COARSE_BOUND * std, is_biweight=False)
+    return _minimise(some, overlay, pattern, loss, COARSE_STEPS, COARSELY_SETTLED)
 
 
-def refine_fit(
-    pixels: TagPixels, coarse: LaidPattern, pattern: TagPattern, settings: TagSettings = DEFAULT
-) -> TagPose | None:
+def refine_fit(pixels: TagPixels, coarse: LaidPattern, pattern: TagPattern) -> TagPose | None:
     """From near the minimum to it, on all pixels but the outliers; None where the pattern does not hold."""
-    loss = Loss(settings.outlier_bound * coarse.std, is_biweight=True)
-    fit = _minimise(pixels, coarse.overlay, pattern, loss, settings, settings.fine_steps, settings.settled)
+    loss = Loss(OUTLIER_BOUND * coarse.std, is_biweight=True)
+    fit = _minimise(pixels, coarse.overlay, pattern, loss, FINE_STEPS, SETTLED)
     if fit is None:
         return None
     T = fit.overlay.T_camera_tag
     to_camera = np.zeros((6, 6))
     to_camera[:3, :3] = pattern.size_m * T[:3, :3]
     to_camera[3:, 3:] = T[:3, :3]
-    covariance = to_camera @ fit.covariance(settings.cluster_inflation)[:6, :6] @ to_camera.T
+    covariance = to_camera @ fit.covariance(CLUSTER_INFLATION)[:6, :6] @ to_camera.T
     return TagPose(T, covariance, fit.misfit, fit.overlay.blur_px)
 
 
 def _minimise(
-    pixels: TagPixels,
-    start: Overlay,
-    pattern: TagPattern,
-    loss: Loss,
-    settings: TagSettings,
-    max_steps: int,
-    settled: float,
+    pixels: TagPixels, start: Overlay, pattern: TagPattern, loss: Loss, max_steps: int, settled: float
 ) -> LaidPattern | None:
     def linearise(overlay: Overlay) -> LaidPattern | None:
-        return lay_pattern(pixels, overlay, pattern, loss, settings)
+        return lay_pattern(pixels, overlay, pattern, loss)
 
     def retract(overlay: Overlay, step: Array) -> Overlay:
         # Shortened as a whole: blur and contrast, depth and tilt go together.
         step = step / max(1.0, float(np.max(np.abs(step) / STEP_LIMIT)))
         T, R = overlay.T_camera_tag, overlay.T_camera_tag[:3, :3]
         moved = make_transform(R @ cv2.Rodrigues(step[3:6])[0], T[:3, 3] + pattern.size_m * (R @ step[:3]))
-        blur_px = min(max(overlay.blur_px + float(step[6]), settings.blur_min_px), settings.blur_max_px)
+        blur_px = min(max(overlay.blur_px + float(step[6]), BLUR_MIN_PX), BLUR_MAX_PX)
         return Overlay(
             moved, blur_px, overlay.offset + GREY * float(step[7]), overlay.contrast + GREY * float(step[8])
         )
@@ -122,7 +129,6 @@ def find_tag_pose(
     pattern: TagPattern,
     R_camera_tag_predicted: Array | None = None,
     predicted_std_rad: float = np.inf,
-    settings: TagSettings = DEFAULT,
 ) -> TagPose | None:
     """The pose of a tag with these corners, shape (4, 2), refined on all its pixels.
 
@@ -131,39 +137,37 @@ def find_tag_pose(
     small leaves one of them, a third of the work.
     """
     candidates = pose_candidates(corners_px, pattern.size_m, camera.K, camera.D)
-    pixels = _pixels_around(image_grey, corners_px, camera, settings.window_margin)
-    T_predicted = _sure_pose(candidates, R_camera_tag_predicted, predicted_std_rad, settings)
+    pixels = _pixels_around(image_grey, corners_px, camera, WINDOW_MARGIN)
+    T_predicted = _sure_pose(candidates, R_camera_tag_predicted, predicted_std_rad)
     starts = candidates if T_predicted is None else [T_predicted]
-    fits = [lay_coarsely(pixels, T, pattern, settings) for T in starts]
-    coarse = _choose([fit for fit in fits if fit is not None], R_camera_tag_predicted, settings)
-    return None if coarse is None else refine_fit(pixels, coarse, pattern, settings)
+    fits = [lay_coarsely(pixels, T, pattern) for T in starts]
+    coarse = _choose([fit for fit in fits if fit is not None], R_camera_tag_predicted)
+    return None if coarse is None else refine_fit(pixels, coarse, pattern)
 
 
-def _sure_pose(
-    candidates: list[Array], R_predicted: Array | None, predicted_std_rad: float, settings: TagSettings
-) -> Array | None:
+def _sure_pose(candidates: list[Array], R_predicted: Array | None, predicted_std_rad: float) -> Array | None:
     """The predicted rotation at the place of the candidate that it is near to; None where it is not sure enough."""
-    if R_predicted is None or not predicted_std_rad < settings.sure_rad or not candidates:
+    if R_predicted is None or not predicted_std_rad < SURE_RAD or not candidates:
         return None
     off_rad = [float(rotation_angle(T[:3, :3], R_predicted)) for T in candidates]
-    if min(off_rad) >= settings.predicted_within_rad:
+    if min(off_rad) >= PREDICTED_WITHIN_RAD:
         return None
     return make_transform(R_predicted, candidates[int(np.argmin(off_rad))][:3, 3])
 
 
-def _choose(fits: list[LaidPattern], R_predicted: Array | None, settings: TagSettings) -> LaidPattern | None:
+def _choose(fits: list[LaidPattern], R_predicted: Array | None) -> LaidPattern | None:
     """The fit whose residual is clearly smaller, or which the prediction is near to; None where neither tells."""
     fits = sorted(fits, key=lambda fit: fit.misfit)
-    if len(fits) < 2 or fits[1].misfit > settings.decided_ratio * fits[0].misfit:
+    if len(fits) < 2 or fits[1].misfit > DECIDED_RATIO * fits[0].misfit:
         return fits[0] if fits else None
     rotations = [fit.overlay.T_camera_tag[:3, :3] for fit in fits]
-    if float(rotation_angle(rotations[0], rotations[1])) < settings.near_rad:
+    if float(rotation_angle(rotations[0], rotations[1])) < NEAR_RAD:
         return fits[0]
     if R_predicted is None:
         return None
     off_rad = [float(rotation_angle(R, R_predicted)) for R in rotations]
     nearest = int(np.argmin(off_rad))
-    return fits[nearest] if off_rad[nearest] < settings.predicted_within_rad else None
+    return fits[nearest] if off_rad[nearest] < PREDICTED_WITHIN_RAD else None
 
 
 def _pixels_around(image_grey: Image, corners_px: Array, camera: Camera, margin: float) -> TagPixels:

@@ -30,6 +30,16 @@ from svmdist.transforms import Array, skew
 from svmdist.vision.lines import apparent_radius_px
 from svmdist.vision.stereo import RectifiedPair
 
+ROW_TOLERANCE_PX = 3.0  # rectified points lie on one row; the marker is cut differently in each view
+MARKER_DISPARITY_STD = 0.012  # over the radius, in one frame: from 3° aside jaws hide other parts of it
+# Noise of the marker's disparity: that of two centroids of some hundred pixels
+MARKER_DISPARITY_NOISE_PX = 0.05
+SIZE_TOLERANCE = 0.2  # of the size by depth; a smaller marker is partly hidden, in both views alike
+HIDDEN_DISPARITY_STD = 0.15  # over radius and hidden part: the centroid moves by a quarter more or less
+PART_DISPARITY_STD = 0.04  # over a disc's radius: from 3° aside another part of the region shows
+WATCH_FRAMES = 20  # frames over which disparities are held against the instrument's sizes
+WATCH_BOUND_STDS = 2.5  # in the median; beyond, it widens the depth: one log in eighty by chance
+
 DEFAULT = StereoSettings()
 ASIDE_RAD = 0.056
 """The angle between the views for which the settings state the disparity's deviation: 5 mm at 90 mm."""
@@ -56,14 +66,11 @@ def match_distal_marker(
     settings: StereoSettings = DEFAULT,
     radius_std_fraction: float = 0.0,
 ) -> StereoMatch | Failure:
-    """Pair the markers of both views; or why they cannot be paired.
-
-    `radius_m` is a whole marker's, if known, and `radius_std_fraction` its standard deviation over itself.
-    """
+    """Pair the markers of both views; or why they cannot be paired."""
     if left is None or right is None:
         return Failure("the instrument is seen in one view only")
     left_at, right_at = pair.to_rows(left.centre_px), pair.to_rows(right.centre_px, right=True)
-    if abs(left_at[1] - right_at[1]) > settings.row_tolerance_px + left.std_px + right.std_px:
+    if abs(left_at[1] - right_at[1]) > ROW_TOLERANCE_PX + left.std_px + right.std_px:
         return Failure("the views do not agree on the instrument")
     disparity_px = pair.disparity_px(float(left_at[0]), float(right_at[0]))
     if disparity_px <= pair.disparity_at(settings.far_m):
@@ -79,21 +86,19 @@ def match_distal_marker(
         # that is taken for two deviations.
         whole_px = float(np.sqrt(max(left.area_px, right.area_px) / np.pi))
         uneven = abs(left.area_px - right.area_px) / max(left.area_px, right.area_px, 1.0)
-        part = 0.25 * uneven + settings.part_disparity_std * aside
-        std_px = float(np.hypot(settings.marker_disparity_noise_px, part * whole_px))
+        part = 0.25 * uneven + PART_DISPARITY_STD * aside
+        std_px = float(np.hypot(MARKER_DISPARITY_NOISE_PX, part * whole_px))
         return StereoMatch(left.centre_px, max(left.std_px, 0.5 * whole_px), disparity_px, std_px)
     whole_px = float(apparent_radius_px(p_camera_m, radius_m, camera))
-    disparity_std_px = float(
-        np.hypot(settings.marker_disparity_noise_px, settings.marker_disparity_std * aside * whole_px)
-    )
+    disparity_std_px = float(np.hypot(MARKER_DISPARITY_NOISE_PX, MARKER_DISPARITY_STD * aside * whole_px))
     std_px = left.std_px
     hidden = max(abs(radius_px / whole_px - 1.0) for radius_px in radii_px)
-    is_other_part = hidden > max(settings.size_tolerance, 2.0 * radius_std_fraction)
+    is_other_part = hidden > max(SIZE_TOLERANCE, 2.0 * radius_std_fraction)
     if is_other_part:
         # Both views show a part, and nearly the same one where it is as large in both.
         uneven = abs(radii_px[0] - radii_px[1]) / whole_px
         std_px = max(std_px, 0.5 * whole_px)
-        part_px = whole_px * (0.5 * uneven + settings.hidden_disparity_std * aside * hidden)
+        part_px = whole_px * (0.5 * uneven + HIDDEN_DISPARITY_STD * aside * hidden)
         disparity_std_px = float(np.hypot(disparity_std_px, part_px))
     return StereoMatch(left.centre_px, std_px, disparity_px, disparity_std_px, is_other_part)
 
@@ -109,9 +114,9 @@ class DisparityCheck:
 class DisparityWatch:
     """The last checks of one instrument's disparities."""
 
-    def __init__(self, settings: StereoSettings) -> None:
-        self._bound = settings.watch_bound_stds
-        self._checks: deque[DisparityCheck] = deque(maxlen=settings.watch_frames)
+    def __init__(self) -> None:
+        self._bound = WATCH_BOUND_STDS
+        self._checks: deque[DisparityCheck] = deque(maxlen=WATCH_FRAMES)
 
     def add(self, check: DisparityCheck) -> None:
         """Take up a frame's check."""
@@ -119,11 +124,7 @@ class DisparityWatch:
 
     @property
     def doubt(self) -> float:
-        """By how much disparities contradict the sizes, where that is more than their deviations allow; else 0.
-
-        Deviations are those of constants for the most part, which are the same in all frames: the median is as
-        uncertain as one check.
-        """
+        """By how much disparities contradict the sizes, where that is more than their deviations allow; else 0."""
         if not self._checks:
             return 0.0
         stds = median(np.array([check.off / check.std for check in self._checks]))
@@ -136,16 +137,12 @@ DISPARITY, SIZE, MARKER, RIM = "disparity", "size", "distal marker", "rim"
 VIEWS = ("left", "right")
 MOTION = "motion between the views"
 
-Predicted = Callable[[ShaftState], Residual]
-"""A measurement's residual at a state."""
+Predicted = Callable[[ShaftState], Residual]  # A measurement's residual at a state
 
 
 @dataclass(frozen=True, slots=True)
 class TwoViews:
-    """What both views show of one tool, with the cameras; the right one's place is `T_right_left`, shape (4, 4).
-
-    `match` is the marker in both views, None where only one of them has it.
-    """
+    """What both views show of one tool, with the cameras; the right one's place is `T_right_left`, shape (4, 4)."""
 
     left: Landmarks
     right: Landmarks
@@ -163,10 +160,7 @@ def measurements(
 ) -> dict[str, Predicted]:
     """Everything that both views show, by its name, as residuals of the state in the left camera."""
     found: dict[str, Predicted] = {}
-    views = (
-        ("left", seen.left, seen.left_camera),
-        ("right", seen.right, seen.right_camera),
-    )
+    views = (("left", seen.left, seen.left_camera), ("right", seen.right, seen.right_camera))
     for view, landmarks, camera in views:
         for contour in landmarks.shaft.contours:
             edge = _edge(contour, camera, model, deviations)

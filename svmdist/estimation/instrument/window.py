@@ -18,6 +18,11 @@ from svmdist.least_squares import Minimum, NormalEquations, Steps, minimise
 from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array, skew
 
+WINDOW_DEPTH_OFFSETS_M = (0.0, 0.03, -0.03)  # depth is the least observable at first
+WINDOW_DEPTH_OFFSET_FRAMES = 3  # up to so many; later the last solution is a start
+WINDOW_MAX_STEPS = 20  # levenberg–Marquardt steps from each start
+WINDOW_MAX_DEVIATION = 2.0  # over the gate's bound: beyond, its weight is less than a half
+
 Loss = Callable[[Array], tuple[Array, Array]]
 
 
@@ -35,10 +40,7 @@ def geman_mcclure(deviation: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class MeasurementStack:
-    """Measurements that differ in their numbers only: the stack of them, and where each of them is from.
-
-    `frames` and `places`, shape (k,), are the frame's index and the place among the frame's measurements.
-    """
+    """Measurements that differ in their numbers only: the stack of them, and where each of them is from."""
 
     measurement: LinkMeasurement
     frames: NDArray[np.intp]
@@ -82,8 +84,7 @@ FIRST_DAMPING = 1e-4
 MAX_TIME_STEPS = 4
 TIME_SETTLED_S = 1e-3
 """A joint that turns at 1 rad/s with 10 rad/s² leaves its tangent by 5 µrad within as long."""
-COST_SETTLED = 1e-3
-"""A step that lowers a sum of squares by less moves nothing that a deviation would notice."""
+COST_SETTLED = 1e-3  # A step that lowers a sum of squares by less moves nothing that a deviation would notice
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +107,7 @@ class WeightedFrame:
 
 @dataclass(frozen=True, slots=True)
 class _Weighed:
-    """A stack about a correction: what of it is visible, (k,), its information, (k, m, m), with noise and bias.
-
-    `deviation`, shape (k,), is the residual's normalised square over the gate's bound.
-    """
+    """A stack about a correction: what of it is visible, (k,), its information, (k, m, m), with noise and bias."""
 
     part: Linearised
     visible: NDArray[np.bool_]
@@ -153,13 +151,9 @@ class Window:
         self._nominal = None
 
     def solve(self, start: Correction) -> Correction | None:
-        """The correction that fits prior and frames best, from the start and from other depths.
-
-        From afar every residual is beyond the gate, and Huber's loss draws it in; a wild detection it would let pull
-        for ever, so that a loss without a pull far out decides.
-        """
-        is_young = len(self) <= self._settings.window_depth_offset_frames
-        offsets_m = self._settings.window_depth_offsets_m if is_young else (0.0,)
+        """The correction that fits prior and frames best, from the start and from other depths."""
+        is_young = len(self) <= WINDOW_DEPTH_OFFSET_FRAMES
+        offsets_m = WINDOW_DEPTH_OFFSETS_M if is_young else (0.0,)
         self._time_offset_s, self._nominal = start.time_offset_s, None
         minima = [self._descend(start, geman_mcclure)]
         for offset_m in offsets_m:
@@ -203,7 +197,7 @@ class Window:
             weights = geman_mcclure(weighed.deviation)[1]
             for k, (frame, place) in enumerate(zip(members.frames, members.places, strict=True)):
                 # What the batch's solution does not explain is no noise, however large: it is left out.
-                if weighed.visible[k] and weighed.deviation[k] <= self._settings.window_max_deviation:
+                if weighed.visible[k] and weighed.deviation[k] <= WINDOW_MAX_DEVIATION:
                     found[int(frame), int(place)] = weighed.part.member(k), float(weights[k])
         for index, frame in enumerate(self._frames):
             visible = [place for place in range(len(frame.measurements)) if (index, place) in found]
@@ -216,7 +210,7 @@ class Window:
 
     def _descend(self, start: Correction, loss: Loss) -> Minimum[Correction] | None:
         """The minimum from a start; None where something is not visible there."""
-        steps = Steps(self._settings.window_max_steps, damping=FIRST_DAMPING, cost_settled=COST_SETTLED)
+        steps = Steps(WINDOW_MAX_STEPS, damping=FIRST_DAMPING, cost_settled=COST_SETTLED)
         return minimise(start, lambda at: self._normal(at, loss), Correction.retract, steps)
 
     def _normal(self, at: Correction, loss: Loss) -> NormalEquations | None:

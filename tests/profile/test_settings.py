@@ -1,0 +1,137 @@
+"""Settings: a profile sets them, each acts where it says, keys of older profiles are ignored with a warning."""
+
+from __future__ import annotations
+
+import logging
+
+import cv2
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from svmdist.errors import ProfileError
+from svmdist.estimation.instrument.shaft_detection import detect_distal_marker
+from svmdist.estimation.tissue import TissuePose
+from svmdist.estimation.tissue_tracking import TissueTracker
+from svmdist.geometry.surfaces import Plane
+from svmdist.profile import DEFAULT_PROFILE, SHIPPED, load_profile, profile_path
+from svmdist.profile.settings import (
+    FORMER,
+    DistalMarkerSettings,
+    FusedSettings,
+    MarkerSettings,
+    OutlineSettings,
+    Settings,
+    TissueTrackingSettings,
+)
+from svmdist.recording.log import open_recording
+from svmdist.samples import Status
+from svmdist.vision.colour import colour_mask
+from svmdist.vision.frame_context import to_hsv
+from svmdist.vision.marker import is_plausible
+from svmdist.vision.regions import find_region
+from svmdist.workflows.estimate import estimate
+from svmdist.workflows.request import Setup, prepare
+from tests.shipped import EXACT_PROFILE
+
+TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")
+
+
+def test_a_profile_sets_them(tmp_path) -> None:
+    """One key of one table changes that setting alone; wrong names and values are errors."""
+    path = tmp_path / "mine.toml"
+    path.write_text(TEXT + "\n[settings.shaft]\nmax_position_std_m = 0.002\n", "utf-8")
+    changed, shipped = load_profile(path).settings, load_profile().settings
+    assert changed.shaft.max_position_std_m == 0.002
+    assert changed.model_copy(update={"shaft": shipped.shaft}) == shipped
+    for line, message in (
+        ("max_positon_std_m = 0.002", r"settings\.shaft\.max_positon_std_m: did you mean max_position_std_m"),
+        ("max_position_std_m = -1", r"settings\.shaft\.max_position_std_m: .*greater than 0"),
+    ):
+        path.write_text(TEXT + f"\n[settings.shaft]\n{line}\n", "utf-8")
+        with pytest.raises(ProfileError, match=message):
+            load_profile(path)
+
+
+def test_keys_of_older_profiles_are_ignored_with_a_warning(tmp_path, caplog) -> None:
+    """What was a setting once and is a constant now leaves a profile as valid as it was, whatever its table."""
+    tables = "".join(f"\n[settings.{table}]\n{keys.split()[0]} = 3\n" for table, keys in FORMER.items())
+    path = tmp_path / "mine.toml"
+    path.write_text(TEXT + tables, "utf-8")
+    with caplog.at_level(logging.WARNING):
+        assert load_profile(path) == load_profile()
+    assert len(caplog.messages) == len(FORMER)
+    assert "settings.silhouette.min_side_per_width is no longer a setting; ignored" in caplog.messages
+    for table, keys in FORMER.items():
+        known = Settings.model_fields.get(table)
+        assert known is None or not set(keys.split()) & set(type(known.default).model_fields)
+
+
+@pytest.mark.parametrize("limit", [2.0, 4.0])
+def test_a_homography_may_change_the_area_by_the_setting(limit: float) -> None:
+    """Just below the limit it is plausible, larger or smaller; just above it is not."""
+    settings = MarkerSettings(max_area_ratio=limit)
+    for ratio, plausible in ((0.97 * limit, True), (1.03 * limit, False)):
+        for scale in (np.sqrt(ratio), 1.0 / np.sqrt(ratio)):
+            assert is_plausible(np.diag([scale, scale, 1.0]), 96, settings) is plausible
+
+
+def test_the_marker_s_outline_is_found_by_the_profile_s_settings(golden, monkeypatch) -> None:
+    """`overlay` looks for the drawn outline with `[settings.outline]`, as for tissue and instrument."""
+    outline, used = OutlineSettings(min_visible_fraction=0.5), []
+
+    def find(mask, rule, settings):
+        used.append(settings)
+        return find_region(mask, rule, settings)
+
+    monkeypatch.setattr("svmdist.estimation.planar.find_region", find)
+    profile = load_profile()
+    profile = profile.model_copy(update={"settings": Settings(outline=outline)})
+    setup = prepare(profile, calibration=SHIPPED / "psm13.calibration.toml")
+    assert next(iter(estimate(open_recording(golden / "sweep.mcap", profile), setup))).status is Status.OK
+    assert set(used) == {outline}
+
+
+def test_a_marker_must_be_as_saturated_as_the_setting_says() -> None:
+    """A cyan disc on red: found by default, bare steel where more saturation is asked for than it has."""
+    image = np.full((96, 128, 3), (60, 60, 190), np.uint8)
+    cv2.circle(image, (64, 48), 12, (178, 158, 40), -1)
+    hsv, rule = to_hsv(cv2.GaussianBlur(image, (0, 0), 1.0)), load_profile().segmentation.instrument
+    mask = colour_mask(hsv, rule)
+    region = find_region(mask, rule)
+    found = detect_distal_marker(hsv, mask, region)
+    assert found is not None
+    assert found.radius_px == pytest.approx(12.0 / DistalMarkerSettings().visible_radius, abs=0.5)
+    halved = detect_distal_marker(hsv, mask, region, DistalMarkerSettings(visible_radius=0.75))
+    assert halved is not None
+    assert halved.radius_px == pytest.approx(found.radius_px * 0.97 / 0.75)
+    assert detect_distal_marker(hsv, mask, region, DistalMarkerSettings(min_saturation=230.0)) is None
+
+
+@pytest.mark.parametrize("moved_count", [1, 3])
+def test_the_tissue_has_moved_after_as_many_poses(moved_count: int) -> None:
+    def pose_at(x_m: float) -> TissuePose:
+        plane = Plane(np.array([0.0, 0.0, -1.0]), -0.1)
+        return TissuePose(np.array([x_m, 0.0, 0.1]), 1e-8 * np.eye(3), plane)
+
+    tracker = TissueTracker(TissueTrackingSettings(moved_count=moved_count))
+    tracker.add(pose_at(0.0))
+    known = [tracker.add(pose_at(0.01)) for _ in range(moved_count)]
+    assert [pose is not None and pose.position_m[0] == pytest.approx(0.01) for pose in known] == [
+        *(False,) * (moved_count - 1),
+        True,
+    ]
+
+
+def test_what_lasts_is_not_averaged_away(golden) -> None:
+    """`fused` on a log with a tag: the larger the share of an error that lasts, the wider the interval in the end."""
+    last_m = []
+    for share in (0.0, 0.1, 0.9):
+        settings = Settings(fused=FusedSettings(lasting_share=share))
+        setup = Setup(EXACT_PROFILE.model_copy(update={"settings": settings}), "fused", "corrected", None)
+        recording = open_recording(golden / "3d" / "contact.mcap", setup.profile)
+        spatial = [row.distances.spatial for row in estimate(recording, setup) if row.distances.spatial]
+        last_m.append(spatial[-1].std_m)
+    assert 0.0 < last_m[0] < last_m[1] < last_m[2]
+    with pytest.raises(ValidationError):
+        FusedSettings(lasting_share=1.0)
