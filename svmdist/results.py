@@ -131,6 +131,10 @@ class FrameResult:
     """Innovations squared over what is expected of them, where a method watches them: 1 is as expected."""
     doubt: str = ""
     """Why it is not sure which instrument this is; empty where it is. The row's detail says so too."""
+    number: int = 0
+    """Number of the image in its log, from 0."""
+    seconds: float = 0.0
+    """Time since the first image of the log."""
 
     @property
     def measured(self) -> bool:

@@ -7,11 +7,30 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated, Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+
+class ArrayInJson:
+    """Lets pydantic store an array of the annotated kind as nested lists; NaN is null there."""
+
+    @staticmethod
+    def __get_pydantic_core_schema__(kind: Any, _: Any) -> Any:
+        """Say how to read and write it."""
+        from pydantic_core import core_schema
+
+        (dtype,) = get_args(get_args(kind)[1])
+        write = core_schema.plain_serializer_function_ser_schema(np.ndarray.tolist)
+        return core_schema.no_info_plain_validator_function(
+            lambda value: np.asarray(value, dtype), serialization=write
+        )
+
+
+Array = Annotated[NDArray[np.float64], ArrayInJson]
+Stamps = Annotated[NDArray[np.int64], ArrayInJson]
+"""Stamps in ns, shape (n,)."""
 
 
 def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
