@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 
 from svmdist.cli.estimate_targets import EstimateTargets
 from svmdist.errors import OutputError, UsageError
-from svmdist.report.plots import COLUMN_IN, LEVELS, PAGE_IN, SeriesPlot, draw_series, pooled, rejected_spans
+from svmdist.report.charts import LEVELS, pooled, rejected_spans
+from svmdist.report.plots import COLUMN_IN, PAGE_IN, SeriesPlot, draw_series
 from tests.cli.conftest import Cli, cli
-from tests.report.html.test_report_page import make_series
+from tests.report.test_html import make_series
 
 __all__ = ["cli"]
 NOWHERE = Path("figure.png")
