@@ -196,7 +196,8 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
     others = set(multiprocessing.active_children())
 
     def make(workers: int, begin: Callable[..., object] | None, arguments: tuple[Any, ...]) -> Any:
-        pools.append(ProcessPoolExecutor(workers, context, _begin, (begin, arguments, get_temp_dir())))
+        prepared = dict(os.environ), get_temp_dir(), begin, arguments
+        pools.append(ProcessPoolExecutor(workers, context, _begin, prepared))
         return pools[-1]
 
     try:
@@ -210,8 +211,14 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
             pool.shutdown(cancel_futures=True)
 
 
-def _begin(begin: Callable[..., object] | None, arguments: tuple[Any, ...], folder: str) -> None:
+def _begin(
+    environment: dict[str, str],
+    folder: str,
+    begin: Callable[..., object] | None,
+    arguments: tuple[Any, ...],
+) -> None:
     """Prepare a worker: the process that began it handles interrupts, and takes it along where it is killed."""
+    os.environ.update(environment)  # it may have changed since the server began that forks workers
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
     cv2.setNumThreads(1)
