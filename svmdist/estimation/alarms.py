@@ -11,8 +11,7 @@ import numpy as np
 from svmdist.results import FrameResult
 
 MIN_SLOPE_ROWS = 3
-MIN_CLOSING_M_S = 1e-3
-"""Below a millimetre a second the time to contact is noise divided by noise."""
+MIN_CLOSING_M_S = 1e-3  # below a millimetre a second the time to contact is noise divided by noise
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,10 +72,7 @@ class ColouredRegions:
         return np.ones((GROWN_PX, GROWN_PX), np.uint8)
 
     def without(self, index: int | None) -> Image:
-        """Mask of everything coloured but one region and the fragments about it; of everything for None.
-
-        It reaches a little beyond the rest's borders, where another look at the image may draw them.
-        """
+        """Mask of everything coloured but one region and the fragments about it; of everything for None."""
         grown = np.asarray(cv2.dilate(self.mask, self._square), np.uint8)
         if index is None:
             return grown

@@ -77,10 +77,7 @@ class View:
 
     @cached_property
     def regions_as_recorded(self) -> tuple[Region | None, Region | None]:
-        """Tissue and distal part by the image as it is, as the paper's methods find them.
-
-        First loop: the tissue's region, if larger than its gate (eqs. 1, 2). Second loop: the instrument's (eqs. 7, 8).
-        """
+        """Tissue (eqs. 1, 2) and distal part (eqs. 7, 8) by the image as it is, for the paper's methods."""
         rules, masks, outline = self._arm.profile.segmentation, self.masks_as_recorded, self._settings.outline
         return (
             find_region(masks.tissue, rules.tissue, outline),
@@ -247,10 +244,7 @@ class Frame:
 
 
 def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
-    """The frame of the only instrument of an observation; raises WrongImageError for what is no image of its camera.
-
-    Images of logs are checked when they are decoded; these were made by a caller.
-    """
+    """The frame of the only instrument of an observation; raises WrongImageError for what is no image of its camera."""
     require_bgr(observation.image_bgr, observation.camera, "image_bgr")
     if observation.right is not None:
         require_bgr(observation.right.image_bgr, observation.right.camera, "right.image_bgr")
@@ -262,10 +256,7 @@ Clock = Callable[[], float]
 
 
 def prefetch(source: object, names: Iterable[str], clock: Clock = time.thread_time) -> dict[str, float]:
-    """Compute detections of a scene or a frame before they are asked for; gives by name what each took, in s.
-
-    Names may go through views: `right.shaft` is computed only where there is a right view.
-    """
+    """Compute detections ahead, `right.shaft` where there is a right view; gives by name what each took, in s."""
     seconds = {}
     for name in names:
         start_s, found = clock(), source

@@ -131,10 +131,7 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
 
 
 def _wrist(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
-    """The tool's origin by the outline of its wrist, where no marker has a colour; and its disparity.
-
-    Half of the variance lasts: how jaws and clevis divide an outline changes as they turn, and no faster.
-    """
+    """The tool's origin by the outline of its wrist, where no marker has a colour; and its disparity."""
     wrist, right = frame.left.shaft.wrist, frame.right
     geometry, settings = frame.scene.observation.right, frame.arm.profile.settings
     camera = frame.left.camera

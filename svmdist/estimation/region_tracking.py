@@ -88,10 +88,7 @@ class SteadyMotion:
 
 @dataclass(frozen=True, slots=True)
 class NominalPlace:
-    """Where the tool is by nominal kinematics: in the image, and in the camera frame, shape (3,) in m.
-
-    `px_per_m` is how large a metre is seen there.
-    """
+    """Where the tool is by nominal kinematics: in the image, in the camera frame, (3,) in m, and its scale."""
 
     place: Gaussian
     position_m: Array
@@ -213,10 +210,7 @@ class _Track:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """One instrument in one image: the index of its region, None where it coasts, and where it was expected.
-
-    `radius_px` is that of its region as it was last seen whole, None before.
-    """
+    """One instrument in one image: its region's index, None where it coasts, its expected place, last radius."""
 
     blob: int | None
     expected: Gaussian | None

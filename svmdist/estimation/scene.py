@@ -95,11 +95,7 @@ class Scene:
     """
 
     def __init__(
-        self,
-        observation: Observation,
-        profile: Profile,
-        segmenter: Segmenter,
-        row_offset_px: float = 0.0,
+        self, observation: Observation, profile: Profile, segmenter: Segmenter, row_offset_px: float = 0.0
     ) -> None:
         self.lens = observation.camera
         recorded = observation

@@ -103,10 +103,7 @@ class StereoEstimator:
         return measured(result, frame, ToolEstimate(pose, frame.joints, self._has_plate), seen)
 
     def _off_plane_m(self, surface: StereoSurface, std_m: float) -> float:
-        """How far the surface stands off where the profile's plane and shape allow it, 0 where it does not.
-
-        Matching of tissue that has hardly any texture may find any surface.
-        """
+        """How far the surface stands off where the profile's plane and shape allow it, 0 where it does not."""
         tissue = self._tissue
         height_m = surface.points_m @ np.array(tissue.plane_normal) + tissue.plane_distance_m
         top_m = 0.0 if tissue.dome is None else tissue.dome.height_m

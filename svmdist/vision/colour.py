@@ -182,16 +182,13 @@ def percentiles(values: Image, wanted: Sequence[float], mask: Image | None = Non
 
 
 HUES = range(0, 180, 10)
-HALF_WIDTH = 10
-"""A mark's hue varies by this much with light and shade."""
+HALF_WIDTH = 10  # A mark's hue varies by this much with light and shade
 MIN_SATURATION, MIN_VALUE = 100, 60
 SMALLEST, LARGEST = 1e-4, 1e-2
 """Share of the image that one mark may cover: a joint's ring or cap, neither a speck nor tissue."""
-MIN_SHARE = 0.8
-"""How much of a hue's pixels must belong to the marks: else something else has the hue."""
+MIN_SHARE = 0.8  # how much of a hue's pixels must belong to the marks: else something else has the hue
 MIN_FRAMES = 0.8
-MIN_MOTION = 0.01
-"""What instruments carry moves, over the image's width."""
+MIN_MOTION = 0.01  # what instruments carry moves, over the image's width
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,10 +202,7 @@ class DistinctColour:
 
 
 def find_distinct_colour(images: Sequence[Image], mark_count: int = 1) -> DistinctColour | None:
-    """The colour of the marks of `mark_count` instruments in images of one log, BGR; None for no such colour.
-
-    Of several candidates, the one with the largest marks.
-    """
+    """The colour of the largest distinct marks of `mark_count` instruments in a log's BGR images; None without."""
     if len(images) < 3:
         return None
     hsv = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), np.uint8) for image in images]

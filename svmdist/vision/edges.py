@@ -21,8 +21,7 @@ MIN_CHROMA = 25.0
 MIN_AGREEING_FRACTION = 0.5  # of rays on the border's circle: with less the circle is a guess
 
 DEFAULT = ShaftSettings()
-STEP_PX = 0.5
-"""Between samples across the edge: half a pixel loses nothing of what the pixels hold."""
+STEP_PX = 0.5  # between samples across the edge: half a pixel loses nothing of what the pixels hold
 BLUR_PLACES, BLUR_STRIPS = 8, 7
 """An edge's blur is the median over so many places, each the mean of so many neighbouring profiles."""
 
@@ -75,10 +74,7 @@ def edge_blur_px(
     reach_px: float,
     settings: ShaftSettings = DEFAULT,
 ) -> float:
-    """The blur of an edge near a segment: the deviation in px of the Gaussian as wide at half its height as its slope.
-
-    0 for an edge as sharp as the derivative's own scale, and where none is found; arguments as in `edge_points`.
-    """
+    """An edge's blur: the deviation in px of the Gaussian as wide at half its height as the edge's slope."""
     length_px = float(np.linalg.norm(end_px - start_px))
     if length_px < 2.0 * BLUR_STRIPS:
         return 0.0
@@ -143,10 +139,7 @@ def _min_slope(min_contrast: float, sigma_px: float) -> float:
 
 
 def _sampled(window: Image, x: Array, y: Array, column: int, row: int) -> Array:
-    """Brightness at places, shape (n, k) in px, with cubic interpolation; the border is repeated.
-
-    `window` is the part of the image that begins at a column and a row.
-    """
+    """Brightness at places, shape (n, k) in px, with cubic interpolation; the border is repeated."""
     # Subtracted in single precision, where the difference is exact: the image's own coordinates decide.
     places = (x.astype(np.float32) - np.float32(column), y.astype(np.float32) - np.float32(row))
     values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
@@ -169,12 +162,7 @@ MAX_SHIFT = 0.25
 """Of the slope's scale: a larger shift by shading is no small one, and its first order is not enough."""
 
 
-def shading_shift_px(
-    brightness: Image,
-    points_px: Array,
-    outward: Array,
-    blur_px: float = 0.0,
-) -> float:
+def shading_shift_px(brightness: Image, points_px: Array, outward: Array, blur_px: float = 0.0) -> float:
     """How far outward shading beside an edge drew its points, shape (n, 2) in px, as `edge_points` found them.
 
     A step of height c under an even kernel k, between shades that change by g per px inside and outside, has the
@@ -239,12 +227,7 @@ def strength_of(image_hsv: Image, hue: float) -> Array:
     return np.asarray(hsv[..., 1] * hsv[..., 2] / 255.0 * np.cos(angle), np.float64)
 
 
-def fit_disc(
-    image_hsv: Image,
-    mask: Image,
-    centre_px: Array,
-    radius_px: float,
-) -> Disc | None:
+def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) -> Disc | None:
     """The disc near a rough one; None where its border is not to be found. `mask`, shape (h, w), has its colour."""
     half = int(np.ceil(2.0 * radius_px)) + 2
     x0, y0 = (np.floor(centre_px).astype(int) - half).tolist()

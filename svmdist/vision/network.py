@@ -20,15 +20,11 @@ from svmdist.vision.colour import field_of_view
 
 MARGIN = 0.02
 """How far from the border a part may end, over the image's width: optics fade there, and networks are coarse."""
-LEAST_AREA = 0.003
-"""An instrument's least part of the picture, as of `auto`."""
+LEAST_AREA = 0.003  # an instrument's least part of the picture, as of `auto`
 
 
 def parts_from_border(mask: Image, black: Image) -> Image:
-    """Those connected parts of `mask` that reach the border of the picture; shape (h, w), 0 or 255.
-
-    `black` is what may be black border around the picture, of the same shape.
-    """
+    """Connected parts of `mask` that reach the picture's border; `black`, (h, w), is what may be border around it."""
     picture = field_of_view(black)
     height, width = mask.shape
     reach = max(2, round(MARGIN * width))
@@ -48,12 +44,10 @@ def parts_from_border(mask: Image, black: Image) -> Image:
 Labels = NDArray[np.int32]
 Tensor = NDArray[np.generic]
 
-BLACK_LEVEL = 24
-"""Of 255, in every channel: video codes black as 16, and noise of a few levels lies on it."""
+BLACK_LEVEL = 24  # of 255, in every channel: video codes black as 16, and noise of a few levels lies on it
 FINITE = float(np.finfo(np.float32).max)
 """OpenCV's convolutions give the largest float in place of infinity and of what is no number."""
-MAX_FILE_BYTES = 2 << 30
-"""Protobuf, which ONNX is written in, ends at 2 GiB."""
+MAX_FILE_BYTES = 2 << 30  # protobuf, which ONNX is written in, ends at 2 GiB
 
 
 class ClassMasks:
@@ -144,10 +138,7 @@ class OnnxSegmenter:
         )
 
     def scores(self, image_bgr: Image) -> NDArray[np.float32]:
-        """The classes' scores at the network's own resolution, shape (C, h', w'), of an image, shape (h, w, 3) in BGR.
-
-        Raises ProfileError for a network that gives labels.
-        """
+        """The classes' scores, (C, h', w'), of a BGR image; raises ProfileError for a network that gives labels."""
         output = self._run(image_bgr)
         if output.ndim != 4 or output.shape[1] < 2:
             raise ProfileError(f"{self._rules.model}: the network gives labels, and no scores of classes")
@@ -190,11 +181,7 @@ class OnnxSegmenter:
 
 
 def network_input(image_bgr: Image, rules: OnnxSegmentation) -> NDArray[np.float32]:
-    """The network's input, shape (1, 3, h, w): the image stretched to its size, (pixel - mean) * scale.
-
-    Stretched and not framed: networks for segmentation are trained so, and no pixel is wasted on a frame. To keep the
-    aspect ratio, choose an input size of the same ratio.
-    """
+    """The network's input, shape (1, 3, h, w): the image stretched to its size, (pixel - mean) * scale."""
     size = (rules.width_px, rules.height_px)
     if (image_bgr.shape[1], image_bgr.shape[0]) != size:
         # Averaging over a pixel's area keeps what is thinner than a pixel from flickering.

@@ -24,8 +24,7 @@ from svmdist.vision.find_instruments import (
 from svmdist.vision.network import OnnxSegmenter
 from svmdist.vision.working_image import Appearance, Floats, WorkingImage, tissue_of
 
-MOST_RATIO = 4.0
-"""One pixel's texture says no more than its colour may, as a logarithm of odds."""
+MOST_RATIO = 4.0  # one pixel's texture says no more than its colour may, as a logarithm of odds
 
 
 def network_hint(bgr: Image) -> Floats:

@@ -201,10 +201,7 @@ def joints_under(nominal: NominalFrames, correction: Correction, first_joint: in
 
 @dataclass(frozen=True, slots=True)
 class CorrectedLink:
-    """Corrected poses of a link, (..., 4, 4), and the derivatives of their (δp, δθ) by the error state, (..., 6, n).
-
-    `time_column` is that of the joints' time offset: how the link moves with time.
-    """
+    """Corrected poses of a link, (..., 4, 4), and the derivatives of their (δp, δθ) by the error state, (..., 6, n)."""
 
     T_camera_link: Array
     derivative: Array

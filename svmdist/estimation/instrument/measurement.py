@@ -14,20 +14,15 @@ from svmdist.profile.hand_eye import BASELINE, FOCAL_LENGTH, PRINCIPAL_POINT, SH
 from svmdist.transforms import Array, cross, skew
 
 FOR_EVER_S = np.inf
-MIN_DEPTH_M = 1e-3
-"""What is nearer to the camera, or behind it, has no image."""
+MIN_DEPTH_M = 1e-3  # what is nearer to the camera, or behind it, has no image
 AHEAD_M = np.array([0.0, 0.0, 1.0])
 """Stands in for a point that cannot be seen, so that its projection is a number."""
-NEAR_M = 1e-3
-"""A camera is no nearer to an edge than this: it bounds a derivative."""
+NEAR_M = 1e-3  # A camera is no nearer to an edge than this: it bounds a derivative
 
 
 @dataclass(frozen=True, slots=True)
 class SharedBias:
-    """What an error that several measurements share does to a residual: the derivative, (..., m, k), by its name.
-
-    The error is a vector of k numbers of variance one that fade with a time constant; a constant never does.
-    """
+    """What an error that several measurements share does to a residual: the derivative, (..., m, k), by its name."""
 
     name: str
     jacobian: Array
@@ -71,10 +66,7 @@ class Deviations:
     def of_disparity(
         self, p_right_m: Array, slope_right: Array, disparity_px: Array, T_right_left: Array
     ) -> tuple[SharedBias, ...]:
-        """Of x in the left view less x in the right one, shape (...): focal length, and how the right camera stands.
-
-        `slope_right`, shape (..., 3), is the derivative of x in the right view by the point there.
-        """
+        """Of x in the left view less x in the right one, shape (...): focal length, and how the right camera stands."""
         focal = self.camera.focal_std_fraction * disparity_px[..., None, None]
         baseline_m = T_right_left[..., :3, 3]
         by_baseline = -(slope_right * baseline_m).sum(-1) * self.camera.baseline_std_fraction
@@ -106,10 +98,7 @@ class Deviations:
     def of_edge(
         self, normal: Array, across: Array, by_radius: Array, radius_m: Array, focal_px: Array
     ) -> tuple[SharedBias, ...]:
-        """Of the plane through an edge, measured normal (..., 3), and its predicted one's derivative by the radius.
-
-        A line l of the image has the normal Kᵀ l: a longer focal length tilts it towards the image plane.
-        """
+        """Of the plane through an edge, measured normal (..., 3), and its predicted one's derivative by the radius."""
         flat = normal * np.array([1.0, 1.0, 0.0])
         focal = -self.camera.focal_std_fraction * (across @ flat[..., None])
         centre = -self.camera.centre_std_px * across[..., :, 2:] * (normal[..., None, :2] / focal_px)
@@ -121,11 +110,7 @@ class Deviations:
         )
 
     def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[SharedBias, ...]:
-        """Of a tag's pose, shape (..., 4, 4): focal length, principal point, the tag's size, and how it is mounted.
-
-        Depth goes with the focal length; a shifted principal point shifts the tag beside the axis, and turns
-        it as if seen from there; the distance goes against the size.
-        """
+        """Of a tag's pose, shape (..., 4, 4): focal length, principal point, the tag's size, and how it is mounted."""
         p_m, R = T_camera_tag[..., :3, 3], T_camera_tag[..., :3, :3]
         focal = np.zeros((*p_m.shape[:-1], 6, 1))
         focal[..., 2, 0] = -self.camera.focal_std_fraction * p_m[..., 2]
@@ -149,10 +134,7 @@ class Deviations:
 
 
 def edge_by_radius(p_axis_m: Array, axis: Array, radius_m: Array, side: Array) -> Array:
-    """Derivative by the radius, shape (..., 3), of the normal of the plane that touches a cylinder on one side.
-
-    The axis runs through points (..., 3) along directions (..., 3): dn/dr = e / (e · p) with e = n x d.
-    """
+    """Derivative by the radius, shape (..., 3), of the normal of the plane that touches a cylinder on one side."""
     foot_m = p_axis_m - (axis * p_axis_m).sum(-1, keepdims=True) * axis
     square = (foot_m * foot_m).sum(-1)
     beside_m = side * np.sqrt(np.maximum(square - radius_m**2, NEAR_M**2))

@@ -318,11 +318,7 @@ class ContourMeasurement(_MatrixBias):
 
 @dataclass(frozen=True)
 class PoseMeasurement(_MatrixBias):
-    """A pose that was measured as a whole: `T_camera_frame` of a frame fixed on a link by `T_link_frame`, (4, 4).
-
-    The covariances, shape (6, 6), are those of (δp, δθ) in the camera frame, as in `ToolPose`: of the noise, and of
-    the bias.
-    """
+    """A pose measured as a whole: `T_camera_frame` of a frame fixed on a link by `T_link_frame`, (4, 4)."""
 
     STACKED: ClassVar[tuple[str, ...]] = ("T_link_frame", "T_camera_frame", "covariance", "bias_covariance")
     bias_size: ClassVar[int] = 6

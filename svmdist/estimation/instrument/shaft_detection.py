@@ -93,10 +93,7 @@ def detect_distal_marker(
 
 
 def marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
-    """The circle along the border of a region of a mask, shape (h, w).
-
-    None at the image's border, or where the colour makes another border than the mask.
-    """
+    """The circle along a region's border; None at the image's border, or where the colour's border is another."""
     corners = region.hull.reshape(-1, 2)
     height, width = mask.shape
     if not bool(((corners > 1) & (corners < [width - 2, height - 2])).all()):
@@ -148,11 +145,7 @@ class Contour:
 
 @dataclass(frozen=True, slots=True)
 class Rim:
-    """Where the shaft ends on its middle line: a pixel (2,), the unit direction to the tip (2,), px.
-
-    `is_outline` says that the outline ends to be a cylinder's there; otherwise its dark part ends, on the side that
-    faces the camera.
-    """
+    """The shaft's end on its middle line: pixel (2,), direction to the tip (2,); by the outline or the dark part."""
 
     pixel: Array
     towards_tip: Array
@@ -183,10 +176,7 @@ NO_SHAFT = ShaftDetection((), None, None, None, True)
 def detect_shaft(
     brightness: Image, region: ShaftRegion | None, camera: Camera, settings: ShaftSettings = DEFAULT_SHAFT
 ) -> ShaftDetection:
-    """Measure contours and rim of a shaft that was found; `NO_SHAFT` for none.
-
-    `brightness`, shape (h, w), is the brightest channel at normalised exposure.
-    """
+    """Measure contours and rim of a shaft that was found; `NO_SHAFT` for none."""
     if region is None:
         return NO_SHAFT
     towards_tip = region.first.direction + region.second.direction
@@ -228,11 +218,7 @@ def wrist_marker(shaft: ShaftDetection) -> DistalMarker | None:
 
 
 def _edge_contour(
-    edge: EdgeLine,
-    width_px: float,
-    middle_px: Array,
-    towards_tip: Array,
-    camera: Camera,
+    edge: EdgeLine, width_px: float, middle_px: Array, towards_tip: Array, camera: Camera
 ) -> Contour | None:
     line = fit_line(
         undistorted(camera, edge.points_px),

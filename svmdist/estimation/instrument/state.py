@@ -93,15 +93,11 @@ def block_diagonal(blocks: Sequence[Array]) -> Array:
     return joined
 
 
-TINY_M = 1e-9
-"""Stands in for a deviation of zero."""
+TINY_M = 1e-9  # stands in for a deviation of zero
 
 
 class ErrorState:
-    """The correction, its error state's covariance `P` with that of the bias states behind it, and their mean.
-
-    The bias states are in units of their deviations.
-    """
+    """The correction, its error state's covariance `P` with that of the bias states behind it, and their mean."""
 
     def __init__(self, model: ErrorModel) -> None:
         self.model = model
@@ -160,10 +156,7 @@ class ErrorState:
         self.P = 0.5 * (P + P.T)
 
     def reset_bias_states(self, P: Array, with_constants: Mapping[str, Array]) -> None:
-        """Begin anew with a covariance of the correction, shape (n, n), and no biases of measurements.
-
-        `with_constants` is the correction's covariance, shape (n, k), with constants that had a part in it.
-        """
+        """Begin anew with a covariance of the correction, shape (n, n), and no biases of measurements."""
         self.P, self.bias_mean = P, np.zeros(0)
         self._bias_slices, self._correlation_times_s = {}, np.zeros(0)
         for name, covariance in with_constants.items():
