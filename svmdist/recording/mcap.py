@@ -124,7 +124,7 @@ class McapSource:
         else:
             for _, record in one_pass.records(None):
                 counts.update([record.channel_id] if isinstance(record, Message) else [])
-        none = Schema(b"", "", 0, "")
+        none = Schema(0, b"", "", "")
         return merge_topics(
             TopicInfo(
                 channel.topic,

@@ -100,7 +100,7 @@ class BagSource:
         reader: Any
         try:
             if self._encoding == "ros1":
-                reader = Bag1Reader(self.path)
+                reader = Bag1Reader(self.path)  # type: ignore[arg-type]  # a RemoteFile has what it needs
             else:
                 reader = Sqlite3Reader(Path(quote(str(Path(str(self.path)).resolve()))))
             reader.open()
