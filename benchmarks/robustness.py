@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.generated_pages import DOCS, table_row, with_table
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.recording.log import Recording, open_recording
-from svmdist.workflows.compare import Run, group_of, measure_runs
+from svmdist.workflows.compare import Run, measure_runs
 from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.request import prepare
 from svmdist.workflows.scoring.score import Pairs, pooled
@@ -35,9 +35,7 @@ def measure(recordings: Sequence[Recording], methods: Sequence[str] = METHODS) -
     worlds: list[LogCondition] = [PerturbedCondition(parse_perturbations(text)) for text in WORLDS]
     runs: list[Run] = []
     for recording in recordings:
-        runs += measure_runs(
-            [recording], setups, [CLEAN, *([] if "perturb" in recording.metadata else worlds)]
-        )
+        runs += measure_runs(recording, setups, [CLEAN, *([] if "perturb" in recording.metadata else worlds)])
     return runs
 
 
@@ -63,15 +61,15 @@ def far_share(pairs: Pairs) -> float:
 
 
 def _world(run: Run) -> str:
-    return group_of(run.recording, run.condition).degradation
+    return run.group.degradation
 
 
 def _cell(runs: Sequence[Run]) -> str:
     """RMSE in mm, the share of truths inside the 95 % interval, and what is wrong with other frames, if anything."""
     inconsistent = sum(run.statuses.get("inconsistent", 0) for run in runs) / sum(
-        run.frame_count for run in runs
+        run.figures.frame_count for run in runs
     )
-    scored = [run.spatial.pairs for run in runs if run.spatial is not None]
+    scored = [run.figures.spatial.pairs for run in runs if run.figures.spatial is not None]
     text = "–"
     if scored:
         pairs = pooled(scored)

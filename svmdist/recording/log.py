@@ -32,6 +32,7 @@ from svmdist.recording.observations import (
     Pairs,
     Reading,
     RightCamera,
+    Window,
 )
 from svmdist.recording.source import (
     METADATA_FILE,
@@ -290,9 +291,15 @@ class Recording:
         One thread at a time goes through the iterator, any thread decodes, and `record_losses` takes the results.
         The caller holds what is not decoded yet, and bounds how many.
         """
+        return (one for _, _, one in self.numbered_observations(names, needs))
+
+    def numbered_observations(
+        self, names: Sequence[str], needs: Needs = EVERYTHING
+    ) -> Iterator[tuple[int, int, EncodedObservation]]:
+        """Yield the same, each with its image's number in the log and its time since the log's first image in ns."""
         arms, topic, camera = [self._arm(name) for name in names], self._require(Role.IMAGE), self.camera
         images = self._observations(arms, topic, camera, self._right_camera() if needs.right else None, needs)
-        return images if self.how.window is None else self.how.window.of(images)
+        return (self.how.window or Window()).numbered(images)
 
     def record_losses(self, decoded: Decoded) -> tuple[Observation, ...] | Rejection:
         """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back."""

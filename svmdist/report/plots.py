@@ -214,7 +214,7 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
     told = {"clearance": score.clearance, "spatial distance": score.spatial}
     distance, in_3d = next(((name, found) for name, found in told.items() if found), ("distance", None))
     pairs = in_3d.pairs if in_3d else score.pairs
-    seconds = (pairs.stamps_ns - (pairs.stamps_ns[0] if len(pairs.stamps_ns) else 0)) / 1e9
+    seconds = (pairs.stamps_ns - score.start_ns) / 1e9
     truth_mm, estimate_mm = pairs.truth_m * 1e3, pairs.estimate_m * 1e3
     half_mm = deviations_at(0.95) * pairs.std_m * 1e3
     if alarms is not None and distance == "clearance":
