@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 import textwrap
 from collections.abc import Callable
 from itertools import pairwise
@@ -20,33 +21,29 @@ from svmdist.report.columns_page import columns_page
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 SETTINGS_HEAD = """# Settings
 
-What a user may have reason to change in detectors and estimators. The defaults serve most logs. A profile sets them in
-tables `[settings.NAME]`:
+What a user may have reason to change; the defaults serve most logs. `stereo.near_m` is the key `near_m` of a profile's
+table `[settings.stereo]`. A value outside its bounds is an error. Settings that became constants are
+named in one line of warning, and ignored.
 
-```toml
-[settings.shaft]
-max_position_std_m = 0.006
-```
-
-Suffixes are units; a setting without one is a ratio or a count. A value outside its bounds is an error. Settings of
-earlier profiles that became constants are named in one line of warning, and ignored.
-
-| setting | default | bounds | meaning |
+| setting | default | meaning |
+|---|---|---|
+"""
+REASON = re.compile(r"(?<!\d): .*$")
+"""What follows a colon says why, which is for who reads the code."""
+PERTURBATIONS_HEAD = """| name | unit | meaning | `--world real` |
 |---|---|---|---|
 """
-PERTURBATIONS_HEAD = """| name | unit | meaning | range | `--world real` |
-|---|---|---|---|---|
-"""
-BOUNDS = {"Gt": ("gt", ">"), "Ge": ("ge", "≥"), "Lt": ("lt", "<"), "Le": ("le", "≤")}
 
 
 def settings_page(_: str) -> str:
     """One row per setting."""
     groups = Settings()
     return SETTINGS_HEAD + "".join(
-        f"| `{name}.{key}` | {getattr(getattr(groups, name), key)} | {bounds} | {meaning} |\n"
-        for name in Settings.model_fields
-        for key, bounds, meaning in _settings_of(type(getattr(groups, name)))
+        table_row(
+            (f"`{name}.{key}`", str(getattr(group, key)), REASON.sub(".", meanings(type(group))[key], 1))
+        )
+        for name, group in ((name, getattr(groups, name)) for name in Settings.model_fields)
+        for key in type(group).model_fields
     )
 
 
@@ -70,7 +67,6 @@ def simulation_page(page: str) -> str:
             f"`{entry.name}`" + ("" if entry.at_replay else r"\*"),
             entry.unit,
             entry.meaning,
-            f"{entry.low:g} to {entry.high:g}",
             "–" if entry.real is None else str(entry.real),
         )
         for entry in TABLE.values()
@@ -96,16 +92,6 @@ def with_table(page: str, name: str, table: str) -> str:
 def table_in(page: str, name: str) -> str:
     """What stands between the marks of this name."""
     return page.partition(f"<!-- {name}:begin -->\n")[2].partition(f"<!-- {name}:end -->")[0]
-
-
-def _settings_of(group: type[StrictModel]) -> list[tuple[str, str, str]]:
-    said = meanings(group)
-    found = []
-    for key, field in group.model_fields.items():
-        marks = ((mark, *BOUNDS.get(type(mark).__name__, ("", ""))) for mark in field.metadata)
-        bounds = ", ".join(f"{sign} {getattr(mark, name):g}" for mark, name, sign in marks if name)
-        found.append((key, bounds or "–", said[key]))
-    return found
 
 
 PAGES: dict[str, Callable[[str], str]] = {

@@ -34,7 +34,7 @@ ALARMS = "--method fused --alarm-below 5mm --truth ground_truth"
 FIGURES = "n / frames", "spatial RMSE [mm]", "in 95 %", "clearance RMSE [mm]", "in 95 %"
 ALARM_FIGURES = "unsafe", "recall", "precision", "safe alarmed", "least lead [s]"
 PLANAR = "n / frames", "R²", "RMSE [mm]", "RMSE 95 % [mm]", "p95 [mm]", "bias [mm]", "σ [mm]"
-BLUR = "kernel [px]", "features", "paper", "area [px²]", "paper", "features, marker", "matches", "RMSE [mm]"
+BLUR = "kernel [px]", "features", "paper", "area [px²]", "paper", "RMSE [mm]"
 
 
 def measured(command: str) -> Any:
@@ -196,8 +196,6 @@ def blur(readme: str, results: str) -> tuple[str, str]:
             str(record["paper_keypoint_count"] or "–"),
             f"{record['contour_area_px']:.0f}",
             str(record["paper_contour_area_px"] or "–"),
-            f"{record['marker_keypoint_count']:.0f}",
-            f"{record['match_count']:.0f}",
             millimetres(record["rmse_m"]),
         ]
         for record in measured(f"blur-bench {logs}")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import svmdist
 from benchmarks.generated_pages import PAGES, table_in
 from benchmarks.pictures import IMAGES, make_picture, printed_pictures
 from benchmarks.site_pages import OUTSIDE, site_links
@@ -222,3 +223,21 @@ def test_every_status_and_profile_key_is_explained() -> None:
     )
     for table in (*tables, p.Fiducial, p.CameraError, p.Tissue, p.Dome, p.OtherInstrument, p.Placement):
         assert set(table.model_fields) - _named_in("profile.md") == set(), table.__name__
+
+
+def test_robustness_is_measured_in_worlds_that_a_replay_can_make(tmp_path: Path) -> None:
+    """Cells of a table of one drawn log: RMSE and interval coverage, or a dash where no frame was measured."""
+    from benchmarks import robustness
+    from svmdist.recording.writer import RecordingWriter
+    from tests.synthetic import make_scene, samples
+
+    shown = table_in((DOCS / "results.md").read_text("utf-8"), "robustness")
+    assert set(robustness.WORLDS) <= set(re.findall(r"^\| `([^`]+)` \|", shown, re.MULTILINE))
+    with RecordingWriter(tmp_path / "log.mcap", {"scenario": "sweep", "seed": "1"}) as writer:
+        for topic, sample in samples(make_scene(), 4):
+            writer.write(topic, sample)
+    runs = robustness.measure([svmdist.open_recording(tmp_path / "log.mcap")], ("kinematic", "fiducial"))
+    rows = [line.split(" | ") for line in robustness.robustness_table(runs).splitlines()]
+    assert [row[0].strip("| `") for row in rows[2:]] == ["nothing", *robustness.WORLDS]
+    assert re.fullmatch(r"\d+\.\d\d \(\d+\)", rows[2][1])
+    assert rows[2][2].startswith("–")  # no tag was mounted

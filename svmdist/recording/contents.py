@@ -221,6 +221,11 @@ class LogFile:
     _cameras: dict[str, Camera | None] = field(default_factory=dict)
 
     @property
+    def is_read(self) -> bool:
+        """Whether everything but images is known."""
+        return self._contents is not None
+
+    @property
     def contents(self) -> Contents:
         """What the messages of `topics` hold."""
         for _ in self.images(frozenset()) if self._contents is None else ():

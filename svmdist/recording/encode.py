@@ -11,9 +11,7 @@ import cv2
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.JointState_pb2 import JointState
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -31,24 +29,27 @@ from svmdist.samples import (
     JointSample,
     PoseSample,
     Sample,
-    TransformSample,
     TransformsSample,
 )
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
 """A sixth smaller than OpenCV's default for 17 ms of a rendered frame of 640x480, less than rendering takes."""
-
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
-"""Colour at full resolution: segmentation by hue stands on it."""
+"""Colour at full resolution: segmentation by hue depends on it."""
+MESSAGE_CLASSES: dict[type, Any] = {
+    ImageSample: CompressedImage,
+    CameraSample: CameraCalibration,
+    JointSample: JointStates,
+    PoseSample: PoseInFrame,
+    TransformsSample: FrameTransforms,
+    DistanceSample: GroundTruthDistance,
+}
 
 
 @dataclass(frozen=True, slots=True)
 class EncodedSample:
-    """A sample as its bytes: its stamp, the type of sample that it is, and its serialised message.
-
-    For what is no sample, `sample_type` is the class of the protobuf message.
-    """
+    """A serialised message; `sample_type` is the type of sample, else the class of the protobuf message."""
 
     stamp_ns: int
     sample_type: type
@@ -63,28 +64,13 @@ class MessageType:
     descriptor_set: bytes
 
 
-MESSAGE_CLASSES: dict[type, Any] = {
-    ImageSample: CompressedImage,
-    CameraSample: CameraCalibration,
-    JointSample: JointStates,
-    PoseSample: PoseInFrame,
-    TransformsSample: FrameTransforms,
-    DistanceSample: GroundTruthDistance,
-}
-
-
 def message_type(sample_type: type) -> MessageType:
-    """Look up the message type that a type of sample is written as; ValueError for any other object.
-
-    The class of a protobuf message is written as itself.
-    """
-    if issubclass(sample_type, Message):
-        message_class: Any = sample_type
-        return _describe(message_class)
-    if sample_type not in MESSAGE_CLASSES:
+    """The message type that a type of sample, or a protobuf class, is written as; ValueError for any other."""
+    message_class: Any = sample_type if issubclass(sample_type, Message) else MESSAGE_CLASSES.get(sample_type)
+    if message_class is None:
         names = ", ".join(known.__name__ for known in MESSAGE_CLASSES)
         raise ValueError(f"cannot record a {sample_type.__name__}; the choices are {names}")
-    return _describe(MESSAGE_CLASSES[sample_type])
+    return _describe(message_class)
 
 
 @cache
@@ -108,112 +94,98 @@ def encode(sample: Sample, jpeg_quality: int | None = None) -> bytes:
 
     Images become PNG, which loses nothing, or JPEG of a quality from 1 to 100 with colour at full resolution.
     """
-    return _encode(sample, iter(_quaternions(_transforms_of(sample))), jpeg_quality)
+    message_type(type(sample))
+    ((_, encoded),) = encode_all([("", sample)], jpeg_quality)
+    return encoded.data
 
 
 def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> EncodedSample:
     """Wrap a PNG or JPEG as it is, without decoding it; ImageError for any other format, or where its header is bad."""
     still_size(data, limits)
     message = CompressedImage(frame_id=frame_id, data=data, format=still_format(data) or "")
-    _stamp(message, stamp_ns)
-    return EncodedSample(stamp_ns, ImageSample, message.SerializeToString(deterministic=True))
+    return EncodedSample(stamp_ns, ImageSample, serialised(message, stamp_ns))
 
 
 def encode_all(
     samples: Iterable[tuple[str, Sample]], jpeg_quality: int | None = None
 ) -> list[tuple[str, EncodedSample]]:
-    """Serialise (topic, sample) pairs as `encode` does each, which takes less time for many transforms."""
+    """Serialise (topic, sample) pairs as `encode` does each."""
     pairs = list(samples)
-    quaternions = iter(_quaternions([T for _, sample in pairs for T in _transforms_of(sample)]))
+    # All quaternions in one call, since calls cost most of the time.
+    transforms = [T for _, sample in pairs for T in _transforms_of(sample)]
+    rotations = np.array(transforms).reshape(-1, 4, 4)[:, :3, :3]
+    quaternions = iter(quaternion_xyzw_from_rotation(rotations).tolist() if transforms else [])
     return [
         (topic, EncodedSample(sample.stamp_ns, type(sample), _encode(sample, quaternions, jpeg_quality)))
         for topic, sample in pairs
     ]
 
 
+def serialised(message: Message, stamp_ns: int | None = None) -> bytes:
+    """The bytes of a message, the same on a rerun; `stamp_ns` becomes its timestamp."""
+    if stamp_ns is not None:
+        set_stamp(message, stamp_ns)
+    return message.SerializeToString(deterministic=True)
+
+
+def set_stamp(message: Any, stamp_ns: int) -> None:
+    """Set the timestamp of a message."""
+    message.timestamp.seconds, message.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
+
+
 def _transforms_of(sample: Sample) -> Sequence[Array]:
     """The transforms whose rotations are written as quaternions, in the order of the message."""
-    match sample:
-        case PoseSample():
-            return (sample.T_frame_pose,)
-        case TransformsSample():
-            return [one.T_parent_child for one in sample.transforms]
-        case _:
-            return ()
-
-
-def _quaternions(transforms: Sequence[Array]) -> list[list[float]]:
-    """Quaternions in the order x, y, z, w of transforms (4, 4): one call for all, since calls cost most of the time."""
-    if not transforms:
-        return []
-    quaternions: list[list[float]] = quaternion_xyzw_from_rotation(np.stack(transforms)[:, :3, :3]).tolist()
-    return quaternions
-
-
-def _model_name(camera: Camera) -> str:
-    """What Foxglove calls the lens."""
-    if camera.distortion_model == "fisheye":
-        return "kannala_brandt"
-    return "plumb_bob" if len(camera.D) <= 5 else "rational_polynomial"
+    if isinstance(sample, PoseSample):
+        return (sample.T_frame_pose,)
+    return [one.T_parent_child for one in sample.transforms] if isinstance(sample, TransformsSample) else ()
 
 
 def _encode(sample: Sample, quaternions: Iterator[list[float]], jpeg_quality: int | None) -> bytes:
     """Serialise a sample, whose transforms' quaternions are the next ones."""
-    message: Message
+    message: Any = MESSAGE_CLASSES[type(sample)]()
     match sample:
         case ImageSample():
-            data, name = _compressed(sample, jpeg_quality)
-            message = CompressedImage(frame_id=sample.frame_id, data=data, format=name)
+            message.frame_id = sample.frame_id
+            message.data, message.format = _compressed(sample, jpeg_quality)
         case CameraSample(camera=camera):
-            message = CameraCalibration(
-                frame_id=camera.frame_id,
-                width=camera.width_px,
-                height=camera.height_px,
-                distortion_model=_model_name(camera),
-                D=camera.D,
-                K=camera.K.ravel(),
-                R=() if camera.R_rectified_camera is None else camera.R_rectified_camera.ravel(),
-                P=() if camera.P is None else camera.P.ravel(),
-            )
+            _fill_camera(message, camera)
         case JointSample():
-            pairs = zip(sample.names, np.asarray(sample.positions, np.float64).tolist(), strict=True)
-            message = JointStates(joints=[JointState(name=name, position=value) for name, value in pairs])
+            for name, value in zip(sample.names, np.asarray(sample.positions).tolist(), strict=True):
+                message.joints.add(name=name, position=value)
         case PoseSample():
-            message = PoseInFrame(frame_id=sample.frame_id)
-            _fill(message.pose.position, message.pose.orientation, sample.T_frame_pose, next(quaternions))
+            message.frame_id = sample.frame_id
+            pose = message.pose
+            _fill(pose.position, pose.orientation, sample.T_frame_pose, next(quaternions))
         case TransformsSample():
-            return FrameTransforms(
-                transforms=[_transform(one, next(quaternions)) for one in sample.transforms]
-            ).SerializeToString(deterministic=True)
+            for one in sample.transforms:
+                part = message.transforms.add(parent_frame_id=one.parent, child_frame_id=one.child)
+                set_stamp(part, one.stamp_ns)
+                _fill(part.translation, part.rotation, one.T_parent_child, next(quaternions))
+            return serialised(message)
         case DistanceSample():
-            message = GroundTruthDistance(
-                planar_m=sample.planar_m, spatial_m=sample.spatial_m, clearance_m=sample.clearance_m
-            )
-        case _:
-            message_type(type(sample))
-            raise AssertionError("unreachable")
-    _stamp(message, sample.stamp_ns)
-    return message.SerializeToString(deterministic=True)
-
-
-def _stamp(message: Any, stamp_ns: int) -> None:
-    message.timestamp.seconds, message.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
+            message.planar_m, message.spatial_m = sample.planar_m, sample.spatial_m
+            message.clearance_m = sample.clearance_m
+    return serialised(message, sample.stamp_ns)
 
 
 def _compressed(sample: ImageSample, jpeg_quality: int | None) -> tuple[bytes, str]:
-    image = sample.image_bgr
-    require_bgr(image)
+    require_bgr(sample.image_bgr)
     if jpeg_quality is None:
-        return cv2.imencode(".png", image, PNG_OPTIONS)[1].tobytes(), "png"
+        return cv2.imencode(".png", sample.image_bgr, PNG_OPTIONS)[1].tobytes(), "png"
     options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, *JPEG_OPTIONS)
-    return cv2.imencode(".jpg", image, options)[1].tobytes(), "jpeg"
+    return cv2.imencode(".jpg", sample.image_bgr, options)[1].tobytes(), "jpeg"
 
 
-def _transform(sample: TransformSample, quaternion_xyzw: list[float]) -> FrameTransform:
-    message = FrameTransform(parent_frame_id=sample.parent, child_frame_id=sample.child)
-    _stamp(message, sample.stamp_ns)
-    _fill(message.translation, message.rotation, sample.T_parent_child, quaternion_xyzw)
-    return message
+def _fill_camera(message: Any, camera: Camera) -> None:
+    message.frame_id, message.width, message.height = camera.frame_id, camera.width_px, camera.height_px
+    plumb_bob = "plumb_bob" if len(camera.D) <= 5 else "rational_polynomial"
+    # Foxglove's names of the lenses.
+    message.distortion_model = "kannala_brandt" if camera.distortion_model == "fisheye" else plumb_bob
+    message.D.extend(camera.D)
+    message.K.extend(camera.K.ravel())
+    for values, target in ((camera.R_rectified_camera, message.R), (camera.P, message.P)):
+        if values is not None:
+            target.extend(values.ravel())
 
 
 def _fill(position: Any, orientation: Any, T: Array, quaternion_xyzw: list[float]) -> None:

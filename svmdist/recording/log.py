@@ -32,6 +32,7 @@ from svmdist.recording.observations import (
     Pairs,
     Reading,
     RightCamera,
+    Window,
 )
 from svmdist.recording.source import (
     METADATA_FILE,
@@ -290,9 +291,15 @@ class Recording:
         One thread at a time goes through the iterator, any thread decodes, and `record_losses` takes the results.
         The caller holds what is not decoded yet, and bounds how many.
         """
+        return (one for _, _, one in self.numbered_observations(names, needs))
+
+    def numbered_observations(
+        self, names: Sequence[str], needs: Needs = EVERYTHING
+    ) -> Iterator[tuple[int, int, EncodedObservation]]:
+        """Yield the same, each with its image's number in the log and its time since the log's first image in ns."""
         arms, topic, camera = [self._arm(name) for name in names], self._require(Role.IMAGE), self.camera
         images = self._observations(arms, topic, camera, self._right_camera() if needs.right else None, needs)
-        return images if self.how.window is None else self.how.window.of(images)
+        return (self.how.window or Window()).numbered(images)
 
     def record_losses(self, decoded: Decoded) -> tuple[Observation, ...] | Rejection:
         """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back."""
@@ -329,7 +336,8 @@ class Recording:
             if tree is not None:
                 found = tree.at(frames.camera, frames.base, np.array([stamp_ns], np.int64))
                 T_camera_base = found.values[0] if found.valid[0] else None
-            return ArmState(*_joints_at(joints, stamp_ns), T_camera_base)
+            at_stamp, around = (None, None) if joints is None else _joints_at(joints, stamp_ns)
+            return ArmState(at_stamp, around, T_camera_base)
 
         return at
 
@@ -472,10 +480,10 @@ def _topics_beside_images(arms: Iterable[LoggedArm]) -> frozenset[str]:
     return frozenset(topic for topic in topics if topic is not None)
 
 
-def _joints_at(track: JointTrack | None, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:
+def _joints_at(track: JointTrack, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:
     """Joints interpolated to a stamp, and those around it; None where there are none within 0.1 s."""
-    sampled = None if track is None else track.at(np.array([stamp_ns], np.int64))
-    if track is None or sampled is None or not sampled.valid[0]:
+    sampled = track.at(np.array([stamp_ns], np.int64))
+    if not sampled.valid[0]:
         return None, None
     first, last = np.searchsorted(track.stamps_ns, [stamp_ns - JOINT_TRACK_NS, stamp_ns + JOINT_TRACK_NS + 1])
     around = JointTrack(track.stamps_ns[first:last], track.names, track.positions[first:last])

@@ -49,9 +49,13 @@ class Window:
 
     def of(self, images: Iterable[Stamped]) -> Iterator[Stamped]:
         """The images inside."""
+        return (image for _, _, image in self.numbered(images))
+
+    def numbered(self, images: Iterable[Stamped]) -> Iterator[tuple[int, int, Stamped]]:
+        """The images inside, each with its number among all and its time since the first one in ns."""
         first_ns: int | None = None
         count = 0
-        for image in images:
+        for number, image in enumerate(images):
             first_ns = image.stamp_ns if first_ns is None else first_ns
             # In whole nanoseconds: an image at exactly 0.1 s is inside of a window that begins at 0.1 s.
             at_ns = image.stamp_ns - first_ns
@@ -60,7 +64,7 @@ class Window:
             if not round(self.start_s * 1e9) <= at_ns <= self.end_s * 1e9 + 0.5:
                 continue
             if count % self.every == 0:
-                yield image
+                yield number, at_ns, image
             count += 1
 
     def count_of(self, image_count: int) -> int | None:

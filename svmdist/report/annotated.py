@@ -51,8 +51,6 @@ def write_annotated(
     What is copied: see `copied_messages`. The file is written in the order of the log, each image followed by its
     annotations, and holds a few frames at a time. Raises UsageError where the file exists and `force` is not set.
     """
-    if recording.origin is None:
-        raise TypeError("only a recording as it was opened can be copied")
     path, profile, limits, topics = recording.origin
     # A pass of its own over the recording opened anew, so that losses are counted once.
     copies = copied_messages(open_recording(path, profile, limits=limits, topics=topics))

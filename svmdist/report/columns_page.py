@@ -36,9 +36,9 @@ def columns_page() -> str:
     for metric in {metric.key: metric for metric in (*score_metrics(), *figure_metrics())}.values():
         if metric.outputs & (Output.SCORES | Output.FIGURES):
             tolerance = _tolerance(metric.tolerance, metric.unit.name)
-            same = (str(metric.better or ""), tolerance, metric.meaning)
+            same = (tolerance, metric.meaning)
             by_meaning.setdefault(same, []).append(metric.key)
-    metrics = _page_table(("columns", "better", "tolerance", "meaning"), by_meaning)
+    metrics = _page_table(("columns", "tolerance", "meaning"), by_meaning)
     return COLUMNS_PAGE + rows + METRICS_PAGE + metrics
 
 

@@ -6,8 +6,9 @@ import base64
 import hashlib
 import platform
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
@@ -24,29 +25,15 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import write_atomically
 from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit
 from svmdist.recording.log import Recording
-from svmdist.report.charts import (
-    Chart,
-    Curve,
-    Form,
-    Role,
-    agreement,
-    calibration,
-    consistency_over_time,
-    distance_name,
-    distance_over_time,
-    distribution,
-    error_over_image,
-    error_over_time,
-    errors_over,
-    runs,
-)
+from svmdist.report import charts
+from svmdist.report.charts import Chart, Curve, Form, Role, runs
 from svmdist.report.panels import draw_on
 from svmdist.report.scores import remarks, validation_tables
 from svmdist.report.tables import Column, Table, row_of
 from svmdist.report.writers import Results
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.workflows.frame_drawing import drawn_frames
+from svmdist.workflows.frame_drawing import DrawnFrame, drawn_frames
 from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.truth import TruthRules
@@ -56,6 +43,7 @@ from svmdist.workflows.validate import Measured, Validation
 WORST_COUNT = 10
 JPEG_QUALITY, MAX_WIDTH_PX = 80, 960
 PACKAGES = ("svmdist", "numpy", "opencv-python-headless", "mcap", "protobuf", "plotly")
+Drawing = Callable[..., Iterable[DrawnFrame]]
 MAX_MARKERS = 2000
 """More points than these are drawn as a line, or thinned out evenly where they are no line."""
 COLOURS: dict[Role, tuple[str, str]] = {
@@ -95,10 +83,7 @@ def validation_report(
     logs: Results | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
-    """The report of a validation. The worst frames are measured once more, to draw them.
-
-    `logs` has a table of all logs, of which `measured` are some.
-    """
+    """The report of a validation; `logs` has a table of all logs, of which `measured` are some."""
     primary = validation.primary
     reference = primary.reference if primary else validation.scores[0].reference
     series = [
@@ -106,19 +91,17 @@ def validation_report(
         for one in measured
         for made in make_series(one.rows, one.recording, setup, rules, reference, one.lag)
     ]
-    lags = [row for score in validation.scores if (row := _lag_row(score)) is not None]
-    return Report(
-        f"svmdist validate: {setup.method}",
-        [made for _, made in series],
-        [
-            *(logs.tables if logs else ()),
-            *validation_tables(validation),
-            *([_lag_table(lags)] if lags else []),
-        ],
-        _worst(series, setup, validation.alarm_rules, jobs, on_progress),
-        facts(setup, [one.recording for one in measured], command),
-        [*validation.notes, *remarks(validation), f"Errors are against {reference}."],
-        validation.alarm_rules.below_m if validation.alarm_rules else None,
+    tables = [*(logs.tables if logs else ()), *validation_tables(validation)]
+    shifted = [
+        one for one in validation.scores if one.lag and one.lag.lag_s and one.uncorrected and one.statistics
+    ]
+    if shifted:
+        rows = [row_of(LAG_COLUMNS, score) for score in shifted]
+        tables.append(Table.of("Lag before and after: planar distance", LAG_COLUMNS, rows))
+    notes = [*validation.notes, *remarks(validation), f"Errors are against {reference}."]
+    drawing = partial(drawn_frames, setup=setup, rules=validation.alarm_rules, jobs=jobs)
+    return _report(
+        "validate", series, setup, command, tables, notes, validation.alarm_rules, drawing, on_progress
     )
 
 
@@ -135,14 +118,32 @@ def estimate_report(
     series = [
         (one, made) for one in measured for made in make_series(one.rows, one.recording, setup, lag=one.lag)
     ]
-    counts = [row_of(SERIES_COLUMNS, made) for _, made in series]
+    frames = Table.of("Frames", SERIES_COLUMNS, [row_of(SERIES_COLUMNS, made) for _, made in series])
+    tables = [*(logs.tables if logs else ()), frames]
+    drawing = partial(drawn_frames, setup=setup, rules=alarms, jobs=jobs)
+    return _report("estimate", series, setup, command, tables, [], alarms, drawing, on_progress)
+
+
+def _report(
+    name: str,
+    series: Sequence[tuple[Measured, Series]],
+    setup: Setup,
+    command: str,
+    tables: Sequence[Table],
+    notes: Sequence[str],
+    alarms: AlarmRules | None,
+    drawing: Drawing,
+    on_progress: Progress | None,
+) -> Report:
+    recordings = list({id(one): one.recording for one, _ in series}.values())
     return Report(
-        f"svmdist estimate: {setup.method}",
+        f"svmdist {name}: {setup.method}",
         [made for _, made in series],
-        [*(logs.tables if logs else ()), Table.of("Frames", SERIES_COLUMNS, counts)],
-        _worst(series, setup, alarms, jobs, on_progress),
-        facts(setup, [one.recording for one in measured], command),
-        alarm_below_m=alarms.below_m if alarms else None,
+        tables,
+        _worst(series, drawing, on_progress),
+        facts(setup, recordings, command),
+        notes,
+        alarms.below_m if alarms else None,
     )
 
 
@@ -175,18 +176,15 @@ def _version(package: str) -> str:
 
 
 def _worst(
-    series: Sequence[tuple[Measured, Series]],
-    setup: Setup,
-    alarms: AlarmRules | None,
-    jobs: int | None,
-    on_progress: Progress | None,
+    series: Sequence[tuple[Measured, Series]], drawing: Drawing, on_progress: Progress | None
 ) -> list[tuple[str, bytes]]:
-    """The worst frames of all logs with their captions, drawn, the worst first."""
+    """The worst frames of all logs with their captions, worst first; they are measured once more, to draw them."""
     logs = {id(one): one for one, _ in series}
     found: list[tuple[int, WorstFrame]] = []
     for key in logs:
-        own = [made for one, made in series if id(one) == key]
-        found += [(key, frame) for frame in worst_frames(own, WORST_COUNT)]
+        found += [
+            (key, one) for one in worst_frames([made for log, made in series if id(log) == key], WORST_COUNT)
+        ]
     chosen = sorted(found, key=lambda pair: -pair[1].badness_m)[:WORST_COUNT]
     wanted = defaultdict[int, set[int]](set)
     for key, frame in chosen:
@@ -194,8 +192,7 @@ def _worst(
     pictures = {}
     steps = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values()))
     for key, numbers in wanted.items():
-        read = logs[key].read
-        for drawn in drawn_frames(read, setup, alarms, jobs=jobs, numbers=numbers, on_image=steps.advance):
+        for drawn in drawing(logs[key].read, numbers=numbers, on_image=steps.advance):
             if drawn.replayed.image_bgr is not None:
                 pictures[key, drawn.number] = _jpeg(draw_on(drawn.replayed.image_bgr, drawn.drawing))
     return [
@@ -224,11 +221,6 @@ def _span(series: Series) -> str:
     return f"{known_mm.min():.2f} to {known_mm.max():.2f}" if len(known_mm) else "–"
 
 
-def _median_half_m(series: Series) -> float | None:
-    known_m = series.half_m[np.isfinite(series.half_m)]
-    return float(np.median(known_m)) if len(known_m) else None
-
-
 SERIES_COLUMNS = (
     Column("recording", TEXT, "recording"),
     Column("instrument", TEXT, "instrument"),
@@ -237,31 +229,17 @@ SERIES_COLUMNS = (
     Column("lost", TEXT, "not measured", _lost),
     Column("distance", TEXT, "distance"),
     Column("span", TEXT, "range [mm]", _span),
-    Column("half_m", LENGTH, "median half interval [mm]", _median_half_m),
-)
-
-
-def _lag_row(score: Any) -> dict[str, Any] | None:
-    """Errors before and after the lag was taken off, where one was."""
-    if not score.lag or score.lag.lag_s == 0.0 or score.uncorrected is None or score.statistics is None:
-        return None
-    values = (score.recording, str(score.reference), score.lag.lag_s, score.lag.confidence)
-    keys = [column.key for column in LAG_COLUMNS]
-    return dict(zip(keys, (*values, score.uncorrected.rmse, score.statistics.rmse), strict=True))
-
-
+    Column("half_m", LENGTH, "median half interval [mm]",
+           lambda one: float(np.nanmedian(one.half_m)) if np.isfinite(one.half_m).any() else None),
+)  # fmt: skip
 LAG_COLUMNS = (
     Column("recording", TEXT, "recording"),
-    Column("reference", TEXT, "against"),
-    Column("lag_s", Unit("s", "ms", 1e3, 1), "lag [ms]"),
-    Column("confidence", Unit("1", digits=2), "confidence"),
-    Column("before_m", LENGTH, "RMSE before [mm]"),
-    Column("after_m", LENGTH, "RMSE after [mm]"),
+    Column("reference", TEXT, "against", lambda score: str(score.reference)),
+    Column("lag_s", Unit("s", "ms", 1e3, 1), "lag [ms]", lambda score: score.lag.lag_s),
+    Column("confidence", Unit("1", digits=2), "confidence", lambda score: score.lag.confidence),
+    Column("before_m", LENGTH, "RMSE before [mm]", lambda score: score.uncorrected.rmse),
+    Column("after_m", LENGTH, "RMSE after [mm]", lambda score: score.statistics.rmse),
 )
-
-
-def _lag_table(rows: Sequence[dict[str, Any]]) -> Table:
-    return Table.of("Lag before and after: planar distance", LAG_COLUMNS, rows)
 
 
 def write_report(report: Report, path: Path) -> None:
@@ -277,8 +255,8 @@ def page(report: Report) -> str:
     sections = _sections(report)
     data = ",".join(
         f'"{name}":{{"overTime":{str(chart.over_time).lower()},"figure":{plotly_figure(chart).to_json()}}}'
-        for _, charts in sections
-        for name, chart in charts
+        for _, named in sections
+        for name, chart in named
     )
     # No text of a log can end the element that the data stand in.
     data = data.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
@@ -295,24 +273,24 @@ def _sections(report: Report) -> list[tuple[str, list[tuple[str, Chart]]]]:
     """Named charts over time, log by log, then those of all logs together, under their headings."""
     sections = []
     for at, one in enumerate(report.series):
-        charts = [(f"distance-{at}", distance_over_time(one, report.alarm_below_m))]
+        named = [(f"distance-{at}", charts.distance_over_time(one, report.alarm_below_m))]
         if np.isfinite(one.error_m).any():
-            charts.append((f"error-{at}", error_over_time(one)))
+            named.append((f"error-{at}", charts.error_over_time(one)))
         if np.isfinite(one.consistency).any():
-            charts.append((f"consistency-{at}", consistency_over_time(one)))
-        sections.append((f"{one.recording}, {one.instrument}: {one.method}", charts))
+            named.append((f"consistency-{at}", charts.consistency_over_time(one)))
+        sections.append((f"{one.recording}, {one.instrument}: {one.method}", named))
     for distance in dict.fromkeys(one.distance for one in report.series):
         known = [one for one in report.series if one.distance == distance and np.isfinite(one.error_m).any()]
         if known:
-            charts = [
-                (f"by-distance-{distance}", errors_over(known, "distance")),
-                (f"by-place-{distance}", error_over_image(known)),
-                (f"bland-altman-{distance}", agreement(known)),
-                (f"distribution-{distance}", distribution(known)),
+            named = [
+                (f"by-distance-{distance}", charts.errors_over(known, "distance")),
+                (f"by-place-{distance}", charts.error_over_image(known)),
+                (f"bland-altman-{distance}", charts.agreement(known)),
+                (f"distribution-{distance}", charts.distribution(known)),
             ]
             if any(np.isfinite(one.std_m).any() for one in known):
-                charts.append((f"calibration-{distance}", calibration(known)))
-            sections.append((f"Errors of the {distance_name(known[0])}, all logs", charts))
+                named.append((f"calibration-{distance}", charts.calibration(known)))
+            sections.append((f"Errors of the {charts.distance_name(known[0])}, all logs", named))
     return sections
 
 

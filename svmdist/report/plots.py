@@ -21,20 +21,8 @@ from svmdist.errors import OutputError, printable
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import atomic_file
 from svmdist.metrics import deviations_at
-from svmdist.report.charts import (
-    Chart,
-    Curve,
-    Form,
-    Role,
-    agreement,
-    calibration,
-    distance_curves,
-    distance_name,
-    distance_over_time,
-    error_curves,
-    errors_over,
-    threshold,
-)
+from svmdist.report import charts
+from svmdist.report.charts import Chart, Curve, Form, Role
 from svmdist.report.tables import counted
 from svmdist.report.writers import plot_format
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
@@ -159,21 +147,21 @@ def draw_series(
         for one in series:
             name = plain_name(f"{one.recording} {one.instrument}")
             title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
-            panels.append((distance_over_time(one, alarm_below_m), title))
+            panels.append((charts.distance_over_time(one, alarm_below_m), title))
     for distance in dict.fromkeys(one.distance for one in series if kind is not SeriesPlot.TIME):
         group = [one for one in series if one.distance == distance and np.isfinite(one.error_m).any()]
         if not group or (
             kind is SeriesPlot.CALIBRATION and not any(np.isfinite(one.std_m).any() for one in group)
         ):
             continue
-        of = f"{group[0].method}: {distance_name(group[0])}"
+        of = f"{group[0].method}: {charts.distance_name(group[0])}"
         if kind is SeriesPlot.RESIDUALS:
-            panels += [(errors_over(group, "time"), f"{of}, errors over time")]
-            panels += [(errors_over(group, "distance"), "over distance")]
+            panels += [(charts.errors_over(group, "time"), f"{of}, errors over time")]
+            panels += [(charts.errors_over(group, "distance"), "over distance")]
         elif kind is SeriesPlot.BLAND_ALTMAN:
-            panels.append((agreement(group), of))
+            panels.append((charts.agreement(group), of))
         else:
-            panels.append((calibration(group), f"{of}, interval"))
+            panels.append((charts.calibration(group), f"{of}, interval"))
     if not panels:
         lacking = "an interval" if kind is SeriesPlot.CALIBRATION else "a truth"
         raise OutputError(f"{path}: nothing to draw: no frame has {lacking}")
@@ -226,15 +214,15 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
     told = {"clearance": score.clearance, "spatial distance": score.spatial}
     distance, in_3d = next(((name, found) for name, found in told.items() if found), ("distance", None))
     pairs = in_3d.pairs if in_3d else score.pairs
-    seconds = (pairs.stamps_ns - (pairs.stamps_ns[0] if len(pairs.stamps_ns) else 0)) / 1e9
+    seconds = (pairs.stamps_ns - score.start_ns) / 1e9
     truth_mm, estimate_mm = pairs.truth_m * 1e3, pairs.estimate_m * 1e3
     half_mm = deviations_at(0.95) * pairs.std_m * 1e3
     if alarms is not None and distance == "clearance":
-        _draw_curves(upper, [threshold(seconds, alarms.below_m)])
+        _draw_curves(upper, [charts.threshold(seconds, alarms.below_m)])
     truth_name = f"truth ({REFERENCE_NAMES[score.reference]})"
-    _draw_curves(upper, distance_curves(seconds, estimate_mm, half_mm, truth_mm, truth_name))
+    _draw_curves(upper, charts.distance_curves(seconds, estimate_mm, half_mm, truth_mm, truth_name))
     lower.axhline(0.0, color="0.6", linewidth=0.8)
-    _draw_curves(lower, error_curves(seconds, estimate_mm - truth_mm, half_mm))
+    _draw_curves(lower, charts.error_curves(seconds, estimate_mm - truth_mm, half_mm))
     upper.set_title(_title_3d(score, distance, in_3d) if in_3d else _title(score), loc="left")
     upper.set_ylabel(f"{distance} [mm]")
     lower.set(xlabel="time [s]", ylabel="error [mm]")

@@ -86,10 +86,8 @@ def drawn_frames(
     """
     last = max(numbers, default=-1) if numbers is not None else None
     watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
-    first_ns: int | None = None
-    for number, (replayed,) in enumerate(replay(recording, [setup], wanted=wanted, jobs=jobs)):
-        stamp_ns = replayed.results[0].stamp_ns
-        first_ns = stamp_ns if first_ns is None else first_ns
+    for (replayed,) in replay(recording, [setup], wanted=wanted, jobs=jobs):
+        number, seconds = replayed.results[0].number, replayed.results[0].seconds
         alarms = {
             result.instrument: watches[result.instrument].watch(result)
             for result in replayed.results
@@ -99,7 +97,7 @@ def drawn_frames(
             on_image()
         if numbers is None or number in numbers:
             drawing = frame_drawing(replayed, setup, alarms)
-            yield DrawnFrame(number, (stamp_ns - first_ns) / 1e9, replayed, alarms, drawing)
+            yield DrawnFrame(number, seconds, replayed, alarms, drawing)
         if last is not None and number >= last:
             return
 

@@ -58,11 +58,6 @@ def test_what_is_no_recording_is_one_clear_line(
     assert str(path) in str(caught.value)
 
 
-def test_a_directory_is_no_recording(tmp_path: Path, profile: Profile) -> None:
-    with pytest.raises(RecordingError, match=r"a directory without metadata\.yaml"):
-        open_recording(tmp_path, profile)
-
-
 def test_a_missing_topic_lists_the_topics_there_are(tmp_path: Path, profile: Profile) -> None:
     entries = [entry for entry in scene(2) if "image" not in entry.topic]
     recording = open_recording(write_scene(tmp_path / "a.mcap", entries), profile)

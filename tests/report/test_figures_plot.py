@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from svmdist.cli.plots import PLOTS, PlotKind, require_plot
-from svmdist.errors import UsageError
 from svmdist.report.plots import PAGE_IN, draw_compare
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
 from svmdist.workflows.scoring.score import DistanceScore, Pairs, score_pairs
@@ -80,26 +78,9 @@ def test_errors_that_differ_much_are_on_a_logarithmic_axis() -> None:
     assert draw_compare(far).axes[1].get_xscale() == "log"
 
 
-def test_every_plot_is_drawn_by_some_command_and_refused_by_the_others() -> None:
-    assert {kind for kinds in PLOTS.values() for kind in kinds} == set(PlotKind)
-    for command, kinds in PLOTS.items():
-        for kind in PlotKind:
-            if kind in kinds:
-                assert require_plot(command, kind, Path("a.svg")) is kind
-                continue
-            with pytest.raises(UsageError) as problem:
-                require_plot(command, kind, Path("a.svg"))
-            for own in kinds:
-                assert own in str(problem.value)
-    assert require_plot("validate", None, Path("a.svg")) is PlotKind.FIG6
-    assert require_plot("validate", None, None) is None
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("validate", "--plot", "compare", "--save-plot", "a.png"), "is drawn by svmdist compare"),
-        (("compare", "--plot", "time", "--save-plot", "a.png"), "svmdist compare draws compare"),
         (("compare", "--plot", "compare"), "--save-plot FILE"),
     ],
 )

@@ -45,6 +45,7 @@ MEASURED = FrameResult(
     status=Status.OK,
     image=ImageFindings((1.5, 2.5), (3.5, 4.5), 200, 5000, 900, 120, 100),
     distances=Distances(Distance(0.0123), clearance=Distance(0.004, 1e-3, (0.0, 0.6, 0.8), (0.0, 0.0, 0.1))),
+    seconds=0.5,
 )
 
 
@@ -52,7 +53,7 @@ def test_the_columns_are_those_of_the_contract() -> None:
     """In their order; a measured frame fills them in SI, and stamps keep their nanoseconds."""
     assert list(ESTIMATE_KEYS[:44]) == CONTRACT.split()
     alarm = AlarmState(True, 0.01, 0.4)
-    row = estimate_row("a", MEASURED, "overlay", "corrected", MEASURED.stamp_ns - 500_000_000, alarm)
+    row = estimate_row("a", MEASURED, "overlay", "corrected", alarm)
     assert (row["stamp_ns"], row["time_s"], row["distance_m"]) == (1_700_000_000_500_000_000, 0.5, 0.0123)
     assert [row[key] for key in ESTIMATE_KEYS[4:13]] == [1.5, 2.5, 3.5, 4.5, 200, 5000, 900, 120, 100]
     assert [row[f"direction_{axis}"] for axis in "xyz"] == [0.0, 0.6, 0.8]
@@ -61,7 +62,7 @@ def test_the_columns_are_those_of_the_contract() -> None:
 
 def test_a_rejected_frame_has_empty_cells() -> None:
     """A frame without tissue has a status and its stamp, and nothing that was not measured."""
-    row = estimate_row("a", FrameResult(5, Status.NO_TISSUE, instrument="PSM1"), "overlay", "corrected", 5)
+    row = estimate_row("a", FrameResult(5, Status.NO_TISSUE, instrument="PSM1"), "overlay", "corrected")
     assert {key for key in ESTIMATE_KEYS if row[key] is not None} == {
         *("recording", "stamp_ns", "status", "method", "equations", "instrument")
     }
@@ -84,7 +85,7 @@ def test_the_message_has_the_numbers_of_the_row() -> None:
 def test_a_person_sees_what_fits() -> None:
     """Distances in mm; a narrow terminal goes without pixels first, by rank, and keeps what the method is for."""
     results = (MEASURED, replace(MEASURED, status=Status.NO_INSTRUMENT, distances=Distances()))
-    rows = [estimate_row("a", result, "overlay", "corrected", MEASURED.stamp_ns) for result in results]
+    rows = [estimate_row("a", result, "overlay", "corrected") for result in results]
     lines = list(text_lines(shown_columns(None), rows))
     assert lines[2].split()[:4] == ["a", "0.000", "ok", "12.30"]
     assert lines[3].split()[:4] == ["a", "0.000", "no_instrument", "–"]

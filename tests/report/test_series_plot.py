@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from svmdist.cli.estimate_targets import EstimateTargets
-from svmdist.errors import OutputError, UsageError
+from svmdist.errors import OutputError
 from svmdist.report.charts import LEVELS, pooled, rejected_spans
 from svmdist.report.plots import COLUMN_IN, PAGE_IN, SeriesPlot, draw_series
 from tests.cli.conftest import Cli, cli
@@ -87,10 +86,3 @@ def test_commands_write_plots(golden: Path, cli: Cli, tmp_path: Path) -> None:
     assert alone.code == 2
     assert "--save-plot" in alone.err
     assert cli("estimate", log, "--save-plot", tmp_path / "e.txt").code == 1
-
-
-def test_targets_that_contradict_each_other_are_refused() -> None:
-    with pytest.raises(UsageError, match="leave out one"):
-        EstimateTargets.of(None, Path("a.html"), Path("b.html"), None)
-    with pytest.raises(UsageError, match="by itself"):
-        EstimateTargets.of(None, Path("a.mp4"), None, Path("b.png"))
