@@ -16,8 +16,8 @@ from svmdist.estimation.methods import REGISTRY, Phase
 from svmdist.files import atomic_file
 from svmdist.samples import Image
 from svmdist.transforms import Array
+from svmdist.vision.colour import Masks
 from svmdist.vision.marker import EDGE_MARGIN_PX, padded_template
-from svmdist.vision.segmentation import Masks
 from svmdist.workflows.frame_drawing import DrawnFrame, contours_of, virtual_marker
 
 FONT = cv2.FONT_HERSHEY_SIMPLEX

@@ -31,7 +31,6 @@ POINT_CORRELATION_TIME_S = FilterSettings().point_correlation_time_s
 class _PointBias(ABC):
     """The bias of a point: an offset in its link's frame, and what shading does to its pixels."""
 
-    bias_size: ClassVar[int] = 4
     source: ClassVar[str] = MARKER
     point_std_m: float
     shading_bias_px: float
@@ -78,7 +77,6 @@ class PointsMeasurement(_PointBias):
     bias_name: str = "point"
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT
-    delay_std_s: float = 0.0
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus projected, shape (..., 2n), about poses (..., 4, 4)."""
@@ -140,7 +138,6 @@ class DisparityMeasurement(_PointBias):
     bias_name: str = "point"
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT
-    delay_std_s: float = 0.0
     lasting_std_px: float = 0.0
     p_link_m: Array = field(default_factory=lambda: np.zeros(3))
 
@@ -185,7 +182,6 @@ class SizeMeasurement(ConstantBias):
     """
 
     STACKED: ClassVar[tuple[str, ...]] = ("radius_m", "radius_px", "covariance", "bias_std_px")
-    bias_size: ClassVar[int] = 1
     source: ClassVar[str] = MARKER
 
     name: str
@@ -261,7 +257,6 @@ class ContourMeasurement(_MatrixBias):
     STACKED: ClassVar[tuple[str, ...]] = (
         "normal", "across", "covariance", "p_axis_m", "axis", "radius_m", "side", "bias_covariance",
     )  # fmt: skip
-    bias_size: ClassVar[int] = 2
     source: ClassVar[str] = "shaft"
 
     name: str
@@ -321,7 +316,6 @@ class PoseMeasurement(_MatrixBias):
     """A pose measured as a whole: `T_camera_frame` of a frame fixed on a link by `T_link_frame`, (4, 4)."""
 
     STACKED: ClassVar[tuple[str, ...]] = ("T_link_frame", "T_camera_frame", "covariance", "bias_covariance")
-    bias_size: ClassVar[int] = 6
     source: ClassVar[str] = "tag"
 
     name: str

@@ -82,8 +82,9 @@ def _join(members: list[tuple[LinkMeasurement, int, int]]) -> MeasurementStack:
 
 FIRST_DAMPING = 1e-4
 MAX_TIME_STEPS = 4
-TIME_SETTLED_S = 1e-3
-"""A joint that turns at 1 rad/s with 10 rad/s² leaves its tangent by 5 µrad within as long."""
+TIME_SETTLED_S = (
+    1e-3  # A joint that turns at 1 rad/s with 10 rad/s² leaves its tangent by 5 µrad within as long
+)
 COST_SETTLED = 1e-3  # A step that lowers a sum of squares by less moves nothing that a deviation would notice
 
 
@@ -243,8 +244,7 @@ class Window:
             link = links.link(members.measurement.link)
             rows = members.frames
             part = linearise(
-                members.measurement,
-                CorrectedLink(link.T_camera_link[rows], link.derivative[rows], link.time_column),
+                members.measurement, CorrectedLink(link.T_camera_link[rows], link.derivative[rows])
             )
             visible = np.asarray(np.isfinite(part.residual).all(-1))
             H = part.H[..., self._model.columns.play]
