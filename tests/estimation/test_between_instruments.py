@@ -7,7 +7,7 @@ import pytest
 
 from svmdist.estimation.distances import between_std_m, with_clearance_between
 from svmdist.estimation.instrument.model import InstrumentModel
-from svmdist.geometry.separation import capsule_separation
+from svmdist.geometry.distance import capsule_separation
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Status
 from svmdist.transforms import Array, make_transform, rotation_of

@@ -11,7 +11,7 @@ from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import TissuePose, tissue_frame
 from svmdist.estimation.tissue_tracking import DEFAULT as TRACKING
 from svmdist.estimation.tissue_tracking import SHAPE_COUNT, TissueTracker
-from svmdist.geometry.separation import separation
+from svmdist.geometry.distance import separation
 from svmdist.geometry.surfaces import Capsules, Mesh, Plane
 from svmdist.profile import Dome
 from svmdist.transforms import Array, transform_points

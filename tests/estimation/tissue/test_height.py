@@ -13,8 +13,7 @@ from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import tissue_frame
 from svmdist.estimation.tissue_tracking import TissueHeight, by_constants, measured_height
-from svmdist.geometry.rays import meet_plane, pixel_rays
-from svmdist.geometry.surfaces import Plane
+from svmdist.geometry.surfaces import Plane, meet_plane, pixel_rays
 from svmdist.profile import CameraError, Dome, Tissue
 from svmdist.samples import RightView
 from svmdist.transforms import Array, make_transform, rotation_of, transform_points
