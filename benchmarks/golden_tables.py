@@ -1,165 +1,226 @@
-"""Remake what the documentation shows of the golden logs: the README's tables, docs/results.md and the pictures.
+"""The tables of the golden logs in README.md and docs/results.md, made from what the commands write.
 
-Run `uv run python -m benchmarks.golden_tables` after a change that moves figures, with
-`planar`, `3d`, `real` or `pictures` for a part; tests hold the README's tables against what is measured.
+Run `uv run python -m benchmarks.golden_tables` after a change that moves figures, with names of parts for some of them.
 """
 
 from __future__ import annotations
 
+import json
+import shlex
+import subprocess
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
-from benchmarks.docs_3d import (
-    REAL_LOGS,
-    make_results_3d,
-    make_results_real,
-    measure_logs,
-    score_alarms,
-    score_between,
-    table_of_all,
-)
-from benchmarks.pictures import IMAGES, PICTURES, make_picture
-from svmdist.recording.log import open_recording
-from svmdist.workflows.blur_bench import blur_bench
-from svmdist.workflows.request import Setup, prepare
-from svmdist.workflows.scoring.score import Score
-from svmdist.workflows.scoring.truth import Reference
-from svmdist.workflows.validate import Validation, validate
+import numpy as np
+
+import svmdist
+from benchmarks.generated_pages import table_row, with_table
 
 ROOT = Path(__file__).resolve().parent.parent
-LOGS = ("calibration", "sweep", "approach", "contact", "occlusion", "random")
 README, RESULTS = ROOT / "README.md", ROOT / "docs" / "results.md"
-BEGIN, END = "<!-- results:begin -->", "<!-- results:end -->"
-MARKS_3D = ("<!-- results-3d:begin -->", "<!-- results-3d:end -->")
-MARKS_REAL = ("<!-- results-real:begin -->", "<!-- results-real:end -->")
+Record = dict[str, Any]
+METHODS = {
+    "fiducial": ("an AprilTag plate, and the wrist's joints", "outline on the profile's plane"),
+    "shaft": ("one camera: the silhouette of a shaft of known radius", "outline on the profile's plane"),
+    "stereo": ("both cameras", "both cameras, by matching and alignment"),
+    "kinematic": ("nominal kinematics", "outline on the profile's plane"),
+    "fused": ("kinematics, corrected by everything visible", "outline over time; height by both views"),
+}
+"""Methods in 3D, and where each takes tool and tissue from."""
+OPTIONS = "".join(f" --method {name}" for name in METHODS)
+ALARMS = "--method fused --alarm-below 5mm --truth ground_truth"
+FIGURES = "n/frames", "spatial RMSE [mm]", "in 95%", "clearance RMSE [mm]", "in 95%"
+ALARM_FIGURES = "unsafe", "recall", "precision", "safe alarmed", "least lead [s]"
+PLANAR = "n/frames", "R²", "RMSE [mm]", "RMSE 95% [mm]", "p95 [mm]", "bias [mm]", "σ [mm]"
+BLUR = "kernel [px]", "features", "paper", "area [px²]", "paper", "RMSE [mm]"
 
 
-def results_table(validation: Validation, reference: Reference = Reference.GROUND_TRUTH) -> str:
-    """The README's table: a row a log, then the overall row."""
-    lines = [
-        "| log | n / frames | R² | RMSE [mm] | RMSE 95 % [mm] | p95 [mm] | bias [mm] | σ [mm] |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    scores = [score for score in validation.scores if score.reference is reference]
-    overall = [score for score in validation.overall if score.reference is reference]
-    lines += [_markdown_row(score) for score in (*scores, *overall)]
-    return "\n".join(lines) + "\n"
+def measured(command: str) -> Any:
+    """What a command of svmdist writes as JSON; bash resolves its patterns."""
+    line = f"{shlex.quote(sys.executable)} -m svmdist {command} -q -f json"
+    done = subprocess.run(["bash", "-c", line], cwd=ROOT, stdout=subprocess.PIPE, check=True)
+    return json.loads(done.stdout)
 
 
-def _markdown_row(score: Score) -> str:
-    s, interval = score.statistics, score.rmse_interval_m
-    assert s is not None
-    assert interval is not None
-    name = f"{score.recording} (fitted on)" if score.fitted_on else score.recording
-    cells = (
-        f"**{name}**" if score.recording == "overall" else name,
-        f"{score.sample_count} / {score.frame_count}",
-        "–" if s.r_squared is None else f"{s.r_squared:.4f}",
-        f"{s.rmse * 1e3:.2f}",
-        f"{interval.low * 1e3:.2f}–{interval.high * 1e3:.2f}",
-        f"{s.p95_abs_error * 1e3:.2f}",
-        f"{s.bias * 1e3:.2f}",
-        f"{s.truth_std * 1e3:.1f}",
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return (
+        table_row(tuple(headings))
+        + "|---" * len(headings)
+        + "|\n"
+        + "".join(table_row(tuple(row)) for row in rows)
     )
-    return f"| {' | '.join(cells)} |"
 
 
-def score_logs(setup: Setup, names: Sequence[str] = LOGS) -> Validation:
-    """Score the golden logs."""
-    recordings = [open_recording(ROOT / "recordings" / f"{name}.mcap", setup.profile) for name in names]
-    return validate(recordings, setup)
+def millimetres(value_m: float | None, digits: int = 2) -> str:
+    """A length, or a dash."""
+    return "–" if value_m is None else f"{1e3 * value_m:.{digits}f}"
 
 
-def with_table(text: str, table: str, marks: tuple[str, str] = (BEGIN, END)) -> str:
-    """A document with what stands between the marks replaced."""
-    begin, end = marks
-    head, _, rest = text.partition(begin)
-    _, _, tail = rest.partition(end)
-    return f"{head}{begin}\n{table}{end}{tail}"
+def percent(share: float | None, digits: int = 0) -> str:
+    """A share, or a dash."""
+    return "–" if share is None else f"{100 * share:.{digits}f}%"
 
 
-def blur_table(setup: Setup) -> str:
-    """Table I of the paper beside ours, over all golden logs but the calibration log."""
-    recordings = [open_recording(ROOT / "recordings" / f"{name}.mcap", setup.profile) for name in LOGS[1:]]
-    lines = [
-        "| blur | kernel [px] | features | paper | area [px²] | paper | features, marker | matches | inliers"
-        " | coverage | RMSE [mm] |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for row in blur_bench(recordings, setup):
-        printed = row.printed
-        lines.append(
-            f"| {row.blur} | {row.kernel_px} | {row.keypoint_count:.1f} | {printed.keypoint_count if printed else '–'}"
-            f" | {row.contour_area_px:.0f} | {printed.contour_area_px if printed else '–'}"
-            f" | {row.marker_keypoint_count:.0f} | {row.match_count:.0f} | {row.inlier_count:.0f}"
-            f" | {row.coverage:.1%} | {(row.rmse_m or 0.0) * 1e3:.2f} |"
+def pooled(records: Sequence[Record]) -> Record:
+    """The figures of several instruments together."""
+    counts = np.array([record["measured_count"] for record in records], float)
+    together: Record = {
+        key: sum(record[key] for record in records) for key in ("measured_count", "frame_count")
+    }
+    for key in (
+        "spatial_rmse_m",
+        "clearance_rmse_m",
+        "spatial_interval_coverage",
+        "clearance_interval_coverage",
+    ):
+        values = np.array([record[key] or 0.0 for record in records])
+        power = 2 if key.endswith("_rmse_m") else 1
+        together[key] = (
+            float((counts @ values**power / counts.sum()) ** (1 / power)) if counts.any() else None
         )
-    return "\n".join(lines) + "\n"
+    return together
 
 
-def make_results(overlay: Validation, setup: Setup) -> str:
-    """The generated part of docs/results.md."""
-    centroid = score_logs(replace(setup, method="centroid"))
-    printed = score_logs(prepare(equations="printed"))
-    return "\n".join(
-        [
-            "### `overlay`, corrected, against the simulator's truth\n",
-            results_table(overlay),
-            "### `overlay`, corrected, against DH kinematics of the measured joints, as in the paper\n",
-            results_table(overlay, Reference.KINEMATICS),
-            "### `centroid`, the ablation without marker, against the simulator's truth\n",
-            results_table(centroid),
-            "### `overlay`, printed equations, against the simulator's truth\n",
-            results_table(printed),
-            "### Table I under blur\n",
-            blur_table(setup),
-        ]
+def cells_in_3d(record: Record) -> list[str]:
+    """Frames, and the figures of both distances in 3D."""
+    count = record.get("measured_count", record.get("sample_count"))
+    cells = [f"{count}/{record['frame_count']}"]
+    for name in ("spatial", "clearance"):
+        cells += [millimetres(record[f"{name}_rmse_m"]), percent(record[f"{name}_interval_coverage"])]
+    return cells
+
+
+def all_methods(logs: str) -> dict[str, list[str]]:
+    """The figures of each method in 3D on logs, over all instruments."""
+    records = [one for one in measured(f"compare {logs}{OPTIONS}") if one["group"].split()[0] == "all"]
+    return {name: cells_in_3d(pooled([one for one in records if one["method"] == name])) for name in METHODS}
+
+
+def real(readme: str, results: str) -> tuple[str, str]:
+    """All methods in worlds that differ from the profile."""
+    rows = [
+        [f"`{name}`", *METHODS[name], *cells] for name, cells in all_methods("recordings/real/*.mcap").items()
+    ]
+    made = table(("`--method`", "tool from", "tissue from", *FIGURES), rows)
+    return with_table(readme, "golden-real", made), results
+
+
+def ideal(readme: str, results: str) -> tuple[str, str]:
+    """All methods in a world that agrees with the profile."""
+    rows = [[f"`{name}`", *cells] for name, cells in all_methods("recordings/3d/*.mcap").items()]
+    return readme, with_table(results, "golden-3d", table(("method", *FIGURES), rows))
+
+
+def fused(readme: str, results: str) -> tuple[str, str]:
+    """`fused` and its alarms, log by log."""
+    rows = []
+    for folder in ("3d", "real"):
+        for score in measured(f"validate recordings/{folder}/*.mcap {ALARMS}")["recordings"]:
+            lead_s = score["alarm_lead_min_s"]
+            rows.append(
+                [
+                    f"{folder}/{score['recording']}",
+                    *cells_in_3d(score),
+                    str(score["alarm_unsafe_count"]),
+                    percent(score["alarm_recall"]),
+                    percent(score["alarm_precision"]),
+                    percent(score["false_alarm_fraction"], 1),
+                    "–" if lead_s is None else f"{lead_s:.2f}",
+                ]
+            )
+        if folder == "3d":
+            rows.append(["3d/duo PSM1–PSM2", *between_instruments(), *["–"] * len(ALARM_FIGURES)])
+    return readme, with_table(results, "golden-fused", table(("log", *FIGURES, *ALARM_FIGURES), rows))
+
+
+def between_instruments() -> list[str]:
+    """The clearance between both instruments of `3d/duo`."""
+    path, topic = ROOT / "recordings" / "3d" / "duo.mcap", "/ground_truth/PSM1/PSM2/distance"
+    rows = [
+        row for row in svmdist.estimate(svmdist.open_recording(path), "fused") if row.instrument == "PSM1"
+    ]
+    found = [(row.stamp_ns, row.distances.to_instrument) for row in rows if row.distances.to_instrument]
+    track = svmdist.open_recording(path, topics={"ground_truth_distance": topic}).distance_track()
+    true_m = track.at(np.array([stamp_ns for stamp_ns, _ in found], np.int64)).clearance_m
+    error_m = np.array([distance.value_m for _, distance in found]) - true_m
+    inside = np.abs(error_m) <= 1.96 * np.array([distance.std_m for _, distance in found], float)
+    rmse_m = float(np.sqrt(np.mean(error_m**2)))
+    return [f"{len(found)}/{len(rows)}", "–", "–", millimetres(rmse_m), percent(float(inside.mean()))]
+
+
+def planar(readme: str, results: str) -> tuple[str, str]:
+    """`overlay` log by log, and the overall rows of other conditions."""
+    document = measured("validate")
+    scores = [score for score in document["recordings"] if score["reference"] == "ground_truth"]
+    overall = document["overall_by_reference"]
+    rows = [
+        [score["recording"] + " (fitted on)" * score["fitted_on"], *cells_in_plane(score)] for score in scores
+    ]
+    rows.append(["**overall**", *cells_in_plane(overall["ground_truth"])])
+    results = with_table(results, "golden-planar", table(("log", *PLANAR), rows))
+    others = {
+        "`overlay` against DH kinematics, as in the paper": overall["kinematics"],
+        "`--method centroid`, without the marker": measured("validate --method centroid")["overall"],
+        "`--equations printed`": measured("validate --equations printed")["overall"],
+    }
+    rows = [[name, *cells_in_plane(score)] for name, score in others.items()]
+    return readme, with_table(results, "golden-overall", table(("condition", *PLANAR), rows))
+
+
+def cells_in_plane(score: Record) -> list[str]:
+    """Frames, and the figures of the planar distance."""
+    return [
+        f"{score['sample_count']}/{score['frame_count']}",
+        f"{score['r_squared']:.4f}",
+        millimetres(score["rmse_m"]),
+        f"{millimetres(score['rmse_low_m'])}–{millimetres(score['rmse_high_m'])}",
+        millimetres(score["p95_abs_error_m"]),
+        millimetres(score["bias_m"]),
+        millimetres(score["truth_std_m"], 1),
+    ]
+
+
+def blur(readme: str, results: str) -> tuple[str, str]:
+    """Table I of the paper beside ours."""
+    logs = " ".join(
+        f"recordings/{name}.mcap" for name in ("sweep", "approach", "contact", "occlusion", "random")
     )
+    rows = [
+        [
+            record["blur"],
+            str(record["kernel_px"]),
+            f"{record['keypoint_count']:.1f}",
+            str(record["paper_keypoint_count"] or "–"),
+            f"{record['contour_area_px']:.0f}",
+            str(record["paper_contour_area_px"] or "–"),
+            millimetres(record["rmse_m"]),
+        ]
+        for record in measured(f"blur-bench {logs}")
+    ]
+    return readme, with_table(results, "golden-blur", table(("blur", *BLUR), rows))
 
 
-def make_planar() -> None:
-    """Remake the tables of the planar logs."""
-    setup = prepare()
-    validation = score_logs(setup)
-    _rewrite(README, results_table(validation))
-    _rewrite(RESULTS, make_results(validation, setup))
+PARTS: dict[str, Callable[[str, str], tuple[str, str]]] = {
+    "real": real,
+    "ideal": ideal,
+    "fused": fused,
+    "planar": planar,
+    "blur": blur,
+}
 
 
-def make_3d() -> None:
-    """Remake the tables of the logs in 3D."""
-    runs = measure_logs()
-    _rewrite(README, table_of_all(runs), MARKS_3D)
-    _rewrite(RESULTS, make_results_3d(runs, score_alarms(), score_between()), MARKS_3D)
-
-
-def make_real() -> None:
-    """Remake the tables of the logs of worlds that are not the profile."""
-    runs = measure_logs(REAL_LOGS)
-    _rewrite(README, table_of_all(runs), MARKS_REAL)
-    _rewrite(RESULTS, make_results_real(runs, score_alarms(REAL_LOGS)), MARKS_REAL)
-
-
-def make_pictures() -> None:
-    """Remake the pictures, each by the command that its page shows."""
-    for name in PICTURES:
-        make_picture(name, IMAGES)
-
-
-def _rewrite(document: Path, table: str, marks: tuple[str, str] = (BEGIN, END)) -> None:
-    document.write_text(with_table(document.read_text("utf-8"), table, marks), "utf-8")
-
-
-def main() -> None:
-    """Remake everything, or the parts that are named."""
-    parts = {"planar": make_planar, "3d": make_3d, "real": make_real, "pictures": make_pictures}
-    for name in sys.argv[1:] or parts:
-        if name not in parts:
-            raise SystemExit(f"no part {name}: the choices are {', '.join(parts)}")
-        parts[name]()
-    print(f"remade {IMAGES}, {README} and {RESULTS}", file=sys.stderr)
+def main(names: Sequence[str]) -> None:
+    """Make all parts anew, or those that are named."""
+    for name in names or PARTS:
+        if name not in PARTS:
+            raise SystemExit(f"no part {name}: the choices are {', '.join(PARTS)}")
+        readme, results = PARTS[name](README.read_text("utf-8"), RESULTS.read_text("utf-8"))
+        README.write_text(readme, "utf-8")
+        RESULTS.write_text(results, "utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -1,162 +1,189 @@
-"""IoU of instruments on public images with masks: `auto` and a network side by side.
+"""IoU of instruments on public images with masks: `auto` and the network that ships, side by side.
 
-`uv run python -m benchmarks.masks FOLDER [--network FILE] [--renders N] [--out DIR]` runs on whatever of the
-sets is in FOLDER (`git clone` of the repositories in `benchmarks/masked_sets.py`), and on N pictures that
-are drawn as those of the training are, with other seeds. It prints a table in Markdown. DIR gets overlays: yellow what
-a method found, green the mask.
+`uv run python -m benchmarks.masks FOLDER [--renders N]` runs on whatever of the sets is in FOLDER (`git clone` of the
+repositories in SETS), and on N pictures that are drawn as those of the training are, with other seeds. It prints
+a table. Where a set has no masks, `outlines.json` has outlines drawn by hand, in px of the image. Nothing of the
+network is trained on these sets or chosen by them.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.masked_sets import SETS, MaskedImage
-from benchmarks.overlap import iou
+from benchmarks.generated_pages import table_row
+from svmdist.models import INSTRUMENTS
+from svmdist.profile import OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.network import OnnxSegmenter
 from svmdist.vision.segmentation import AutoSegmenter, Segmenter
-from training.dataset import VALIDATION_SEED
+from training.dataset import VALIDATION_SEED, iou
 from training.instruments import DISTAL
-from training.layout import network_rules
 from training.scene import render
 
 Mask = NDArray[np.bool_]
-Method = Callable[[Sequence[Image]], Segmenter]
-"""Makes what segments the images of one set, as it would those of one log."""
-GOOD = 0.85
-"""IoU that is asked for on images of operations."""
+Masked = Iterator[tuple[Image, Mask]]
+"""Images in BGR, shape (h, w, 3), and where their instruments are, shape (h, w)."""
+OUTLINES = Path(__file__).resolve().parent / "outlines.json"
+PANEL_SIZE = (240, 427)
+"""(h, w) of each of a panel's three pictures: the image, its classes, what some network made of it."""
+GRASPER_BGR, HOOK_BGR = (233, 180, 86), (139, 139, 0)
+SUPER_DEEP = "ForwardPassDeepLabCut/DaVinci-Ambar-2019-10-31/labeled-data/video_1"
 
 
-@dataclass
-class Figures:
-    """One method on one set: IoU of each image with instruments, and the part called one where there is none."""
-
-    ious: list[float] = field(default_factory=list)
-    false_parts: list[float] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
-
-    def add(self, other: Figures) -> None:
-        """Put another set's figures to these."""
-        self.ious += other.ious
-        self.false_parts += other.false_parts
-        self.seconds += other.seconds
-
-    def cell(self) -> str:
-        """Mean and range, as the table shows them."""
-        text = f"{np.mean(self.ious):.2f}"
-        if len(self.ious) > 1:
-            text += f" ({min(self.ious):.2f} to {max(self.ious):.2f})"
-        if self.false_parts:
-            text += f"; {100 * float(np.mean(self.false_parts)):.1f} % of {len(self.false_parts)} without any"
-        return text
+def _read(path: Path) -> Image:
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise SystemExit(f"{path}: expected an image")
+    return np.asarray(image, np.uint8)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure the sets that are there and print their table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--network", type=Path, help="an ONNX file of training.train")
-    parser.add_argument("--renders", type=int, default=0, help="how many drawn pictures to measure on")
-    parser.add_argument("--out", type=Path, help="folder for overlays")
-    given = parser.parse_args(arguments)
-    cv2.setNumThreads(1)
-    methods: dict[str, Method] = {"auto": _auto(), "auto without the network": _auto(network_weight=0.0)}
-    if given.network is not None:
-        methods["network"] = _network(given.network, from_border=False)
-        methods["network, from the border"] = _network(given.network, from_border=True)
-    print("| set | shows | images | " + " | ".join(f"`{name}`" for name in methods) + " |")
-    print("|---|---|---|" + "---|" * len(methods))
-    real = {name: Figures() for name in methods}
-    for each in SETS:
-        images = each.images(given.folder)
-        if not images:
-            print(f"{each.name}: not in {given.folder}; it is {each.repository}", file=sys.stderr)
-            continue
-        row = {name: _measured(method, images) for name, method in methods.items()}
-        for name, figures in row.items():
-            real[name].add(figures)
-        print(_row(each.name, each.shows, len(images), row), flush=True)
-        if given.out is not None:
-            for name, method in methods.items():
-                _draw_all(given.out / name, each.name, images, method)
-    if given.renders:
-        drawn = {name: Figures() for name in methods}
-        for seed in range(VALIDATION_SEED, VALIDATION_SEED + given.renders):
-            image, labels = render(seed)
-            for name, method in methods.items():
-                drawn[name].add(_measured(method, [MaskedImage(str(seed), image, labels >= DISTAL)]))
-        print(_row("drawn", "as those trained on, other seeds, 256x192", given.renders, drawn))
-    if not real["auto"].ious:
-        return 0 if given.renders else 1
-    print()
-    for name, figures in real.items():
-        good = np.mean(np.array(figures.ious) >= GOOD)
-        print(
-            f"{name}: IoU on all {len(figures.ious)} images with instruments {np.mean(figures.ious):.3f}, median"
-            f" {np.median(figures.ious):.3f}, at least {GOOD} on {100 * good:.0f} %;"
-            f" {1e3 * float(np.median(figures.seconds)):.0f} ms an image on one thread"
-        )
-    return 0
+def filled(outlines: list[list[list[float]]], size: tuple[int, int]) -> Mask:
+    """Where the outlines, each of shape (n, 2) in px, are filled; shape `size` = (h, w)."""
+    mask = np.zeros(size, np.uint8)
+    for outline in outlines:
+        cv2.fillPoly(mask, [np.rint(16 * np.array(outline)).astype(np.int32)], 1, shift=4)
+    return mask > 0
+
+
+def _outlined(key: str, where: str, width: int | None = None) -> Callable[[Path], Masked]:
+    """Images of a folder, given as a pattern, with our own outlines; `width` keeps the left part only."""
+
+    def read(root: Path) -> Masked:
+        for name, outlines in json.loads(OUTLINES.read_text("utf-8"))[key].items():
+            image = _read(next(root.glob(f"{where}/{name}")))[:, :width]
+            yield image, filled(outlines, (image.shape[0], image.shape[1]))
+
+    return read
+
+
+def _laparoscopy(root: Path) -> Masked:
+    folder = root / "Art-Net/AnnotationFullData/TestAnnotation"
+    for path in sorted((folder / "PositiveImage").glob("*.png")):
+        yield _read(path), _read(folder / "toolmask" / path.name)[..., 0] > 127
+
+
+def _phantom(root: Path) -> Masked:
+    folder = root / "tests/Metrics/Data"
+    for path in sorted((folder / "raw").glob("*.png")):
+        label = _read(folder / "label" / path.name.replace("_img", "_label"))
+        yield _read(path), (label == (0, 255, 0)).all(-1)  # the needle is yellow
+
+
+def _trainer(root: Path) -> Masked:
+    yield _read(root / "data/demo.jpg"), _read(root / "data/demo_seg.png")[..., 0] > 127
+
+
+def _single(root: Path) -> Masked:
+    yield _read(root / "images/img_40_raw.png"), _read(root / "images/img_40_class.png")[..., 0] > 0
+
+
+def panels(root: Path) -> Masked:
+    """Panels of three pictures: the image, its classes, and one that is not used."""
+    height, width = PANEL_SIZE
+    for path in sorted((root / "images").glob("*_panel.png")):
+        panel = _read(path)
+        image, classes = panel[:height, : width - 1], panel[:height, width : 2 * width - 1]
+        yield np.ascontiguousarray(image), (classes == GRASPER_BGR).all(-1) | (classes == HOOK_BGR).all(-1)
+
+
+def _figure(root: Path) -> Masked:
+    figure = _read(root / "images/grid-1-41.png")
+    parts = (figure[195:377, 34:263, 2] > 127).astype(np.uint8)
+    whole = cv2.morphologyEx(
+        parts, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)
+    )  # black lines part the instruments
+    yield np.ascontiguousarray(figure[2:184, 34:263]), whole > 0
+
+
+CHOLECYSTECTOMY = _outlined("cholecystectomy", "outputs/run_cholecseg_video01_test_*/frames")
+SETS: dict[str, tuple[str, str, Callable[[Path], Masked]]] = {
+    "laparoscopy": ("MahBadran93/Laparoscopic-Tools-Processing", "operation, 1920x1080", _laparoscopy),
+    "cholecystectomy": (
+        "Herbert-Research/surgical-instrument-segmentation",
+        "operation, 640x360",
+        CHOLECYSTECTOMY,
+    ),
+    "CholecSeg8k": ("mhjd/cholecseg8k-deeplabv3", "operations, 426x240", panels),
+    "EndoVis": ("ternaus/robot-surgery-segmentation", "operation on a pig, 229x182", _figure),
+    "EndoMapper": ("endomapperUZ/toolSegmentation", "operation, 640x480", _single),
+    "SuPer Deep": (
+        "ambareeshsrja16/Surgical_Tool_Tracking",
+        "ex vivo tissue, 720x576",
+        _outlined("super_deep", SUPER_DEEP, 720),
+    ),
+    "phantom": ("surgical-robotics-ai/dVRK-segmentation-models", "silicone, 1280x1024", _phantom),
+    "thrust": ("fdheenmo/thrust", "paper, 640x480", _outlined("thrust", "50_images_15-Nov-17-59-04")),
+    "trainer": ("luiscarlosgph/endotip", "box trainer, 980x988", _trainer),
+}
+"""Each set's public repository, what it shows, and how its images are read from the folder of that repository."""
 
 
 def instruments_of(segmenter: Segmenter, bgr: Image) -> Mask:
     """Shafts, wrists and jaws of all instruments, shape (h, w)."""
     masks = segmenter.masks(bgr, None)
-    shaft = masks.shaft
-    return (masks.instrument > 0) if shaft is None else ((masks.instrument | shaft) > 0)
+    return (masks.instrument > 0) if masks.shaft is None else ((masks.instrument | masks.shaft) > 0)
 
 
-def _auto(**settings: float) -> Method:
-    """Learns from the set's images, as from those of a log; from a single image by itself."""
-    segmenter = AutoSegmenter(AutoSettings.model_validate(settings))
-    return lambda images: segmenter.adapted_to(images) if len(images) > 1 else segmenter
+def _segmenters(images: Sequence[Image]) -> dict[str, Segmenter]:
+    """What segments the images of one set, as it would those of one log."""
+    found: dict[str, Segmenter] = {}
+    for name, settings in (("`auto`", {}), ("`auto` without the network", {"network_weight": 0.0})):
+        auto = AutoSegmenter(AutoSettings.model_validate(settings))
+        found[name] = auto.adapted_to(images) if len(images) > 1 else auto
+    for name, from_border in (("network", False), ("network, from the border", True)):
+        rules = {**INSTRUMENTS, "method": "onnx", "model": "svmdist:instruments", "from_border": from_border}
+        found[name] = OnnxSegmenter(OnnxSegmentation.model_validate(rules))
+    return found
 
 
-def _network(model: Path, *, from_border: bool) -> Method:
-    network = OnnxSegmenter(network_rules(model, from_border=from_border))
-    return lambda images: network  # noqa: ARG005
+def measure(sets: Sequence[Sequence[tuple[Image, Mask]]]) -> dict[str, str]:
+    """Mean and range of the IoU, and what is called an instrument where there is none, by method."""
+    ious: dict[str, list[float]] = {}
+    wrong: dict[str, list[float]] = {}
+    for images in sets:
+        for name, segmenter in _segmenters([bgr for bgr, _ in images]).items():
+            for bgr, truth in images:
+                found = instruments_of(segmenter, bgr)
+                into, value = (ious, iou(found, truth)) if truth.any() else (wrong, float(found.mean()))
+                into.setdefault(name, []).append(value)
+    return {
+        name: f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
+        + (f"; {100 * float(np.mean(wrong[name])):.1f}%" if name in wrong else "")
+        for name, values in ious.items()
+    }
 
 
-def _measured(method: Method, images: Sequence[MaskedImage]) -> Figures:
-    segmenter = method([image.bgr for image in images])
-    figures = Figures()
-    for image in images:
-        started = time.perf_counter()
-        mask = instruments_of(segmenter, image.bgr)
-        figures.seconds.append(time.perf_counter() - started)
-        if image.instruments.any():
-            figures.ious.append(iou(mask, image.instruments))
-        else:
-            figures.false_parts.append(float(mask.mean()))
-    return figures
-
-
-def _row(name: str, shows: str, count: int, row: dict[str, Figures]) -> str:
-    return f"| {name} | {shows} | {count} | " + " | ".join(figures.cell() for figures in row.values()) + " |"
-
-
-def _draw_all(folder: Path, set_name: str, images: Sequence[MaskedImage], method: Method) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    segmenter = method([image.bgr for image in images])
-    for image in images:
-        drawn = image.bgr.copy()
-        found = instruments_of(segmenter, image.bgr)
-        for colour, which in (((0, 220, 0), image.instruments), ((0, 230, 255), found)):
-            outlines, _ = cv2.findContours(which.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-            cv2.drawContours(drawn, outlines, -1, colour, max(1, drawn.shape[1] // 500))
-        name = f"{set_name}-{Path(image.name).stem}".replace(" ", "-").lower()
-        cv2.imwrite(str(folder / f"{name}.jpg"), drawn)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure the sets that are there, and print their table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--renders", type=int, default=0, help="how many drawn pictures to measure on")
+    given = parser.parse_args(arguments)
+    cv2.setNumThreads(1)
+    for name, (repository, shows, read) in SETS.items():
+        root = given.folder / repository.split("/")[1]
+        if not root.is_dir():
+            print(f"{name}: not in {given.folder}; it is {repository}", file=sys.stderr)
+            continue
+        images = list(read(root))
+        cells = measure([images])
+        print(table_row((name, shows, str(len(images)), *(f"{key}: {cell}" for key, cell in cells.items()))))
+    if given.renders:
+        pictures = [render(VALIDATION_SEED + number) for number in range(given.renders)]
+        cells = measure([[(bgr, labels >= DISTAL)] for bgr, labels in pictures])
+        print(
+            table_row(("drawn", "", str(given.renders), *(f"{key}: {cell}" for key, cell in cells.items())))
+        )
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

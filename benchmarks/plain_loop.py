@@ -1,14 +1,14 @@
-"""What somebody would write with OpenCV and the MCAP library in one loop: the peer for the speed of a replay.
+"""The paper's steps in one loop with OpenCV and the MCAP library: what a replay's speed is compared with.
 
-`python tests/benchmarks/plain_loop.py FILE [decode]` runs the paper's steps on every left image of a
-log of svmdist's own, or only reads and decodes them, in one thread, and prints how many frames it
-measured.
+`python benchmarks/plain_loop.py FILE [decode]` runs them on every left image of a log of svmdist's own, or only reads
+and decodes the images, in one thread.
 """
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,11 +19,11 @@ SIDE_PX, PAD_PX = 96, 40
 RED = (((0, 80, 60), (8, 255, 255)), ((170, 80, 60), (179, 255, 255)))
 CYAN = (((80, 90, 40), (105, 255, 255)),)
 GREEN = (((58, 250, 250), (62, 255, 255)),)
-ORB = cv2.ORB_create(1500, edgeThreshold=8, fastThreshold=10)
+ORB = cv2.ORB_create(1500, edgeThreshold=8, fastThreshold=10)  # type: ignore[attr-defined]
 MATCHER = cv2.BFMatcher(cv2.NORM_HAMMING)
 
 
-def middle_of(hsv: np.ndarray, boxes: tuple, gate_px: int) -> tuple[float, float] | None:
+def middle_of(hsv: Any, boxes: tuple[Any, ...], gate_px: int) -> tuple[float, float] | None:
     """The centroid of the largest region of a colour."""
     mask = np.zeros(hsv.shape[:2], np.uint8)
     for low, high in boxes:
@@ -36,16 +36,15 @@ def middle_of(hsv: np.ndarray, boxes: tuple, gate_px: int) -> tuple[float, float
     return moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
 
 
-def marker() -> np.ndarray:
+def marker() -> Any:
     """A tag with a white rim, to be pasted."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     cells = cv2.aruco.generateImageMarker(dictionary, 7, SIDE_PX - 16)
-    return cv2.cvtColor(
-        cv2.copyMakeBorder(cells, 8, 8, 8, 8, cv2.BORDER_CONSTANT, value=255), cv2.COLOR_GRAY2BGR
-    )
+    rimmed = cv2.copyMakeBorder(cells, 8, 8, 8, 8, cv2.BORDER_CONSTANT, value=255)
+    return cv2.cvtColor(rimmed, cv2.COLOR_GRAY2BGR)
 
 
-def is_measured(image: np.ndarray, pattern: np.ndarray, template: tuple) -> bool:
+def is_measured(image: Any, pattern: Any, template: Any) -> bool:
     """Segment, paste, match, fit a homography, draw the outline and find it again."""
     hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
     tissue, tool = middle_of(hsv, RED, 50), middle_of(hsv, CYAN, 100)
@@ -68,7 +67,7 @@ def is_measured(image: np.ndarray, pattern: np.ndarray, template: tuple) -> bool
         return False
     end = SIDE_PX - 1
     square = np.array([[[0, 0], [0, end], [end, end], [end, 0]]], np.float32)
-    outline = np.int32(cv2.perspectiveTransform(square, H))
+    outline = cv2.perspectiveTransform(square, H).astype(np.int32)
     cv2.polylines(canvas, [outline], True, (0, 255, 0), 3, cv2.LINE_AA)
     return middle_of(cv2.cvtColor(canvas, cv2.COLOR_BGR2HSV), GREEN, 100) is not None
 

@@ -19,8 +19,8 @@ from svmdist.results import FrameResult
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.estimate import estimate as _estimate
-from svmdist.workflows.lag import Lag, with_lag
-from svmdist.workflows.request import OwnMethod, Setup, prepare
+from svmdist.workflows.lag import with_lag
+from svmdist.workflows.request import Lag, OwnMethod, Request, Setup, prepare
 from svmdist.workflows.scoring.truth import TruthRules
 from svmdist.workflows.validate import Validation
 from svmdist.workflows.validate import validate as _validate
@@ -61,9 +61,8 @@ class Estimates(Sequence[FrameResult]):
 
     def rows(self) -> Iterator[Row]:
         """The rows of `svmdist estimate -f csv`, in SI; None for what does not exist."""
-        start_ns = self.results[0].stamp_ns if self.results else 0
         for result in self.results:
-            row = estimate_row(self.recording.name, result, self.setup.method, self.setup.equations, start_ns)
+            row = estimate_row(self.recording.name, result, self.setup.method, self.setup.equations)
             yield {key: row.get(key) for key in ESTIMATE_KEYS}
 
     def to_dataframe(self) -> DataFrame:
@@ -110,7 +109,8 @@ def validate(
     """Score a method on recordings of one profile against each reference that they have."""
     several = [recordings] if isinstance(recordings, Recording) else list(recordings)
     setup = _setup(several[0], method, calibration)
-    return _validate(several, setup, rules, lag, alarms, jobs=jobs)
+    request = Request(setup, lag=lag, alarms=alarms, rules=rules or TruthRules())
+    return _validate(several, request, jobs)
 
 
 def compare(
@@ -125,10 +125,7 @@ def compare(
 
 
 def _setup(recording: Recording, method: Method, calibration: Path | None = None) -> Setup:
-    if recording.origin is None:
-        raise SvmdistError("expected a recording of open_recording, found a view of one")
-    profile = recording.origin[1]
-    return prepare(profile, method, "corrected", calibration)
+    return prepare(recording.origin.profile, method, "corrected", calibration)
 
 
 def _dataframe(rows: Sequence[Row], keys: Sequence[str]) -> DataFrame:

@@ -101,14 +101,8 @@ class Camera:
     ) -> Camera:
         """Make an ideal camera with square pixels whose optical axis meets the middle of the image."""
         focal_px = width_px / 2.0 / np.tan(horizontal_fov_rad / 2.0)
-        # Pixel centres are integers, so the middle of w pixels lies at (w - 1) / 2.
-        K = np.array(
-            [
-                [focal_px, 0.0, (width_px - 1) / 2.0],
-                [0.0, focal_px, (height_px - 1) / 2.0],
-                [0.0, 0.0, 1.0],
-            ]
-        )
+        cx, cy = (width_px - 1) / 2.0, (height_px - 1) / 2.0  # pixel centres are integers
+        K = np.array([[focal_px, 0.0, cx], [0.0, focal_px, cy], [0.0, 0.0, 1.0]])
         P = np.hstack([K, np.zeros((3, 1))])
         return cls(width_px, height_px, K, np.zeros(5), np.eye(3), P, frame_id)
 
@@ -148,14 +142,12 @@ class Camera:
         return pixels + self.K[:2, 2], slope
 
     def same_optics(self, other: Camera, tolerance_px: float = 1e-6) -> bool:
-        """Tell whether size, intrinsics and distortion agree within a tolerance in px."""
-        length = max(len(self.D), len(other.D))
-        distortion = np.pad(self.D, (0, length - len(self.D)))
-        other_distortion = np.pad(other.D, (0, length - len(other.D)))
+        """Whether size, intrinsics and distortion agree within a tolerance in px."""
+        D, other_D = (np.pad(one.D, (0, MAX_COEFFICIENTS - len(one.D))) for one in (self, other))
         return (
             (self.width_px, self.height_px) == (other.width_px, other.height_px)
             and bool(np.allclose(self.K, other.K, rtol=0.0, atol=tolerance_px))
-            and bool(np.allclose(distortion, other_distortion, rtol=0.0, atol=1e-9))
+            and bool(np.allclose(D, other_D, rtol=0.0, atol=1e-9))
             and (self.distortion_model == "fisheye") == (other.distortion_model == "fisheye")
         )
 
@@ -185,13 +177,8 @@ def _distorted(xy: Array, coefficients: tuple[float, ...]) -> Array:
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        -1,
-    )
+    shown_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    return np.stack([shown_x, y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1)
 
 
 def _distortion_slope(xy: Array, coefficients: tuple[float, ...]) -> Array:

@@ -1,7 +1,6 @@
-"""The errors svmdist raises on purpose: one base class, one subclass per thing a caller can do about it.
+"""The errors that svmdist raises on purpose: one base class, one subclass per thing a caller can do about it.
 
-Every message is one line that says what was expected, what was found and what the choices are, so
-that the command line can print it as it stands.
+Every message is one line that says what was expected, what was found and what the choices are.
 """
 
 from __future__ import annotations
@@ -67,9 +66,9 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
     if not known:
         return "there are none to choose from"
     listed = f"he choices are: {', '.join(known)}"
-    by_small_letters = {choice.casefold(): choice for choice in known}
-    nearest = get_close_matches(name.casefold(), by_small_letters, n=1, cutoff=0.5)
-    return f"did you mean {by_small_letters[nearest[0]]}? T{listed}" if nearest else f"t{listed}"
+    folded = {choice.casefold(): choice for choice in known}
+    nearest = get_close_matches(name.casefold(), folded, n=1, cutoff=0.5)
+    return f"did you mean {folded[nearest[0]]}? T{listed}" if nearest else f"t{listed}"
 
 
 def optional_package(name: str, extra: str, what: str, error: type[SvmdistError] = SvmdistError) -> Any:

@@ -54,11 +54,7 @@ class NormalEquations:
     @property
     def is_finite(self) -> bool:
         """Whether a step can be computed from them."""
-        return bool(
-            np.isfinite(self.cost)
-            and np.isfinite(self.gradient).all()
-            and np.isfinite(self.information).all()
-        )
+        return all(np.isfinite(part).all() for part in (self.cost, self.gradient, self.information))
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +70,9 @@ class Minimum(Generic[State]):
 class Steps:
     """When to stop: after `max_steps`, or after a step whose largest element is below `settled`.
 
-    With `damping` above 0 steps are damped in proportion to the information's diagonal, more after a step that raised
-    the cost, which is taken back, and less after one that lowered it. `cost_settled` ends the iteration where a step
-    lowers the cost by less. `step_limit`, shape (n,), bounds the elements of a step.
+    With `damping` above 0, steps are damped in proportion to the information's diagonal; a step that raises the cost
+    is rejected. `cost_settled` ends the iteration where a step lowers the cost by less. `step_limit`, shape (n,),
+    bounds the elements of a step.
     """
 
     max_steps: int

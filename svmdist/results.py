@@ -1,7 +1,4 @@
-"""What methods give: the result of a frame, grouped, and the reason where a step has none.
-
-Results travel as objects; `report/` alone flattens them to columns.
-"""
+"""The results of methods, grouped; `report/` alone flattens them to columns."""
 
 from __future__ import annotations
 
@@ -24,12 +21,11 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class ToolPose:
-    """`T_camera_tool`, shape (4, 4), and the covariance of its error, shape (6, 6).
+    """`T_camera_tool`, shape (4, 4), and the covariance of its error (δp, δθ), shape (6, 6), in the camera frame.
 
-    The error is (δp, δθ), both in the camera frame: p_true = p + δp in m, R_true = exp([δθ]) R in rad. The
-    tool's x axis points along the jaws; `axis` is the shaft's direction, from the base to the tip, a unit
-    vector of shape (3,) in the camera frame. `axis_std_rad` is how certain that is, the worse of two directions
-    across it; None: as the tool's own rotation.
+    p_true = p + δp in m, R_true = exp([δθ]) R in rad. The tool's x axis points along the jaws; `axis` is the shaft's
+    direction, from the base to the tip, a unit vector of shape (3,) in the camera frame. `axis_std_rad` is its standard
+    deviation, the worse of two directions across it; None: as the tool's own rotation.
     """
 
     T_camera_tool: Array
@@ -55,9 +51,8 @@ class ToolPose:
     @property
     def shaft_std_rad(self) -> float:
         """Standard deviation of the shaft's direction, the worse of two across it."""
-        if self.axis_std_rad is not None:
-            return self.axis_std_rad
-        return across_std_rad(self.covariance[3:, 3:], self.axis)
+        rotation = self.covariance[3:, 3:]
+        return across_std_rad(rotation, self.axis) if self.axis_std_rad is None else self.axis_std_rad
 
 
 def across_std_rad(covariance: Array, axis: Array) -> float:
@@ -96,7 +91,7 @@ class Distance:
 
 @dataclass(frozen=True, slots=True)
 class Distances:
-    """The distances of one instrument in one frame; None where the method does not tell one.
+    """The distances of one instrument in one frame; None where the method has none.
 
     `planar` is the paper's distance in the camera's xy plane, `spatial` the same in 3D, `clearance` the smallest
     distance between the surfaces of instrument and tissue, `to_instrument` that to the nearest other instrument.
@@ -110,10 +105,7 @@ class Distances:
 
 @dataclass(frozen=True, slots=True)
 class ImageFindings:
-    """What was found in the image: places in px, areas in pixel counts, counts of features or measurements.
-
-    A field is None where the method did not get that far.
-    """
+    """Positions in px, areas in pixels, counts of features or measurements; None where there are none."""
 
     tool_px: Pixel | None = None
     tissue_px: Pixel | None = None
@@ -139,6 +131,10 @@ class FrameResult:
     """Innovations squared over what is expected of them, where a method watches them: 1 is as expected."""
     doubt: str = ""
     """Why it is not sure which instrument this is; empty where it is. The row's detail says so too."""
+    number: int = 0
+    """Number of the image in its log, from 0."""
+    seconds: float = 0.0
+    """Time since the first image of the log."""
 
     @property
     def measured(self) -> bool:

@@ -1,7 +1,7 @@
 """What is read from a recording: samples, and observations made of them.
 
-An `Observation` holds what a real robot would give. It has no field for ground truth, so that no
-estimator can peek; truth travels on its own, as `DistanceSample` and `TransformSample`.
+An `Observation` has no field for ground truth, so that no estimator can use it; truth travels on its own, as
+`DistanceSample` and `TransformSample`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Values over time: joints, transforms, poses and distances, and their interpolation between stamps.
 
-A track never extrapolates, and it refuses to interpolate across a gap that is longer than a limit: the
-answer says for every stamp whether it is valid, and holds NaN where it is not.
+A track never extrapolates, and does not interpolate across a gap that is longer than a limit: invalid values are NaN.
 """
 
 from __future__ import annotations
@@ -11,15 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.transforms import Array, interpolate_transforms
+from svmdist.transforms import (
+    Array,
+    make_transform,
+    quaternion_xyzw_from_rotation,
+    rotation_from_quaternion_xyzw,
+    slerp_xyzw,
+)
 
 Stamps = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 MAX_GAP_NS = 100_000_000
 """Longest gap to interpolate across, 0.1 s: ten samples of the slowest joint states that are useful."""
-
-
 RATE_WINDOW_NS = 40_000_000
 """Rates are those of the samples within 40 ms: eight at 100 Hz, so that encoder noise averages out."""
 
@@ -37,13 +40,12 @@ class Bracket:
 def bracket(stamps_ns: Stamps, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Bracket:
     """Find the samples around the stamps `at_ns`, shape (m,), in sorted, distinct stamps, shape (n,).
 
-    A stamp that meets a sample needs no neighbour. Any other is valid between two samples that are at
-    most `max_gap_ns` apart.
+    A stamp is valid at a sample, or between two samples that are at most `max_gap_ns` apart.
     """
     at_ns = np.asarray(at_ns, np.int64)
     if len(stamps_ns) == 0:
-        nowhere = np.zeros(len(at_ns), np.intp)
-        return Bracket(nowhere, nowhere, np.zeros(len(at_ns)), np.zeros(len(at_ns), np.bool_))
+        none = np.zeros(len(at_ns), np.intp)
+        return Bracket(none, none, none.astype(np.float64), none.astype(np.bool_))
     right = np.searchsorted(stamps_ns, at_ns, side="left")
     inside = right < len(stamps_ns)
     right = np.minimum(right, len(stamps_ns) - 1)
@@ -61,8 +63,7 @@ def sort_stamps(stamps_ns: Stamps) -> NDArray[np.intp]:
     order = np.argsort(stamps_ns, kind="stable")
     if len(order) == 0:
         return order
-    in_order = stamps_ns[order]
-    return np.asarray(order[np.append(in_order[1:] != in_order[:-1], True)])
+    return np.asarray(order[np.append(np.diff(stamps_ns[order]) != 0, True)])
 
 
 @dataclass(frozen=True)
@@ -137,11 +138,15 @@ class TransformTrack:
             return Sampled(np.repeat(self.T_parent_child[:1], len(at_ns), axis=0), always)
         where = bracket(self.stamps_ns, at_ns, max_gap_ns)
         values = np.full((len(at_ns), 4, 4), np.nan)
-        between = where.valid & (where.left != where.right)
-        met = where.valid & ~between  # by a sample, which is given back to the last bit
-        values[met] = self.T_parent_child[where.left[met]]
-        if between.any():
-            values[between] = interpolate_transforms(self.stamps_ns, self.T_parent_child, at_ns[between])
+        exact = where.valid & (where.left == where.right)  # a sample is returned to the last bit
+        values[exact] = self.T_parent_child[where.left[exact]]
+        between = where.valid & ~exact
+        left, right = (self.T_parent_child[side[between]] for side in (where.left, where.right))
+        fraction = where.fraction[between]
+        t_m = left[:, :3, 3] + fraction[:, None] * (right[:, :3, 3] - left[:, :3, 3])
+        start, end = (quaternion_xyzw_from_rotation(T[:, :3, :3]) for T in (left, right))
+        R = rotation_from_quaternion_xyzw(slerp_xyzw(start, end, fraction))
+        values[between] = make_transform(R, t_m)
         return Sampled(values, where.valid)
 
 

@@ -1,4 +1,4 @@
-"""Rigid transforms on plain arrays: products, inverses, quaternions and interpolation over time.
+"""Rigid transforms on plain arrays: products, inverses, rotation vectors, quaternions; and a polygon's centroid.
 
 `T_a_b` maps coordinates of frame b to frame a, `p_a = T_a_b @ p_b`, so that names cancel in a product:
 `T_camera_tool = T_camera_base @ T_base_tool`. Every function takes stacks: leading axes broadcast.
@@ -7,11 +7,30 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated, Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+
+class ArrayInJson:
+    """Lets pydantic store an array of the annotated kind as nested lists; NaN is null there."""
+
+    @staticmethod
+    def __get_pydantic_core_schema__(kind: Any, _: Any) -> Any:
+        """Say how to read and write it."""
+        from pydantic_core import core_schema
+
+        (dtype,) = get_args(get_args(kind)[1])
+        write = core_schema.plain_serializer_function_ser_schema(np.ndarray.tolist)
+        return core_schema.no_info_plain_validator_function(
+            lambda value: np.asarray(value, dtype), serialization=write
+        )
+
+
+Array = Annotated[NDArray[np.float64], ArrayInJson]
+Stamps = Annotated[NDArray[np.int64], ArrayInJson]
+"""Stamps in ns, shape (n,)."""
 
 
 def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
@@ -140,38 +159,26 @@ def cross(a: Array, b: Array) -> Array:
 def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Array:
     """Rotations, shape (..., 3, 3), from quaternions in the order x, y, z, w, shape (..., 4).
 
-    The quaternion is normalised first; a zero quaternion raises ValueError, for it names no rotation.
+    They are normalised first; a zero quaternion raises ValueError.
     """
     q = np.asarray(quaternion_xyzw, np.float64)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not np.all(np.isfinite(norm) & (norm > 1e-9)):
         raise ValueError("a rotation needs a finite quaternion that is not zero")
-    q = q / norm
-    x, y, z, w = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
-    R = np.empty((*q.shape[:-1], 3, 3))
-    R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - z * w),
-        2 * (x * z + y * w),
+    x, y, z, w = np.moveaxis(q / norm, -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
     )
-    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = (
-        2 * (x * y + z * w),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - x * w),
-    )
-    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = (
-        2 * (x * z - y * w),
-        2 * (y * z + x * w),
-        1 - 2 * (x * x + y * y),
-    )
-    return R
+    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def quaternion_xyzw_from_rotation(R: Array) -> Array:
     """Unit quaternions in the order x, y, z, w with w >= 0, shape (..., 4), from rotations (..., 3, 3).
 
-    Uses the largest of the four squared components as the pivot (Shepperd 1978), which stays accurate
-    at every angle; the textbook formula through the trace loses all digits near half a turn.
+    The largest of the four squared components is the pivot (Shepperd 1978): accurate at every angle, unlike the
+    trace, which loses all digits near half a turn.
     """
     R = np.asarray(R, np.float64)
     m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
@@ -181,15 +188,13 @@ def quaternion_xyzw_from_rotation(R: Array) -> Array:
     xy = R[..., 1, 0] + R[..., 0, 1]
     xz = R[..., 0, 2] + R[..., 2, 0]
     yz = R[..., 2, 1] + R[..., 1, 2]
-    candidates = np.stack(
-        [
-            np.stack([1 + m00 - m11 - m22, xy, xz, a], -1),
-            np.stack([xy, 1 - m00 + m11 - m22, yz, b], -1),
-            np.stack([xz, yz, 1 - m00 - m11 + m22, c], -1),
-            np.stack([a, b, c, 1 + m00 + m11 + m22], -1),
-        ],
-        -2,
+    rows = (
+        (1 + m00 - m11 - m22, xy, xz, a),
+        (xy, 1 - m00 + m11 - m22, yz, b),
+        (xz, yz, 1 - m00 - m11 + m22, c),
+        (a, b, c, 1 + m00 + m11 + m22),
     )
+    candidates = np.stack([np.stack(row, -1) for row in rows], -2)
     pivots = np.argmax(np.einsum("...ii->...i", candidates), -1)
     q = np.take_along_axis(candidates, pivots[..., None, None], -2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
@@ -215,26 +220,6 @@ def slerp_xyzw(start_xyzw: Array, end_xyzw: Array, fraction: Array) -> Array:
     return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
-def interpolate_transforms(stamps_ns: NDArray[np.int64], T: Array, at_ns: NDArray[np.int64]) -> Array:
-    """Interpolate transforms, shape (n, 4, 4) at sorted stamps (n,), to the stamps `at_ns`, shape (m,).
-
-    Translations are interpolated linearly, rotations by slerp. Stamps outside the track are clamped to
-    its ends: whoever calls decides first which stamps may be asked for.
-    """
-    right = np.clip(np.searchsorted(stamps_ns, at_ns, side="left"), 0, len(stamps_ns) - 1)
-    left = np.where((right > 0) & (stamps_ns[right] > at_ns), right - 1, right)
-    span_ns = (stamps_ns[right] - stamps_ns[left]).astype(np.float64)
-    offset_ns = np.clip(at_ns - stamps_ns[left], 0, None).astype(np.float64)
-    fraction = np.where(span_ns > 0, offset_ns / np.where(span_ns > 0, span_ns, 1.0), 0.0)
-    t_m = T[left, :3, 3] + fraction[:, None] * (T[right, :3, 3] - T[left, :3, 3])
-    start, end = (quaternion_xyzw_from_rotation(T[side, :3, :3]) for side in (left, right))
-    return make_transform(rotation_from_quaternion_xyzw(slerp_xyzw(start, end, fraction)), t_m)
-
-
-MIN_RELATIVE_AREA = 1e-12
-"""Below this fraction of its coordinates' squares a polygon's area is rounding."""
-
-
 def polygon_centroid(polygon: NDArray[np.generic]) -> Array:
     """Centroid of the area inside a simple polygon, by the shoelace formula: shape (2,), in the polygon's unit.
 
@@ -247,7 +232,7 @@ def polygon_centroid(polygon: NDArray[np.generic]) -> Array:
     next_x, next_y = closed[1:].T
     cross = x * next_y - next_x * y
     twice_area = cross.sum()
-    if abs(twice_area) <= MIN_RELATIVE_AREA * np.square(corners).max():
+    if abs(twice_area) <= 1e-12 * np.square(corners).max():  # rounding
         return np.asarray(corners.mean(0))
     moments = np.array([((x + next_x) * cross).sum(), ((y + next_y) * cross).sum()])
     return np.asarray(moments / (3.0 * twice_area))

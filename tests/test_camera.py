@@ -16,11 +16,6 @@ from svmdist.camera import R_OPENGL_OPENCV, Camera, DistortionModel
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 
 
-def test_the_optical_axis_meets_the_middle_of_the_image():
-    """The middle of 640 x 480 pixels is (319.5, 239.5), since the first pixel's centre is (0, 0)."""
-    np.testing.assert_allclose(CAMERA.project([0.0, 0.0, 0.112]), [[319.5, 239.5]], atol=1e-12)
-
-
 @settings(deadline=None, max_examples=40)
 @given(st.floats(0.1, 3.0), st.integers(2, 4000), st.integers(2, 4000))
 def test_the_field_of_view_spans_the_whole_width(fov_rad, width_px, height_px):
@@ -48,13 +43,6 @@ def test_opengl_and_opencv_axes_are_a_half_turn_apart():
     np.testing.assert_array_equal(R_OPENGL_OPENCV @ [1.0, 2.0, 3.0], [1.0, -2.0, -3.0])
 
 
-def test_cameras_are_alike_whatever_zeros_their_distortion_ends_with():
-    """No coefficients and five zeros are the same optics; frame and rectification are no optics."""
-    plain = Camera(640, 480, CAMERA.K, np.zeros(0), frame_id="other")
-    assert CAMERA.same_optics(plain)
-    assert plain.same_optics(CAMERA)
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -66,17 +54,11 @@ def test_cameras_are_alike_whatever_zeros_their_distortion_ends_with():
     ],
 )
 def test_a_difference_beyond_the_tolerance_makes_another_camera(change):
-    """Size, focal length, principal point and distortion each tell two cameras apart, both ways round."""
+    """Size, focal length, principal point and distortion distinguish cameras; trailing zeros and frames do not."""
+    assert CAMERA.same_optics(Camera(640, 480, CAMERA.K, np.zeros(0), frame_id="other"))
     other = replace(CAMERA, **change)
     assert not CAMERA.same_optics(other, tolerance_px=5e-4)
     assert not other.same_optics(CAMERA, tolerance_px=5e-4)
-
-
-def test_the_tolerance_is_in_pixels():
-    """A focal length off by 0.009 px passes a tolerance of 0.01 px, and 0.011 px does not."""
-    for off_px, alike in ((0.009, True), (0.011, False)):
-        other = replace(CAMERA, K=CAMERA.K + np.diag([off_px, 0, 0]))
-        assert CAMERA.same_optics(other, tolerance_px=0.01) is alike
 
 
 @pytest.mark.parametrize("distortion", [[], [-0.3, 0.12, 2e-3, -1e-3, -0.02]])

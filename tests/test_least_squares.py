@@ -1,11 +1,13 @@
-"""The minimiser finds known minima, on plain vectors and on rotations, and says where there is none."""
+"""Robust statistics; and the minimiser finds known minima on vectors and rotations, and says where there is none."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 
-from svmdist.least_squares import NormalEquations, Steps, minimise
+from svmdist.least_squares import NormalEquations, Steps, huber_weights, median, minimise, scale_of
 from svmdist.transforms import rotation_of, rotation_vector
 
 
@@ -72,3 +74,22 @@ def test_a_step_limit_holds():
     assert found is not None
     assert found.state[0] == pytest.approx(5.0)
     assert max(float(np.abs(step).max()) for step in steps) <= 0.5
+
+
+def test_weights_and_scale():
+    np.testing.assert_allclose(huber_weights(np.array([0.0, 1.0, -6.0]), 3.0), [1.0, 1.0, 0.5])
+    sample = np.random.default_rng(0).normal(0.0, 2.0, 20_000)
+    sample[:4000] = 1e6
+    assert scale_of(sample) == pytest.approx(2.0, rel=0.35)
+    assert scale_of(sample[4000:]) == pytest.approx(2.0, rel=0.03)
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 400])
+def test_the_median_is_that_of_numpy(count):
+    values = np.random.default_rng(count).normal(size=count)
+    assert median(values) == np.median(values)
+
+
+@pytest.mark.parametrize("values", [[], [math.nan], [1.0, math.nan, 2.0]], ids=["none", "nan", "one nan"])
+def test_what_has_no_median_gives_nan(values):
+    assert math.isnan(median(np.array(values)))

@@ -1,4 +1,4 @@
-"""Identities of the error figures, and what the bootstrap intervals promise."""
+"""Identities of the error figures, what the bootstrap intervals promise, and alarms scored against truth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.stats import pearsonr
 
-from svmdist.metrics import bootstrap_intervals, coverage, error_statistics, pearson_r, r_squared
+from svmdist.metrics import (
+    alarm_statistics,
+    bootstrap_intervals,
+    error_statistics,
+    pearson_r,
+    pooled_alarms,
+    r_squared,
+)
 
 quick = settings(deadline=None, max_examples=80)
 values_m = st.floats(-1.0, 1.0).map(lambda value: round(value, 6))
@@ -28,12 +35,6 @@ def test_r_squared_is_one_for_equal_and_zero_for_the_mean(pair):
         return
     assert r_squared(truth, truth) == 1.0
     assert r_squared(np.full_like(truth, truth.mean()), truth) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_r_squared_can_be_negative():
-    """An estimate that mirrors the truth is worse than the mean: R² = 1 - 4 = -3."""
-    truth = np.array([-1.0, 0.0, 1.0])
-    assert r_squared(-truth, truth) == pytest.approx(-3.0)
 
 
 def test_r_squared_is_against_the_identity_line_not_a_fitted_one():
@@ -75,13 +76,8 @@ def test_figures_of_a_worked_example():
     truth = np.array([0.0, 1.0, 2.0, 3.0])
     found = error_statistics(truth + np.array([1.0, -1.0, 3.0, -1.0]), truth)
     assert found is not None
-    assert (found.count, found.bias, found.mae, found.median_abs_error, found.max_abs_error) == (
-        4,
-        0.5,
-        1.5,
-        1,
-        3,
-    )
+    figures = (found.count, found.bias, found.mae, found.median_abs_error, found.max_abs_error)
+    assert figures == (4, 0.5, 1.5, 1, 3)
     assert found.rmse == pytest.approx(np.sqrt(3.0))
     assert found.p95_abs_error == pytest.approx(2.7)  # between 1 and 3, at 0.85 of the way
 
@@ -105,29 +101,11 @@ def test_no_pairs_have_no_figures_and_shapes_must_agree():
         error_statistics([1.0, 2.0], [1.0])
 
 
-def test_coverage_is_a_fraction_of_the_frames():
-    """Coverage is measured / frames, and 0 rather than an error for no frames."""
-    assert coverage(3, 4) == 0.75
-    assert coverage(0, 0) == 0.0
-
-
 def noisy_ramp(seed: int, count: int = 120) -> tuple[np.ndarray, np.ndarray]:
     """A smooth distance of some 5 cm with noise of σ = 1 mm: estimate and truth, shape (count,), in m."""
     rng = np.random.default_rng(seed)
     truth = 0.05 + 0.02 * np.sin(np.linspace(0, 9, count))
     return truth + rng.normal(scale=1e-3, size=count), truth
-
-
-def test_the_bootstrap_is_reproducible_and_follows_its_seed():
-    """The same seed gives the same bits; another seed another interval, near the first."""
-    estimate, truth = noisy_ramp(1)
-    first = bootstrap_intervals(estimate, truth, seed=36)
-    assert first == bootstrap_intervals(estimate, truth, seed=36)
-    other = bootstrap_intervals(estimate, truth, seed=37)
-    assert other != first
-    assert first[0] is not None
-    assert other[0] is not None
-    assert other[0].low == pytest.approx(first[0].low, rel=0.05)
 
 
 def test_the_intervals_hold_the_true_figures_most_of_the_time():
@@ -181,3 +159,71 @@ def test_a_truth_that_moves_in_one_frame_only_still_gives_an_answer():
         assert rmse is not None
         assert rmse.low == pytest.approx(0.1)
         assert r2 is None or np.isfinite(r2.low)
+
+
+TRUTH_M = np.array([9, 8, 6, 4, 3, 4, 6, 8, 9, 9]) / 1e3
+
+
+def test_counts_and_lead() -> None:
+    """Alarmed one frame early and once for nothing: precision 3/5, recall 1, lead 0.1 s, one false alarm."""
+    alarms = [0, 0, 1, 1, 1, 1, 0, 0, 1, 0]
+    got = alarm_statistics(np.arange(10) / 10, alarms, TRUTH_M, 0.005)
+    assert got.precision == pytest.approx(3 / 5)
+    assert got.recall == 1.0
+    assert got.false_alarm_fraction == pytest.approx(2 / 7)
+    assert got.false_alarms_per_minute == pytest.approx(1 / (0.9 / 60))
+    assert got.event_count == 1
+    assert got.lead_times_s == (pytest.approx(0.1),)
+
+
+def test_late_and_missed() -> None:
+    """A late alarm has a negative lead; a missed event has none."""
+    late = alarm_statistics(np.arange(10) / 10, [0, 0, 0, 0, 1, 1, 0, 0, 0, 0], TRUTH_M, 0.005)
+    assert late.lead_times_s == (pytest.approx(-0.1),)
+    missed = alarm_statistics(np.arange(10) / 10, np.zeros(10), TRUTH_M, 0.005)
+    assert missed.lead_times_s == ()
+    assert missed.recall == 0.0
+    assert missed.precision is None
+
+
+def test_nothing_unsafe_or_nothing_at_all() -> None:
+    """Without unsafe frames there is no recall; without frames there is nothing."""
+    safe = alarm_statistics([0.0, 1.0], [False, False], [0.1, 0.1], 0.005)
+    assert safe.recall is None
+    assert safe.false_alarm_fraction == 0.0
+    assert alarm_statistics([0.0, 1.0], [True, True], [0.005, 0.004], 0.005).unsafe_count == 1
+    empty = alarm_statistics([], [], [], 0.005)
+    assert empty.frame_count == 0
+    assert empty.false_alarms_per_minute is None
+    with pytest.raises(ValueError, match="same shape"):
+        alarm_statistics([0.0], [True, False], [0.1], 0.005)
+
+
+def test_an_alarm_that_never_ends_leads_each_event_only_from_the_last() -> None:
+    """The lead of a second event is counted over the safe frames before it, not through the first event."""
+    truth_m = np.array([9, 4, 4, 9, 9, 4, 9]) / 1e3
+    got = alarm_statistics(np.arange(7.0), np.ones(7), truth_m, 0.005)
+    assert got.event_count == 2
+    assert got.lead_times_s == (1.0, 2.0)
+    assert (got.median_lead_s, got.min_lead_s, got.missed_event_count) == (1.5, 1.0, 0)
+    assert got.false_alarms_per_minute == 0.0
+
+
+def test_unjudged_frames_are_missed_alarms() -> None:
+    """A frame that could not be judged has no alarm: where it is unsafe, recall says so."""
+    judged = np.array([1, 1, 1, 1, 0, 1, 1, 1, 1, 1], bool)
+    got = alarm_statistics(np.arange(10) / 10, (TRUTH_M < 0.005) & judged, TRUTH_M, 0.005, judged)
+    assert got.unjudged_count == 1
+    assert got.recall == pytest.approx(2 / 3)
+    assert got.precision == 1.0
+
+
+def test_pooling_adds_counts_and_durations() -> None:
+    """Two recordings together: shares by frames, rates by time, no event across the seam."""
+    a = alarm_statistics(np.arange(10) / 10, np.zeros(10), TRUTH_M, 0.005)
+    b = alarm_statistics([50.0, 50.1], [True, True], [0.004, 0.004], 0.005)
+    both = pooled_alarms([a, b])
+    assert both.recall == pytest.approx(2 / 5)
+    assert both.duration_s == pytest.approx(1.0)
+    assert both.event_count == 1
+    assert pooled_alarms([]).recall is None

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
 
-from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack, bracket, sort_stamps
+from svmdist.tracks import JointTrack, PoseTrack, TransformTrack, bracket, sort_stamps
 from svmdist.transforms import make_transform, rotation_z
 
 stamp_lists = st.lists(st.integers(0, 10**12), min_size=1, max_size=30, unique=True).map(sorted)
@@ -45,23 +46,28 @@ def test_lines_are_interpolated_exactly_and_gaps_are_refused() -> None:
     assert np.isnan(sampled.values[~sampled.valid]).all()
 
 
-def test_distances_keep_their_columns() -> None:
-    track = DistanceTrack(
-        np.array([0, 10]), np.array([1.0, 2.0]), np.array([3.0, 5.0]), np.array([-1.0, 0.0])
-    )
-    sampled = track.at(np.array([5]))
-    assert (sampled.planar_m[0], sampled.spatial_m[0], sampled.clearance_m[0]) == (1.5, 4.0, -0.5)
+@pytest.mark.parametrize("start_ns", [0, 1_700_000_000_000_000_000])
+def test_interpolated_transforms_equal_scipys(start_ns: int) -> None:
+    """Between stamps, rotation follows Slerp and translation a straight line, also at stamps of today.
 
-
-@pytest.mark.parametrize("kind", ["transform", "pose"])
-def test_half_way_is_half_the_turn(kind: str) -> None:
-    T = np.stack([make_transform(np.eye(3), [0, 0, 0]), make_transform(rotation_z(1.0), [2, 0, 0])])
-    stamps = np.array([0, 1000])
-    track = PoseTrack("a", stamps, T) if kind == "pose" else TransformTrack("a", "b", stamps, T)
-    sampled = track.at(np.array([500, 1001]))
-    np.testing.assert_allclose(sampled.values[0], make_transform(rotation_z(0.5), [1, 0, 0]), atol=1e-15)
-    assert sampled.valid.tolist() == [True, False]
-    assert np.isnan(sampled.values[1]).all()
+    Nanoseconds since 1970 need 61 bits, more than a double holds: only differences may be floats.
+    """
+    rng = np.random.default_rng(5)
+    T = make_transform(Rotation.random(6, rng=rng).as_matrix(), rng.normal(size=(6, 3)))
+    offsets_ns = np.array([0, 10, 25, 1_000_000, 1_000_033, 2_000_000], np.int64)
+    at_offset_ns = np.array([0, 3, 10, 24, 25, 777_777, 1_000_010, 1_999_999, 2_000_000], np.int64)
+    track = TransformTrack("a", "b", start_ns + offsets_ns, T)
+    found = track.at(start_ns + np.append(at_offset_ns, 2_000_001))
+    assert found.valid.tolist() == [True] * 9 + [False]
+    assert np.isnan(found.values[9]).all()
+    slerp = Slerp(offsets_ns.astype(float), Rotation.from_matrix(T[:, :3, :3]))
+    expected = slerp(at_offset_ns.astype(float)).as_matrix()
+    np.testing.assert_allclose(found.values[:9, :3, :3], expected, atol=1e-12)
+    for axis in range(3):
+        expected = np.interp(at_offset_ns, offsets_ns, T[:, axis, 3])
+        np.testing.assert_allclose(found.values[:9, axis, 3], expected, atol=1e-14)
+    poses = PoseTrack("a", track.stamps_ns, T).at(start_ns + at_offset_ns)
+    np.testing.assert_array_equal(poses.values, found.values[:9])
 
 
 def test_a_static_transform_holds_always_and_a_single_sample_only_at_its_stamp() -> None:

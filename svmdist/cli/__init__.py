@@ -1,1 +1,1 @@
-"""The command line: one file per command; the only place that prints, reads arguments or exits."""
+"""The command line."""

@@ -2,87 +2,83 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from svmdist.cli.console import ExitCode, require_output, say
-from svmdist.cli.many import Many, ResumeOption, SchedulerOption
-from svmdist.cli.options import Files, JobsOption, PlanarMethod, ProfileOption, TopicOption, topics_of
-from svmdist.cli.progress import progress_bar
-from svmdist.cli.recordings import (
-    EndOption,
-    EveryOption,
-    StartOption,
-    local_logs,
-    named_logs,
-    open_recordings,
-    window_of,
+from svmdist.cli.logs import Logs
+from svmdist.cli.options import (
+    FORCE,
+    LogOptions,
+    PlanarMethod,
+    ReadOptions,
+    WindowOptions,
+    option,
+    output_option,
 )
-from svmdist.errors import UsageError
+from svmdist.cli.output import LOG, progress_bar, require_new, require_output
+
+if TYPE_CHECKING:
+    from svmdist.recording.log import Recording
+    from svmdist.workflows.calibrate import CalibrationPart
+    from svmdist.workflows.request import Request
 
 
-def calibrate_command(
-    files: Files,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output", "-o", metavar="FILE.toml", help="Calibration file to write.", show_default=False
-        ),
-    ],
-    method: Annotated[
-        PlanarMethod, typer.Option("--method", help="The planar method that will use the mapping.")
-    ] = PlanarMethod.OVERLAY,
-    profile: ProfileOption = "psm13",
-    topic: TopicOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
-    start: StartOption = 0.0,
-    end: EndOption = None,
-    every: EveryOption = 1,
-    jobs: JobsOption = None,
-    scheduler: SchedulerOption = None,
-    resume: ResumeOption = None,
-) -> None:
+class CalibrateOptions(LogOptions, ReadOptions, WindowOptions):
+    """What `calibrate` takes."""
+
+    output: Path = output_option("FILE.toml", "Calibration file to write.", ...)
+    method: PlanarMethod = option(
+        PlanarMethod.OVERLAY, "--method", None, "The planar method that will use the mapping."
+    )
+    force: bool = FORCE
+
+
+def calibrate_command(given: CalibrateOptions) -> None:
     """Fit the mapping from pixels to the plane.
 
     This fits eqs. (5) and (6) of the paper, one quadratic polynomial per axis, to recordings with ground truth.
+
+    Examples:
+      Fit on a log with ground truth:
+        svmdist calibrate calibration.mcap -o camera.toml
+      On its second half, and use the result:
+        svmdist calibrate calibration.mcap --start 4 -o half.toml
+      Use a calibration:
+        svmdist validate log.mcap --calibration camera.toml
     """
     from svmdist.estimation.plane_mapping import save_calibration
     from svmdist.profile import load_profile
-    from svmdist.workflows.calibrate import collect_part, fit_parts
-    from svmdist.workflows.parallel import Steps, image_total
+    from svmdist.workflows.batch import Job
+    from svmdist.workflows.calibrate import CalibrationPart, fit_parts
+    from svmdist.workflows.request import Request, Setup
 
-    logs = named_logs(files)
-    require_output(output, local_logs(logs))
-    if os.path.exists(output) and not force:
-        raise UsageError(f"{output} exists; --force replaces it")
-    window = window_of(start, end, every)
-    loaded = load_profile(profile)
-    many = Many(logs, jobs, scheduler, resume)
-    finish: Callable[[], ExitCode]
-    if len(logs) > 1 or many.is_asked_for:
-        from svmdist.cli.log_jobs import CalibrateJob
-
-        with many.measured(
-            CalibrateJob(loaded, method.value, topics_of(topic), window), "measuring"
-        ) as outcomes:
-            calibration = fit_parts([part for _, part in outcomes.measured], method.value)
-            finish = outcomes.code
-    else:
-        opened = open_recordings(logs, loaded, topics_of(topic), window)
-        with progress_bar("calibrating", "images") as advance:
-            steps = Steps(advance, image_total(opened.recordings))
-            parts = [collect_part(one, loaded, method.value, jobs, steps) for one in opened.recordings]
-        calibration = fit_parts(parts, method.value)
-        finish = opened.health_code
-    save_calibration(calibration, output)
+    logs = Logs(given)
+    require_output(given.output, logs.paths)
+    require_new(given.output, force=given.force)
+    setup = Setup(load_profile(given.profile, given.hand_eye), given.method.value, "corrected", None)
+    request = Request(setup, given.topics, given.window)
+    run = logs.run(Job(collect_log, request, CalibrationPart), "measuring")
+    calibration = fit_parts(run.results, setup.method)
+    save_calibration(calibration, given.output)
     fit = calibration.fit
-    say(
-        f"svmdist: {output}: {fit.sample_count} frames, residual RMSE x {fit.rmse_x_m * 1e3:.3f} mm,"
-        f" y {fit.rmse_y_m * 1e3:.3f} mm, max {fit.max_error_m * 1e3:.3f} mm; pixels"
-        f" x {fit.span_x_px[0]:.0f}–{fit.span_x_px[1]:.0f}, y {fit.span_y_px[0]:.0f}–{fit.span_y_px[1]:.0f}"
+    LOG.info(
+        "%s: %d frames, residual RMSE x %.3f mm, y %.3f mm, max %.3f mm; pixels x %.0f–%.0f, y %.0f–%.0f",
+        given.output,
+        fit.sample_count,
+        *(1e3 * error_m for error_m in (fit.rmse_x_m, fit.rmse_y_m, fit.max_error_m)),
+        *fit.span_x_px,
+        *fit.span_y_px,
     )
-    raise typer.Exit(finish())
+    raise typer.Exit(run.exit_code())
+
+
+def collect_log(recording: Recording, request: Request, threads: int) -> CalibrationPart:
+    """Measure one recording for a calibration, with progress."""
+    from svmdist.workflows.calibrate import collect_part
+    from svmdist.workflows.parallel import Steps
+
+    with progress_bar("calibrating", "images") as advance:
+        steps = Steps(advance, recording.image_count())
+        return collect_part(recording, request.setup.profile, request.setup.method, threads, steps)

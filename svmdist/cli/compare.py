@@ -1,144 +1,242 @@
-"""`svmdist compare`: all methods on the same logs."""
+"""`svmdist compare` and `blur-bench`: methods side by side, images degraded and worlds perturbed; Table I, measured."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
 from functools import partial
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
-from svmdist.cli.console import ExitCode, require_output, write_results
-from svmdist.cli.degradations import parse_degradations
-from svmdist.cli.many import GroupOption, Many, ResumeOption, SchedulerOption, group_keys, group_name
+from svmdist.cli.estimate import corrected
+from svmdist.cli.logs import Logs
 from svmdist.cli.options import (
+    PLOT,
     CalibrationOption,
-    HandEyeOption,
-    JobsOption,
+    GoldenLogOptions,
+    GroupOption,
     LagOption,
     Method,
-    OptionalFiles,
-    OutputOption,
-    PlotOption,
-    ProfileOption,
-    SummaryFormatOption,
-    TopicOption,
-    parse_lag,
-    topics_of,
+    ReadOptions,
+    WindowOptions,
+    format_option,
+    group_name,
+    option,
+    output_option,
+    parse_degradations,
+    parse_perturbations,
 )
-from svmdist.cli.perturbations import parse_perturb_groups
-from svmdist.cli.plots import ComparePlotOption, require_plot
-from svmdist.cli.progress import progress_bar
-from svmdist.cli.recordings import (
-    EndOption,
-    EveryOption,
-    StartOption,
-    local_logs,
-    logs_or_golden,
-    open_recordings,
-    window_of,
+from svmdist.cli.output import (
+    progress_bar,
+    require_output,
+    require_plot,
+    write_results,
 )
+from svmdist.errors import UsageError, did_you_mean
 from svmdist.report.writers import Holds, choose_writer
 
+if TYPE_CHECKING:
+    from svmdist.recording.log import Recording
+    from svmdist.vision.degradations import Blur
+    from svmdist.workflows.blur_bench import BlurTally
+    from svmdist.workflows.compare import Run
+    from svmdist.workflows.conditions import LogCondition
+    from svmdist.workflows.request import Request, Setup
 
-def compare_command(
-    files: OptionalFiles = None,
-    method: Annotated[
-        list[Method] | None,
-        typer.Option(
-            "--method",
-            metavar="|".join(Method),
-            help="A method to compare; may be repeated. Default: all.",
-            show_default=False,
-        ),
-    ] = None,
-    degrade: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--degrade",
-            metavar="NAME=SEVERITY",
-            help="Also measure with the images degraded, as in smoke=3. May be repeated; each is applied alone.",
-            show_default=False,
-        ),
-    ] = None,
-    perturb: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--perturb",
-            metavar="NAME=STRENGTH",
-            help="Also measure in a world that is not as log and profile say, as in focal=1 or lag=30. May be "
-            "repeated; each is applied alone, NAME=STRENGTH,NAME=STRENGTH together. Names: docs/simulation.md.",
-            show_default=False,
-        ),
-    ] = None,
-    calibration: CalibrationOption = None,
-    profile: ProfileOption = "psm13",
-    hand_eye: HandEyeOption = None,
-    topic: TopicOption = None,
-    lag: LagOption = None,
-    form: SummaryFormatOption = None,
-    output: OutputOption = None,
-    jobs: JobsOption = None,
-    start: StartOption = 0.0,
-    end: EndOption = None,
-    every: EveryOption = 1,
-    scheduler: SchedulerOption = None,
-    resume: ResumeOption = None,
-    group: GroupOption = None,
-    save_plot: PlotOption = None,
-    plot: ComparePlotOption = None,
-) -> None:
-    """Measure with all methods side by side.
 
-    Each image is read once for all methods. The metrics are given per scenario and degradation or perturbation,
-    and over all frames. Without FILE, every log in recordings/ is measured.
+class ComparePlot(StrEnum):
+    """`--plot`: the only one that there is."""
+
+    COMPARE = "compare"
+
+
+class CompareOptions(GoldenLogOptions, CalibrationOption, ReadOptions, LagOption, WindowOptions, GroupOption):
+    """What `compare` takes."""
+
+    method: list[Method] | None = option(
+        None, "--method", "|".join(Method), "A method to compare; may be repeated. Default: all."
+    )
+    degrade: list[str] | None = option(
+        None,
+        "--degrade",
+        "NAME=SEVERITY|all",
+        "Also measure with the images degraded, as in smoke=3; all stands for every degradation at every severity."
+        " May be repeated; each is applied alone.",
+    )
+    perturb: list[str] | None = option(
+        None,
+        "--perturb",
+        "NAME=STRENGTH",
+        "Also measure in a world that is not as log and profile say, as in focal=1 or lag=30. May be "
+        "repeated; each is applied alone, NAME=STRENGTH,NAME=STRENGTH together. Names: docs/simulation.md.",
+    )
+    form: str | None = format_option(Holds.FIGURES)
+    output: Path | None = output_option()
+    save_plot: Path | None = PLOT
+    plot: ComparePlot | None = option(None, "--plot", None, "What --save-plot draws.", hidden=True)
+
+    @property
+    def conditions(self) -> list[LogCondition]:
+        """The images as recorded, and what else is asked for; raises UsageError."""
+        from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
+        from svmdist.workflows.conditions import CLEAN, Condition, PerturbedCondition
+
+        conditions: list[LogCondition] = [CLEAN]
+        for text in self.degrade or []:
+            grid = [(str(name), severity) for name in Degradation for severity in SEVERITIES]
+            chosen = grid if text == "all" else parse_degradations("--degrade", [text])
+            conditions += [
+                Condition(require_degradation(name, severity), severity) for name, severity in chosen
+            ]
+        conditions += [PerturbedCondition(world) for world in parse_perturbations("--perturb", self.perturb)]
+        return list(dict.fromkeys(conditions))
+
+
+def compare_command(given: CompareOptions) -> None:
+    """Compare methods on the same frames.
+
+    Error and coverage of each method are given per scenario, and over all of them. Every method measures the same
+    frames; each image is decoded once. Without FILE, every log in recordings/ is compared.
+
+    Examples:
+      All methods on the same frames:
+        svmdist compare log.mcap
+      Two of them, also in smoke:
+        svmdist compare log.mcap --method fused --method shaft --degrade smoke=3
+      One of them under every degradation and severity:
+        svmdist compare log.mcap --method fused --degrade all
+      A table and a figure for a paper:
+        svmdist compare log.mcap -f latex --save-plot methods.pdf
     """
-    from svmdist.cli.lag import told_lag
     from svmdist.report.scores import compare_results
-    from svmdist.vision.degradations import require_degradation
-    from svmdist.workflows.compare import compare, compared
-    from svmdist.workflows.conditions import CLEAN, Condition, LogCondition, PerturbedCondition
-    from svmdist.workflows.request import prepare
+    from svmdist.workflows.batch import Job
+    from svmdist.workflows.compare import compared
+    from svmdist.workflows.request import Request, prepare
 
-    logs = logs_or_golden(files)
-    require_output(output, local_logs(logs))
-    writer = choose_writer(form, output, Holds.FIGURES)
-    keys = group_keys(group)
-    drawn = require_plot("compare", plot, save_plot, local_logs(logs))
-    given = parse_lag(lag)
-    conditions: list[LogCondition] = [CLEAN]
-    conditions += [
-        Condition(require_degradation(name, severity), severity)
-        for name, severity in dict.fromkeys(parse_degradations("--degrade", degrade))
-    ]
-    worlds = dict.fromkeys(parse_perturb_groups("--perturb", perturb))
-    conditions += [PerturbedCondition(perturbations) for perturbations in worlds]
-    methods = list(dict.fromkeys(method)) if method else list(Method)
+    logs = Logs(given)
+    require_output(given.output, logs.paths)
+    require_plot(given.save_plot, logs.paths)
+    if given.plot is not None and given.save_plot is None:
+        raise UsageError(f"--plot {given.plot}: says what --save-plot FILE draws, which is not given")
+    writer = choose_writer(given.form, given.output, Holds.FIGURES)
+    keys, lag = given.group_keys, given.given_lag
+    conditions = given.conditions
     planar = (Method.OVERLAY, Method.CENTROID)
-    setups = [
-        prepare(profile, chosen.value, "corrected", calibration if chosen in planar else None, hand_eye)
-        for chosen in methods
-    ]
-    window = window_of(start, end, every)
-    many = Many(logs, jobs, scheduler, resume)
-    code: Callable[[], ExitCode]
-    if many.is_asked_for or many.fills_cores:
-        from svmdist.cli.log_jobs import CompareJob
-
-        job = CompareJob(tuple(setups), tuple(conditions), topics_of(topic), window, given, keys)
-        with many.measured(job, "comparing") as outcomes:
-            scores = compared([run for _, result in outcomes.measured for run in result.runs], setups)
-            code = outcomes.code
-    else:
-        opened = open_recordings(logs, setups[0].profile, topics_of(topic), window)
-        recordings = [told_lag(recording, setups[0], given, None, jobs) for recording in opened.recordings]
-        by = partial(group_name, keys=keys) if keys else None
-        with progress_bar("comparing", "measurements") as advance:
-            scores = compare(recordings, setups, conditions, jobs=jobs, on_progress=advance, by=by)
-        code = opened.health_code
-    write_results(compare_results(scores), writer, output)
-    if save_plot and drawn:
+    methods = list(dict.fromkeys(given.method or Method))
+    setups = tuple(
+        prepare(
+            given.profile,
+            method.value,
+            "corrected",
+            given.calibration if method in planar else None,
+            given.hand_eye,
+        )
+        for method in methods
+    )
+    request = Request(setups[0], given.topics, given.window, lag=lag, conditions=tuple(conditions))
+    run = logs.run(Job(compare_log, request, ComparedLog, (setups, keys)), "comparing")
+    scores = compared([one for result in run.results for one in result.runs], [one.method for one in setups])
+    write_results(compare_results(scores), writer, given.output)
+    if given.save_plot:
         from svmdist.report.plots import save_compare_plot
 
-        save_compare_plot(scores, save_plot)
-    raise typer.Exit(code())
+        save_compare_plot(scores, given.save_plot)
+    raise typer.Exit(run.exit_code())
+
+
+@dataclass(frozen=True)
+class ComparedLog:
+    """The runs of one log."""
+
+    runs: tuple[Run, ...]
+
+
+def compare_log(
+    recording: Recording, request: Request, threads: int, setups: tuple[Setup, ...], keys: tuple[str, ...]
+) -> ComparedLog:
+    """Measure a log with several methods under several conditions, with progress."""
+    from svmdist.workflows.compare import measure_runs
+    from svmdist.workflows.parallel import Steps, image_total
+
+    seen = corrected(recording, request, threads)
+    by = partial(group_name, keys=keys) if keys else None
+    with progress_bar("comparing", "measurements") as advance:
+        total = image_total([recording], lambda _: len(request.conditions) * len(setups))
+        steps = Steps(advance, total)
+        runs = measure_runs(seen, setups, request.conditions, jobs=threads, by=by, advance=steps.advance)
+    return ComparedLog(tuple(runs))
+
+
+class BlurOptions(GoldenLogOptions, CalibrationOption, ReadOptions, WindowOptions):
+    """What `blur-bench` takes."""
+
+    kernel: list[str] | None = option(
+        None, "--kernel", "BLUR=PX", "Kernel size of one blur, an odd number; may be repeated."
+    )
+    form: str | None = format_option(Holds.FIGURES)
+    output: Path | None = output_option()
+
+
+def blur_bench_command(given: BlurOptions) -> None:
+    """Measure features and error under blur.
+
+    This reproduces Table I of the paper with its method, overlay. For other methods and degradations see
+    `svmdist compare --degrade all`. Without FILE, every log in recordings/ is measured.
+
+    Examples:
+      Table I of the paper, measured:
+        svmdist blur-bench log.mcap
+      Every fifth image, with a larger Gaussian:
+        svmdist blur-bench log.mcap --every 5 --kernel gaussian=9
+    """
+    from svmdist.report.scores import blur_results
+    from svmdist.workflows.batch import Job
+    from svmdist.workflows.blur_bench import blur_rows
+    from svmdist.workflows.request import Request, prepare
+
+    logs = Logs(given)
+    require_output(given.output, logs.paths)
+    writer = choose_writer(given.form, given.output, Holds.FIGURES)
+    kernels_px = _kernels(given.kernel or [])
+    setup = prepare(given.profile, "overlay", "corrected", given.calibration, given.hand_eye)
+    request = Request(setup, given.topics, given.window)
+    run = logs.run(Job(blur_log, request, BlurredLog, (kernels_px,)), "measuring")
+    measured = blur_rows([result.tallies for result in run.results], kernels_px)
+    write_results(blur_results(measured, len(run.results)), writer, given.output)
+    raise typer.Exit(run.exit_code())
+
+
+@dataclass(frozen=True)
+class BlurredLog:
+    """What was counted of one log under every blur, by its name."""
+
+    tallies: dict[Blur, BlurTally]
+
+
+def blur_log(recording: Recording, request: Request, threads: int, kernels_px: dict[Blur, int]) -> BlurredLog:
+    """Measure a log under every blur, with progress."""
+    from svmdist.workflows.blur_bench import blur_tallies
+    from svmdist.workflows.parallel import Steps
+
+    with progress_bar("Table I", "images") as advance:
+        steps = Steps(advance, recording.image_count())
+        return BlurredLog(blur_tallies(recording, request.setup, kernels_px, threads, steps.advance))
+
+
+def _kernels(options: list[str]) -> dict[Blur, int]:
+    """Parse BLUR=PX over the default kernels; raises UsageError that says what was expected."""
+    from svmdist.vision.degradations import Blur
+    from svmdist.workflows.blur_bench import DEFAULT_KERNELS_PX
+
+    kernels_px = dict(DEFAULT_KERNELS_PX)
+    blurs = [str(blur) for blur in Blur if blur is not Blur.NONE]
+    for text in options:
+        name, _, size = text.partition("=")
+        if name not in blurs:
+            raise UsageError(f"--kernel {text}: {did_you_mean(name, blurs)}")
+        if not size.isdecimal() or int(size) % 2 == 0 or not 1 <= int(size) <= 101:
+            raise UsageError(f"--kernel {text}: expected an odd size from 1 to 101 px, as in {name}=5")
+        kernels_px[Blur(name)] = int(size)
+    return kernels_px

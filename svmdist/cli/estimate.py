@@ -1,93 +1,72 @@
-"""`svmdist estimate`: one row a frame."""
+"""`svmdist estimate`: one row per frame."""
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator
-from itertools import chain
+from collections.abc import Generator, Iterator
+from contextlib import nullcontext
+from dataclasses import dataclass
+from itertools import chain, islice
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
-from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
-from svmdist.cli.console import ExitCode, Verbosity, say, terminal_width, write_results
-from svmdist.cli.drawn import DrawnJob, Tally, write_drawn
-from svmdist.cli.estimate_targets import EstimateTargets
-from svmdist.cli.log_summary import LogSummary, SummaryOption
-from svmdist.cli.many import GroupOption, Many, ResumeOption, SchedulerOption
+from svmdist.cli.logs import Logs, Run, log_losses
 from svmdist.cli.options import (
-    CalibrationOption,
-    EquationsChoice,
-    EquationsOption,
-    Files,
-    HandEyeOption,
-    InstrumentOption,
-    JobsOption,
-    LagOption,
-    Method,
-    MethodOption,
-    OutputOption,
-    PlotOption,
-    ProfileOption,
-    ReportOption,
-    RowFormatOption,
-    TopicOption,
-    instruments_of,
-    parse_lag,
-    topics_of,
+    PLOT,
+    REPORT,
+    GroupOption,
+    LogOptions,
+    MeasureOptions,
+    format_option,
+    option,
+    output_option,
 )
-from svmdist.cli.outputs import ForceOption
-from svmdist.cli.progress import tracked
-from svmdist.cli.recordings import (
-    EndOption,
-    EveryOption,
-    Opened,
-    StartOption,
-    local_logs,
-    named_logs,
-    open_recordings,
-    window_of,
+from svmdist.cli.output import (
+    LOG,
+    ExitCode,
+    command_line,
+    no_progress,
+    progress_bar,
+    require_output,
+    require_plot,
+    require_report,
+    terminal_width,
+    tracked,
+    write_results,
 )
 from svmdist.errors import UsageError
-from svmdist.report.writers import Results
+from svmdist.report.writers import Holds, Results, Writer, choose_writer
 
 if TYPE_CHECKING:
-    from svmdist.cli.estimate_logs import EstimateJob
-    from svmdist.estimation.alarms import AlarmRules
     from svmdist.recording.log import Recording
     from svmdist.report.tables import Row
-    from svmdist.results import FrameResult
-    from svmdist.workflows.lag import Lag
-    from svmdist.workflows.request import Setup
-    from svmdist.workflows.validate import Measured
+    from svmdist.workflows.estimate import Keep, Measured
+    from svmdist.workflows.frame_drawing import DrawnFrame
+    from svmdist.workflows.request import Request
 
 
-def estimate_command(
-    files: Files,
-    method: MethodOption = Method.OVERLAY,
-    equations: EquationsOption = EquationsChoice.CORRECTED,
-    calibration: CalibrationOption = None,
-    profile: ProfileOption = "psm13",
-    hand_eye: HandEyeOption = None,
-    topic: TopicOption = None,
-    form: RowFormatOption = None,
-    output: OutputOption = None,
-    alarm_below: AlarmBelowOption = None,
-    alarm_confidence: AlarmConfidenceOption = None,
-    instrument: InstrumentOption = None,
-    lag: LagOption = None,
-    jobs: JobsOption = None,
-    force: ForceOption = False,
-    report: ReportOption = None,
-    save_plot: PlotOption = None,
-    start: StartOption = 0.0,
-    end: EndOption = None,
-    every: EveryOption = 1,
-    scheduler: SchedulerOption = None,
-    resume: ResumeOption = None,
-    summary: SummaryOption = None,
-    group: GroupOption = None,
-) -> None:
+class EstimateOptions(LogOptions, MeasureOptions, GroupOption):
+    """What `estimate` takes."""
+
+    form: str | None = format_option(Holds.ROWS)
+    output: Path | None = output_option()
+    force: bool = option(
+        False, "--force", None, "Replace a recording that exists. Other files are replaced anyway."
+    )
+    report: Path | None = REPORT
+    save_plot: Path | None = PLOT
+    summary: Path | None = option(
+        None,
+        "--summary",
+        "FILE",
+        "Write the figures of each log, sorted by severity, worst first, of groups and of all logs to this file"
+        " (csv, json, parquet, md, tex, or text).",
+    )
+
+
+def estimate_command(given: EstimateOptions) -> None:
     """Estimate the distance in every frame.
 
     There is one row per frame, and per instrument where the log has several that the profile names. To a file that
@@ -95,198 +74,240 @@ def estimate_command(
     Lichtblick and Rerun; to one in .mp4, a video of the same; to one in .html, a report; to one in .parquet, a table
     for pandas and Arrow.
 
-    Several logs are measured by --jobs processes. One that cannot be measured is reported at the end, and the others
-    are measured all the same.
+    Several logs are measured by --jobs processes. Failed logs are listed at the end; processing continues.
+
+    Examples:
+      A row per frame, as CSV:
+        svmdist estimate log.mcap --method fused -o rows.csv
+      Alarms where the clearance may be below 5 mm:
+        svmdist estimate log.mcap --method fused --alarm-below 5mm
+      For Foxglove, Lichtblick and Rerun, or as a video:
+        svmdist estimate log.mcap --method fused -o seen.mcap
+      Seconds 2 to 5, every fourth image, as a video:
+        svmdist estimate log.mcap --start 2 --end 5 --every 4 -o seen.mp4
     """
-    from svmdist.estimation.methods import PLANAR_METHODS
-    from svmdist.workflows.request import prepare
-    from svmdist.workflows.scoring.score import require_clearance
+    from svmdist.report.scores import log_results, pooled_log_figures, ranked
+    from svmdist.workflows.batch import Job
 
-    logs = named_logs(files)
-    targets = EstimateTargets.of(form, output, report, save_plot)
-    targets.check(local_logs(logs), len(logs))
-    summaries = LogSummary.of(summary, group, local_logs(logs))
-    given = parse_lag(lag)
-    rules = alarm_rules(alarm_below, alarm_confidence, method.value)
-    setup = prepare(profile, method.value, equations.value, calibration, hand_eye)
-    if rules:
-        require_clearance(setup.method, setup.profile)
-    window = window_of(start, end, every)
-    wanted = instruments_of(instrument, setup.profile)
-    if targets.is_trajectory and setup.method in PLANAR_METHODS:
+    logs = Logs(given)
+    output, report = given.output, given.report
+    writer = choose_writer(given.form, output, Holds.ROWS | Holds.FRAMES | Holds.REPORT)
+    if writer.holds is Holds.REPORT:
+        if report is not None:
+            raise UsageError(f"--report {report} and -o {output}: both are the report; leave out one of them")
+        output, report = None, output
+    elif writer.holds is Holds.FRAMES:
+        if report or given.save_plot:
+            raise UsageError(f"--report and --save-plot go with rows: write {output} by itself")
+        if len(logs.files) > 1:
+            raise UsageError(f"{output}: holds one recording, and {len(logs.files)} are given")
+        if not logs.is_one or given.summary is not None:
+            raise UsageError(f"--scheduler, --resume and --summary go with rows: write {output} by itself")
+    require_output(output, logs.paths)
+    require_report(report, logs.paths)
+    require_plot(given.save_plot, logs.paths)
+    keys = given.group_keys
+    if keys and given.summary is None:
         raise UsageError(
-            f"--format tum writes the tool's pose, and {method} knows none: choose a method in 3D"
+            f"--group {given.group}: groups the figures of logs: say where they go with --summary FILE"
         )
-    many = Many(logs, jobs, scheduler, resume)
-    if targets.drawn and (many.is_asked_for or summaries.is_asked_for):
+    require_output(given.summary, logs.paths)
+    summary_writer = choose_writer(None, given.summary, Holds.FIGURES)
+    request = given.request()
+    if writer.name == "tum" and request.setup.is_planar:
         raise UsageError(
-            f"--scheduler, --resume and --summary go with rows: write {targets.drawn[0]} by itself"
+            f"--format tum writes the tool's pose, and {given.method} knows none: choose a method in 3D"
         )
-    if targets.drawn is None and (len(logs) > 1 or many.is_asked_for or summaries.is_asked_for):
-        from svmdist.cli.estimate_logs import EstimateJob
-
-        job = EstimateJob(setup, topics_of(topic), window, wanted, given, rules, bool(summaries.keys))
-        raise typer.Exit(_estimate_many(many, job, targets, summaries))
-    opened = open_recordings(logs, setup.profile, topics_of(topic), window)
-    recordings = opened.recordings
-    several = any(len(wanted or recording.instruments) > 1 for recording in recordings)
-    _require_one_trajectory(targets, several)
-    tally: Tally = Counter()
+    if writer.holds is Holds.FRAMES and output is not None:
+        raise typer.Exit(_write_drawn(logs, request, output, writer, force=given.force))
+    run = Run(logs, Job(measure_rows, request, EstimateResult), "measuring")
     measured: list[Measured] = []
-    if targets.drawn is not None:
-        drawn = DrawnJob(recordings[0], setup, rules, wanted, given, jobs)
-        write_drawn(drawn, *targets.drawn, tally, force=force)
-    else:
-        kept = measured if targets.needs_rows_kept else None
-        rows = _started(_rows(opened, setup, wanted, tally, rules, given, jobs, kept))
-        if targets.form is None or terminal_width(targets.output) is None:
-            # Rows on a terminal show by themselves how far the command is.
-            counts = [one.image_count() for one in recordings]
-            total = None if None in counts else sum(count or 0 for count in counts)
-            rows = tracked(rows, "measuring", "rows", total if not several else None)
-        planar = setup.method in PLANAR_METHODS
-        if targets.form is None:
-            deque(rows, maxlen=0)
-        else:
-            _write_rows(targets, rows, rules is not None, several, planar)
-    _summarise(tally)
-    targets.write_pictures(measured, setup, rules, jobs)
-    raise typer.Exit(_code(opened.health_code(), tally))
+    keeps = report is not None or given.save_plot is not None
+    _write_rows(run, run.rows(measured.append if keeps else None), request, writer, output)
+    each = run.figures(keys)
+    figures = log_results(ranked(each), pooled_log_figures(each))
+    if given.summary is not None:
+        write_results(figures, summary_writer, given.summary)
+    tally = sum((Counter(result.tally) for result in run.results), Counter[tuple[str, str]]())
+    _log_tally(tally)
+    if keeps:
+        run.measure_again(measured.append)
+        _write_pictures(
+            measured, request, logs.jobs, None if logs.is_one else figures, report, given.save_plot
+        )
+    raise typer.Exit(_code(run.exit_code(), tally))
 
 
-def _estimate_many(many: Many, job: EstimateJob, targets: EstimateTargets, summaries: LogSummary) -> ExitCode:
-    from svmdist.cli.estimate_logs import (
-        figures_of_logs,
-        measured_again,
-        reported_logs,
-        rows_of_logs,
-        tally_of_logs,
-    )
-    from svmdist.estimation.methods import PLANAR_METHODS
-    from svmdist.report.scores import log_results
+@dataclass(frozen=True)
+class EstimateResult:
+    """How the rows of one log ended: counts of (status, detail), in the order in which they first came."""
 
-    with many.measured(job, "measuring") as outcomes:
-        tally = tally_of_logs(outcomes)
-        if targets.form is not None:
-            several = any(len(result.instruments) > 1 for _, result in outcomes.measured)
-            _require_one_trajectory(targets, several)
-            planar = job.setup.method in PLANAR_METHODS
-            _write_rows(targets, rows_of_logs(outcomes), job.rules is not None, several, planar)
-        each, together = figures_of_logs(outcomes, summaries.keys)
-        summaries.write(each, together)
-        _summarise(tally)
-        if targets.needs_rows_kept:
-            measured = measured_again(job, reported_logs(many.logs, each), many.jobs)
-            targets.write_pictures(measured, job.setup, job.rules, many.jobs, log_results(each, together))
-        return _code(outcomes.code(), tally)
+    counts: tuple[tuple[str, str, int], ...]
+    instruments: tuple[str, ...]
+
+    @property
+    def tally(self) -> dict[tuple[str, str], int]:
+        """The counts by status and detail."""
+        return {(status, detail): count for status, detail, count in self.counts}
+
+    @property
+    def statuses(self) -> Counter[str]:
+        """The counts by status."""
+        statuses: Counter[str] = Counter()
+        for status, _, count in self.counts:
+            statuses[status] += count
+        return statuses
 
 
-def _code(code: ExitCode, tally: Tally) -> ExitCode:
+def measure_rows(
+    recording: Recording, request: Request, threads: int, keep: Keep | None = None
+) -> Generator[Row, None, EstimateResult]:
+    """Yield the rows of one recording; `keep` is given all results where something is made of them."""
+    from svmdist.estimation.alarms import AlarmWatch
+    from svmdist.estimation.lag import LagEstimate
+    from svmdist.report.rows import estimate_row
+    from svmdist.workflows.estimate import Measured, estimate
+
+    setup = request.setup
+    seen = corrected(recording, request, threads)
+    wanted = request.instruments or recording.instruments
+    watches = {name: AlarmWatch(request.alarms) for name in wanted} if request.alarms else {}
+    tally: Counter[tuple[str, str]] = Counter()
+    kept = []
+    results = estimate(seen, setup, request.instruments, threads)
+    total = recording.image_count()
+    for row in tracked(results, "measuring", "rows", total and total * len(wanted)):
+        tally[str(row.status), row.detail] += 1
+        if keep is not None:
+            kept.append(row)
+        alarm = watches[row.instrument].watch(row) if watches else None
+        yield estimate_row(recording.name, row, setup.method, setup.equations, alarm)
+    if keep is not None:
+        lag = LagEstimate(seen.lag.lag_s, seen.lag.std_s, 1.0) if seen.lag else None
+        keep(Measured(recording, seen, tuple(kept), lag))
+    counts = tuple((status, detail, count) for (status, detail), count in tally.items())
+    return EstimateResult(counts, wanted)
+
+
+def corrected(recording: Recording, request: Request, jobs: int | None) -> Recording:
+    """Say where the equations cannot be right, and apply the requested lag, with progress."""
+    from svmdist.workflows.estimate import with_requested_lag
+    from svmdist.workflows.parallel import Steps
+
+    for warning in request.setup.degeneracies(recording.camera):
+        LOG.info("warning: %s", warning)
+    if request.lag != "auto":
+        return with_requested_lag(recording, request, jobs)
+    with progress_bar(f"lag of {recording.name}", "images") as advance:
+        steps = Steps(advance, recording.image_count())
+        return with_requested_lag(recording, request, jobs, steps.advance)
+
+
+def _write_rows(
+    run: Run[EstimateResult], rows: Iterator[Row], request: Request, writer: Writer, output: Path | None
+) -> None:
+    from svmdist.report.rows import ESTIMATE_COLUMNS, shown_columns
+    from svmdist.report.tables import text_lines
+
+    if writer.holds is Holds.REPORT:
+        deque(rows, maxlen=0)
+        return
+    # Rows on a terminal show by themselves how far the command is.
+    with no_progress() if terminal_width(output) is not None else nullcontext():
+        head = list(islice(rows, 2))  # so that a log that cannot be read leaves no header behind
+        several = len({row.get("instrument") for row in head}) > 1 or any(
+            len(result.instruments) > 1 for result in run.results
+        )
+        if writer.name == "tum" and several:
+            raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
+        every = chain(head, rows)
+
+        def text(width: int | None) -> Iterator[str]:
+            planar, alarms = request.setup.is_planar, request.alarms is not None
+            return text_lines(shown_columns(width, planar=planar, several=several, alarms=alarms), every)
+
+        write_results(Results(ESTIMATE_COLUMNS, every, text), writer, output)
+
+
+def _write_pictures(
+    measured: list[Measured],
+    request: Request,
+    jobs: int | None,
+    logs: Results | None,
+    report: Path | None,
+    plot: Path | None,
+) -> None:
+    if plot:
+        from svmdist.report.plots import SeriesPlot, save_series_plot
+        from svmdist.workflows.series import make_series
+
+        series = [
+            made
+            for one in measured
+            for made in make_series(one.rows, one.recording, request.setup, lag=one.lag)
+        ]
+        below_m = request.alarms.below_m if request.alarms else None
+        save_series_plot(series, SeriesPlot.TIME, plot, below_m)
+    if report:
+        from svmdist.report.html import estimate_report, write_report
+
+        with progress_bar("drawing the worst frames", "images") as advance:
+            page = estimate_report(
+                measured, request.setup, command_line(), request.alarms, jobs, logs, advance
+            )
+        write_report(page, report)
+
+
+def _write_drawn(logs: Logs, request: Request, output: Path, writer: Writer, *, force: bool) -> ExitCode:
+    """Measure a recording and write it with its drawings, as a recording or a video."""
+    from svmdist.workflows.frame_drawing import drawn_frames
+
+    (log,) = logs.files
+    recording = request.open(log.path, log.name)
+    seen = corrected(recording, request, logs.jobs)
+    tally: Counter[tuple[str, str]] = Counter()
+    with progress_bar(f"drawing {recording.name}", "images") as advance:
+
+        def counted() -> Iterator[DrawnFrame]:
+            total = recording.image_count()
+            frames = drawn_frames(seen, request.setup, request.alarms, request.instruments, logs.jobs)
+            for count, frame in enumerate(frames, 1):
+                for result in frame.replayed.results:
+                    tally[str(result.status), result.detail] += 1
+                yield frame
+                advance(count, total)
+
+        assert writer.save is not None
+        writer.save(counted(), seen, request.setup, output, force)
+    _log_tally(tally)
+    return _code(log_losses(recording.path, recording.health), tally)
+
+
+def _code(code: ExitCode, tally: Counter[tuple[str, str]]) -> ExitCode:
     """The exit code, where nothing may have been measured: the summary says why."""
     if code is ExitCode.CLEAN and not any(status == "ok" for status, _ in tally):
         return ExitCode.UNUSABLE
     return code
 
 
-def _require_one_trajectory(targets: EstimateTargets, several: bool) -> None:
-    if targets.is_trajectory and several:
-        raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
-
-
-def _write_rows(
-    targets: EstimateTargets, rows: Iterator[Row], with_alarms: bool, several: bool, planar: bool
-) -> None:
-    from svmdist.report.rows import ESTIMATE_COLUMNS, shown_columns
-    from svmdist.report.tables import text_lines
-
-    def text(width: int | None) -> Iterator[str]:
-        columns = shown_columns(width, planar=planar, several=several, alarms=with_alarms)
-        return text_lines(columns, rows)
-
-    assert targets.form is not None
-    write_results(Results(ESTIMATE_COLUMNS, rows, text), targets.form, targets.output)
-
-
-def _rows(
-    opened: Opened,
-    setup: Setup,
-    wanted: tuple[str, ...] | None,
-    tally: Tally,
-    rules: AlarmRules | None,
-    lag: Lag | None,
-    jobs: int | None,
-    measured: list[Measured] | None = None,
-) -> Iterator[Row]:
-    """The rows of all recordings; one of several that cannot be measured is told, and left out."""
-    from svmdist.errors import RecordingError
-
-    for recording in opened.recordings:
-        try:
-            yield from rows_of(recording, setup, wanted, tally, rules, lag, jobs, measured)
-        except RecordingError as problem:
-            opened.fail(problem)
-
-
-def rows_of(
-    recording: Recording,
-    setup: Setup,
-    wanted: tuple[str, ...] | None,
-    tally: Tally,
-    rules: AlarmRules | None,
-    lag: Lag | None,
-    jobs: int | None,
-    measured: list[Measured] | None,
-) -> Iterator[Row]:
-    """The rows of one recording; `tally` counts how they ended, `measured` gets all of them where it is given."""
-    from svmdist.cli.lag import told_lag
-    from svmdist.estimation.alarms import AlarmWatch
-    from svmdist.estimation.lag import LagEstimate
-    from svmdist.report.rows import estimate_row
-    from svmdist.workflows.estimate import estimate
-    from svmdist.workflows.validate import Measured
-
-    for warning in setup.degeneracies(recording.camera):
-        say(f"svmdist: warning: {warning}")
-    seen = told_lag(recording, setup, lag, wanted, jobs)
-    start_ns: int | None = None
-    kept: list[FrameResult] = []
-    watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
-    for row in estimate(seen, setup, wanted, jobs):
-        start_ns = row.stamp_ns if start_ns is None else start_ns
-        tally[str(row.status), row.detail] += 1
-        if measured is not None:
-            kept.append(row)
-        alarm = watches[row.instrument].watch(row) if watches else None
-        yield estimate_row(recording.name, row, setup.method, setup.equations, start_ns, alarm)
-    if measured is not None:
-        found = LagEstimate(seen.lag.lag_s, seen.lag.std_s, 1.0) if seen.lag else None
-        measured.append(Measured(recording, seen, tuple(kept), found))
-
-
-def _started(rows: Iterator[Row]) -> Iterator[Row]:
-    """Measure the first row at once, so that a log that cannot be read leaves no header behind."""
-    first = next(rows, None)
-    return iter(()) if first is None else chain([first], rows)
-
-
-def _summarise(tally: Tally) -> None:
-    total = sum(tally.values())
+def _log_tally(tally: Counter[tuple[str, str]]) -> None:
+    total = tally.total()
     if total == 0:
-        say(
-            "svmdist: no frame to measure: the log has no image, or none between --start and --end",
-            Verbosity.QUIET,
-        )
+        LOG.error("no frame to measure: the log has no image, or none between --start and --end")
         return
     measured = sum(count for (status, _), count in tally.items() if status == "ok")
     reasons = sorted({status for status, _ in tally} - {"ok"})
     lost = ", ".join(_lost_by(reason, tally) for reason in reasons)
-    say(
-        f"svmdist: {measured} of {total} frames measured ({measured / total:.1%})"
-        + (f"; {lost}" if lost else "")
+    LOG.info(
+        "%d of %d frames measured (%.1f%%)%s",
+        measured,
+        total,
+        100 * measured / total,
+        f"; {lost}" if lost else "",
     )
 
 
-def _lost_by(reason: str, tally: Tally) -> str:
+def _lost_by(reason: str, tally: Counter[tuple[str, str]]) -> str:
     """How many frames ended so, and the detail that most of them have, where they have one."""
     details = Counter({detail: count for (status, detail), count in tally.items() if status == reason})
     ((commonest, _),) = details.most_common(1)

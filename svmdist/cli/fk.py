@@ -2,146 +2,122 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import closing
+import math
+from collections.abc import Generator
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from svmdist.cli.console import require_output, say, terminal_width, write_results
-from svmdist.cli.many import Many, Outcomes, ResumeOption, SchedulerOption, heard_notes, measurement
-from svmdist.cli.options import (
-    Files,
-    HandEyeOption,
-    JobsOption,
-    OutputOption,
-    PoseFormatOption,
-    ProfileOption,
-    TopicOption,
-    topics_of,
+from svmdist.cli.logs import Logs, Run
+from svmdist.cli.options import LogOptions, ReadOptions, WindowOptions, format_option, option, output_option
+from svmdist.cli.output import (
+    LOG,
+    no_progress,
+    progress_bar,
+    require_output,
+    started,
+    terminal_width,
+    write_results,
 )
-from svmdist.cli.progress import progress_bar, tracked
-from svmdist.cli.recordings import local_logs, named_logs, open_log, open_recordings, window_of
 from svmdist.errors import UsageError
-from svmdist.report.writers import Holds, Results, Writer, choose_writer
+from svmdist.report.writers import Holds, Results, choose_writer
 
 if TYPE_CHECKING:
-    from svmdist.profile import Profile
     from svmdist.recording.log import Recording
-    from svmdist.recording.observations import Window
     from svmdist.report.tables import Row
-    from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
     from svmdist.workflows.fk import PoseErrors
-    from svmdist.workflows.parallel import Progress
+    from svmdist.workflows.request import Request
 
 
-def fk_command(
-    files: Files,
-    joints: Annotated[
-        str | None,
-        typer.Option("--joints", metavar="TOPIC", help="Topic of the joint states.", show_default=False),
-    ] = None,
-    profile: ProfileOption = "psm13",
-    hand_eye: HandEyeOption = None,
-    topic: TopicOption = None,
-    in_camera: Annotated[
-        bool,
-        typer.Option(
-            "--in-camera", help="In the camera's frame, by the transform of hand-eye or of the log."
-        ),
-    ] = False,
-    form: PoseFormatOption = None,
-    output: OutputOption = None,
-    start: Annotated[
-        float,
-        typer.Option(
-            "--start", metavar="SECONDS", min=0.0, help="Begin so long after the first joint state."
-        ),
-    ] = 0.0,
-    end: Annotated[
-        float | None,
-        typer.Option(
-            "--end",
-            metavar="SECONDS",
-            min=0.0,
-            help="End so long after the first joint state.",
-            show_default=False,
-        ),
-    ] = None,
-    every: Annotated[
-        int, typer.Option("--every", metavar="N", min=1, help="Take every N-th joint state only.")
-    ] = 1,
-    jobs: JobsOption = None,
-    scheduler: SchedulerOption = None,
-    resume: ResumeOption = None,
-) -> None:
+class FkOptions(LogOptions, ReadOptions, WindowOptions):
+    """What `fk` takes."""
+
+    joints: str | None = option(None, "--joints", "TOPIC", "Topic of the joint states.")
+    in_camera: bool = option(
+        False, "--in-camera", None, "In the camera's frame, by the transform of hand-eye or of the log."
+    )
+    form: str | None = format_option(Holds.POSES, "; tum is the format of evo")
+    output: Path | None = output_option()
+    start: float = option(
+        0.0, "--start", "SECONDS", "Seconds after the first joint state to begin at.", min=0.0
+    )
+    end: float | None = option(
+        None, "--end", "SECONDS", "Seconds after the first joint state to end at.", min=0.0
+    )
+    every: int = option(1, "--every", "N", "Take every N-th joint state only.", min=1)
+
+
+def fk_command(given: FkOptions) -> None:
     """Print the tool's pose for every joint state.
 
     The pose is the forward kinematics of the profile's chain, in its base frame or the camera's. Where the log has a
     pose topic, the errors against it are printed on stderr. Of several logs each row names its own.
+
+    Examples:
+      The tool's pose for each joint state:
+        svmdist fk log.mcap -o poses.csv
+      In the camera's frame, for evo:
+        svmdist fk log.mcap --in-camera -o poses.tum
     """
-    from svmdist.profile import load_profile
-
-    logs = named_logs(files)
-    require_output(output, local_logs(logs))
-    writer = choose_writer(form, output, Holds.POSES)
-    if writer.name == "tum" and len(logs) > 1:
-        raise UsageError(f"--format tum writes one trajectory, and {len(logs)} logs are given")
-    window = window_of(start, end, every)
-    loaded = load_profile(profile, hand_eye)
-    topics = topics_of(topic) | ({"joints": joints} if joints else {})
-    many = Many(logs, jobs, scheduler, resume)
-    job = FkJob(loaded, topics, in_camera, window)
-    if len(logs) > 1 or many.is_asked_for:
-        with many.measured(job, "computing") as outcomes:
-            _write(writer, _rows_of_logs(outcomes), output, several=len(logs) > 1)
-            raise typer.Exit(outcomes.code())
-    opened = open_recordings(logs, loaded, topics)
-    sums = ErrorSums()
-    with progress_bar("reading", "joint states") as advance:
-        rows = _started(pose_rows_of(opened.recordings[0], job, sums, advance))
-    _write(writer, _written(rows, output, sums.joint_count), output, several=False)
-    sums.tell()
-    raise typer.Exit(opened.health_code())
-
-
-def _write(writer: Writer, rows: Iterator[Row], output: Path | None, *, several: bool) -> None:
     from svmdist.metrics import TEXT
     from svmdist.report.rows import POSE_COLUMNS
     from svmdist.report.tables import Column
+    from svmdist.workflows.batch import Job
+    from svmdist.workflows.request import Request, Setup
 
+    logs = Logs(given)
+    require_output(given.output, logs.paths)
+    writer = choose_writer(given.form, given.output, Holds.POSES)
+    several = len(logs.files) > 1
+    if writer.name == "tum" and several:
+        raise UsageError(f"--format tum writes one trajectory, and {len(logs.files)} logs are given")
+    topics = given.topics | ({"joints": given.joints} if given.joints else {})
+    request = Request(Setup.reading(given.profile, given.hand_eye), topics, given.window)
+    run: Run[PoseCount] = Run(
+        logs, Job(pose_rows_of, request, PoseCount, (given.in_camera, several)), "computing"
+    )
     columns = (*POSE_COLUMNS, Column("recording", TEXT)) if several else POSE_COLUMNS
-    write_results(Results(columns, rows), writer, output)
+    with no_progress() if terminal_width(given.output) is not None else nullcontext():
+        write_results(Results(columns, started(run.rows())), writer, given.output)
+    raise typer.Exit(run.exit_code())
 
 
-def _written(rows: Iterator[Row], output: Path | None, count: int | None) -> Iterator[Row]:
-    """The rows, with progress told, but where they show on a terminal by themselves."""
-    return rows if terminal_width(output) is not None else tracked(rows, "writing", "poses", count)
+@dataclass(frozen=True)
+class PoseCount:
+    """How many poses a log gave."""
+
+    pose_count: int
 
 
-def _rows_of_logs(outcomes: Outcomes[FkResult]) -> Iterator[Row]:
-    from svmdist.workflows.batch.store import stored_rows
+def pose_rows_of(
+    recording: Recording, request: Request, _threads: int, in_camera: bool, named: bool
+) -> Generator[Row, None, PoseCount]:
+    """The rows of one recording, which name it where there are several; the errors against its poses are logged."""
+    from svmdist.report.rows import pose_rows
+    from svmdist.workflows.fk import fk_blocks
 
-    for one, _ in outcomes.measured:
-        if one.rows is not None:
-            for row in stored_rows(one.rows):
-                yield row | {"recording": one.log.name}
-
-
-def _started(rows: Iterator[Row]) -> Iterator[Row]:
-    """Compute the first row at once, so that a log that cannot be read leaves no header behind."""
-    first = next(rows, None)
-    return iter(()) if first is None else chain([first], rows)
+    profile = request.setup.profile.for_instrument(recording.instruments[0])
+    sums, count = ErrorSums(), 0
+    with progress_bar("reading", "joint states") as advance:
+        made = fk_blocks(recording, profile, in_camera=in_camera, window=request.window, on_progress=advance)
+        with closing(made):
+            for block in made:
+                if block.errors is not None:
+                    sums.add(block.errors)
+                for row in pose_rows(block.stamps_ns, block.poses):
+                    yield row | {"recording": recording.name} if named else row
+                    count += 1
+    sums.log(recording.name if named else "")
+    return PoseCount(count)
 
 
 @dataclass
 class ErrorSums:
-    """Errors against a pose topic, added up block by block; `joint_count` is known from the first one on."""
+    """Errors against a pose topic, added up block by block."""
 
-    joint_count: int | None = None
     count: int = 0
     unpaired_count: int = 0
     frame_id: str | None = None
@@ -165,70 +141,19 @@ class ErrorSums:
         self.max_mm = max(self.max_mm, float(position_mm.max()))
         self.max_deg = max(self.max_deg, float(angle_deg.max()))
 
-    def tell(self, name: str = "") -> None:
-        """Say the errors, where there is a pose topic."""
-        import math
-
+    def log(self, name: str) -> None:
+        """Log the errors, where there is a pose topic."""
         if self.frame_id is None:
             return
         of = f"{name}: " if name else ""
         if self.count == 0:
-            say(f"svmdist: {of}no pose of the topic (frame {self.frame_id}) is near a joint state in time")
+            LOG.info("%sno pose of the topic (frame %s) is near a joint state in time", of, self.frame_id)
             return
-        say(
-            f"svmdist: {of}against {self.count} poses in frame {self.frame_id}:"
-            f" position RMSE {math.sqrt(self.square_mm2 / self.count):.4g} mm, max {self.max_mm:.4g} mm;"
-            f" angle RMSE {math.sqrt(self.square_deg2 / self.count):.4g}°, max {self.max_deg:.4g}°;"
-            f" {self.unpaired_count} joint states without a pose"
+        LOG.info(
+            "%sagainst %d poses in frame %s: position RMSE %.4g mm, max %.4g mm; angle RMSE %.4g°, max %.4g°;"
+            " %d joint states without a pose",
+            *(of, self.count, self.frame_id),
+            *(math.sqrt(self.square_mm2 / self.count), self.max_mm),
+            *(math.sqrt(self.square_deg2 / self.count), self.max_deg),
+            self.unpaired_count,
         )
-
-
-@dataclass(frozen=True)
-class FkResult:
-    """How many poses a log gave."""
-
-    pose_count: int
-
-
-@dataclass(frozen=True)
-class FkJob:
-    """Computes the poses of a log."""
-
-    profile: Profile
-    topics: dict[str, str]
-    in_camera: bool
-    window: Window | None = None
-
-    @property
-    def result_type(self) -> type[FkResult]:
-        """The type of a result."""
-        return FkResult
-
-    def measure(self, log: LogFile, _: int, write: RowWriter) -> Measurement[FkResult]:
-        """Write the poses of a log."""
-        count = 0
-        with heard_notes() as notes:
-            recording = open_log(log, self.profile, self.topics)
-            sums = ErrorSums()
-            for row in pose_rows_of(recording, self, sums):
-                write(row)
-                count += 1
-            sums.tell(log.name)
-        return measurement(recording, FkResult(count), notes, grouped=False)
-
-
-def pose_rows_of(
-    recording: Recording, job: FkJob, sums: ErrorSums, on_progress: Progress | None = None
-) -> Iterator[Row]:
-    """The rows of one recording; `sums` gets their errors, and `on_progress` hears of joint states as they are read."""
-    from svmdist.report.rows import pose_rows
-    from svmdist.workflows.fk import fk_blocks
-
-    profile = job.profile.for_instrument(recording.instruments[0])
-    made = fk_blocks(recording, profile, in_camera=job.in_camera, window=job.window, on_progress=on_progress)
-    with closing(made):
-        for block in made:
-            sums.joint_count = block.joint_count
-            if block.errors is not None:
-                sums.add(block.errors)
-            yield from pose_rows(block.stamps_ns, block.poses)

@@ -1,28 +1,29 @@
-"""`svmdist hand-eye`: fit where the robot's base stands for the camera."""
+"""`svmdist hand-eye`: fit the camera-to-base transform."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from svmdist.cli.console import report_health, require_output, say, write_results
+from svmdist.cli.estimate import corrected
+from svmdist.cli.logs import log_losses
 from svmdist.cli.options import (
+    FORCE,
+    JOBS,
     InstrumentOption,
-    JobsOption,
     LagOption,
-    ProfileOption,
-    TableFormatOption,
-    TopicOption,
-    instruments_of,
-    parse_lag,
-    topics_of,
+    ProfileOptions,
+    WindowOptions,
+    argument,
+    format_option,
+    option,
+    output_option,
 )
-from svmdist.cli.progress import progress_bar
-from svmdist.cli.recordings import EndOption, EveryOption, StartOption, window_of
-from svmdist.errors import RecordingError, UsageError
+from svmdist.cli.output import LOG, progress_bar, require_new, require_output, write_results
+from svmdist.errors import RecordingError
 from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class SeeingMethod(StrEnum):
-    """`--method` of hand-eye: what sees the tool in the images alone."""
+    """`--method` of hand-eye: what finds the tool in the images alone."""
 
     FIDUCIAL = "fiducial"
     STEREO = "stereo"
@@ -44,97 +45,84 @@ class Against(StrEnum):
     POSE = "pose"
 
 
-def hand_eye_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to fit on.", show_default=False)],
-    method: Annotated[
-        SeeingMethod | None,
-        typer.Option(
-            "--method",
-            help="What sees the tool: fiducial, stereo or shaft. Default: the first of these that sees it.",
-            show_default=False,
-        ),
-    ] = None,
-    against: Annotated[
-        Against | None,
-        typer.Option(
-            "--against",
-            help="What the robot reports: kinematics of its joints, or the poses of measured_cp. Default: the joints"
-            " where log and profile have them.",
-            show_default=False,
-        ),
-    ] = None,
-    profile: ProfileOption = "psm13",
-    topic: TopicOption = None,
-    instrument: InstrumentOption = None,
-    lag: LagOption = None,
-    form: TableFormatOption = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE.toml",
-            help='Store the transforms in this file; a profile names it: hand_eye = "FILE.toml".',
-            show_default=False,
-        ),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
-    jobs: JobsOption = None,
-    start: StartOption = 0.0,
-    end: EndOption = None,
-    every: EveryOption = 1,
-) -> None:
-    """Fit where robots' bases stand for the camera.
+class HandEyeOptions(ProfileOptions, InstrumentOption, LagOption, WindowOptions):
+    """What `hand-eye` takes."""
+
+    file: Path = argument(..., "FILE", "Recording to fit on.")
+    method: SeeingMethod | None = option(
+        None,
+        "--method",
+        None,
+        "What finds the tool: fiducial, stereo or shaft. Default: the first of these that finds it.",
+    )
+    against: Against | None = option(
+        None,
+        "--against",
+        None,
+        "What the robot reports: kinematics of its joints, or the poses of measured_cp. Default: the joints"
+        " where log and profile have them.",
+    )
+    form: str | None = format_option(Holds.TABLES)
+    output: Path | None = output_option(
+        "FILE.toml", 'Store the transforms in this file; a profile names it: hand_eye = "FILE.toml".'
+    )
+    force: bool = FORCE
+    jobs: int | None = JOBS
+
+
+def hand_eye_command(given: HandEyeOptions) -> None:
+    """Fit the camera-to-base transform.
 
     The tool as the images show it is compared with the joints or poses that the robot reports. The result has a
     covariance, and is used by every command whose profile names the file, or by --hand-eye.
+
+    Examples:
+      Fit by the tag on the instrument:
+        svmdist hand-eye log.mcap --method fiducial -o hand-eye.toml
+      Use the transform:
+        svmdist estimate log.mcap --method fused --hand-eye hand-eye.toml
     """
-    from svmdist.cli.lag import told_lag
     from svmdist.profile import load_profile
     from svmdist.profile.hand_eye import save_hand_eye
-    from svmdist.recording.log import open_recording
-    from svmdist.recording.observations import Reading
     from svmdist.report.info import hand_eye_file, hand_eye_results
     from svmdist.results import Failure
     from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
-    from svmdist.workflows.request import prepare
+    from svmdist.workflows.request import Request, prepare
 
+    file, output = given.file, given.output
     require_output(output, [file])
-    if output is not None and output.exists() and not force:
-        raise UsageError(f"{output}: exists already; give another name, or --force to replace it")
-    given = parse_lag(lag)
-    window = window_of(start, end, every)
-    topics = topics_of(topic)
-    methods = [method.value] if method else _served(file, load_profile(profile), topics)
+    require_new(output, force=given.force)
+    writer = choose_writer(given.form, None, Holds.TABLES)
+    lag, window, topics = given.given_lag, given.window, given.topics
+    methods = [given.method.value] if given.method else _served(file, load_profile(given.profile), topics)
+    against = None if given.against is None else given.against.value
     failures: list[str] = []
-    for chosen in methods:
-        setup = prepare(profile, chosen)
-        recording = open_recording(file, setup.profile, topics=topics).read_as(Reading(window=window))
-        wanted = instruments_of(instrument, setup.profile) or recording.instruments
-        seen = told_lag(recording, setup, given, wanted, jobs)
+    for method in methods:
+        setup = prepare(given.profile, method)
+        request = Request(setup, topics, window, given.instruments(setup.profile), lag)
+        recording = request.open(file, file.stem)
+        seen = corrected(recording, request, given.jobs)
         found = {}
-        for name in wanted:
-            with progress_bar(f"{chosen} sees {name}", "images") as advance:
-                found[name] = hand_eye(
-                    seen, setup, name, None if against is None else against.value, jobs, advance
-                )
+        for name in request.instruments or recording.instruments:
+            with progress_bar(f"{method} finds {name}", "images") as advance:
+                found[name] = hand_eye(seen, setup, name, against, given.jobs, advance)
         failures += [
-            f"{chosen}, {name}: {one.reason}" for name, one in found.items() if isinstance(one, Failure)
+            f"{method}, {name}: {one.reason}" for name, one in found.items() if isinstance(one, Failure)
         ]
         results = [one for one in found.values() if isinstance(one, HandEyeResult)]
         if results:
             break
     else:
-        raise RecordingError(f"{file}: no transform can be told: {'; '.join(failures)}")
-    write_results(hand_eye_results(results), choose_writer(form, None, Holds.TABLES), None)
+        raise RecordingError(f"{file}: no transform can be estimated: {'; '.join(failures)}")
+    write_results(hand_eye_results(results), writer, None)
     for failure in failures:
-        say(f"svmdist: note: {failure}")
+        LOG.info("note: %s", failure)
     if output is not None:
         save_hand_eye(output, hand_eye_file(results, recording))
-        say(
-            f'svmdist: {output}: {len(results)} transforms; in a profile beside it: hand_eye = "{output.name}"'
+        LOG.info(
+            '%s: %d transforms; in a profile beside it: hand_eye = "%s"', output, len(results), output.name
         )
-    raise typer.Exit(report_health([recording]))
+    raise typer.Exit(log_losses(recording.path, recording.health))
 
 
 def _served(file: Path, profile: Profile, topics: dict[str, str]) -> list[str]:

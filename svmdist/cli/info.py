@@ -2,123 +2,96 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from svmdist.cli.console import (
-    report_health,
-    require_output,
-    write_results,
-)
-from svmdist.cli.many import Many, ResumeOption, SchedulerOption, heard_notes
-from svmdist.cli.options import (
-    Files,
-    HandEyeOption,
-    JobsOption,
-    OutputOption,
-    ProfileOption,
-    TableFormatOption,
-    TopicOption,
-    topics_of,
-)
-from svmdist.cli.recordings import local_logs, named_logs
+from svmdist.cli.logs import Logs, Run
+from svmdist.cli.options import LogOptions, ReadOptions, format_option, output_option
+from svmdist.cli.output import require_output, write_results
 from svmdist.errors import RecordingError
-from svmdist.report.writers import Holds, Writer, choose_writer
+from svmdist.report.writers import Holds, Results, choose_writer
 
 if TYPE_CHECKING:
-    from svmdist.profile import Profile
+    from svmdist.recording.log import Recording
     from svmdist.recording.summary import RecordingSummary
-    from svmdist.workflows.batch.task import LogFile, Measurement, RowWriter
     from svmdist.workflows.capabilities import TagCheck
+    from svmdist.workflows.request import Request
 
 
-def info_command(
-    files: Files,
-    profile: ProfileOption = "psm13",
-    hand_eye: HandEyeOption = None,
-    topic: TopicOption = None,
-    form: TableFormatOption = None,
-    output: OutputOption = None,
-    jobs: JobsOption = None,
-    scheduler: SchedulerOption = None,
-    resume: ResumeOption = None,
-) -> None:
+class InfoOptions(LogOptions, ReadOptions):
+    """What `info` takes."""
+
+    form: str | None = format_option(Holds.TABLES)
+    output: Path | None = output_option()
+
+
+def info_command(given: InfoOptions) -> None:
     """Show topics, rates, cameras, frames and health.
 
     It also lists the commands and methods that the recording can serve, and what is missing for the others. Of several
     recordings there is a line each; csv has the topics of all, and json an array with everything.
+
+    Examples:
+      Topics, cameras, and the methods that the log can serve:
+        svmdist info log.mcap
+      The same of a log with a profile of one's own:
+        svmdist info log.mcap --profile mine.toml
+      For a program:
+        svmdist info log.mcap -f json
     """
-    from svmdist.profile import load_profile
-    from svmdist.report.info import info_results
-
-    logs = named_logs(files)
-    require_output(output, local_logs(logs))
-    loaded = load_profile(profile, hand_eye)
-    writer = choose_writer(form, output, Holds.TABLES)
-    looks_for_tag = writer.name != "csv"
-    many = Many(logs, jobs, scheduler, resume)
-    if len(logs) > 1 or many.is_asked_for:
-        _info_of_logs(many, InfoJob(loaded, topics_of(topic), looks_for_tag), writer, output)
-    summary, tags = _inspect(logs[0], loaded, topics_of(topic), looks_for_tag=looks_for_tag)
-    write_results(info_results(summary, loaded, tags), writer, output)
-    raise typer.Exit(report_health([summary]))
-
-
-def _inspect(
-    log: LogFile, profile: Profile, topics: dict[str, str], *, looks_for_tag: bool
-) -> tuple[RecordingSummary, TagCheck | None]:
-    """Read a whole log, and look for the profile's tag in some of its images."""
-    from svmdist.recording.log import open_recording
-    from svmdist.recording.summary import inspect_recording
-    from svmdist.workflows.capabilities import look_for_tag
-
-    summary = inspect_recording(log.path, profile, topics=topics)
-    if not looks_for_tag or not {"image", "camera_info"} <= set(summary.roles):
-        return summary, None
-    try:
-        return summary, look_for_tag(open_recording(log.path, profile, topics=topics), profile)
-    except RecordingError:  # a calibration that is not usable: the summary tells of it
-        return summary, None
-
-
-def _info_of_logs(many: Many, job: InfoJob, writer: Writer, output: Path | None) -> None:
     from svmdist.report.info import logs_results
+    from svmdist.workflows.batch import Job
+    from svmdist.workflows.request import Request, Setup
 
-    with many.measured(job, "inspecting") as outcomes:
-        found = [(one.log.name, result.document) for one, result in outcomes.measured]
-        write_results(logs_results(found), writer, output)
-        raise typer.Exit(outcomes.code())
+    logs = Logs(given)
+    require_output(given.output, logs.paths)
+    setup = Setup.reading(given.profile, given.hand_eye)
+    writer = choose_writer(given.form, given.output, Holds.TABLES)
+    job = Job(inspect_log, Request(setup, given.topics), InspectedLog, (writer.name != "csv",))
+    found: list[Results] = []
+    run: Run[InspectedLog] = Run(logs, job, "inspecting")
+    run.finish(found.append)
+    results = logs_results([(log.name, result.document) for log, _, result in run.measured])
+    write_results(found[0] if found else results, writer, given.output)
+    raise typer.Exit(run.exit_code())
 
 
 @dataclass(frozen=True)
-class InfoResult:
+class InspectedLog:
     """The document of a log."""
 
     document: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class InfoJob:
-    """Inspects a log."""
+def inspect_log(
+    recording: Recording,
+    request: Request,
+    _threads: int,
+    looks_for_tag: bool,
+    keep: Callable[[Results], None] = lambda _: None,
+) -> InspectedLog:
+    """Read a whole log, and look for the profile's tag in some of its images; `keep` is given what is in it."""
+    from svmdist.recording.summary import inspect_recording
+    from svmdist.report.info import info_document, info_results
 
-    profile: Profile
-    topics: dict[str, str]
-    looks_for_tag: bool
+    profile = request.setup.profile
+    summary = inspect_recording(recording.path, profile, topics=dict(request.topics))
+    tags = _look_for_tag(recording, request, summary) if looks_for_tag else None
+    recording.health.join(summary.health)
+    keep(info_results(summary, profile, tags))
+    return InspectedLog(info_document(summary, profile, tags))
 
-    @property
-    def result_type(self) -> type[InfoResult]:
-        """The type of a result."""
-        return InfoResult
 
-    def measure(self, log: LogFile, _: int, __: RowWriter) -> Measurement[InfoResult]:
-        """Inspect a log."""
-        from svmdist.report.info import info_document
-        from svmdist.workflows.batch.task import Measurement
+def _look_for_tag(recording: Recording, request: Request, summary: RecordingSummary) -> TagCheck | None:
+    from svmdist.workflows.capabilities import look_for_tag
 
-        with heard_notes() as notes:
-            summary, tags = _inspect(log, self.profile, self.topics, looks_for_tag=self.looks_for_tag)
-        document = info_document(summary, self.profile, tags)
-        return Measurement(InfoResult(document), summary.health, {}, tuple(notes))
+    if not {"image", "camera_info"} <= set(summary.roles):
+        return None
+    try:
+        return look_for_tag(recording, request.setup.profile)
+    except RecordingError:  # a calibration that is not usable: the summary says so
+        return None

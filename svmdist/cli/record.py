@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from svmdist.cli.console import ExitCode, Verbosity, require_output, say
-from svmdist.cli.degradations import parse_degradations
-from svmdist.cli.options import ProfileOption
-from svmdist.cli.perturbations import parse_perturb
-from svmdist.cli.progress import progress_bar
+from svmdist.cli.options import (
+    FORCE,
+    Options,
+    option,
+    output_option,
+    parse_degradations,
+    parse_perturbations,
+)
+from svmdist.cli.output import LOG, ExitCode, progress_bar, require_output
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
+    from svmdist.perturbations.chosen import Perturbations
     from svmdist.workflows.episodes import Episodes
 
 
@@ -37,190 +42,173 @@ class WorldName(StrEnum):
     REAL = "real"
 
 
-def record_command(
-    scenario: Annotated[
-        ScenarioName, typer.Option("--scenario", help="Motion of the instrument.")
-    ] = ScenarioName.SWEEP,
-    seed: Annotated[
-        int,
-        typer.Option(
-            "--seed",
-            metavar="N",
-            min=0,
-            help="Seed of everything random; the same seed gives the same content.",
-        ),
-    ] = 1,
-    duration: Annotated[
-        float,
-        typer.Option("--duration", metavar="SECONDS", min=0.2, max=3600.0, help="Duration of the recording."),
-    ] = 8.0,
-    rate: Annotated[
-        float, typer.Option("--rate", metavar="HZ", min=0.5, max=60.0, help="Images per second.")
-    ] = 10.0,
-    noise: Annotated[
-        float,
-        typer.Option(
-            "--noise",
-            metavar="LEVELS",
-            min=0.0,
-            max=50.0,
-            help="Standard deviation of the sensor noise, in 8-bit levels.",
-        ),
-    ] = 0.0,
-    stereo: Annotated[
-        bool, typer.Option("--stereo", help="Add the right camera: /ECM/right/image and its camera_info.")
-    ] = False,
-    tag: Annotated[
-        bool, typer.Option("--tag", help="Mount the profile's AprilTag plate on the instrument.")
-    ] = False,
-    arms: Annotated[
-        int,
-        typer.Option(
-            "--arms",
-            metavar="N",
-            min=1,
-            max=2,
-            help="Number of instruments. 2 adds the profile's second one, which crosses the first one in the image.",
-        ),
-    ] = 1,
-    kinematic_error: Annotated[
-        float,
-        typer.Option(
-            "--kinematic-error",
-            metavar="SCALE",
-            min=0.0,
-            max=20.0,
-            help="Error of the robot's nominal kinematics, drawn by seed: 1 is 1° and 1 mm in the joints, "
-            "2° and 5 mm from camera to base.",
-        ),
-    ] = 0.0,
-    degrade: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--degrade",
-            metavar="NAME=SEVERITY",
-            help="Degrade the images, severity 1 to 5: defocus, motion_blur, noise, low_light, specular, smoke, "
-            "jpeg; may be repeated.",
-            show_default=False,
-        ),
-    ] = None,
-    perturb: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--perturb",
-            metavar="NAME=STRENGTH",
-            help="Make something other than log and profile say, as in focal=1 or backlash=0.5; may be repeated. "
-            "Names and units: docs/simulation.md.",
-            show_default=False,
-        ),
-    ] = None,
-    world: Annotated[
-        WorldName,
-        typer.Option(
-            "--world",
-            help="ideal: log and profile are exact; real: everything is off as on real robots, drawn by seed.",
-        ),
-    ] = WorldName.IDEAL,
-    jpeg: Annotated[
-        int | None,
-        typer.Option(
-            "--jpeg",
-            metavar="QUALITY",
-            min=1,
-            max=100,
-            help="Store images as JPEG, as the recorders of endoscopes do. Default: PNG, without loss.",
-            show_default=False,
-        ),
-    ] = None,
-    renderer: Annotated[str, typer.Option("--renderer", hidden=True)] = "tiny",
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            "--jobs",
-            "-j",
-            metavar="N",
-            min=1,
-            help="Number of processes that render. The file is the same for any number. Default: all usable cores.",
-            show_default=False,
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE.mcap",
-            help="Recording to write. Default: SCENARIO-SEED.mcap.",
-            show_default=False,
-        ),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
-    profile: ProfileOption = "psm13",
-    episodes: Annotated[
-        int | None,
-        typer.Option(
-            "--episodes",
-            metavar="N",
-            min=1,
-            max=100_000,
-            help="Record N seeds, from --seed on, in --jobs processes. --output is then a folder, or a name with"
-            " {seed} or {episode}.",
-            show_default=False,
-        ),
-    ] = None,
-    skip_existing: Annotated[
-        bool,
-        typer.Option(
-            "--skip-existing", help="With --episodes: leave those that are there, to go on with the others."
-        ),
-    ] = False,
-) -> None:
+class RecordOptions(Options):
+    """What `record` takes."""
+
+    scenario: ScenarioName = option(ScenarioName.SWEEP, "--scenario", None, "Motion of the instrument.")
+    seed: int = option(
+        1, "--seed", "N", "Seed of everything random; the same seed gives the same content.", min=0
+    )
+    duration: float = option(8.0, "--duration", "SECONDS", "Duration of the recording.", min=0.2, max=3600.0)
+    rate: float = option(10.0, "--rate", "HZ", "Images per second.", min=0.5, max=60.0)
+    noise: float = option(
+        0.0,
+        "--noise",
+        "LEVELS",
+        "Standard deviation of the sensor noise, in 8-bit levels.",
+        min=0.0,
+        max=50.0,
+    )
+    stereo: bool = option(
+        False, "--stereo", None, "Add the right camera: /ECM/right/image and its camera_info."
+    )
+    tag: bool = option(False, "--tag", None, "Mount the profile's AprilTag plate on the instrument.")
+    arms: int = option(
+        1,
+        "--arms",
+        "N",
+        "Number of instruments. 2 adds the profile's second one, which crosses the first one in the image.",
+        min=1,
+        max=2,
+    )
+    kinematic_error: float = option(
+        0.0,
+        "--kinematic-error",
+        "SCALE",
+        "Error of the robot's nominal kinematics, drawn by seed: 1 is 1° and 1 mm in the joints, "
+        "2° and 5 mm from camera to base.",
+        min=0.0,
+        max=20.0,
+    )
+    degrade: list[str] | None = option(
+        None,
+        "--degrade",
+        "NAME=SEVERITY",
+        "Degrade the images, severity 1 to 5: defocus, motion_blur, noise, low_light, specular, smoke, "
+        "jpeg; may be repeated.",
+    )
+    perturb: list[str] | None = option(
+        None,
+        "--perturb",
+        "NAME=STRENGTH",
+        "Make something other than log and profile say, as in focal=1 or backlash=0.5; may be repeated. "
+        "Names and units: docs/simulation.md.",
+    )
+    world: WorldName = option(
+        WorldName.IDEAL,
+        "--world",
+        None,
+        "ideal: log and profile are exact; real: everything is off as on real robots, drawn by seed.",
+    )
+    jpeg: int | None = option(
+        None,
+        "--jpeg",
+        "QUALITY",
+        "Store images as JPEG, as the recorders of endoscopes do. Default: PNG, without loss.",
+        min=1,
+        max=100,
+    )
+    renderer: str = option("tiny", "--renderer", None, "The only renderer.", hidden=True)
+    jobs: int | None = option(
+        None,
+        "--jobs -j",
+        "N",
+        "Number of processes that render. The file is the same for any number. Default: all usable cores.",
+        min=1,
+    )
+    output: Path | None = output_option("FILE.mcap", "Recording to write. Default: SCENARIO-SEED.mcap.")
+    force: bool = FORCE
+    profile: str = option(
+        "psm13", "--profile", "NAME|FILE", "Scene profile: the name of one that ships, or a TOML file."
+    )
+    episodes: int | None = option(
+        None,
+        "--episodes",
+        "N",
+        "Record N seeds, from --seed on, in --jobs processes. --output is then a folder, or a name with"
+        " {seed} or {episode}.",
+        min=1,
+        max=100_000,
+    )
+    skip_existing: bool = option(
+        False,
+        "--skip-existing",
+        None,
+        "With --episodes: leave those that are there, to go on with the others.",
+    )
+
+    @property
+    def perturbations(self) -> Perturbations:
+        """All perturbations together; raises UsageError."""
+        from svmdist.perturbations.chosen import merged
+
+        groups = parse_perturbations("--perturb", self.perturb)
+        try:
+            return merged(groups)
+        except UsageError as problem:
+            raise UsageError(f"--perturb: {problem}") from None
+
+
+def record_command(given: RecordOptions) -> None:
     """Simulate the robot and write a recording.
 
     The recording holds images, joint states, the robot's nominal transforms, and ground truth.
+
+    Examples:
+      Eight seconds in which the tool touches the tissue:
+        svmdist record --scenario contact
+      Two cameras, a tag, and errors as real robots have them:
+        svmdist record --stereo --tag --world real --seed 7 -o real-7.mcap
     """
     from svmdist.perturbations.chosen import World, draw_world
     from svmdist.profile import load_profile
+    from svmdist.simulation import scene
     from svmdist.simulation.scenarios import Scenario
-    from svmdist.simulation.scene import Options
+    from svmdist.workflows.episodes import Episodes
     from svmdist.workflows.record import record
 
-    if renderer != "tiny":
-        raise UsageError(f"--renderer {renderer}: images are drawn by tiny only; leave the option out")
-    if skip_existing and (episodes is None or force):
+    if given.renderer != "tiny":
+        raise UsageError(f"--renderer {given.renderer}: images are drawn by tiny only; leave the option out")
+    if given.skip_existing and (given.episodes is None or given.force):
         raise UsageError("--skip-existing goes with --episodes, and without --force")
-    motion, described = Scenario(scenario.value, seed, duration, rate), load_profile(profile)
-    given = parse_perturb("--perturb", perturb)
-    options = Options(
-        stereo,
-        tag,
-        kinematic_error,
-        parse_degradations("--degrade", degrade),
-        arms,
-        draw_world(World(world.value), seed, given),
-        World(world.value),
+    path = (
+        given.output or Path()
+        if given.episodes
+        else given.output or Path(f"{given.scenario.value}-{given.seed}.mcap")
     )
-    if episodes is not None:
-        from svmdist.workflows.episodes import Episodes
-
-        series = Episodes(motion, described, options, given, noise, jpeg, force, skip_existing)
-        raise typer.Exit(_record_episodes(series, output or Path(), episodes, jobs))
-    path = output or Path(f"{scenario.value}-{seed}.mcap")
-    require_output(path)
-    with progress_bar(f"{scenario.value}, seed {seed}", "frames") as advance:
+    if given.episodes is None:
+        require_output(path)
+    scenario = Scenario(given.scenario.value, given.seed, given.duration, given.rate)
+    profile, world = load_profile(given.profile), World(given.world.value)
+    options = scene.Options(
+        given.stereo,
+        given.tag,
+        given.kinematic_error,
+        parse_degradations("--degrade", given.degrade),
+        given.arms,
+        draw_world(world, given.seed, given.perturbations),
+        world,
+    )
+    if given.episodes is not None:
+        series = Episodes(
+            *(scenario, profile, options, given.perturbations),
+            *(given.noise, given.jpeg, given.force, given.skip_existing),
+        )
+        raise typer.Exit(_record_episodes(series, given.output or Path(), given.episodes, given.jobs))
+    with progress_bar(f"{scenario.name}, seed {given.seed}", "frames") as advance:
         result = record(
-            motion,
-            described,
+            scenario,
+            profile,
             path,
-            noise=noise,
+            noise=given.noise,
             options=options,
-            force=force,
-            jpeg_quality=jpeg,
-            jobs=jobs,
+            force=given.force,
+            jpeg_quality=given.jpeg,
+            jobs=given.jobs,
             on_progress=advance,
         )
-    size_mb = result.size_bytes / 1e6
-    say(f"svmdist: {path}: {result.frame_count} frames, {result.message_count} messages, {size_mb:.2f} MB")
+    counts = result.frame_count, result.message_count
+    LOG.info("%s: %d frames, %d messages, %.2f MB", path, *counts, result.size_bytes / 1e6)
 
 
 def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | None) -> ExitCode:
@@ -232,15 +220,15 @@ def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | N
         found = record_episodes(episodes, paths, jobs, advance)
     made = [one for one in found if not one.failure]
     were_there = sum(one.was_there for one in made)
-    left = f", {were_there} of them were there" if were_there else ""
-    say(
-        f"svmdist: {len(made)} of {count} recordings{left}: {sum(one.frame_count for one in made)} frames,"
-        f" {sum(one.size_bytes for one in made) / 1e6:.2f} MB"
+    LOG.info(
+        "%d of %d recordings%s: %d frames, %.2f MB",
+        *(len(made), count, f", {were_there} of them were there" if were_there else ""),
+        *(sum(one.frame_count for one in made), sum(one.size_bytes for one in made) / 1e6),
     )
     for one in found:
         if one.failure:
             reason = one.failure if str(one.path) in one.failure else f"{one.path}: {one.failure}"
-            say(f"svmdist: not recorded: {reason}", Verbosity.QUIET)
+            LOG.error("not recorded: %s", reason)
     if not made:
         return ExitCode.UNUSABLE
     return ExitCode.CLEAN if len(made) == count else ExitCode.LOSS

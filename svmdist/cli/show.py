@@ -4,27 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from svmdist.cli.console import report_health, say, write_lines
+from svmdist.cli.estimate import corrected
+from svmdist.cli.logs import log_losses
 from svmdist.cli.options import (
-    CalibrationOption,
-    JobsOption,
-    Method,
-    MethodOption,
-    ProfileOption,
-    TopicOption,
-    topics_of,
+    JOBS,
+    InstrumentOption,
+    LagOption,
+    MethodOptions,
+    ReadOptions,
+    argument,
+    option,
+    output_option,
 )
-from svmdist.cli.progress import progress_bar
+from svmdist.cli.output import LOG, progress_bar, write_lines
 from svmdist.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.samples import Image
-    from svmdist.workflows.request import Setup
+    from svmdist.workflows.request import Request
 
 DEFAULT_COUNT = 6
 """Pictures where none is asked for: enough to see a log from its beginning to its end."""
@@ -32,104 +34,97 @@ PICTURE_ENDINGS = frozenset(
     {".png", ".jpg", ".jpeg", ".svg", ".pdf", ".gif", ".bmp", ".tif", ".tiff", ".webp"}
 )
 """Names that mean a picture, and not a folder."""
-Picture = tuple[int, "Image"]
 
 
-def show_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to look at.", show_default=False)],
-    masks: Annotated[
-        bool,
-        typer.Option("--masks", help="Draw what is segmented as tissue, shaft, distal part and border."),
-    ] = False,
-    frame: Annotated[
-        int | None,
-        typer.Option(
-            "--frame", metavar="N", min=0, help="Only the image of this number, from 0.", show_default=False
-        ),
-    ] = None,
-    at: Annotated[
-        float | None,
-        typer.Option(
-            "--at",
-            metavar="S",
-            min=0.0,
-            help="Only the image nearest to so many seconds.",
-            show_default=False,
-        ),
-    ] = None,
-    worst: Annotated[
-        int | None,
-        typer.Option(
-            "--worst",
-            metavar="N",
-            min=1,
-            help="The N worst frames: by error where the log has ground truth, else by the interval's width.",
-            show_default=False,
-        ),
-    ] = None,
-    method: MethodOption = Method.OVERLAY,
-    calibration: CalibrationOption = None,
-    profile: ProfileOption = "psm13",
-    topic: TopicOption = None,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help="Folder that the pictures go to; it is made. A name in .png is the one picture of --frame or --at.",
-            show_default=".",
-        ),
-    ] = Path("."),
-    jobs: JobsOption = None,
-) -> None:
+class ShowOptions(MethodOptions, ReadOptions, InstrumentOption, LagOption):
+    """What `show` takes."""
+
+    file: Path = argument(..., "FILE", "Recording to look at.")
+    masks: bool = option(
+        False, "--masks", None, "Draw what is segmented as tissue, shaft, distal part and border."
+    )
+    frame: int | None = option(None, "--frame", "N", "Only the image of this number, from 0.", min=0)
+    at: float | None = option(None, "--at", "S", "Only the image nearest to so many seconds.", min=0.0)
+    worst: int | None = option(
+        None,
+        "--worst",
+        "N",
+        "The N worst frames: by error where the log has ground truth, else by the interval's width.",
+        min=1,
+    )
+    output: Path = output_option(
+        "DIR",
+        "Folder that the pictures go to; it is made. A name in .png is the one picture of --frame or --at.",
+        Path(),
+    )
+    jobs: int | None = JOBS
+
+
+def show_command(given: ShowOptions) -> None:
     """Show images with what was found in them.
 
     The pictures are PNG files. Each phase of the method is a panel: segmentation, contours, marker, matches and
     outline of overlay; edges, tip, tag and surface of fused. With --masks, only what was segmented is drawn. Without
     --frame, --at or --worst, six images from the first to the last are drawn. The names of the files are printed.
+
+    Examples:
+      Each step of a method in one frame:
+        svmdist show log.mcap --frame 40 --method fused
+      The three worst frames:
+        svmdist show log.mcap --worst 3 --method fused -o pictures
+      What is segmented, in six frames:
+        svmdist show log.mcap --masks
     """
-    if sum(choice is not None for choice in (frame, at, worst)) > 1:
+    from svmdist.report.panels import write_picture
+    from svmdist.workflows.frame_drawing import Segmented
+    from svmdist.workflows.request import Request, prepare
+
+    if sum(choice is not None for choice in (given.frame, given.at, given.worst)) > 1:
         raise UsageError("--frame, --at and --worst choose images: give one of them")
-    if masks and worst is not None:
+    if given.masks and given.worst is not None:
         raise UsageError(
             "--worst needs what a method measured, and --masks shows what was segmented before it"
         )
-    from svmdist.recording.log import open_recording
-    from svmdist.report.panels import write_picture
-    from svmdist.workflows.frame_drawing import Segmented, image_stamps_ns, spread
-    from svmdist.workflows.request import prepare
-
-    setup = prepare(profile, Segmented() if masks else method.value, "corrected", calibration)
-    loaded = setup.profile
-    recording = open_recording(file, loaded, topics=topics_of(topic))
-    stamps_ns = image_stamps_ns(recording)
-    if frame is not None:
-        if frame >= len(stamps_ns):
-            raise UsageError(
-                f"--frame {frame}: {file.name} has {len(stamps_ns)} images, 0 to {len(stamps_ns) - 1}"
-            )
-        numbers = {frame}
-    elif at is not None:
-        numbers = {min(range(len(stamps_ns)), key=lambda n: abs((stamps_ns[n] - stamps_ns[0]) * 1e-9 - at))}
-    elif worst is not None:
-        numbers = _worst(recording, setup, worst, len(stamps_ns), jobs)
-    else:
-        numbers = set(spread(len(stamps_ns), DEFAULT_COUNT))
+    lag, output = given.given_lag, given.output
+    method = Segmented() if given.masks else given.method.value
+    setup = prepare(given.profile, method, "corrected", given.calibration, given.hand_eye)
+    request = Request(setup, given.topics, None, given.instruments(setup.profile), lag)
+    recording = request.open(given.file, given.file.stem)
+    seen = corrected(recording, request, given.jobs)
+    numbers = _numbers(given, seen, request)
     is_one = _is_one_picture(output, len(numbers))
     try:
         (output.parent if is_one else output).mkdir(parents=True, exist_ok=True)
     except OSError as problem:
         raise OutputError(f"{output}: cannot make the folder: {problem.strerror or problem}") from None
     drawn = 0
-    for number, picture in _drawn(recording, setup, numbers, jobs, masks=masks):
+    for number, picture in _pictures(seen, request, numbers, given.jobs, masks=given.masks):
         path = output if is_one else output / f"{recording.name}-{number:05d}.png"
         write_picture(path, picture)
         write_lines([f"{path}\n"], None)
         drawn += 1
     if drawn < len(numbers):
-        say(f"svmdist: {len(numbers) - drawn} of {len(numbers)} images cannot be read, and are not drawn")
-    raise typer.Exit(report_health([recording]))
+        left = len(numbers) - drawn
+        LOG.info("%d of %d images cannot be read, and are not drawn", left, len(numbers))
+    raise typer.Exit(log_losses(recording.path, recording.health))
+
+
+def _numbers(given: ShowOptions, recording: Recording, request: Request) -> set[int]:
+    """The numbers of the images to draw; raises UsageError."""
+    from svmdist.workflows.frame_drawing import image_stamps_ns, spread
+
+    stamps_ns = image_stamps_ns(recording)
+    count = len(stamps_ns)
+    if given.worst is not None:
+        return _worst(recording, request, given.worst, given.jobs)
+    if given.frame is not None:
+        if given.frame >= count:
+            raise UsageError(f"--frame {given.frame}: {given.file.name} has {count} images, 0 to {count - 1}")
+        return {given.frame}
+    if given.at is not None:
+        at = given.at
+        return {min(range(count), key=lambda n: abs((stamps_ns[n] - stamps_ns[0]) * 1e-9 - at))}
+    return set(spread(count, DEFAULT_COUNT))
 
 
 def _is_one_picture(output: Path, count: int) -> bool:
@@ -145,34 +140,37 @@ def _is_one_picture(output: Path, count: int) -> bool:
     return True
 
 
-def _drawn(
-    recording: Recording, setup: Setup, numbers: set[int], jobs: int | None, *, masks: bool
-) -> Iterator[Picture]:
+def _pictures(
+    recording: Recording, request: Request, numbers: set[int], jobs: int | None, *, masks: bool
+) -> Iterator[tuple[int, Image]]:
     from svmdist.report.panels import masks_picture, phases_picture
     from svmdist.workflows.frame_drawing import drawn_frames
     from svmdist.workflows.parallel import Steps
 
+    method, wanted = request.setup.method, request.instruments
     with progress_bar(f"drawing {recording.name}", "images") as advance:
         steps = Steps(advance, max(numbers) + 1)
-        for shown in drawn_frames(recording, setup, jobs=jobs, numbers=numbers, on_image=steps.advance):
+        for shown in drawn_frames(
+            recording, request.setup, wanted=wanted, jobs=jobs, numbers=numbers, on_image=steps.advance
+        ):
             where = f"{recording.name}  frame {shown.number}"
             if masks:
                 yield shown.number, masks_picture(shown, f"{where}  {shown.seconds:.2f} s  masks")
             else:
-                yield shown.number, phases_picture(shown, f"{where}  method {setup.method}", setup.method)
+                yield shown.number, phases_picture(shown, f"{where}  method {method}", method)
 
 
-def _worst(recording: Recording, setup: Setup, count: int, total: int, jobs: int | None) -> set[int]:
+def _worst(recording: Recording, request: Request, count: int, jobs: int | None) -> set[int]:
     """The numbers of the worst frames of any instrument; says of each how bad it is."""
     from svmdist.workflows.estimate import estimate
+    from svmdist.workflows.parallel import Steps, image_total
     from svmdist.workflows.series import make_series, worst_frames
 
-    rows = []
+    instruments = request.instruments or recording.instruments
     with progress_bar(f"measuring {recording.name}", "rows") as advance:
-        for row in estimate(recording, setup, jobs=jobs):
-            rows.append(row)
-            advance(len(rows), total * len(recording.instruments))
-    worst = worst_frames(make_series(rows, recording, setup), count)
+        steps = Steps(advance, image_total([recording], lambda _: len(instruments)))
+        rows = list(steps.of(estimate(recording, request.setup, request.instruments, jobs)))
+    worst = worst_frames(make_series(rows, recording, request.setup), count)
     for one in worst:
-        say(f"svmdist: {one.in_words}")
+        LOG.info("%s", one.in_words)
     return {one.number for one in worst}

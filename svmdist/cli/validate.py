@@ -2,76 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from svmdist.cli.alarms import AlarmBelowOption, AlarmConfidenceOption, alarm_rules
-from svmdist.cli.console import (
+from svmdist.cli.logs import Logs, Run
+from svmdist.cli.options import (
+    PLOT,
+    REPORT,
+    GoldenLogOptions,
+    GroupOption,
+    MeasureOptions,
+    format_option,
+    option,
+    output_option,
+)
+from svmdist.cli.output import (
+    LOG,
     ExitCode,
+    command_line,
+    progress_bar,
     require_output,
-    say,
+    require_plot,
+    require_report,
     write_results,
 )
-from svmdist.cli.many import GroupOption, Many, ResumeOption, SchedulerOption, group_keys
-from svmdist.cli.options import (
-    CalibrationOption,
-    EquationsChoice,
-    EquationsOption,
-    HandEyeOption,
-    InstrumentOption,
-    JobsOption,
-    LagOption,
-    Method,
-    MethodOption,
-    OptionalFiles,
-    OutputOption,
-    PlotOption,
-    ProfileOption,
-    ReportOption,
-    SummaryFormatOption,
-    TopicOption,
-    instruments_of,
-    parse_lag,
-    topics_of,
-)
-from svmdist.cli.outputs import command_line, require_report
-from svmdist.cli.plots import PlotKind, ValidatePlotOption, require_plot
-from svmdist.cli.progress import progress_bar
-from svmdist.cli.recordings import (
-    EndOption,
-    EveryOption,
-    StartOption,
-    local_logs,
-    logs_or_golden,
-    window_of,
-)
+from svmdist.errors import UsageError
 from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
-    from svmdist.workflows.request import Setup
+    from svmdist.recording.log import Recording
+    from svmdist.workflows.estimate import Keep, Measured
+    from svmdist.workflows.request import Request
     from svmdist.workflows.scoring.baseline import Baseline
-    from svmdist.workflows.scoring.truth import TruthRules
-    from svmdist.workflows.validate import Measured, Validation
-
-
-BaselineOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--baseline",
-        metavar="FILE",
-        help="Exit with code 4 if a metric is worse than in this file.",
-        show_default=False,
-    ),
-]
-WriteBaselineOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--write-baseline", metavar="FILE", help="Store the metrics in this file.", show_default=False
-    ),
-]
+    from svmdist.workflows.validate import Scored, Validation
 
 
 class TruthChoice(StrEnum):
@@ -83,124 +50,175 @@ class TruthChoice(StrEnum):
     KINEMATICS = "kinematics"
 
 
-TruthOption = Annotated[
-    list[TruthChoice] | None,
-    typer.Option(
+class PlotKind(StrEnum):
+    """`--plot`."""
+
+    FIG6 = "fig6"
+    TIME = "time"
+    RESIDUALS = "residuals"
+    BLAND_ALTMAN = "bland-altman"
+    CALIBRATION = "calibration"
+
+
+class ValidateOptions(GoldenLogOptions, MeasureOptions, GroupOption):
+    """What `validate` takes."""
+
+    form: str | None = format_option(Holds.FIGURES)
+    output: Path | None = output_option()
+    truth: list[TruthChoice] | None = option(
+        None,
         "--truth",
-        metavar="|".join(TruthChoice),
-        help="Reference to compare with; may be repeated. Default: every reference that the log has.",
-        show_default=False,
-    ),
-]
-TruthTfOption = Annotated[
-    list[str] | None,
-    typer.Option(
+        "|".join(TruthChoice),
+        "Reference to compare with; may be repeated. Default: every reference that the log has.",
+    )
+    truth_tf: list[str] | None = option(
+        None,
         "--truth-tf",
-        metavar="PARENT:CHILD",
-        help="Transform that is the truth of the tool or the tissue, as in camera:tool; may be given twice.",
-        show_default=False,
-    ),
-]
-MaxGapOption = Annotated[
-    float,
-    typer.Option(
-        "--max-gap",
-        metavar="SECONDS",
-        min=0.0,
-        max=60.0,
-        help="Longest gap in the truth to interpolate across.",
-    ),
-]
+        "PARENT:CHILD",
+        "Transform that is the truth of the tool or the tissue, as in camera:tool; may be given twice.",
+    )
+    max_gap: float = option(
+        0.1, "--max-gap", "SECONDS", "Longest gap in the truth to interpolate across.", min=0.0, max=60.0
+    )
+    baseline: Path | None = option(
+        None, "--baseline", "FILE", "Exit with code 4 if a metric is worse than in this file."
+    )
+    write_baseline: Path | None = option(None, "--write-baseline", "FILE", "Store the metrics in this file.")
+    report: Path | None = REPORT
+    save_plot: Path | None = PLOT
+    plot: PlotKind | None = option(
+        None,
+        "--plot",
+        "|".join(PlotKind),
+        "What --save-plot draws: fig6, truth, estimate and error over time as in the paper's figure; time, the distance"
+        " with its interval; residuals over time and distance; bland-altman; calibration of the interval. Default:"
+        " fig6.",
+    )
 
 
-def validate_command(
-    files: OptionalFiles = None,
-    method: MethodOption = Method.OVERLAY,
-    equations: EquationsOption = EquationsChoice.CORRECTED,
-    calibration: CalibrationOption = None,
-    profile: ProfileOption = "psm13",
-    hand_eye: HandEyeOption = None,
-    form: SummaryFormatOption = None,
-    output: OutputOption = None,
-    topic: TopicOption = None,
-    truth: TruthOption = None,
-    truth_tf: TruthTfOption = None,
-    max_gap: MaxGapOption = 0.1,
-    lag: LagOption = None,
-    save_plot: PlotOption = None,
-    baseline: BaselineOption = None,
-    write_baseline: WriteBaselineOption = None,
-    alarm_below: AlarmBelowOption = None,
-    alarm_confidence: AlarmConfidenceOption = None,
-    instrument: InstrumentOption = None,
-    jobs: JobsOption = None,
-    report: ReportOption = None,
-    plot: ValidatePlotOption = None,
-    start: StartOption = 0.0,
-    end: EndOption = None,
-    every: EveryOption = 1,
-    scheduler: SchedulerOption = None,
-    resume: ResumeOption = None,
-    group: GroupOption = None,
-) -> None:
+def validate_command(given: ValidateOptions) -> None:
     """Score estimates against the truth.
 
     Without FILE, every log in recordings/ is scored. Each recording is compared with the DH kinematics of its joint
     states, as in the paper, and with the simulator's ground truth. With --alarm-below, alarms are scored against
     the true clearance: recall, precision, share of the safe frames that are alarmed, false alarms per minute and
     lead time.
+
+    Examples:
+      Errors against the truth:
+        svmdist validate log.mcap --method fused
+      A page with plots and the worst frames:
+        svmdist validate log.mcap --method fused --report report.html
+      A figure for a paper:
+        svmdist validate log.mcap --save-plot error.pdf --plot residuals
+      In CI: fail where a figure gets worse:
+        svmdist validate log.mcap --baseline baseline.json
     """
-    from svmdist.cli.log_jobs import ValidateJob
-    from svmdist.cli.validate_logs import score_logs
     from svmdist.report.scores import validation_results
-    from svmdist.workflows.request import prepare
+    from svmdist.workflows.batch import Job
     from svmdist.workflows.scoring.baseline import (
         load_baseline,
         make_baseline,
         require_same_alarms,
         save_baseline,
     )
-    from svmdist.workflows.scoring.truth import Reference, truth_rules
+    from svmdist.workflows.validate import Scored, combine, require_truth_for_alarms
 
-    logs = logs_or_golden(files)
-    for target in (output, write_baseline, report):
-        require_output(target, local_logs(logs))
-    keys = group_keys(group)
-    require_report(report)
-    writer = choose_writer(form, output, Holds.FIGURES)
-    drawn = require_plot("validate", plot, save_plot, local_logs(logs))
-    alarms = alarm_rules(alarm_below, alarm_confidence, method.value)
-    stored = load_baseline(baseline) if baseline else None
+    logs = Logs(given)
+    for target in (given.output, given.write_baseline):
+        require_output(target, logs.paths)
+    require_report(given.report, logs.paths)
+    if given.plot is not None and given.save_plot is None:
+        raise UsageError(f"--plot {given.plot}: says what --save-plot FILE draws, which is not given")
+    require_plot(given.save_plot, logs.paths)
+    keys = given.group_keys
+    writer = choose_writer(given.form, given.output, Holds.FIGURES)
+    stored = load_baseline(given.baseline) if given.baseline else None
     if stored:
-        require_same_alarms(stored, alarms)
-    setup = prepare(profile, method.value, equations.value, calibration, hand_eye)
-    references = tuple(Reference(choice.value) for choice in dict.fromkeys(truth)) if truth else None
-    rules = truth_rules(tuple(truth_tf or ()), setup.profile, references, round(max_gap * 1e9))
-    window = window_of(start, end, every)
-    wanted = instruments_of(instrument, setup.profile)
-    frames = bool(report) or drawn not in (None, PlotKind.FIG6)
-    job = ValidateJob(setup, topics_of(topic), window, rules, parse_lag(lag), alarms, wanted, bool(keys))
-    scored = score_logs(Many(logs, jobs, scheduler, resume), job, keys, keeps_frames=frames)
-    result, measured = scored.validation, scored.measured
+        require_same_alarms(stored, given.rules(given.method.value))
+    request = _request(given)
+    require_truth_for_alarms(request)
+    measured: list[Measured] = []
+    draws_series = given.save_plot is not None and given.plot not in (None, PlotKind.FIG6)
+    keep = measured.append if given.report or draws_series else None
+    run = Run(logs, Job(score_log, request, Scored), "validating")
+    run.finish(keep)
+    result = combine(run.results, request, run.groups(keys))
+    if keep is not None:
+        run.measure_again(keep)
     for note in result.notes:
-        say(f"svmdist: note: {note}")
-    write_results(validation_results(result), writer, output)
-    if save_plot and drawn:
-        _save_plot(result, measured, setup, rules, drawn, save_plot)
-    if report:
-        from svmdist.report.html import validation_report, write_report
-
-        with progress_bar("drawing the worst frames", "images") as advance:
-            page = validation_report(
-                result, measured, setup, rules, command_line(), jobs, scored.ranking, advance
-            )
-        write_report(page, report)
-    code = scored.finish()
-    if write_baseline:
-        save_baseline(make_baseline(result), write_baseline)
-    if stored and _is_worse(result, stored, baseline, complete=not files):
+        LOG.info("note: %s", note)
+    write_results(validation_results(result), writer, given.output)
+    if given.save_plot:
+        _save_plot(result, measured, request, given.plot or PlotKind.FIG6, given.save_plot)
+    if given.report:
+        _write_report(result, measured, request, logs, run, keys, given.report)
+    code = run.exit_code()
+    if given.write_baseline:
+        save_baseline(make_baseline(result), given.write_baseline)
+    if stored and _is_worse(result, stored, given.baseline, complete=not given.files):
         code = ExitCode.WORSE
     raise typer.Exit(code)
+
+
+def _request(given: ValidateOptions) -> Request:
+    from svmdist.workflows.scoring.truth import Reference, truth_rules
+
+    request = given.request()
+    references = tuple(Reference(choice.value) for choice in dict.fromkeys(given.truth or [])) or None
+    pairs = tuple(given.truth_tf or ())
+    return replace(
+        request, rules=truth_rules(pairs, request.setup.profile, references, round(given.max_gap * 1e9))
+    )
+
+
+def score_log(recording: Recording, request: Request, threads: int, keep: Keep | None = None) -> Scored:
+    """Score one recording, with progress."""
+    from svmdist.workflows.parallel import Steps, image_total
+    from svmdist.workflows.validate import score_recording, step_count
+
+    with progress_bar(f"validating {request.setup.method}", "rows") as advance:
+        steps = Steps(advance, image_total([recording], lambda one: step_count(one, request)))
+        return score_recording(recording, request, threads, steps, keep)
+
+
+def _save_plot(
+    result: Validation, measured: list[Measured], request: Request, kind: PlotKind, path: Path
+) -> None:
+    from svmdist.report.plots import SeriesPlot, save_plot, save_series_plot
+    from svmdist.workflows.series import make_series
+
+    if kind is PlotKind.FIG6:
+        save_plot(result, path)
+        return
+    reference = result.primary.reference if result.primary else result.scores[0].reference
+    series = [
+        made
+        for one in measured
+        for made in make_series(one.rows, one.recording, request.setup, request.rules, reference, one.lag)
+    ]
+    save_series_plot(series, SeriesPlot(kind.value), path, request.alarms.below_m if request.alarms else None)
+
+
+def _write_report(
+    result: Validation,
+    measured: list[Measured],
+    request: Request,
+    logs: Logs,
+    run: Run[Scored],
+    keys: tuple[str, ...],
+    path: Path,
+) -> None:
+    from svmdist.report.html import validation_report, write_report
+    from svmdist.report.scores import log_results, pooled_log_figures, ranked
+
+    each = run.figures(keys)
+    ranking = None if logs.is_one else log_results(ranked(each), pooled_log_figures(each))
+    with progress_bar("drawing the worst frames", "images") as advance:
+        page = validation_report(
+            result, measured, request.setup, request.rules, command_line(), logs.jobs, ranking, advance
+        )
+    write_report(page, path)
 
 
 def _is_worse(result: Validation, stored: Baseline, path: Path | None, *, complete: bool) -> bool:
@@ -209,28 +227,7 @@ def _is_worse(result: Validation, stored: Baseline, path: Path | None, *, comple
 
     regressions = find_regressions(result, stored, complete=complete)
     for regression in regressions:
-        say(f"svmdist: worse: {regression}")
+        LOG.info("worse: %s", regression)
     if not regressions:
-        say(f"svmdist: no figure is worse than in {path}")
+        LOG.info("no figure is worse than in %s", path)
     return bool(regressions)
-
-
-def _save_plot(
-    result: Validation, measured: list[Measured], setup: Setup, rules: TruthRules, kind: PlotKind, path: Path
-) -> None:
-    if kind is PlotKind.FIG6:
-        from svmdist.report.plots import save_plot
-
-        save_plot(result, path)
-        return
-    from svmdist.report.plots import SeriesPlot, save_series_plot
-    from svmdist.workflows.series import make_series
-
-    reference = result.primary.reference if result.primary else result.scores[0].reference
-    series = [
-        made
-        for one in measured
-        for made in make_series(one.rows, one.recording, setup, rules, reference, one.lag)
-    ]
-    below_m = result.alarm_rules.below_m if result.alarm_rules else None
-    save_series_plot(series, SeriesPlot(kind.value), path, below_m)

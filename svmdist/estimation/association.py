@@ -67,10 +67,7 @@ class EntryTracker:
     """Names the seen instruments of one camera's images, in the order of their stamps."""
 
     def __init__(
-        self,
-        names: Sequence[str],
-        sides: Sequence[EntrySide | None],
-        size: tuple[int, int],
+        self, names: Sequence[str], sides: Sequence[EntrySide | None], size: tuple[int, int]
     ) -> None:
         self._names = tuple(names)
         self._size = np.array([size[1], size[0]], np.float64)
@@ -149,10 +146,7 @@ class EntryTracker:
 
 
 def expected_places(sides: Sequence[EntrySide | None]) -> list[Array | None]:
-    """Where instruments are expected to come in, shape (2,) each over the picture's size.
-
-    Without sides several are expected from left to right in their order, and one may come from anywhere.
-    """
+    """Where instruments are expected to come in, shape (2,) each over the picture's size."""
     count = len(sides)
     places: list[Array | None] = []
     for at, side in enumerate(sides):

@@ -41,11 +41,7 @@ INDEPENDENT = np.zeros((6, 3))
 
 
 def measured(
-    result: FrameResult,
-    frame: Frame,
-    tool: ToolEstimate,
-    tissue: TissuePose,
-    coupling: Array = INDEPENDENT,
+    result: FrameResult, frame: Frame, tool: ToolEstimate, tissue: TissuePose, coupling: Array = INDEPENDENT
 ) -> FrameResult:
     """The result with the tool, its place in the image, and the distances from it to the tissue.
 
@@ -115,11 +111,7 @@ def _moves(direction: Array, point_m: Array, pose: ToolPose) -> Array:
 
 
 def _with_overlap(distance_m: float, std_m: float) -> float:
-    """The deviation of a clearance with what may be wrong where surfaces seem to overlap.
-
-    Bodies do not: soft tissue has given way, which its model does not know, and the clearance is 0; or tool or tissue
-    is elsewhere. How much of the overlap that explains is not known, so that all of it is a deviation.
-    """
+    """The deviation with all of an overlap in it: soft tissue has given way, or tool or tissue is elsewhere."""
     return float(np.hypot(std_m, max(-distance_m, 0.0)))
 
 
@@ -144,10 +136,7 @@ def _length(offset_m: Array, covariance: Array) -> Distance:
 def with_clearance_between(
     results: Sequence[FrameResult], bodies: Sequence[InstrumentModel | None]
 ) -> list[FrameResult]:
-    """The results of one image, one per instrument, each with the smallest distance to another instrument's surface.
-
-    A result without a pose, or whose instrument has no body, stays as it is, and is no other's neighbour.
-    """
+    """The results of one image, one per instrument, each with the smallest distance to another instrument's surface."""
     posed = [_posed(result, body) for result, body in zip(results, bodies, strict=True)]
     filled = list(results)
     nearest: dict[int, Distance] = {}
@@ -168,10 +157,7 @@ def with_clearance_between(
 
 
 def between_std_m(gap: Separation, pose: ToolPose, other: ToolPose) -> float:
-    """Standard deviation of a separation of two instruments of known shape that err independently.
-
-    As for the tissue (see `distances.py`), only the motion of the closest points along the direction counts.
-    """
+    """Standard deviation of a separation of two instruments of known shape that err independently."""
     variance = variance_along(gap.direction, gap.on_instrument_m, pose)
     variance += variance_along(gap.direction, gap.on_tissue_m, other)
     return float(np.sqrt(max(variance, 0.0)))

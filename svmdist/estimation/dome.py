@@ -23,10 +23,7 @@ FULL_TURN = 2.0 * np.pi
 
 @dataclass(frozen=True, slots=True)
 class PolarOutline:
-    """An outline's corners about an apex, shape (2,): vectors from it, shape (n, 2), their angles, and 1 / lengths.
-
-    The angles ascend from -π to π; reciprocals have shape (n,), in 1/m.
-    """
+    """An outline's corners about an apex (2,): vectors (n, 2), ascending angles, and 1 / lengths in 1/m, (n,)."""
 
     apex_m: Array
     from_apex_m: Array
@@ -88,8 +85,7 @@ def _across(vectors: Array) -> Array:
 
 
 RINGS = 14
-SIDES = 72
-"""The dome's mesh: chords of 5° stand 0.03 mm off an outline of 28 mm."""
+SIDES = 72  # the dome's mesh: chords of 5° stand 0.03 mm off an outline of 28 mm
 SHAPE_SIZE = 5
 MIN_EXPONENTS, MAX_EXPONENTS = np.array([1.0, 0.2]), np.array([20.0, 2.0])
 """Beyond these a dome is a cone, a spike or a box; a fit does not go there."""
@@ -138,10 +134,7 @@ class DomeModel:
         return replace(self, T_camera_tissue=T, outline_m=factor * self.outline_m, shape=shape)
 
     def mesh(self) -> Mesh:
-        """The closed surface in the camera frame, made once.
-
-        The normalised radius runs from 0 to 1; rings crowd at the rim, where the dome is steep.
-        """
+        """The closed surface in the camera frame, made once."""
         return self._mesh
 
     def to_tissue_frame(self, points_m: Array) -> Array:
@@ -157,10 +150,7 @@ class DomeModel:
         return np.asarray(self.shape[2] * self._profile(self._polar.normalised_radius(points_m)))
 
     def derivative(self, points_m: Array) -> Array:
-        """Of the height at points in the tissue's frame, shape (n, 2), by the shape: shape (n, 5).
-
-        The height counts as zero beyond the outline, and there the derivative does, too.
-        """
+        """Of the height (0 beyond the outline) at points, shape (n, 2), by the shape: shape (n, 5)."""
         radius, by_apex = self._polar.with_derivative(points_m)
         height_m, a, b = self.shape[2:]
         power = radius**a
@@ -180,10 +170,7 @@ class DomeModel:
         )
 
     def variance_m2(self, point_m: Array, direction: Array) -> float:
-        """By how much the surface at a point of the camera frame, shape (3,), may move along a unit vector, shape (3,).
-
-        Another shape moves the surface along the plane's normal; along d a part of it remains: (d · n)².
-        """
+        """By how much the surface at a point of the camera frame, (3,), may move along a unit vector, (3,)."""
         flat_m = self.to_tissue_frame(point_m[None])[:, :2]
         radius = float(self._polar.normalised_radius(flat_m)[0])
         if radius > STEEP_RADIUS:
@@ -214,10 +201,7 @@ def _ring_radii() -> Array:
 
 
 def _dome_vertices(outline_m: Array, shape: Array, profile: Array) -> Array:
-    """Apex, rings of `SIDES` vertices from the apex outwards, and the floor's middle: shape (v, 3).
-
-    `profile`, shape (RINGS,), has the rings' heights over the apex's.
-    """
+    """Apex, rings of `SIDES` vertices from the apex outwards, and the floor's middle: shape (v, 3)."""
     if _signed_area(outline_m) < 0.0:
         outline_m = outline_m[::-1]
     apex_m, height_m = shape[:2], float(shape[2])

@@ -16,9 +16,10 @@ from svmdist.image_input import require_bgr
 from svmdist.results import Failure
 from svmdist.samples import Image, JointSample, Observation
 from svmdist.transforms import Array
+from svmdist.vision.colour import Masks
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.regions import Region, find_region
-from svmdist.vision.segmentation import InstrumentMasks, Masks, Segmenter
+from svmdist.vision.segmentation import InstrumentMasks, Segmenter
 
 if TYPE_CHECKING:
     from svmdist.estimation.instrument.shaft_detection import DistalMarker, ShaftDetection
@@ -77,10 +78,7 @@ class View:
 
     @cached_property
     def regions_as_recorded(self) -> tuple[Region | None, Region | None]:
-        """Tissue and distal part by the image as it is, as the paper's methods find them.
-
-        First loop: the tissue's region, if larger than its gate (eqs. 1, 2). Second loop: the instrument's (eqs. 7, 8).
-        """
+        """Tissue (eqs. 1, 2) and distal part (eqs. 7, 8) by the image as it is, for the paper's methods."""
         rules, masks, outline = self._arm.profile.segmentation, self.masks_as_recorded, self._settings.outline
         return (
             find_region(masks.tissue, rules.tissue, outline),
@@ -151,10 +149,8 @@ class Needs:
 
     scene: tuple[str, ...] = ()
     frame: tuple[str, ...] = ()
-    robot: bool = True
-    """Whether it uses joints or transforms."""
-    right_view: bool = False
-    """Whether it uses the right image."""
+    robot: bool = True  # whether it uses joints or transforms
+    right_view: bool = False  # whether it uses the right image
 
     def __or__(self, other: Needs) -> Needs:
         """What several methods take."""
@@ -168,11 +164,7 @@ class Needs:
 
 @dataclass(frozen=True)
 class Frame:
-    """What an estimator may use of one instant; it has no field for ground truth.
-
-    `robot` holds joints and nominal poses, or says what of them the log lacks. `scene` and the views compute their
-    detections when they are first asked for; all methods share them.
-    """
+    """What an estimator may use of one instant, detections that all methods share; no field for ground truth."""
 
     scene: Scene
     arm: Arm
@@ -180,8 +172,7 @@ class Frame:
     right: View | None
     joints: JointSample | None
     robot: RobotState | Failure
-    doubt: str = ""
-    """Why it is not sure which instrument this is; empty where it is."""
+    doubt: str = ""  # why it is not sure which instrument this is; empty where it is
 
     @classmethod
     def of(
@@ -247,10 +238,7 @@ class Frame:
 
 
 def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
-    """The frame of the only instrument of an observation; raises WrongImageError for what is no image of its camera.
-
-    Images of logs are checked when they are decoded; these were made by a caller.
-    """
+    """The frame of the only instrument of an observation; raises WrongImageError for what is no image of its camera."""
     require_bgr(observation.image_bgr, observation.camera, "image_bgr")
     if observation.right is not None:
         require_bgr(observation.right.image_bgr, observation.right.camera, "right.image_bgr")
@@ -262,10 +250,7 @@ Clock = Callable[[], float]
 
 
 def prefetch(source: object, names: Iterable[str], clock: Clock = time.thread_time) -> dict[str, float]:
-    """Compute detections of a scene or a frame before they are asked for; gives by name what each took, in s.
-
-    Names may go through views: `right.shaft` is computed only where there is a right view.
-    """
+    """Compute detections ahead, `right.shaft` where there is a right view; gives by name what each took, in s."""
     seconds = {}
     for name in names:
         start_s, found = clock(), source

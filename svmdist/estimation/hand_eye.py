@@ -31,8 +31,7 @@ POSITION_FLOOR_M = 2e-4  # standard deviation added to that of a place, along ea
 CORRELATION_TIME_S = 0.5
 
 MAX_STEPS = 50
-CLOUD_STD_M = 1e-3
-"""Places within this of a line or a point do not tell a rotation."""
+CLOUD_STD_M = 1e-3  # places within this of a line or a point do not tell a rotation
 
 
 @dataclass(frozen=True)
@@ -149,12 +148,6 @@ def _place_covariance(places: ToolPlaces, T: Array) -> Array:
     return np.asarray(places.covariance + R @ places.nominal_covariance @ R.T + floor)
 
 
-def _shared_covariance(places: ToolPlaces, T: Array) -> Array:
-    """Of each place by what all frames share, (n, 3, 3)."""
-    G = _shared(places, T)[:, :3]
-    return np.asarray(G @ G.swapaxes(1, 2))
-
-
 def _shared(places: ToolPlaces, T: Array) -> Array:
     """What shared errors do to place and direction in the camera's frame, (n, 6, m)."""
     turned = np.concatenate([T[:3, :3] @ places.robot_shared[:, k : k + 3] for k in (0, 3)], axis=1)
@@ -163,7 +156,8 @@ def _shared(places: ToolPlaces, T: Array) -> Array:
 
 def _normalised(places: ToolPlaces, T: Array) -> Array:
     """Squared residuals of places over their covariance, shared errors included, (n,)."""
-    S = _place_covariance(places, T) + _shared_covariance(places, T)
+    G = _shared(places, T)[:, :3]
+    S = _place_covariance(places, T) + G @ G.swapaxes(1, 2)
     r = _residuals(places, T)
     return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(S, r[..., None])[..., 0]))
 

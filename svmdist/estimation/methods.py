@@ -131,10 +131,7 @@ SPATIAL_METHODS = tuple(method.name for method in _TABLE if not method.is_planar
 
 
 def make_estimator(name: str, arm: Arm, mapping: PlaneMapping | None = None) -> Estimator:
-    """Make the estimator of that name; raises UsageError that lists the names.
-
-    A planar method needs a mapping; one in 3D takes none. Only the modules of the method are imported.
-    """
+    """Make the estimator of that name; raises UsageError for an unknown name, or a planar one without mapping."""
     if name not in REGISTRY:
         raise UsageError(f"no method {name}: {did_you_mean(name, METHODS)}")
     method = REGISTRY[name]

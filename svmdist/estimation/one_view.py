@@ -54,8 +54,7 @@ class KinematicEstimator:
         return measured(result.rejected(Status.OK), frame, tool, tissue)
 
 
-NO_FOCAL_PX = np.ones(2)
-"""Where no deviation asks for it."""
+NO_FOCAL_PX = np.ones(2)  # where no deviation asks for it
 
 
 def tool_from_tag(
@@ -66,11 +65,7 @@ def tool_from_tag(
     deviations: Deviations = EXACT,
     focal_px: Array = NO_FOCAL_PX,
 ) -> ToolPose:
-    """The tool's pose from the tag's, through the mounting and the joints behind it.
-
-    `deviations` are those of camera, tag and mounting, whose errors the tag's own covariance does not hold; they need
-    the camera's focal lengths, shape (2,).
-    """
+    """The tool's pose from the tag's, through the mounting and the joints behind it."""
     T_base_tag = robot.T_base_link(fiducial.link) @ fiducial.T_link_tag
     T_camera_base = tag.T_camera_tag @ inverse(T_base_tag)
     T_camera_tool = T_camera_base @ robot.T_base_tool

@@ -61,17 +61,12 @@ def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: Pla
 
 DEFAULT, DEFAULT_OUTLINE = MarkerSettings(), OutlineSettings()
 
-SUBPIXEL_BITS = 4
-"""OpenCV draws at 1/16 px with this shift."""
+SUBPIXEL_BITS = 4  # OpenCV draws at 1/16 px with this shift
 
 
 @dataclass(frozen=True, slots=True)
 class MarkerDetection:
-    """The result of the search for the marker: a status, counts and places, None where it did not get that far.
-
-    `keypoint_count` counts ORB's keypoints in the window about the marker. `corners_px` has shape (4, 2) and
-    `centroid_px` shape (2,), both in px of the image.
-    """
+    """The search's status, counts and places, `corners_px` (4, 2) and `centroid_px` (2,); None where not reached."""
 
     status: Status
     keypoint_count: int
@@ -89,11 +84,7 @@ def template_features(marker: Marker, rules: FeatureRules) -> Features:
 
 
 def mark(image_bgr: Image, centre_px: Array, marker: Marker) -> MarkedWindow:
-    """Paste the marker on an image, shape (h, w, 3), about `centre_px`, shape (2,).
-
-    ORB finds no keypoint within its edge margin of a border, at no level of its pyramid. The marker with this margin
-    is thus all of the image where keypoints of the template can be found again.
-    """
+    """Paste the marker about `centre_px`, (2,), in a window with the margin in which ORB finds no keypoint."""
     return paste_marker(image_bgr, centre_px, marker.size_px, EDGE_MARGIN_PX)
 
 
@@ -132,10 +123,7 @@ def detect_marker(
 def third_contour(
     window_bgr: Image, corners_px: Array, marker: Marker, settings: OutlineSettings = DEFAULT_OUTLINE
 ) -> Region | None:
-    """Draw the outline on a copy of the window and find it again by its colour, behind a gate of 100 px (eqs. 19, 20).
-
-    Only the outline's bounding box is looked at; an outline that leaves the window is cut at its border.
-    """
+    """Draw the outline on a copy of the window and find it again by its colour, gated at 100 px (eqs. 19, 20)."""
     height, width = window_bgr.shape[:2]
     reach_px = marker.outline_width_px + 1
     low = np.clip(np.floor(corners_px.min(0)) - reach_px, 0, [width - 1, height - 1])

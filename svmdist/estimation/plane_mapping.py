@@ -18,10 +18,11 @@ from svmdist.transforms import Array
 
 Equations = Literal["corrected", "printed"]
 
-CM_PER_PIXEL = 0.0254
-"""One pixel at 100 dpi: 2.54 cm / 100, which eqs. (3) and (4) give as 0.0245 cm."""
-PUBLISHED_TISSUE_M = (0.099, 0.043)
-"""The numbers of eqs. (33) and (34): they can only be the tissue's x and y in m."""
+CM_PER_PIXEL = 0.0254  # one pixel at 100 dpi: 2.54 cm / 100, which eqs. (3) and (4) give as 0.0245 cm
+PUBLISHED_TISSUE_M = (
+    0.099,
+    0.043,
+)  # the numbers of eqs. (33) and (34): they can only be the tissue's x and y in m
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +96,7 @@ PUBLISHED_MAPPING = PlaneMapping("printed", PUBLISHED_X, PUBLISHED_Y)
 
 
 def planar_distance_m(tool_m: Array, tissue_m: Array) -> float:
-    """eqs. (25)–(27): Euclidean distance in the plane, m, between points of shape (2,).
-
-    The constants of the quadratics cancel in the difference. Depth is not in it: see `spatial_m`.
-    """
+    """eqs. (25)–(27): Euclidean distance in the plane, m, between points of shape (2,); depth is not in it."""
     x_e, y_e = tool_m - tissue_m  # eqs. (25), (26); "GC" there is "GP"
     return float(np.hypot(x_e, y_e))
 
@@ -129,8 +127,7 @@ def _turning_pixel(mapping: PlaneMapping, quadratic: Quadratic) -> float:
     return turning_cm / CM_PER_PIXEL
 
 
-MIN_SAMPLE_COUNT = 12
-"""Four per coefficient: fewer leave the residuals without meaning."""
+MIN_SAMPLE_COUNT = 12  # four per coefficient: fewer leave the residuals without meaning
 
 
 class QuadraticModel(StrictModel):
@@ -231,11 +228,7 @@ class CalibrationSamples:
 def fit_calibration(
     samples: CalibrationSamples, camera: Camera, method: str, created_by: str, sources: tuple[SourceFile, ...]
 ) -> Calibration:
-    """Fit eqs. (5) and (6) by least squares, one quadratic per axis.
-
-    Raises CalibrationError for too few samples, for samples that span too little of the image to carry a
-    quadratic, and for a camera without focal length, as logs of uncalibrated cameras have it.
-    """
+    """Fit eqs. (5) and (6) by least squares; CalibrationError for few samples, a small span, no focal length."""
     if not (np.all(np.isfinite(camera.K)) and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
         raise CalibrationError(
             "expected a camera with intrinsics to calibrate: found"

@@ -103,10 +103,7 @@ class StereoEstimator:
         return measured(result, frame, ToolEstimate(pose, frame.joints, self._has_plate), seen)
 
     def _off_plane_m(self, surface: StereoSurface, std_m: float) -> float:
-        """How far the surface stands off where the profile's plane and shape allow it, 0 where it does not.
-
-        Matching of tissue that has hardly any texture may find any surface.
-        """
+        """How far the surface stands off where the profile's plane and shape allow it, 0 where it does not."""
         tissue = self._tissue
         height_m = surface.points_m @ np.array(tissue.plane_normal) + tissue.plane_distance_m
         top_m = 0.0 if tissue.dome is None else tissue.dome.height_m
@@ -139,7 +136,8 @@ class StereoEstimator:
         stereo = self._profile.stereo_in_range
         instrument = self._profile.instrument
         radius_m = instrument.knuckle_radius_m if instrument else None
-        left, right = frame.left.distal_marker, frame.right and frame.right.distal_marker
+        left = frame.left.distal_marker
+        right = None if frame.right is None else frame.right.distal_marker
         radius_std = instrument.knuckle_radius_std_fraction if instrument else 0.0
         match = match_distal_marker(left, right, pair, radius_m, frame.left.camera, stereo, radius_std)
         self._has_plate |= frame.left.tag_corners_px is not None

@@ -24,17 +24,17 @@ CLEAN_MISMATCH_PX = 0.36  # in those measurements; JPEG and noise shift pixels a
 DEFAULT = StereoSettings()
 DEGREE = 3
 SCALE_PX = 100.0
-TERMS = tuple((i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i))
-"""The powers of u and v in each term."""
+TERMS = tuple(
+    (i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)
+)  # the powers of u and v in each term
 BRIGHTNESS_TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 """Powers of u and v by which the views may differ in brightness."""
-MAX_SAMPLES = 15_000
-"""Pixels used in the alignment: beyond some ten thousand, noise is no longer what limits it."""
-MAX_START_SAMPLES = 1000
-"""Matches that the alignment starts from: it must begin within a pixel, no better."""
+MAX_SAMPLES = (
+    15_000  # pixels used in the alignment: beyond some ten thousand, noise is no longer what limits it
+)
+MAX_START_SAMPLES = 1000  # matches that the alignment starts from: it must begin within a pixel, no better
 START_STEPS, ALIGN_STEPS = 6, 12
-SETTLED_PX = 0.005
-"""A step that moves no pixel by more ends the alignment."""
+SETTLED_PX = 0.005  # A step that moves no pixel by more ends the alignment
 SCALE_STRIDE = 4
 """The offset and the spread of the images' difference are medians over every fourth pixel: right within a percent."""
 RIDGE = 1e-3
@@ -53,8 +53,9 @@ class DisparitySurface:
     centre_px: Array
     mismatch_px: float
     matched_fraction: float
-    agreeing_fraction: float = 1.0
-    """The share of the matches that lie within two of matching's pixels of the surface."""
+    agreeing_fraction: float = (
+        1.0  # the share of the matches that lie within two of matching's pixels of the surface
+    )
 
     def at(self, points_px: Array) -> Array:
         """Disparity in px, shape (n,), at pixels of the left image, shape (n, 2)."""
@@ -70,11 +71,7 @@ def fit_surface(
     max_px: int,
     settings: StereoSettings = DEFAULT,
 ) -> DisparitySurface | None:
-    """Fit the disparity surface of a region, a mask of shape (h, w); None with too few matches in it.
-
-    `right_region` is the same region's mask in the right image: what leaves it there is hidden. `min_px` and `max_px`
-    bound the search.
-    """
+    """Fit the disparity surface of a region, a mask of shape (h, w); None with too few matches in it."""
     side_px = 2 * MARGIN_PX + 1
     core = np.asarray(cv2.erode(region, np.ones((side_px, side_px), np.uint8)), np.uint8)
     matches = match_region(left_grey, right_grey, core, min_px, max_px, settings)
@@ -134,11 +131,7 @@ def _align(
     centre_px: Array,
     coefficients: Array,
 ) -> tuple[Array, float]:
-    """Gauss–Newton on right(u - d(u, v), v) - left(u, v), with a free, smooth field of brightness between the images.
-
-    `columns`, `rows` and `is_used`, shape (h, w), make the grid of the left image's pixels that are aligned. Gives the
-    coefficients and the mismatch that they leave, in px.
-    """
+    """Gauss–Newton on right(u - d(u, v), v) - left(u, v) on a grid, brightness free: coefficients, mismatch in px."""
     left, slope = _smoothed_with_slope(left_grey, columns, rows, SMOOTHING_PX)
     right, first_row = _smoothed_where_seen(right_grey, right_region, rows)
     u, v = (
@@ -170,11 +163,7 @@ def _align(
 
 
 def _brightness_field(error: Array, usable: NDArray[np.bool_], u: Array, v: Array) -> tuple[Array, Array]:
-    """What differs in brightness between the views smoothly, shape (h, w), and what of a sample it leaves, (k,).
-
-    A vignette and a lamp beside the lens darken what both views show at other places of the image. Taken for texture,
-    that shifts the whole surface; a parabola over the grid, fitted robustly, takes it up.
-    """
+    """What differs in brightness between the views smoothly, shape (h, w), and what of a sample it leaves, (k,)."""
     rows, columns = np.nonzero(usable)
     few = slice(None, None, SCALE_STRIDE)
     rows, columns = rows[few], columns[few]
@@ -232,10 +221,7 @@ def _slope_along_u(coefficients: Array, u: Array, v: Array) -> Array:
 
 
 def _step(weight: Array, pull: Array, u: Array, v: Array, damping: float) -> Array:
-    """The step of least squares, shape (n,), from weights and weighted errors on a grid, shape (h, w) each.
-
-    The products of two terms are terms again: their sums are moments of the weights.
-    """
+    """The step of least squares, shape (n,), from weights and weighted errors on a grid, shape (h, w) each."""
     moments = u.T @ weight.T @ v
     i, j = np.transpose(TERMS)
     normal = moments[i[:, None] + i, j[:, None] + j]
@@ -262,10 +248,7 @@ def detect_stereo_surface(
     masks: tuple[Image, Image],
     settings: StereoSettings = DEFAULT,
 ) -> StereoSurface | None:
-    """The tissue's surface inside its hull in the left image, under the instrument too; None if the views disagree.
-
-    The grey images and the tissue's `masks` in both have shape (h, w); `hull` has shape (n, 1, 2) in px.
-    """
+    """The tissue's surface inside its hull in the left image, under the instrument too; None if the views disagree."""
     if pair.R_rows_left is not None:
         left_grey, right_grey, masks, hull = _turned(left_grey, right_grey, pair, hull, masks)
     far_px, near_px = (

@@ -18,16 +18,15 @@ from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT
 from svmdist.profile.settings import OutlineSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform
+from svmdist.vision.colour import Masks
 from svmdist.vision.regions import CompletedOutline, Region, complete_outline, find_region
-from svmdist.vision.segmentation import Masks
 
 # Parts below this fraction of the tissue may be blood on an instrument, as red as tissue
 BLOOD_FRACTION = 0.1
 BLOOD_RING_FRACTION = 0.5  # share of dark shaft around such a part above which it is blood
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-ACROSS = 0.99
-"""Cosine between normal and axis from which on the axis has no direction on the plane."""
+ACROSS = 0.99  # cosine between normal and axis from which on the axis has no direction on the plane
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +87,7 @@ def require_tissue(profile: Profile) -> Tissue:
 def tissue_pose(
     outline: CompletedOutline, camera: Camera, tissue: Tissue, error: CameraError = EXACT.camera
 ) -> TissuePose | None:
-    """Place tissue and surface by an outline; None where its centroid's ray does not meet the plane.
-
-    `error` is how wrong the camera's calibration may be.
-    """
+    """Place tissue and surface by an outline; None where its centroid's ray does not meet the plane."""
     plane = tissue_plane(tissue)
     position_m = meet_plane(pixel_rays(camera, outline.centroid_px), plane)[0]
     if not np.all(np.isfinite(position_m)):
@@ -115,10 +111,7 @@ def tissue_plane(tissue: Tissue) -> Plane:
 
 
 def tissue_frame(origin_m: Array, normal: Array) -> Array:
-    """`T_camera_tissue`, shape (4, 4): z along the plane's normal, x the camera's x axis laid onto the plane.
-
-    Of a plane that stands across the camera's x axis, the camera's y axis takes its place.
-    """
+    """`T_camera_tissue`, shape (4, 4): z along the plane's normal, x the camera's x axis laid onto the plane."""
     along = np.eye(3)[0 if abs(normal[0]) < ACROSS else 1]
     x = along - normal * float(normal @ along)
     x /= np.linalg.norm(x)
@@ -152,10 +145,7 @@ def _of_camera(position_m: Array, camera: Camera, plane: Plane, error: CameraErr
 def ray_on_plane_biases(
     position_m: Array, plane: Plane, camera: Camera, error: CameraError
 ) -> tuple[SharedBias, SharedBias]:
-    """What focal length and principal point do to where a ray meets a plane, at `position_m`: Jacobians (3, k).
-
-    X = offset r / (n · r) for the ray r: a longer focal length brings it towards the optical axis.
-    """
+    """What focal length and principal point do to where a ray meets a plane, at `position_m`: Jacobians (3, k)."""
     ray = position_m / position_m[2]
     slope = float(plane.normal @ ray)
     by_ray = plane.offset_m * (np.eye(3) / slope - np.outer(ray, plane.normal) / slope**2)
@@ -185,8 +175,7 @@ def _position_covariance(
     return np.asarray(of_outline), np.asarray(covariance + arm2_m2 * np.outer(along, along))
 
 
-RING_PX = 3
-"""What lies this close to a part surrounds it."""
+RING_PX = 3  # what lies this close to a part surrounds it
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,10 +188,7 @@ class TissueDetection:
 
 
 def detect_tissue(masks: Masks, profile: Profile, camera: Camera) -> TissueDetection | None:
-    """Find the tissue in an image's masks and place it in 3D; None where no region passes the gate.
-
-    Raises ProfileError where the profile knows no plane.
-    """
+    """Find the tissue in masks and place it in 3D; None where there is none; ProfileError without a plane."""
     tissue = require_tissue(profile)
     # The region's own centroid would complete the outline a first time.
     rule = profile.segmentation.tissue.model_copy(update={"occlusion": "hull"})
@@ -231,11 +217,7 @@ def _with_doubt(
 
 
 def _without_blood(mask: Image, shaft: Image, area_px: int) -> Image:
-    """The mask, shape (h, w), without small parts that the instrument's dark shaft surrounds.
-
-    Blood on an instrument is as red as tissue, and far from it. What an instrument cuts off the tissue has the shaft on
-    one side only.
-    """
+    """The mask, shape (h, w), without small parts that the instrument's dark shaft surrounds."""
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     kept = mask.copy()
     for label in range(1, count):

@@ -32,8 +32,7 @@ LASTING_HEIGHT_SHARE = 0.98
 HEIGHT_CORRELATION_TIME_S = 30.0  # how long that lasts: longer than the logs of 8 s that it was seen in
 
 DEFAULT = TissueTrackingSettings()
-TINY_M2 = 1e-14
-"""Added to covariances of poses that lie on one plane, so that they have an inverse."""
+TINY_M2 = 1e-14  # added to covariances of poses that lie on one plane, so that they have an inverse
 
 
 @dataclass
@@ -142,8 +141,7 @@ class TissueTracker:
         return bool(nis <= chi_square_bound(3, GATE_Z))
 
 
-MIN_POINTS = 50
-"""Of a surface inside of the dome's rim: fewer are no view of it."""
+MIN_POINTS = 50  # of a surface inside of the dome's rim: fewer are no view of it
 OUTLINE = "tissue height"
 
 
@@ -185,11 +183,7 @@ def measured_height(
     right: RightView,
     deviations: Deviations,
 ) -> tuple[Linearised, float] | None:
-    """The height over the dome where the profile has it, as a measurement, and in m; None where too little is seen.
-
-    A surface by stereo errs by as much over all of the tissue as its texture misleads the matching: the larger part
-    of that lasts.
-    """
+    """The height over the dome where the profile has it, as a measurement, and in m; None where too little is seen."""
     points_m = dome.to_tissue_frame(surface.points_m)
     inner = dome.normalised_radius(points_m[:, :2], dome.shape[:2]) < INNER_RADIUS
     if np.count_nonzero(inner) < MIN_POINTS:
@@ -262,14 +256,7 @@ class FollowedTissue:
         surface = None if known is None or known.dome is None or right is None else frame.scene.stereo_surface
         if known is None or known.dome is None or surface is None or right is None or height is None:
             return None
-        found = measured_height(
-            surface,
-            known.dome,
-            height,
-            frame.left.camera,
-            right,
-            self._deviations,
-        )
+        found = measured_height(surface, known.dome, height, frame.left.camera, right, self._deviations)
         if found is None:
             return None
         part, over_m = found

@@ -19,6 +19,8 @@ from svmdist.samples import Image, ImageSample, JointSample, Observation, Reject
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array
 
+JOINT_TRACK_NS = 200_000_000
+"""Joints so long before and after an image go with it: by as much the clocks may differ for a method that finds it."""
 LOOK_AHEAD_NS = 3_000_000_000
 """How long, in log time, an image waits for the right image at its stamp."""
 MAX_WAITING_BYTES = 64 << 20
@@ -49,9 +51,13 @@ class Window:
 
     def of(self, images: Iterable[Stamped]) -> Iterator[Stamped]:
         """The images inside."""
+        return (image for _, _, image in self.numbered(images))
+
+    def numbered(self, images: Iterable[Stamped]) -> Iterator[tuple[int, int, Stamped]]:
+        """The images inside, each with its number among all and its time since the first one in ns."""
         first_ns: int | None = None
         count = 0
-        for image in images:
+        for number, image in enumerate(images):
             first_ns = image.stamp_ns if first_ns is None else first_ns
             # In whole nanoseconds: an image at exactly 0.1 s is inside of a window that begins at 0.1 s.
             at_ns = image.stamp_ns - first_ns
@@ -60,7 +66,7 @@ class Window:
             if not round(self.start_s * 1e9) <= at_ns <= self.end_s * 1e9 + 0.5:
                 continue
             if count % self.every == 0:
-                yield image
+                yield number, at_ns, image
             count += 1
 
     def count_of(self, image_count: int) -> int | None:
@@ -282,3 +288,13 @@ def _stamp(image: LoggedImage) -> int:
 
 def _size(images: list[LoggedImage]) -> int:
     return sum(image.size_bytes for image in images)
+
+
+def joints_at(track: JointTrack | None, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:
+    """Joints interpolated to a stamp, and those around it; None where there are none within 0.1 s."""
+    sampled = None if track is None else track.at(np.array([stamp_ns], np.int64))
+    if track is None or sampled is None or not sampled.valid[0]:
+        return None, None
+    first, last = np.searchsorted(track.stamps_ns, [stamp_ns - JOINT_TRACK_NS, stamp_ns + JOINT_TRACK_NS + 1])
+    around = JointTrack(track.stamps_ns[first:last], track.names, track.positions[first:last])
+    return JointSample(stamp_ns, track.names, sampled.values[0]), around

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.input_file import LogPath
 from svmdist.profile import Limits, Profile
-from svmdist.recording.encode import EncodedSample
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import Recording, open_recording
-from svmdist.recording.messages import DecodeError, Decoder, RawTransforms, kind_of, message_class, to_sample
-from svmdist.recording.source import Health, RawMessage
+from svmdist.recording.messages import (
+    MAX_STAMP_NS,
+    DecodeError,
+    Decoder,
+    RawTransforms,
+    kind_of,
+    message_class,
+    to_sample,
+)
+from svmdist.recording.source import Health, TopicInfo
 from svmdist.recording.topics import Role
+from svmdist.recording.writer import EncodedSample
 from svmdist.samples import CameraSample, JointSample, Sample, TransformsSample
 
 GAP_FACTOR = 3.0
@@ -58,52 +69,37 @@ class RecordingSummary:
     health: Health
 
 
-class _Statistics:
-    """Statistics of one topic while it is read: constant memory, whatever the length."""
+@dataclass
+class _Topic:
+    """What is counted of one topic while it is read."""
 
-    def __init__(self, first: RawMessage) -> None:
-        self.schema = first.schema
-        self.message_encoding = first.message_encoding
-        self.count = 0
-        self.undecodable_count = 0
-        self.out_of_order_count = 0
-        self.start_ns: int | None = None
-        self.end_ns: int | None = None
-        self.largest_gap_ns = 0
-        self.gap_count = 0
-        self._previous_ns: int | None = None
+    info: TopicInfo
+    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
+    undecodable_count: int = 0
 
-    def add(self, stamp_ns: int) -> None:
-        self.count += 1
-        previous_ns, self._previous_ns = self._previous_ns, stamp_ns
-        newest_ns = stamp_ns if self.end_ns is None else self.end_ns
-        self.start_ns = stamp_ns if self.start_ns is None else min(self.start_ns, stamp_ns)
-        self.end_ns = max(newest_ns, stamp_ns)
-        if previous_ns is None:
-            return
-        if stamp_ns < previous_ns:
-            self.out_of_order_count += 1
-        gap_ns = stamp_ns - newest_ns  # to the newest: a stamp out of order makes no gap behind it
+    def summary(self) -> TopicSummary:
+        stamps_ns, count = np.array(self.stamps_ns, np.int64), len(self.stamps_ns)
+        kind = kind_of(self.info.schema, self.info.message_encoding)
+        start_ns, end_ns = (int(stamps_ns.min()), int(stamps_ns.max())) if count else (None, None)
+        # To the newest stamp so far: one out of order makes no gap behind it.
+        newest_ns, oldest_ns = np.maximum.accumulate(stamps_ns)[:-1], np.minimum.accumulate(stamps_ns)[:-1]
+        gaps_ns = stamps_ns[1:] - newest_ns
         # The mean period so far stands for the true one; the first few messages say nothing yet.
-        if self.count > 5 and gap_ns * (self.count - 2) > GAP_FACTOR * (newest_ns - self.start_ns):
-            self.gap_count += 1
-        self.largest_gap_ns = max(self.largest_gap_ns, gap_ns)
-
-    def summary(self, topic: str) -> TopicSummary:
-        span_s = 0.0 if self.start_ns is None or self.end_ns is None else (self.end_ns - self.start_ns) / 1e9
-        kind = kind_of(self.schema, self.message_encoding)
+        before = np.arange(count - 1)
+        is_gap = (before >= 4) & (gaps_ns * before.astype(float) > GAP_FACTOR * (newest_ns - oldest_ns))
+        span_s = 0.0 if start_ns is None or end_ns is None else (end_ns - start_ns) / 1e9
         return TopicSummary(
-            topic,
-            self.schema,
-            self.message_encoding,
+            self.info.topic,
+            self.info.schema,
+            self.info.message_encoding,
             None if kind is None else str(kind),
-            self.count,
-            (self.count - 1) / span_s if span_s > 0 else None,
-            self.start_ns,
-            self.end_ns,
-            self.largest_gap_ns / 1e9,
-            self.gap_count,
-            self.out_of_order_count,
+            count,
+            (count - 1) / span_s if span_s > 0 else None,
+            start_ns,
+            end_ns,
+            max(0, int(gaps_ns.max(initial=0))) / 1e9,
+            int(is_gap.sum()),
+            int((np.diff(stamps_ns) < 0).sum()),
             self.undecodable_count,
         )
 
@@ -117,17 +113,17 @@ def inspect_recording(
 ) -> RecordingSummary:
     """Read a whole recording once and summarise it; pixels are not decoded.
 
-    Raises RecordingError where the path is no recording; a topic that svmdist cannot read is still counted.
+    Raises RecordingError where the path is not a recording; a topic that svmdist cannot read is still counted.
     """
-    limits = limits or profile.limits
     recording = open_recording(path, profile, limits=limits, topics=topics)
-    decoder = Decoder(limits)
-    statistics: dict[str, _Statistics] = {}
+    decoder = Decoder(recording.limits)
+    found: dict[str, _Topic] = {}
     cameras: dict[str, Camera] = {}
     frames: set[str] = set()
     joint_names: dict[str, tuple[str, ...]] = {}
     for raw in recording.raw_messages():
-        topic = statistics.setdefault(raw.topic, _Statistics(raw))
+        info = TopicInfo(raw.topic, raw.schema, raw.message_encoding)
+        topic = found.setdefault(raw.topic, _Topic(info))
         stamp_ns = raw.log_time_ns
         if kind_of(raw.schema, raw.message_encoding) is not None:
             try:
@@ -145,22 +141,19 @@ def inspect_recording(
                         frames.update(name for one in transforms for name in (one.parent, one.child))
                     case _:
                         pass
-        topic.add(stamp_ns)
+        topic.stamps_ns.append(min(stamp_ns, MAX_STAMP_NS))
     for info in recording.topics():
-        if info.topic not in statistics:
-            empty = RawMessage(info.topic, info.schema, info.message_encoding, 0, b"")
-            statistics[info.topic] = _Statistics(empty)
-    found = [topic.summary(name) for name, topic in sorted(statistics.items())]
-    starts = [topic.start_ns for topic in found if topic.start_ns is not None]
-    ends = [topic.end_ns for topic in found if topic.end_ns is not None]
-    roles = {str(role): name for role in Role if (name := recording.topic_of(role)) is not None}
+        found.setdefault(info.topic, _Topic(info))
+    listed = tuple(topic.summary() for _, topic in sorted(found.items()))
+    starts = [topic.start_ns for topic in listed if topic.start_ns is not None]
+    ends = [topic.end_ns for topic in listed if topic.end_ns is not None]
     return RecordingSummary(
         recording.path,
         recording.size_bytes(),
         recording.metadata,
         (max(ends) - min(starts)) / 1e9 if starts else 0.0,
-        tuple(found),
-        roles,
+        listed,
+        {str(role): name for role in Role if (name := recording.topic_of(role)) is not None},
         cameras,
         tuple(sorted(frames)),
         joint_names,
@@ -180,28 +173,19 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
     are renamed, see `TRUE_SUFFIX`. What cannot be decoded is left out; `Recording.health` counts it in the pass that
     measures.
     """
-    limits = recording.limits
-    decoder = Decoder(limits)
+    decoder = Decoder(recording.limits)
     truth = recording.topic_of(Role.GROUND_TRUTH_TF)
     for raw in recording.raw_messages():
         if kind_of(raw.schema, raw.message_encoding) is None:
             continue
+        if raw.message_encoding == "protobuf" and raw.topic != truth:
+            yield raw.topic, EncodedSample(raw.log_time_ns, message_class(raw.schema), raw.data)
+            continue
         try:
-            copied = _renamed(decoder, raw) if raw.topic == truth else _copied(decoder, raw)
+            sample = to_sample(decoder.decode(raw))
         except (DecodeError, ImageError):
             continue
-        yield raw.topic, copied
-
-
-def _copied(decoder: Decoder, raw: RawMessage) -> Sample | EncodedSample:
-    if raw.message_encoding == "protobuf":
-        return EncodedSample(raw.log_time_ns, message_class(raw.schema), raw.data)
-    return to_sample(decoder.decode(raw))
-
-
-def _renamed(decoder: Decoder, raw: RawMessage) -> Sample:
-    sample = to_sample(decoder.decode(raw))
-    if not isinstance(sample, TransformsSample):
-        return sample
-    transforms = tuple(replace(one, child=one.child + TRUE_SUFFIX) for one in sample.transforms)
-    return replace(sample, transforms=transforms)
+        if raw.topic == truth and isinstance(sample, TransformsSample):
+            renamed = tuple(replace(one, child=one.child + TRUE_SUFFIX) for one in sample.transforms)
+            sample = replace(sample, transforms=renamed)
+        yield raw.topic, sample

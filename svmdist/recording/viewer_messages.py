@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -31,7 +29,8 @@ from svmdist.drawing import (
     Shape,
 )
 from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
-from svmdist.recording.encode import EncodedSample
+from svmdist.recording.writer import EncodedSample, encode, serialised, set_stamp
+from svmdist.samples import TransformSample, TransformsSample
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 FORMS = {
@@ -58,8 +57,7 @@ def image_annotations(drawing: FrameDrawing) -> EncodedSample:
         place_px = np.array([4.0, (row + 1) * (FONT_PX + 6.0)])
         colour = ALARM_COLOUR if line.alarm or not line.measured else WHITE
         _text(message.texts.add(), line.text, place_px, colour, drawing.stamp_ns)
-    stamp(message.timestamp, drawing.stamp_ns)
-    return encoded(message, drawing.stamp_ns)
+    return _encoded(message, drawing.stamp_ns)
 
 
 def scene_update(
@@ -80,28 +78,18 @@ def scene_update(
     for segment in drawing.segments:
         _segment(_entity(message, segment.name, frame_id, stamp_ns), segment)
     known = {entity.id for entity in message.entities}
-    possible = {"tissue"}.union(
-        *(
-            {f"{name} instrument", *(f"{name} {part}" for part in (Part.DISTANCE, Part.BETWEEN))}
-            for name in instruments
-        )
-    )
+    parts = ("instrument", Part.DISTANCE, Part.BETWEEN)
+    possible = {"tissue", *(f"{name} {part}" for name in instruments for part in parts)}
     for name in sorted(possible - known):
         deletion = message.deletions.add(type=SceneEntityDeletion.MATCHING_ID, id=name)
-        stamp(deletion.timestamp, stamp_ns)
-    return encoded(message, stamp_ns)
+        set_stamp(deletion, stamp_ns)
+    return _encoded(message, stamp_ns)
 
 
 def tool_transforms(poses: Iterable[tuple[str, Array]], frame_id: str, stamp_ns: int) -> EncodedSample:
     """Estimated poses of tools as `foxglove.FrameTransforms`: (child frame, `T_camera_tool` of shape (4, 4)) pairs."""
-    transforms = []
-    for child, T in poses:
-        transform = FrameTransform(parent_frame_id=frame_id, child_frame_id=child)
-        stamp(transform.timestamp, stamp_ns)
-        _place(transform.translation, T[:3, 3])
-        _turn(transform.rotation, T[:3, :3])
-        transforms.append(transform)
-    return encoded(FrameTransforms(transforms=transforms), stamp_ns)
+    transforms = tuple(TransformSample(stamp_ns, frame_id, child, T) for child, T in poses)
+    return EncodedSample(stamp_ns, TransformsSample, encode(TransformsSample(stamp_ns, transforms)))
 
 
 def distance_estimate(values: EstimateValues, stamp_ns: int) -> EncodedSample:
@@ -114,25 +102,19 @@ def distance_estimate(values: EstimateValues, stamp_ns: int) -> EncodedSample:
             setattr(message, name, value)
     if values.alarm is not None:
         message.alarm = values.alarm
-    stamp(message.timestamp, stamp_ns)
-    return encoded(message, stamp_ns)
+    return _encoded(message, stamp_ns)
 
 
 def log_line(text: str, stamp_ns: int, *, is_warning: bool) -> EncodedSample:
     """A line of `foxglove.Log`, as a warning or for information."""
     message = Log(level=Log.WARNING if is_warning else Log.INFO, message=text, name="svmdist")
-    stamp(message.timestamp, stamp_ns)
-    return encoded(message, stamp_ns)
+    return _encoded(message, stamp_ns)
 
 
-def encoded(message: Any, stamp_ns: int) -> EncodedSample:
-    """A protobuf message as the sample that `RecordingWriter` takes."""
-    return EncodedSample(stamp_ns, type(message), message.SerializeToString(deterministic=True))
-
-
-def stamp(target: Any, stamp_ns: int) -> None:
-    """Set a protobuf timestamp."""
-    target.seconds, target.nanos = divmod(stamp_ns, 1_000_000_000)
+def _encoded(message: Any, stamp_ns: int) -> EncodedSample:
+    """A message as the sample that `RecordingWriter` takes; a scene has no timestamp of its own."""
+    has_stamp = "timestamp" in message.DESCRIPTOR.fields_by_name
+    return EncodedSample(stamp_ns, type(message), serialised(message, stamp_ns if has_stamp else None))
 
 
 def _points(target: Any, shape: Shape, stamp_ns: int) -> None:
@@ -144,7 +126,7 @@ def _points(target: Any, shape: Shape, stamp_ns: int) -> None:
     if shape.form is Form.POINTS:
         target.thickness = SMALL_POINT_PX if shape.part in (Part.INLIER, Part.MATCH) else POINT_PX
         _colour(target.fill_color, COLOURS[shape.part])
-    stamp(target.timestamp, stamp_ns)
+    set_stamp(target, stamp_ns)
 
 
 def _text(target: Any, text: str, place_px: Array, colour: Rgb, stamp_ns: int) -> None:
@@ -152,12 +134,12 @@ def _text(target: Any, text: str, place_px: Array, colour: Rgb, stamp_ns: int) -
     target.text, target.font_size = text, FONT_PX
     _colour(target.text_color, colour)
     _colour(target.background_color, GROUND, SOLID)
-    stamp(target.timestamp, stamp_ns)
+    set_stamp(target, stamp_ns)
 
 
 def _entity(message: Any, name: str, frame_id: str, stamp_ns: int) -> SceneEntity:
     entity: SceneEntity = message.entities.add(id=name, frame_id=frame_id)
-    stamp(entity.timestamp, stamp_ns)
+    set_stamp(entity, stamp_ns)
     return entity
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from svmdist.errors import OutputError, optional_package
 from svmdist.files import atomic_file
-from svmdist.recording.encode import EncodedSample
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.summary import copied_messages
 from svmdist.recording.topics import Role
@@ -23,7 +22,7 @@ from svmdist.recording.viewer_messages import (
     scene_update,
     tool_transforms,
 )
-from svmdist.recording.writer import RecordingWriter
+from svmdist.recording.writer import EncodedSample, RecordingWriter
 from svmdist.report.panels import draw_on
 from svmdist.report.rows import estimate_values
 from svmdist.samples import Image
@@ -51,8 +50,6 @@ def write_annotated(
     What is copied: see `copied_messages`. The file is written in the order of the log, each image followed by its
     annotations, and holds a few frames at a time. Raises UsageError where the file exists and `force` is not set.
     """
-    if recording.origin is None:
-        raise TypeError("only a recording as it was opened can be copied")
     path, profile, limits, topics = recording.origin
     # A pass of its own over the recording opened anew, so that losses are counted once.
     copies = copied_messages(open_recording(path, profile, limits=limits, topics=topics))

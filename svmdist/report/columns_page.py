@@ -10,21 +10,19 @@ from svmdist.workflows.scoring.metric_table import Output, Tolerance, figure_met
 COLUMNS_PAGE = """# Columns and metrics
 
 The columns of rows and scores in CSV, JSON and Parquet, in SI units. An undefined value is an empty cell or `null`.
-Columns may be added at the end; none is renamed or removed. This page is generated from the tables of columns in
-`svmdist/report/rows.py` and `svmdist/workflows/scoring/metric_table.py`.
+Columns may be added at the end; none is renamed or removed.
 
 ## Rows of `svmdist estimate`
 
 """
 METRICS_PAGE = """
-## Scores of `svmdist validate` and `svmdist compare`
+## Metrics of `svmdist validate` and `svmdist compare`
 
-A column without a prefix is about the planar distance; `spatial_` and `clearance_` are about the distance in 3D and the
-clearance. A baseline (`validate --write-baseline`) stores the metrics that have a tolerance here. A later run is worse
-where one of them lost more than the tolerance: an amount, or a share of the stored value where that is more.
+Without a prefix a metric is about the planar distance; `spatial_` and `clearance_` are about the other two. A
+baseline stores the metrics that have a tolerance: an amount, or a share of the stored value where that is more. 95 %
+intervals are moving-block bootstrap (Künsch 1989).
 
 """
-COMMANDS = {Output.SCORES: "`validate`", Output.FIGURES: "`compare`"}
 
 
 def columns_page() -> str:
@@ -32,16 +30,15 @@ def columns_page() -> str:
     by_meaning: dict[tuple[str, ...], list[str]] = {}
     for column in ESTIMATE_COLUMNS:
         if column.stored:
-            by_meaning.setdefault((column.unit.name, column.given_by, column.meaning), []).append(column.key)
-    rows = _page_table(("columns", "unit", "given by", "meaning"), by_meaning)
+            by_meaning.setdefault((column.given_by, column.meaning), []).append(column.key)
+    rows = _page_table(("columns", "given by", "meaning"), by_meaning)
     by_meaning = {}
     for metric in {metric.key: metric for metric in (*score_metrics(), *figure_metrics())}.values():
-        if commands := [name for output, name in COMMANDS.items() if output & metric.outputs]:
+        if metric.outputs & (Output.SCORES | Output.FIGURES):
             tolerance = _tolerance(metric.tolerance, metric.unit.name)
-            meaning = f"{metric.meaning}{f' Source: {metric.source}.' if metric.source else ''}"
-            same = (metric.unit.name, str(metric.better or ""), tolerance, ", ".join(commands), meaning)
+            same = (tolerance, metric.meaning)
             by_meaning.setdefault(same, []).append(metric.key)
-    metrics = _page_table(("columns", "unit", "better", "tolerance", "given by", "meaning"), by_meaning)
+    metrics = _page_table(("columns", "tolerance", "meaning"), by_meaning)
     return COLUMNS_PAGE + rows + METRICS_PAGE + metrics
 
 

@@ -1,13 +1,13 @@
-"""Plots for print: the paper's Fig. 6, series over time, errors, intervals, and methods side by side."""
+"""Plots for print: the paper's Fig. 6, charts of series, and methods side by side; told apart in greyscale too."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from enum import StrEnum
 from itertools import product
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,26 +17,42 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from svmdist.errors import OutputError
+from svmdist.errors import OutputError, printable
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import atomic_file
-from svmdist.metrics import deviations_at, interval_coverage
-from svmdist.report.tables import counted, printable
+from svmdist.metrics import deviations_at
+from svmdist.report import charts
+from svmdist.report.charts import Chart, Curve, Form, Role
+from svmdist.report.tables import counted
 from svmdist.report.writers import plot_format
-from svmdist.transforms import Array
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
-from svmdist.workflows.scoring.score import DistanceScore, Pairs, Score
+from svmdist.workflows.scoring.score import DistanceScore, Score
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.series import Series
 from svmdist.workflows.validate import Validation
 
-COLUMN_IN, PAGE_IN, PANEL_IN = 3.5, 7.16, 2.2
-"""Widths of a column and of a page in print, and the height of a panel, in inches."""
+COLUMN_IN, PAGE_IN, PANEL_IN, SCORE_IN = 3.5, 7.16, 2.2, 2.8
+"""Widths of a column and of a page in print, and heights of a panel and of a recording's two panels, in inches."""
 DPI = 300
 MARKERS = "osD^v<>Ph*Xd"
 """Markers that differ at a size of 4 points, in the order in which they are taken."""
-GREYS = ("0.0", "0.35", "0.6")
-DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (2, 1)), (0, (8, 3)))
+STYLES: dict[Role, dict[str, Any]] = {
+    Role.ESTIMATE: {"color": "#1f5fa8", "linewidth": 1.0, "marker": ".", "markersize": 3},
+    Role.ERROR: {"color": "0.25", "linewidth": 0.9, "marker": ".", "markersize": 2},
+    Role.TRUTH: {"color": "#c1272d", "linewidth": 1.4, "linestyle": "--"},
+    Role.INTERVAL: {"color": "#b9cfe8", "linewidth": 0.0},
+    Role.LOST: {"color": "0.88", "linewidth": 0.0},
+    Role.THRESHOLD: {"color": "#e08a1e", "linewidth": 0.9, "linestyle": ":"},
+    Role.MODEL: {"color": "0.0", "linewidth": 1.0},
+    Role.LIMIT: {"color": "0.0", "linewidth": 0.8, "linestyle": "--"},
+}
+"""Estimate and truth are blue and red, as in the paper."""
+REFERENCE_NAMES = {
+    Reference.GROUND_TRUTH: "simulator",
+    Reference.TF: "transforms of the log",
+    Reference.POSE: "pose topic",
+    Reference.KINEMATICS: "DH kinematics",
+}
 LOOKS: Any = {
     "font.size": 8,
     "axes.titlesize": 8,
@@ -74,80 +90,101 @@ def plain_name(text: str) -> str:
     return printable(text).replace("$", r"\$").strip()
 
 
-LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
-"""Levels of intervals whose honesty is shown."""
-MAX_GAP_IN_STEPS = 3.0
-"""A curve is broken where frames are missing for longer than this many frame periods."""
+def _draw_curves(axes: Axes, curves: Sequence[Curve]) -> None:
+    """Draw curves with their labels; dots of several series differ by marker and grey."""
+    for at, curve in enumerate(curves):
+        style, label = STYLES[curve.role], plain_name(curve.name)
+        if curve.form is Form.LINE:
+            axes.plot(curve.x, curve.y, label=label, **style)
+        elif curve.form is Form.BAND:
+            axes.fill_between(curve.x, curve.low, curve.y, label=label, **style)  # type: ignore[arg-type]
+        elif curve.form is Form.SPANS:
+            for begin, end in zip(curve.x, curve.y, strict=True):
+                axes.axvspan(begin, end, label=label if begin == curve.x[0] else None, **style)
+        else:
+            grey = str(0.15 + 0.25 * (at % 3))
+            axes.scatter(
+                curve.x, curve.y, s=6.0, marker="ox^sdv"[at % 6], color=grey, linewidths=0.6, label=label
+            )
 
 
-def distance_name(series: Series) -> str:
-    """The series' distance in words."""
-    return series.distance if series.distance == "clearance" else f"{series.distance} distance"
+def _draw_chart(axes: Axes, chart: Chart, title: str) -> None:
+    _draw_curves(axes, chart.curves)
+    if chart.y_title == "error [mm]":
+        axes.axhline(0.0, color="0.0", linewidth=0.6)
+    axes.set(xlabel=chart.x_title, ylabel=chart.y_title)
+    axes.set_title(title, loc="left")
+    axes.legend(loc="best", ncols=2 if chart.over_time else 1)
 
 
-def rejected_spans(series: Series) -> list[tuple[float, float]]:
-    """Beginning and end in s of each run of frames without the distance, half a frame wider on both sides."""
-    if len(series) == 0:
-        return []
-    lost = ~series.measured
-    step_s = float(np.median(np.diff(series.seconds))) if len(series) > 1 else 0.1
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
-    return [
-        (
-            round(float(series.seconds[begin]) - 0.5 * step_s, 3),
-            round(float(series.seconds[end - 1]) + 0.5 * step_s, 3),
-        )
-        for begin, end in zip(edges[::2], edges[1::2], strict=True)
-    ]
+class SeriesPlot(StrEnum):
+    """What is plotted of series."""
+
+    TIME = "time"
+    RESIDUALS = "residuals"
+    BLAND_ALTMAN = "bland-altman"
+    CALIBRATION = "calibration"
 
 
-def pooled(series: Sequence[Series]) -> tuple[Array, Array, Array]:
-    """Truth, error and deviation in mm of all frames that have an error."""
-    truth_m, error_m, std_m = (
-        np.concatenate([getattr(one, key) for one in series]) for key in ("truth_m", "error_m", "std_m")
-    )
-    kept = np.isfinite(error_m)
-    return truth_m[kept] * 1e3, error_m[kept] * 1e3, std_m[kept] * 1e3
+def save_series_plot(
+    series: Sequence[Series], kind: SeriesPlot, path: Path, alarm_below_m: float | None = None
+) -> None:
+    """Draw series and write the figure in the format of the path's ending.
+
+    Raises OutputError for another ending than matplotlib can write, for nothing to draw, and where writing fails.
+    """
+    plot_format(path)
+    with print_looks():
+        write_figure(draw_series(series, kind, path, alarm_below_m), path)
 
 
-def held_shares(series: Sequence[Series]) -> tuple[list[float], int]:
-    """Shares in % of truths inside the intervals of `LEVELS`, and of how many frames that state a deviation."""
-    truth_mm, error_mm, std_mm = pooled(series)
-    stated = np.isfinite(std_mm)
-    estimate_mm, truth_mm, std_mm = (truth_mm + error_mm)[stated], truth_mm[stated], std_mm[stated]
-    held = [100.0 * (interval_coverage(estimate_mm, truth_mm, std_mm, level) or 0.0) for level in LEVELS]
-    return held, int(stated.sum())
-
-
-def with_breaks(seconds: Array, *curves: Array) -> tuple[Array, ...]:
-    """Put a NaN between frames that are far apart, so that no line spans what was not measured."""
-    if len(seconds) < 3:
-        return seconds, *curves
-    steps = np.diff(seconds)
-    at = np.flatnonzero(steps > MAX_GAP_IN_STEPS * np.median(steps)) + 1
-    return tuple(np.insert(values, at, np.nan) for values in (seconds, *curves))
-
-
-TRUTH_COLOUR, ESTIMATE_COLOUR = "#c1272d", "#1f5fa8"  # red and blue, as in the paper
-INTERVAL_COLOUR, ALARM_COLOUR = "#b9cfe8", "#e08a1e"
-REFERENCE_NAMES = {
-    Reference.GROUND_TRUTH: "simulator",
-    Reference.TF: "transforms of the log",
-    Reference.POSE: "pose topic",
-    Reference.KINEMATICS: "DH kinematics",
-}
-PANELS_IN = 2.8
-"""Height of a recording's two panels, in inches."""
+def draw_series(
+    series: Sequence[Series], kind: SeriesPlot, path: Path, alarm_below_m: float | None = None
+) -> Figure:
+    """The figure: a panel for each series over time, else one for all of each distance."""
+    panels: list[tuple[Chart, str]] = []
+    if kind is SeriesPlot.TIME:
+        for one in series:
+            name = plain_name(f"{one.recording} {one.instrument}")
+            title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
+            panels.append((charts.distance_over_time(one, alarm_below_m), title))
+    for distance in dict.fromkeys(one.distance for one in series if kind is not SeriesPlot.TIME):
+        group = [one for one in series if one.distance == distance and np.isfinite(one.error_m).any()]
+        if not group or (
+            kind is SeriesPlot.CALIBRATION and not any(np.isfinite(one.std_m).any() for one in group)
+        ):
+            continue
+        of = f"{group[0].method}: {charts.distance_name(group[0])}"
+        if kind is SeriesPlot.RESIDUALS:
+            panels += [(charts.errors_over(group, "time"), f"{of}, errors over time")]
+            panels += [(charts.errors_over(group, "distance"), "over distance")]
+        elif kind is SeriesPlot.BLAND_ALTMAN:
+            panels.append((charts.agreement(group), of))
+        else:
+            panels.append((charts.calibration(group), f"{of}, interval"))
+    if not panels:
+        lacking = "an interval" if kind is SeriesPlot.CALIBRATION else "a truth"
+        raise OutputError(f"{path}: nothing to draw: no frame has {lacking}")
+    across = 2 if kind is SeriesPlot.RESIDUALS else 1
+    rows, height_in = len(panels) // across, PANEL_IN if kind is SeriesPlot.TIME else 1.3 * PANEL_IN
+    width_in = COLUMN_IN if kind in (SeriesPlot.BLAND_ALTMAN, SeriesPlot.CALIBRATION) else PAGE_IN
+    figure = Figure(figsize=(width_in, height_in * rows), layout="constrained")
+    for at, (chart, title) in enumerate(panels):
+        _draw_chart(figure.add_subplot(rows, across, at + 1), chart, title)
+    return figure
 
 
 def save_plot(validation: Validation, path: Path, reference: Reference | None = None) -> None:
-    """Draw one panel a recording and write the figure in the format of the path's suffix.
+    """Draw Fig. 6 of the paper, a panel per recording, and write it in the format of the path's ending.
 
-    Drawn is the clearance where method and reference tell one, else the spatial distance, else the planar one.
-    Raises OutputError for another suffix than png, svg or pdf, for a reference that no recording has, and
-    where writing fails.
+    Drawn is the clearance where method and reference have one, else the spatial distance, else the planar one, against
+    a reference, by default the strongest. Raises OutputError for another ending than png, svg or pdf, for a reference
+    that no recording has, and where writing fails.
     """
-    scores = _scores_to_draw(validation, reference)
+    if reference is None:
+        primary = validation.primary
+        reference = primary.reference if primary else validation.scores[0].reference
+    scores = [score for score in validation.scores if score.reference is reference]
     if not scores:
         raise OutputError(f"{path}: nothing to draw: no recording was compared with {reference}")
     plot_format(path)
@@ -156,85 +193,39 @@ def save_plot(validation: Validation, path: Path, reference: Reference | None = 
 
 
 def draw(scores: Sequence[Score], alarms: AlarmRules | None = None) -> Figure:
-    """Draw the panels, two columns wide where there are several, with the alarms' threshold where there is one."""
+    """Truth and estimate of each score above the error, two columns wide where there are several."""
     columns = 1 if len(scores) == 1 else 2
     rows = -(-len(scores) // columns)
     width_in = COLUMN_IN if columns == 1 else PAGE_IN
-    figure = Figure(figsize=(width_in, PANELS_IN * rows), layout="constrained")
+    figure = Figure(figsize=(width_in, SCORE_IN * rows), layout="constrained")
     grid = figure.add_gridspec(rows, columns)
     for index, score in enumerate(scores):
         cell = grid[index // columns, index % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.04)
         upper = figure.add_subplot(cell[0])
         lower = figure.add_subplot(cell[1], sharex=upper)
-        curves = _curves(score)
-        if alarms is not None and curves.distance == "clearance":
-            below_mm = alarms.below_m * 1e3
-            upper.axhline(
-                below_mm,
-                color=ALARM_COLOUR,
-                linewidth=0.9,
-                linestyle=":",
-                label=f"alarm below {below_mm:g} mm",
-            )
-        _draw_panel(upper, lower, curves)
+        _draw_score(upper, lower, score, alarms)
         if index == 0:
             handles, labels = upper.get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure
 
 
-def _scores_to_draw(validation: Validation, reference: Reference | None) -> list[Score]:
-    if reference is None:
-        primary = validation.primary
-        reference = primary.reference if primary else validation.scores[0].reference
-    return [score for score in validation.scores if score.reference is reference]
-
-
-@dataclass(frozen=True, slots=True)
-class _Curves:
-    """What a panel shows: which distance, its pairs, and the line above it."""
-
-    distance: str
-    pairs: Pairs
-    title: str
-    truth_label: str
-
-
-def _curves(score: Score) -> _Curves:
-    """The distance that says most of what was asked: the clearance, the spatial distance, or the planar one."""
-    label = _reference_label(score.reference)
-    for distance, in_3d in (("clearance", score.clearance), ("spatial distance", score.spatial)):
-        if in_3d is not None:
-            return _Curves(distance, in_3d.pairs, _title_3d(score, distance, in_3d), label)
-    return _Curves("distance", score.pairs, _title(score), label)
-
-
-def _draw_panel(upper: Axes, lower: Axes, curves: _Curves) -> None:
-    pairs = curves.pairs
-    seconds = (pairs.stamps_ns - (pairs.stamps_ns[0] if len(pairs.stamps_ns) else 0)) / 1e9
-    time, truth, estimate, half = with_breaks(
-        seconds, pairs.truth_m * 1e3, pairs.estimate_m * 1e3, deviations_at(0.95) * pairs.std_m * 1e3
-    )
-    upper.plot(time, truth, color=TRUTH_COLOUR, linewidth=1.4, linestyle="--", label=curves.truth_label)
-    upper.plot(
-        time, estimate, color=ESTIMATE_COLOUR, linewidth=1.0, marker=".", markersize=3, label="estimate"
-    )
-    if np.isfinite(half).any():
-        lower.fill_between(time, -half, half, color=INTERVAL_COLOUR, linewidth=0.0)
-        upper.fill_between(
-            time,
-            estimate - half,
-            estimate + half,
-            color=INTERVAL_COLOUR,
-            linewidth=0.0,
-            label="95 % interval",
-        )
+def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | None) -> None:
+    told = {"clearance": score.clearance, "spatial distance": score.spatial}
+    distance, in_3d = next(((name, found) for name, found in told.items() if found), ("distance", None))
+    pairs = in_3d.pairs if in_3d else score.pairs
+    seconds = (pairs.stamps_ns - score.start_ns) / 1e9
+    truth_mm, estimate_mm = pairs.truth_m * 1e3, pairs.estimate_m * 1e3
+    half_mm = deviations_at(0.95) * pairs.std_m * 1e3
+    if alarms is not None and distance == "clearance":
+        _draw_curves(upper, [charts.threshold(seconds, alarms.below_m)])
+    truth_name = f"truth ({REFERENCE_NAMES[score.reference]})"
+    _draw_curves(upper, charts.distance_curves(seconds, estimate_mm, half_mm, truth_mm, truth_name))
     lower.axhline(0.0, color="0.6", linewidth=0.8)
-    lower.plot(time, estimate - truth, color="0.25", linewidth=0.9, marker=".", markersize=2)
-    upper.set_title(curves.title, loc="left")
-    upper.set_ylabel(f"{curves.distance} [mm]")
-    lower.set_ylabel("error [mm]")
-    lower.set_xlabel("time [s]")
+    _draw_curves(lower, charts.error_curves(seconds, estimate_mm - truth_mm, half_mm))
+    upper.set_title(_title_3d(score, distance, in_3d) if in_3d else _title(score), loc="left")
+    upper.set_ylabel(f"{distance} [mm]")
+    lower.set(xlabel="time [s]", ylabel="error [mm]")
     for axes in (upper, lower):
         axes.tick_params(labelsize=7)
     upper.tick_params(labelbottom=False)
@@ -262,14 +253,8 @@ def _name(score: Score) -> str:
     return f"{plain_name(score.recording)}: {plain_name(score.method)}"
 
 
-def _reference_label(reference: Reference) -> str:
-    return f"truth ({REFERENCE_NAMES[reference]})"
-
-
 OF: dict[str, Callable[[Figures], DistanceScore | None]] = {
-    "planar": lambda figures: figures.planar,
-    "spatial": lambda figures: figures.spatial,
-    "clearance": lambda figures: figures.clearance,
+    name: attrgetter(name) for name in ("planar", "spatial", "clearance")
 }
 NAMES = {"planar": "planar distance", "spatial": "spatial distance", "clearance": "clearance"}
 LINE_IN, HEAD_IN = 0.19, 0.75
@@ -371,150 +356,12 @@ def _held(score: DistanceScore | None) -> float | None:
     return None if score is None or score.interval_coverage is None else 100.0 * score.interval_coverage
 
 
-def _decades(panel: Axes, shown: Sequence[float], *, vertical: bool = False) -> None:
-    """Begin an axis at zero, or make it logarithmic where its values differ much."""
+def _decades(panel: Axes, shown: Sequence[float]) -> None:
+    """Begin the x axis at zero, or make it logarithmic where its values differ much."""
     positive = [value for value in shown if value > 0]
-    if positive and max(positive) > WIDE * min(positive):
-        (panel.set_yscale if vertical else panel.set_xscale)("log")
-        axis = panel.yaxis if vertical else panel.xaxis
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
-    elif vertical:
-        panel.set_ylim(bottom=0.0)
-    else:
+    if not positive or max(positive) <= WIDE * min(positive):
         panel.set_xlim(left=0.0)
-
-
-INK, ESTIMATE, TRUTH, BAND, LOST = "0.0", "#1f5fa8", "#c1272d", "#b9cfe8", "0.88"
-
-
-class SeriesPlot(StrEnum):
-    """What is plotted of series."""
-
-    TIME = "time"
-    RESIDUALS = "residuals"
-    BLAND_ALTMAN = "bland-altman"
-    CALIBRATION = "calibration"
-
-
-def save_series_plot(
-    series: Sequence[Series], kind: SeriesPlot, path: Path, alarm_below_m: float | None = None
-) -> None:
-    """Draw series and write the figure in the format of the path's ending.
-
-    Raises OutputError for another ending than matplotlib can write, for nothing to draw, and where writing fails.
-    """
-    plot_format(path)
-    with print_looks():
-        write_figure(draw_series(series, kind, path, alarm_below_m), path)
-
-
-def draw_series(
-    series: Sequence[Series], kind: SeriesPlot, path: Path, alarm_below_m: float | None = None
-) -> Figure:
-    """The figure: a panel for each series over time, else one for all of each distance."""
-    if kind is SeriesPlot.TIME:
-        figure = Figure(figsize=(PAGE_IN, PANEL_IN * len(series)), layout="constrained")
-        for at, one in enumerate(series):
-            _draw_time(figure.add_subplot(len(series), 1, at + 1), one, alarm_below_m)
-        return figure
-    groups = [
-        [one for one in series if one.distance == distance and np.isfinite(one.error_m).any()]
-        for distance in dict.fromkeys(one.distance for one in series)
-    ]
-    groups = [group for group in groups if group]
-    if kind is SeriesPlot.CALIBRATION:
-        groups = [group for group in groups if any(np.isfinite(one.std_m).any() for one in group)]
-    if not groups:
-        lacking = "an interval" if kind is SeriesPlot.CALIBRATION else "a truth"
-        raise OutputError(f"{path}: nothing to draw: no frame has {lacking}")
-    across = 2 if kind is SeriesPlot.RESIDUALS else 1
-    figure = Figure(
-        figsize=(PAGE_IN if across > 1 else COLUMN_IN, 1.3 * PANEL_IN * len(groups)), layout="constrained"
-    )
-    draw: dict[SeriesPlot, Callable[[Sequence[Axes], Sequence[Series]], None]] = {
-        SeriesPlot.RESIDUALS: _draw_residuals,
-        SeriesPlot.BLAND_ALTMAN: _draw_agreement,
-        SeriesPlot.CALIBRATION: _draw_calibration,
-    }
-    for at, group in enumerate(groups):
-        axes = [figure.add_subplot(len(groups), across, at * across + part + 1) for part in range(across)]
-        draw[kind](axes, group)
-    return figure
-
-
-def _draw_time(axes: Axes, series: Series, alarm_below_m: float | None) -> None:
-    seconds, estimate, half, truth = with_breaks(
-        series.seconds, series.estimate_m * 1e3, series.half_m * 1e3, series.truth_m * 1e3
-    )
-    for at, (low, high) in enumerate(rejected_spans(series)):
-        axes.axvspan(low, high, color=LOST, linewidth=0.0, label="not measured" if at == 0 else None)
-    if np.isfinite(half).any():
-        axes.fill_between(
-            seconds, estimate - half, estimate + half, color=BAND, linewidth=0, label="95 % interval"
-        )
-    if np.isfinite(truth).any():
-        axes.plot(seconds, truth, color=TRUTH, linewidth=1.2, linestyle="--", label="truth")
-    axes.plot(seconds, estimate, color=ESTIMATE, linewidth=1.0, marker=".", markersize=2.5, label="estimate")
-    if alarm_below_m is not None and series.distance == "clearance":
-        label = f"alarm below {alarm_below_m * 1e3:g} mm"
-        axes.axhline(alarm_below_m * 1e3, color=INK, linewidth=0.8, linestyle=":", label=label)
-    axes.set_title(
-        f"{_name_series_plot(series)}: {series.method}, {int(series.measured.sum())} of {len(series)} frames",
-        loc="left",
-    )
-    axes.set(xlabel="time [s]", ylabel=f"{distance_name(series)} [mm]")
-    axes.legend(loc="best", ncols=2)
-
-
-def _draw_residuals(axes: Sequence[Axes], group: Sequence[Series]) -> None:
-    over_time, over_distance = axes
-    for at, one in enumerate(group):
-        error_mm = one.error_m * 1e3
-        marker, colour = "ox^sdv"[at % 6], str(0.15 + 0.5 * (at % 3) / 2)
-        style: dict[str, Any] = {"s": 6.0, "marker": marker, "color": colour, "linewidths": 0.6}
-        over_time.scatter(one.seconds, error_mm, label=_name_series_plot(one), **style)
-        over_distance.scatter(one.truth_m * 1e3, error_mm, **style)
-    for one_axes in axes:
-        one_axes.axhline(0.0, color=INK, linewidth=0.6)
-    over_time.set(xlabel="time [s]", ylabel="error [mm]")
-    over_distance.set(xlabel=f"true {distance_name(group[0])} [mm]", ylabel="error [mm]")
-    over_time.set_title(f"{group[0].method}: errors over time", loc="left")
-    over_distance.set_title("over distance", loc="left")
-    over_time.legend(loc="best")
-
-
-def _draw_agreement(axes: Sequence[Axes], group: Sequence[Series]) -> None:
-    """Bland & Altman 1986: difference over mean, bias and limits of agreement."""
-    truth_mm, error_mm, _ = pooled(group)
-    bias = float(error_mm.mean())
-    deviation = float(error_mm.std(ddof=1)) if len(error_mm) > 1 else 0.0
-    (only,) = axes
-    only.scatter(truth_mm + 0.5 * error_mm, error_mm, s=6.0, color="0.35", linewidths=0)
-    only.axhline(bias, color=INK, linewidth=1.0, label=f"bias {bias:+.2f} mm")
-    label = f"limits {bias - 1.96 * deviation:+.2f}, {bias + 1.96 * deviation:+.2f} mm"
-    for sign in (-1.0, 1.0):
-        only.axhline(
-            bias + sign * 1.96 * deviation,
-            color=INK,
-            linewidth=0.8,
-            linestyle="--",
-            label=label if sign < 0 else None,
-        )
-    only.set_title(f"{group[0].method}: {distance_name(group[0])}, n {len(error_mm)}", loc="left")
-    only.set(xlabel="mean of estimate and truth [mm]", ylabel="estimate − truth [mm]")
-    only.legend(loc="best")
-
-
-def _draw_calibration(axes: Sequence[Axes], group: Sequence[Series]) -> None:
-    held, count = held_shares(group)
-    (only,) = axes
-    only.plot([50, 100], [50, 100], color=INK, linewidth=0.8, linestyle="--", label="honest")
-    only.plot(100.0 * np.array(LEVELS), held, color=ESTIMATE, marker="o", markersize=3, label="truths inside")
-    only.set_title(f"{group[0].method}: interval of the {distance_name(group[0])}, n {count}", loc="left")
-    only.set(xlabel="stated level [%]", ylabel="truths inside [%]")
-    only.legend(loc="best")
-
-
-def _name_series_plot(series: Series) -> str:
-    return plain_name(f"{series.recording} {series.instrument}")
+        return
+    panel.set_xscale("log")
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.xaxis.set_minor_formatter(NullFormatter())

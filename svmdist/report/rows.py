@@ -20,13 +20,12 @@ from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 @dataclass(frozen=True)
 class Estimate:
-    """What columns are read from: a result of a recording whose first image has the stamp `start_ns`."""
+    """What columns are read from: a result of a recording."""
 
     recording: str
     result: FrameResult
     method: str
     equations: str
-    start_ns: int
     alarm: AlarmState
 
     @cached_property
@@ -48,7 +47,7 @@ def _at(path: str) -> Callable[[Any], Cell]:
             if value is None:
                 return None
             value = value[int(step)] if step.isdecimal() else getattr(value, step)
-        return float(value) if isinstance(value, float) else value  # type: ignore[no-any-return]
+        return float(value) if isinstance(value, float) else value
 
     return read
 
@@ -67,7 +66,7 @@ ESTIMATE_COLUMNS: tuple[Column, ...] = (
     Column("recording", TEXT, "recording", None,
            "the file's name without its suffix; with as many folders as are needed to tell logs apart", "all"),
     Column("stamp_ns", Unit("ns"), "", _at("result.stamp_ns"), "stamp of the image", "all"),
-    Column("time_s", Unit("s", "s", digits=3), "t [s]", lambda e: (e.result.stamp_ns - e.start_ns) / 1e9, stored=False),
+    Column("time_s", Unit("s", "s", digits=3), "t [s]", lambda e: e.result.seconds, stored=False),
     Column("status", TEXT, "status", lambda e: str(e.result.status), "`ok`, or why there is no distance", "all"),
     Column("distance_m", LENGTH, "distance [mm]", _at("result.distances.planar.value_m"),
            "planar distance: tool origin to tissue origin in the camera's xy plane", "all", "planar_m"),
@@ -171,11 +170,10 @@ def estimate_row(
     result: FrameResult,
     method: str,
     equations: str,
-    start_ns: int,
     alarm: AlarmState | None = None,
 ) -> Row:
-    """The row of a result; `start_ns` is the stamp of the recording's first image."""
-    estimate = Estimate(recording, result, method, equations, start_ns, alarm or AlarmState())
+    """The row of a result."""
+    estimate = Estimate(recording, result, method, equations, alarm or AlarmState())
     return row_of(ESTIMATE_COLUMNS, estimate)
 
 
@@ -183,7 +181,7 @@ def estimate_values(
     result: FrameResult, method: str, bounds_m: tuple[float, float] | None, alarm: AlarmState | None = None
 ) -> EstimateValues:
     """A result as the numbers of `svmdist.DistanceEstimate`, with the bounds of the clearance's 95 % interval."""
-    estimate = Estimate("", result, method, "", 0, alarm or AlarmState())
+    estimate = Estimate("", result, method, "", alarm or AlarmState())
     numbers = {column.field: column.value(estimate) for column in ESTIMATE_COLUMNS if column.field}
     numbers["clearance_low_m"], numbers["clearance_high_m"] = bounds_m or (None, None)
     status, raised = str(result.status), estimate.alarm.alarm

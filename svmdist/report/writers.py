@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Flag, auto
+from importlib import import_module
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,6 @@ from svmdist.errors import OutputError, UsageError, did_you_mean, optional_packa
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
-    from svmdist.report.html import Report
     from svmdist.report.tables import Column, Row, Table
     from svmdist.workflows.frame_drawing import DrawnFrame
     from svmdist.workflows.request import Setup
@@ -61,6 +61,25 @@ class Results:
         """The columns for machines."""
         return tuple(column.key for column in self.columns if column.stored)
 
+    def table_lines(self, width: int | None, colour: bool) -> Iterator[str]:
+        """The text for a person."""
+        if self.text is not None:
+            yield from self.text(width)
+            return
+        tables = _tables()
+        if not self.tables:
+            yield from tables.text_lines([column for column in self.columns if column.heading], self.rows)
+        yield from (tables.render(table, width=width, colour=colour) for table in self.tables)
+        for note in self.notes:
+            yield from (f"{line}\n" for line in (wrap(note, width) if width else [note]))
+
+    def json_lines(self) -> Iterator[str]:
+        """The document, or the rows as an array."""
+        if self.document is None:
+            yield from _tables().json_array_lines(self.keys, self.rows)
+        else:
+            yield _tables().json_text(self.document, indent=1) + "\n"
+
 
 Lines = Callable[[Results, int | None, bool], Iterator[str]]
 """Texts of results, for a terminal of a width in characters, None for a file or a pipe, and with or without colour."""
@@ -78,71 +97,18 @@ class Writer:
     holds: Holds
     lines: Lines | None = None
     save: Callable[..., Any] | None = None
-    needs: Callable[[], object] | None = None
+    needs: Callable[[], object] = tuple
     is_json: bool = False
 
 
-def require_report() -> None:
-    """Raise OutputError where a package is missing that makes a report: plotly carries the code that draws plots."""
-    for name in ("plotly", "jinja2"):
-        optional_package(name, "report", "a report", OutputError)
+def _tables() -> Any:
+    return import_module("svmdist.report.tables")
 
 
-def _table_lines(results: Results, width: int | None, colour: bool) -> Iterator[str]:
-    from svmdist.report.tables import render, text_lines
-
-    if results.text is not None:
-        yield from results.text(width)
-        return
-    if not results.tables:
-        yield from text_lines([column for column in results.columns if column.heading], results.rows)
-    yield from (render(table, width=width, colour=colour) for table in results.tables)
-    for note in results.notes:
-        yield from (f"{line}\n" for line in (wrap(note, width) if width else [note]))
-
-
-def _csv_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
-    from svmdist.report.tables import csv_lines
-
-    return csv_lines(results.keys, results.rows)
-
-
-def _json_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
-    from svmdist.report.tables import json_array_lines, json_text
-
-    if results.document is None:
-        return json_array_lines(results.keys, results.rows)
-    return iter([json_text(results.document, indent=1) + "\n"])
-
-
-def _jsonl_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
-    from svmdist.report.tables import json_lines
-
-    return json_lines(results.keys, results.rows)
-
-
-def _tum_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
+def _tum_lines(results: Results, *_: object) -> Iterator[str]:
     from svmdist.report.rows import tum_lines
 
     return tum_lines(results.keys, results.rows)
-
-
-def _latex_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
-    from svmdist.report.tables import latex
-
-    return latex(results.tables, results.notes)
-
-
-def _markdown_lines(results: Results, _: int | None, __: bool) -> Iterator[str]:
-    from svmdist.report.tables import markdown
-
-    return markdown(results.tables, results.notes)
-
-
-def _save_parquet(results: Results, output: Path) -> None:
-    from svmdist.report.tables import write_parquet
-
-    write_parquet(output, results.columns, results.rows)
 
 
 def _save_annotated(
@@ -159,30 +125,32 @@ def _save_video(frames: Iterable[DrawnFrame], seen: Recording, _: Setup, output:
     write_video(frames, output, (seen.logged_camera.width_px, seen.logged_camera.height_px))
 
 
-def _save_report(report: Report, output: Path) -> None:
-    from svmdist.report.html import write_report
-
-    write_report(report, output)
-
-
 def _package(name: str, extra: str, what: str) -> Callable[[], object]:
     return lambda: optional_package(name, extra, what, OutputError)
 
 
+def require_report() -> None:
+    """Raise OutputError where a package is missing that makes a report: plotly carries the code that draws plots."""
+    for name in ("plotly", "jinja2"):
+        optional_package(name, "report", "a report", OutputError)
+
+
 # fmt: off
 WRITERS = (
-    Writer("table", ("", ".txt", ".log", ".out"), Holds.ROWS | Holds.TABLES | Holds.FIGURES, _table_lines),
-    Writer("csv", (".csv",), ANY_ROWS, _csv_lines),
-    Writer("json", (".json",), ANY_ROWS, _json_lines, is_json=True),
-    Writer("jsonl", (".jsonl",), Holds.ROWS, _jsonl_lines, is_json=True),
+    Writer("table", ("", ".txt", ".log", ".out"), Holds.ROWS | Holds.TABLES | Holds.FIGURES, Results.table_lines),
+    Writer("csv", (".csv",), ANY_ROWS, lambda results, *_: _tables().csv_lines(results.keys, results.rows)),
+    Writer("json", (".json",), ANY_ROWS, lambda results, *_: results.json_lines(), is_json=True),
+    Writer("jsonl", (".jsonl",), Holds.ROWS,
+           lambda results, *_: _tables().json_lines(results.keys, results.rows), is_json=True),
     Writer("tum", (".tum",), Holds.ROWS | Holds.POSES, _tum_lines),
-    Writer("latex", (".tex",), Holds.FIGURES, _latex_lines),
-    Writer("markdown", (".md",), Holds.FIGURES, _markdown_lines),
+    Writer("latex", (".tex",), Holds.FIGURES, lambda results, *_: _tables().latex(results.tables, results.notes)),
+    Writer("markdown", (".md",), Holds.FIGURES, lambda results, *_: _tables().markdown(results.tables, results.notes)),
     Writer("parquet", (".parquet",), Holds.ROWS | Holds.POSES | Holds.FIGURES,
-           save=_save_parquet, needs=_package("pyarrow", "parquet", "Parquet")),
+           save=lambda results, output: _tables().write_parquet(output, results.columns, results.rows),
+           needs=_package("pyarrow", "parquet", "Parquet")),
     Writer("mcap", (".mcap",), Holds.FRAMES, save=_save_annotated),
     Writer("mp4", (".mp4",), Holds.FRAMES, save=_save_video, needs=_package("av", "video", "a video")),
-    Writer("html", (".html", ".htm"), Holds.REPORT, save=_save_report, needs=require_report),
+    Writer("html", (".html", ".htm"), Holds.REPORT, needs=require_report),
     Writer("png", (".png",), Holds.PLOT),
     Writer("svg", (".svg",), Holds.PLOT),
     Writer("pdf", (".pdf",), Holds.PLOT),
@@ -207,31 +175,29 @@ def choose_writer(given: str | None, output: Path | None, holds: Holds) -> Write
     ending = "" if output is None else output.suffix.lower()
     by_ending = next((writer for writer in able if ending in writer.endings), None)
     if given is not None:
-        if by_ending is not None and by_ending.holds & (Holds.FRAMES | Holds.REPORT):
+        if by_ending is not None and not by_ending.holds & ANY_ROWS:
             raise UsageError(
                 f"--format {given}: {output} is written as {by_ending.name}; leave out one of them"
             )
-        names = names_of(holds & ANY_ROWS)
-        if given not in names:
-            raise UsageError(f"--format {given}: {did_you_mean(given, names)}")
-        chosen = next(writer for writer in able if writer.name == given)
+        named = {writer.name: writer for writer in able if writer.holds & ANY_ROWS}
+        if given not in named:
+            raise UsageError(f"--format {given}: {did_you_mean(given, named)}")
+        chosen = named[given]
     elif by_ending is not None:
         chosen = by_ending
     elif ending in WRITERS[0].endings or (output is not None and output.parent == Path("/dev")):
         chosen = able[0]
     else:
-        choices = ", ".join(
-            sorted(end for writer in able for end in writer.endings if writer.name != "table")
-        )
+        plain, *others = able if able[0].name == "table" else (able[0], *able)
+        choices = ", ".join(sorted(end for writer in others for end in writer.endings))
         hint = "; svmdist validate --report FILE.html writes a report" if ending in {".html", ".htm"} else ""
         raise UsageError(
             f"-o {output}: no format has the ending {ending}: the choices are {choices}, and .txt for"
-            f" {'a table' if able[0].name == 'table' else able[0].name.upper()}; or give --format{hint}"
+            f" {'a table' if plain.name == 'table' else plain.name.upper()}; or give --format{hint}"
         )
-    if chosen.lines is None and output is None:
+    if chosen.lines is None and chosen.holds & ANY_ROWS and output is None:
         raise UsageError(f"--format {chosen.name} is no text: give a file with -o FILE{chosen.endings[0]}")
-    if chosen.needs is not None:
-        chosen.needs()
+    chosen.needs()
     return chosen
 
 

@@ -25,8 +25,8 @@ SPACING_M = 0.0004
 REACH_M = 0.07
 """A shaft comes in from above, and the organ is 62 mm long at most: what is farther behind the link's origin is never
 the nearest."""
-CELL_STEPS = (0.001, 3)
-"""Side of the small cells of samples in m, and how many of them make a side of a large one."""
+CELLS_M = (0.004, 0.001, 0.00025)
+"""Sides of the cells that group samples, each a multiple of the next."""
 SLACK_M = 1e-9
 BATCH = 64
 
@@ -36,7 +36,7 @@ SEARCH_RADIUS_M = 0.2
 
 
 @dataclass(frozen=True)
-class _Cells:
+class _Groups:
     """Groups of samples: the group of each sample, shape (n,), a sample in the middle of each group, and its radius."""
 
     group: NDArray[np.intp]
@@ -44,16 +44,21 @@ class _Cells:
     radius_m: Array
 
     @staticmethod
-    def of(points_m: Array, keys: NDArray[np.intp]) -> _Cells:
-        """Group points, shape (n, 3), by keys, shape (n, k)."""
-        group = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    def of(points_m: Array, part: NDArray[np.intp], side_m: float) -> _Groups:
+        """Group points, shape (n, 3), by part, shape (n,), and cells of a side."""
+        cell = np.floor(points_m / side_m).astype(np.intp)
+        cell -= cell.min(axis=0)
+        key = part
+        for axis in range(3):
+            key = key * (cell[:, axis].max() + 1) + cell[:, axis]
+        group = np.unique(key, return_inverse=True)[1]
         count = np.bincount(group)
         means = np.stack([np.bincount(group, axis) for axis in points_m.T], -1) / count[:, None]
         order = np.lexsort((np.linalg.norm(points_m - means[group], axis=1), group))
         middle = order[np.cumsum(count) - count]
         radius_m = np.zeros(len(count))
         np.maximum.at(radius_m, group, np.linalg.norm(points_m - points_m[middle][group], axis=1))
-        return _Cells(group, middle, radius_m)
+        return _Groups(group, middle, radius_m)
 
 
 class PartSamples:
@@ -65,11 +70,7 @@ class PartSamples:
         samples = [sample_part(part.mesh) for part in scene.parts]
         self._points_m = np.vstack(samples)
         self._part = np.repeat(np.arange(len(samples)), [len(each) for each in samples])
-        side_m, steps = CELL_STEPS
-        small = np.floor(self._points_m / side_m).astype(np.intp)
-        part = self._part[:, None]
-        keys = (part, np.hstack([part, small // steps]), np.hstack([part, small]))
-        self._levels = tuple(_Cells.of(self._points_m, key) for key in keys)
+        self._levels = [_Groups.of(self._points_m, self._part, side_m) for side_m in (1.0, *CELLS_M)]
 
     def poses(self, q: Array, offset_m: float) -> Array:
         """Poses `T_tissue_part`, shape (n_parts, 4, 4), at joints (n_joints,) with the tissue raised by an offset."""
@@ -86,10 +87,9 @@ class PartSamples:
 
     def distance_m(self, T_tissue_part: Array, surface: SurfaceDistance) -> float:
         """The smallest unsigned distance of all samples."""
-        best_m = np.inf
-        alive = np.ones(len(self._points_m), np.bool_)
+        best_m, alive = np.inf, np.ones(len(self._points_m), np.bool_)
         for level in self._levels:
-            groups = np.unique(level.group[alive])
+            groups = np.nonzero(np.bincount(level.group[alive]))[0]
             least_m, most_m = surface.bounds_m(self._placed(T_tissue_part, level.middle[groups]))
             best_m = min(best_m, float(most_m.min()))
             keep = np.zeros(len(level.middle), np.bool_)
@@ -162,9 +162,10 @@ class TissueClearance:
 
     def indented(self, q: Sequence[Array], offset_m: float = 0.0) -> Organ | None:
         """The organ as arms at joints, shape (n_joints,) each, press it in; None where none does, or it is hard."""
-        pressing = self._pressing(q, offset_m)
-        points_m = np.vstack(pressing)
-        return self._rest.surface.dented(points_m) if self._is_soft and len(points_m) else None
+        if not self._is_soft:
+            return None
+        points_m = np.vstack(self._inside(self._poses(q, offset_m), self._rest))
+        return self._rest.surface.dented(points_m) if len(points_m) else None
 
     def clearances_m(self, q: Sequence[Array], offset_m: float = 0.0) -> list[float]:
         """The clearance of each arm at joints, shape (n_joints,) each, to tissue that is raised by an offset.
@@ -172,28 +173,30 @@ class TissueClearance:
         An arm that presses soft tissue touches it: 0, where the tissue gives way as far as that. An arm that does not
         press is measured to what the others leave.
         """
-        poses = [arm.poses(its, offset_m) for arm, its in zip(self._arms, q, strict=True)]
-        inside = self._pressing(q, offset_m)
-        surface = self._rest
-        is_full = np.zeros(len(q), np.bool_)
-        if self._is_soft and (points_m := np.vstack(inside)).size:
-            surface_, too_deep = self._rest.surface, self._rest.surface.is_too_deep(points_m)
-            is_full[:] = [len(each) > 0 and not too_deep for each in inside]
-            if not is_full.all():
-                surface = SurfaceDistance(surface_.dented(points_m))
-                inside = [arm.inside(T, surface.surface) for arm, T in zip(self._arms, poses, strict=True)]
+        poses, surface = self._poses(q, offset_m), self._rest
+        inside = self._inside(poses, surface)
+        touches = [False] * len(poses)
+        if self._is_soft and any(len(its) for its in inside):
+            points_m = np.vstack(inside)
+            is_too_deep = surface.surface.is_too_deep(points_m)
+            touches = [len(its) > 0 and not is_too_deep for its in inside]
+            if not all(touches):
+                surface = SurfaceDistance(surface.surface.dented(points_m))
+                inside = self._inside(poses, surface)
         found = []
-        for arm, T_tissue_part, its, touches in zip(self._arms, poses, inside, is_full, strict=True):
-            if touches:
+        for arm, T_tissue_part, its, touch in zip(self._arms, poses, inside, touches, strict=True):
+            if touch:
                 found.append(0.0)
             else:
                 found.append(-surface.depth_m(its) if len(its) else arm.distance_m(T_tissue_part, surface))
         return found
 
-    def _pressing(self, q: Sequence[Array], offset_m: float) -> list[Array]:
-        """The samples of each arm that are below the surface at rest, in the tissue frame, shape (n, 3)."""
-        surface = self._rest.surface
-        return [arm.inside(arm.poses(its, offset_m), surface) for arm, its in zip(self._arms, q, strict=True)]
+    def _poses(self, q: Sequence[Array], offset_m: float) -> list[Array]:
+        return [arm.poses(its, offset_m) for arm, its in zip(self._arms, q, strict=True)]
+
+    def _inside(self, poses: Sequence[Array], surface: SurfaceDistance) -> list[Array]:
+        """The samples of each arm below a surface, in the tissue frame, shape (n, 3)."""
+        return [arm.inside(T, surface.surface) for arm, T in zip(self._arms, poses, strict=True)]
 
 
 class InstrumentClearance(BulletWorld):

@@ -80,7 +80,7 @@ class Options:
         return {name: value for name, value in named.items() if value}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """The world of one seed: the chain and where its base, the camera and the tissue stand.
 

@@ -91,8 +91,13 @@ SMOKE_DENSITY = (0.15, 0.3, 0.45, 0.6, 0.75)
 of a fifth of the image and finer (image formation of haze, Koschmieder 1924)."""
 SMOKE_BGR = (208.0, 204.0, 200.0)
 
-JPEG_QUALITY = (60, 40, 25, 14, 7)
-"""OpenCV's scale to 100: recorders use 80 and more, streams fall to 25 and below."""
+JPEG_QUALITY = (
+    60,
+    40,
+    25,
+    14,
+    7,
+)  # OpenCV's scale to 100: recorders use 80 and more, streams fall to 25 and below
 
 
 def require_degradation(name: str, severity: int) -> Degradation:
@@ -105,19 +110,13 @@ def require_degradation(name: str, severity: int) -> Degradation:
 
 
 def image_seed(kind: Degradation, camera: int, *path: int) -> int:
-    """The seed of one image: `path` determines log and frame, `camera` is 0 for the left one and 1 for the right.
-
-    Both cameras look through the same smoke and move alike, but each has its own sensor.
-    """
+    """The seed of one image: `path` determines log and frame, `camera` is 0 for the left one and 1 for the right."""
     sequence = np.random.SeedSequence([*path, camera if kind in PER_SENSOR else 0])
     return int(sequence.generate_state(1)[0])
 
 
 def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int) -> Image:
-    """Degrade an image, shape (h, w, 3); the same seed gives the same image.
-
-    Raises ValueError for an unknown name, or a severity that is none of 1 to 5.
-    """
+    """Degrade an image, shape (h, w, 3), alike for a seed; ValueError for an unknown name or severity."""
     kind = Degradation(name)
     if severity not in SEVERITIES:
         raise ValueError(f"a severity is a whole number from 1 to 5, found {severity}")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from svmdist.least_squares import median, scale_of
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edges import SLOPE_SIGMA_PX, STEP_PX, slope_filter
+from svmdist.vision.edges import SLOPE_SIGMA_PX, STEP_PX, least_slope, peak_shift_px, slope_filter
 
 EDGE_REACH_FRACTION = 0.012  # how far from a rough side the image's edge is searched, over the image's width
 # The same over the shaft's width, where that is more: jaws and ears lead a rough side astray
@@ -31,18 +31,13 @@ STRAIGHT_WIDTHS = 0.02  # the same over the shaft's width, where that is more
 END_SHARE = 0.6  # the cylinder ends where less than this part of the points beyond lie on its line
 END_REACH_WIDTHS = 2.0  # how far beyond a rough side its continuation is followed, over the shaft's width
 
-BLOCK, MIN_BLOCKS = 8, 2
-"""Neighbouring profiles that vote as one, and the least number of such votes."""
-FAINT = 0.3
-"""The slope of a point of an edge over that of most of them, below which it is none."""
+BLOCK, MIN_BLOCKS = 8, 2  # neighbouring profiles that vote as one, and the least number of such votes
+FAINT = 0.3  # the slope of a point of an edge over that of most of them, below which it is none
 
 
 @dataclass(frozen=True, slots=True)
 class Profiles:
-    """Slopes of three channels across a segment, shape (3, n, k), at `offsets`, shape (k,) in px, and what is seen.
-
-    `seen`, shape (n, k), says which samples are in the picture; `sigma_px` is the scale of the slopes.
-    """
+    """Slopes of three channels across a segment (3, n, k) at `offsets` (k,) px, what is seen (n, k), their scale."""
 
     slopes: Array
     offsets: Array
@@ -56,10 +51,7 @@ class Profiles:
 
 @dataclass(frozen=True, slots=True)
 class LineAcross:
-    """A line across profiles: its offset in the side's middle and how much more at its end, px, and how distinct.
-
-    `part` is how much of the side it goes along.
-    """
+    """A line across profiles: offset in the side's middle, more at its end, px, support, and the part it goes along."""
 
     offset_px: float
     slant_px: float
@@ -74,10 +66,7 @@ class LineAcross:
 def profiles_across(
     bgr: Image, feet_px: Array, across: Array, half_px: float, sigma_px: float, picture: Image | None
 ) -> Profiles:
-    """The profiles of an image, shape (h, w, 3), through points, shape (n, 2), along a unit vector `across`, (2,).
-
-    They reach `half_px` to both sides, and beyond by what the slope's scale takes.
-    """
+    """The profiles of an image, shape (h, w, 3), through points, shape (n, 2), along a unit vector `across`, (2,)."""
     half_px += 3.0 * sigma_px
     half_px = np.ceil(half_px / STEP_PX) * STEP_PX
     offsets = np.arange(-half_px, half_px + STEP_PX / 2, STEP_PX)
@@ -103,11 +92,7 @@ def profiles_across(
 
 
 def straightest(profiles: Profiles, where: Array, reach_px: float, turn_px: float) -> LineAcross | None:
-    """The most distinct line within a reach of the segment, turned by so much at its ends; None without any.
-
-    `where`, shape (n,), says how far along the segment each profile is, from 0 to 1. Neighbouring profiles vote as one,
-    by their common change of colour: an edge goes on, texture does not.
-    """
+    """The most distinct line near a segment, by the common change of colour of neighbouring profiles; or None."""
     slopes, offsets, seen, sigma_px = profiles.slopes, profiles.offsets, profiles.seen, profiles.sigma_px
     count = len(where) // BLOCK
     if count < 2:
@@ -142,11 +127,8 @@ def straightest(profiles: Profiles, where: Array, reach_px: float, turn_px: floa
     )
 
 
-def points_near(profiles: Profiles, place: Array, reach_px: float, min_slope: float) -> Array:
-    """Sub-pixel offset of each profile's edge near a line at offsets `place`, shape (n,); NaN where there is none.
-
-    Colours are projected on what most of the neighbourhood changes by, so that a step has one sign.
-    """
+def points_near(profiles: Profiles, place: Array, reach_px: float) -> Array:
+    """Sub-pixel offset of each profile's edge near a line at offsets `place`, shape (n,); NaN where there is none."""
     slopes, offsets, seen = profiles.slopes, profiles.offsets, profiles.seen
     rows = np.arange(len(place))
     column = np.rint((place - offsets[0]) / STEP_PX).astype(int)
@@ -162,30 +144,25 @@ def points_near(profiles: Profiles, place: Array, reach_px: float, min_slope: fl
     peak = columns[rows, best]
     before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
     inside = (best > 0) & (best < 2 * reach) & seen[rows, peak]
-    good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after) & (top > min_slope)
+    good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after)
+    good &= top > least_slope(MIN_CONTRAST_LEVELS, profiles.sigma_px)
     # What is much fainter than most of the edge is texture beside it.
     good &= top > FAINT * (median(top[good]) if good.any() else 0.0)
-    log_before, log_top, log_after = (np.log(np.maximum(value, 1e-9)) for value in (before, top, after))
-    bend = log_before - 2.0 * log_top + log_after
-    good &= bend < -1e-9
-    shift = 0.5 * (log_before - log_after) / np.where(good, bend, -1.0)
-    return np.where(good, offsets[peak] + np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan)
+    return np.asarray(offsets[peak] + peak_shift_px(before, top, after, good))
 
 
-SPACING_PX = 1.5
-"""Between profiles."""
+SPACING_PX = 1.5  # between profiles
 PEAK_REACH_PX, REFINEMENTS = 2.0, 2
 """From a line to a profile's own edge, at least; and how often the line is looked at anew."""
 WINDOW = 3.0
 """Where a profile's own edge is sought, over how far it may be off: of texture a third is that near, of an edge all."""
-REFINED_PER_SCALE = 1.5
-"""How far from the rough line the fine one is sought, over the rough one's scale."""
+REFINED_PER_SCALE = 1.5  # how far from the rough line the fine one is sought, over the rough one's scale
 MIN_POINTS = 8
-START_PART = 0.8
-"""Of an edge that was found roughly, what is surely shaft: the rest may be wrist already."""
+START_PART = 0.8  # of an edge that was found roughly, what is surely shaft: the rest may be wrist already
 END_STEPS = 3
-UNSEEN_SHARE = 0.15
-"""Against a line by a profile that shows no edge, where one beside the line counts `end_share`."""
+UNSEEN_SHARE = (
+    0.15  # against a line by a profile that shows no edge, where one beside the line counts `end_share`
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,10 +187,7 @@ class EdgeLine:
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
-    """A rough side, continued: its start, unit vectors along and across it, (2,), its length, and places on it, (n,).
-
-    An offset is how far something is to the side of it.
-    """
+    """A rough side, continued: start, unit vectors along and across it, (2,), length, and places on it, (n,)."""
 
     start_px: Array
     along: Array
@@ -250,17 +224,8 @@ class _Line:
         return np.asarray(self.offset_px + self.slope * at)
 
 
-def edge_line(
-    bgr: Image,
-    rough: Array,
-    width_px: float,
-    picture: Image | None = None,
-) -> EdgeLine | None:
-    """The edge of an image, shape (h, w, 3), near a rough side, shape (2, 2) from start to end; None without one.
-
-    `width_px` is the shaft's: the rough side may be off by a part of it. `picture`, shape (h, w), marks what is not
-    border around the endoscope's view: edges of the border are none.
-    """
+def edge_line(bgr: Image, rough: Array, width_px: float, picture: Image | None = None) -> EdgeLine | None:
+    """The edge of an image, shape (h, w, 3), near a rough side, shape (2, 2) from start to end; None without one."""
     segment = _Segment.of(rough, END_REACH_WIDTHS * width_px)
     line = None if segment is None else _first_line(bgr, segment, width_px, picture)
     if segment is None or line is None:
@@ -275,7 +240,7 @@ def edge_line(
         profiles = profiles_across(
             bgr, segment.points(at, place), segment.across, reach_px, sigma_px, picture
         )
-        off_px = place + points_near(profiles, np.zeros(len(at)), reach_px, _min_slope(sigma_px))
+        off_px = place + points_near(profiles, np.zeros(len(at)), reach_px)
         line = _ending_line(at, off_px, line.end_at, straight_px, END_SHARE)
         if line is None:
             return None
@@ -292,12 +257,7 @@ def edge_line(
     return EdgeLine(first, last, segment.points(at[used], off_px[used]), ends)
 
 
-def _first_line(
-    bgr: Image,
-    segment: _Segment,
-    width_px: float,
-    picture: Image | None,
-) -> _Line | None:
+def _first_line(bgr: Image, segment: _Segment, width_px: float, picture: Image | None) -> _Line | None:
     """The edge roughly: at a scale that tissue's texture is small against, then at the scale of the optics."""
     at, across = segment.at, segment.across
     side = int(np.count_nonzero(at <= segment.length_px))
@@ -317,25 +277,15 @@ def _first_line(
     fine = straightest(profiles.first(side), where[:side], reach_px, reach_px)
     if fine is None:
         return None
-    near_px, min_slope = max(PEAK_REACH_PX, coarse_px), _min_slope(SLOPE_SIGMA_PX)
-    off_px = place + points_near(profiles, fine.at(where), near_px, min_slope)
+    off_px = place + points_near(profiles, fine.at(where), max(PEAK_REACH_PX, coarse_px))
     straight_px = max(STRAIGHT_PX, STRAIGHT_WIDTHS * width_px)
     return _ending_line(at, off_px, fine.part * segment.length_px, straight_px, END_SHARE)
-
-
-def _min_slope(sigma_px: float) -> float:
-    """A step of height c smoothed by σ has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ."""
-    return float(MIN_CONTRAST_LEVELS / (np.sqrt(2.0 * np.pi) * 2.0 * sigma_px))
 
 
 def _ending_line(
     at: Array, off_px: Array, length_px: float, straight_px: float, end_share: float
 ) -> _Line | None:
-    """The straight part from the border on, of offsets, shape (n,), at places, shape (n,); NaN is no edge.
-
-    A wrist runs on beside the shaft's line, a pixel or two off it. So the line is that of the part next to the
-    border, and it ends where fewer than half of the points lie on it.
-    """
+    """The straight part from the border on, of offsets, shape (n,), at places, shape (n,); NaN is no edge."""
     end_at = START_PART * length_px
     found = np.isfinite(off_px)
     line = (0.0, 0.0)

@@ -21,8 +21,7 @@ MIN_CHROMA = 25.0
 MIN_AGREEING_FRACTION = 0.5  # of rays on the border's circle: with less the circle is a guess
 
 DEFAULT = ShaftSettings()
-STEP_PX = 0.5
-"""Between samples across the edge: half a pixel loses nothing of what the pixels hold."""
+STEP_PX = 0.5  # between samples across the edge: half a pixel loses nothing of what the pixels hold
 BLUR_PLACES, BLUR_STRIPS = 8, 7
 """An edge's blur is the median over so many places, each the mean of so many neighbouring profiles."""
 
@@ -57,14 +56,19 @@ def edge_points(
     good = (peak > 0) & (peak < len(offsets) - 1)
     peak = np.clip(peak, 1, len(offsets) - 2)
     before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
-    good &= (top > _min_slope(settings.min_contrast_levels, sigma_px)) & (before > 0) & (after > 0)
+    good &= (top > least_slope(settings.min_contrast_levels, sigma_px)) & (before > 0) & (after > 0)
     good &= (top >= before) & (top > after)
+    found = offsets[peak] + peak_shift_px(before, top, after, good)
+    return np.asarray((feet_px + found[:, None] * across)[good & np.isfinite(found)])
+
+
+def peak_shift_px(before: Array, top: Array, after: Array, good: NDArray[np.bool_]) -> Array:
+    """How far the peak of a Gaussian through three samples is off the middle one, (n,); NaN where it is none."""
     log_before, log_top, log_after = (np.log(np.maximum(value, 1e-9)) for value in (before, top, after))
     bend = log_before - 2.0 * log_top + log_after
-    good &= bend < -1e-9
+    good = good & (bend < -1e-9)
     shift = 0.5 * (log_before - log_after) / np.where(good, bend, -1.0)
-    found = offsets[peak] + np.clip(shift, -1.0, 1.0) * STEP_PX
-    return np.asarray((feet_px + found[:, None] * across)[good])
+    return np.where(good, np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan)
 
 
 def edge_blur_px(
@@ -75,10 +79,7 @@ def edge_blur_px(
     reach_px: float,
     settings: ShaftSettings = DEFAULT,
 ) -> float:
-    """The blur of an edge near a segment: the deviation in px of the Gaussian as wide at half its height as its slope.
-
-    0 for an edge as sharp as the derivative's own scale, and where none is found; arguments as in `edge_points`.
-    """
+    """An edge's blur: the deviation in px of the Gaussian as wide at half its height as the edge's slope."""
     length_px = float(np.linalg.norm(end_px - start_px))
     if length_px < 2.0 * BLUR_STRIPS:
         return 0.0
@@ -137,16 +138,13 @@ def profiles_across(
     return _sampled(window, x, y, column, row), offsets, inside
 
 
-def _min_slope(min_contrast: float, sigma_px: float) -> float:
+def least_slope(min_contrast: float, sigma_px: float) -> float:
     """A step of height c smoothed by σ has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ."""
     return float(min_contrast / (np.sqrt(2.0 * np.pi) * 2.0 * sigma_px))
 
 
 def _sampled(window: Image, x: Array, y: Array, column: int, row: int) -> Array:
-    """Brightness at places, shape (n, k) in px, with cubic interpolation; the border is repeated.
-
-    `window` is the part of the image that begins at a column and a row.
-    """
+    """Brightness at places, shape (n, k) in px, with cubic interpolation; the border is repeated."""
     # Subtracted in single precision, where the difference is exact: the image's own coordinates decide.
     places = (x.astype(np.float32) - np.float32(column), y.astype(np.float32) - np.float32(row))
     values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
@@ -165,16 +163,12 @@ def slope_filter(count: int, sigma_px: float) -> Array:
 
 SHADE_FROM_PX, SHADE_FROM_BLUR, SHADE_LENGTH_PX = 1.0, 2.0, 6.0
 """Shades beside an edge are read from so far off it, two deviations of its blur, over such a length."""
-MAX_SHIFT = 0.25
-"""Of the slope's scale: a larger shift by shading is no small one, and its first order is not enough."""
+MAX_SHIFT = (
+    0.25  # of the slope's scale: a larger shift by shading is no small one, and its first order is not enough
+)
 
 
-def shading_shift_px(
-    brightness: Image,
-    points_px: Array,
-    outward: Array,
-    blur_px: float = 0.0,
-) -> float:
+def shading_shift_px(brightness: Image, points_px: Array, outward: Array, blur_px: float = 0.0) -> float:
     """How far outward shading beside an edge drew its points, shape (n, 2) in px, as `edge_points` found them.
 
     A step of height c under an even kernel k, between shades that change by g per px inside and outside, has the
@@ -239,12 +233,7 @@ def strength_of(image_hsv: Image, hue: float) -> Array:
     return np.asarray(hsv[..., 1] * hsv[..., 2] / 255.0 * np.cos(angle), np.float64)
 
 
-def fit_disc(
-    image_hsv: Image,
-    mask: Image,
-    centre_px: Array,
-    radius_px: float,
-) -> Disc | None:
+def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) -> Disc | None:
     """The disc near a rough one; None where its border is not to be found. `mask`, shape (h, w), has its colour."""
     half = int(np.ceil(2.0 * radius_px)) + 2
     x0, y0 = (np.floor(centre_px).astype(int) - half).tolist()

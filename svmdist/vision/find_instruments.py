@@ -47,10 +47,7 @@ class Found:
 
 
 def learnt_appearance(images: Sequence[WorkingImage]) -> Appearance | None:
-    """What instruments look like in images of one log; None where none of them shows one for sure.
-
-    First from bars in whatever channel they are straightest in; then once more from all of what those colours show.
-    """
+    """What instruments look like in images of one log; None where none of them shows one for sure."""
     bars = [search_bars(image) for image in images]
     first = learnt_from(
         example for image, sought in zip(images, bars, strict=True) if (example := _of_bars(image, sought))
@@ -87,10 +84,7 @@ def search_bars(image: WorkingImage) -> list[JudgedBar]:
 def find_instruments(
     image: WorkingImage, appearance: Appearance | None, sought: Sequence[JudgedBar] = ()
 ) -> list[Found]:
-    """The instruments of an image, the surest first. `sought` are bars that are known without their colours.
-
-    Without an appearance, only what else is known of its pixels tells where to look.
-    """
+    """The instruments of an image, the surest first. `sought` are bars that are known without their colours."""
     ratio = image.hint if appearance is None else appearance.of(image) + image.hint
     settings = image.settings
     likely = _above(ratio, 0.0, image)
@@ -225,11 +219,7 @@ def seen_instrument(found: Found, image: WorkingImage, size: tuple[int, int]) ->
 
 
 def outline_geometry(mask: NDArray[np.bool_], sides: Array) -> tuple[Array, Array, Array]:
-    """Both sides from where they begin to where the outline leaves them, shape (2, 2, 2), the end and the tip, (2,).
-
-    `mask`, shape (h, w), is the instrument; `sides`, shape (2, 2, 2), are lines along its shaft, border first. The
-    outline is that of a cylinder for as long as the mask's edges stay on both lines.
-    """
+    """Both sides from where they begin to where the outline leaves them, shape (2, 2, 2), the end and the tip, (2,)."""
     start = sides[:, 0].mean(axis=0)
     axis = sides[:, 1].mean(axis=0) - start
     axis = axis / max(float(np.linalg.norm(axis)), 1e-9)

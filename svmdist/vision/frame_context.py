@@ -12,8 +12,8 @@ from svmdist.camera import Camera, fisheye_coefficients
 from svmdist.profile.settings import ExposureSettings, InterlaceSettings, TagSettings
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
-from svmdist.vision.colour import Exposure, apply_exposure, exposure_of
-from svmdist.vision.segmentation import Masks, Segmenter
+from svmdist.vision.colour import Exposure, Masks, apply_exposure, exposure_of
+from svmdist.vision.segmentation import Segmenter
 
 COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's rows: fine texture does both
 # Side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
@@ -22,8 +22,7 @@ MIN_FRACTION = 0.12  # of a block's pixels that are combed, where its odd rows a
 MIN_PIXELS = 60  # combed pixels in a whole image, at 640 columns, below which nothing is looked at further
 
 DEFAULT = InterlaceSettings()
-COLUMNS = 640
-"""Sizes in px are for images of so many columns."""
+COLUMNS = 640  # sizes in px are for images of so many columns
 REACH = 3
 """Blocks about a combed one that are mended with it: of one moving body some parts have too little contrast to tell."""
 
@@ -74,10 +73,7 @@ def _stands_out(green: Image, away: int, levels: float) -> Image:
 
 
 def as_pinholes(observation: Observation, row_offset_px: float = 0.0) -> Observation:
-    """The observation with both views as ideal cameras give them; the same object where they are already.
-
-    `row_offset_px` is by how much rows of the right view lie below those of the left one after that; it is removed.
-    """
+    """Both views as ideal cameras give them, the right one `row_offset_px` higher; the same object where they do."""
     left, right = observation.camera, observation.right
     if left.has_distortion:
         image = _mapped(observation.image_bgr, left, np.eye(3), left)

@@ -28,12 +28,9 @@ DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over 
 
 CHORDS_PX = (10, 20, 40, 70)
 """Lengths of outline whose chords are tried as lines: sides of small and of large instruments."""
-CHORD_STARTS = 60
-"""Places of an outline at which chords begin."""
-MOST_LINES = 14
-"""Different lines of one outline that are paired."""
-SAMPLES = 24
-"""Places along a side at which colours are compared."""
+CHORD_STARTS = 60  # places of an outline at which chords begin
+MOST_LINES = 14  # different lines of one outline that are paired
+SAMPLES = 24  # places along a side at which colours are compared
 
 
 @dataclass(frozen=True)
@@ -134,10 +131,7 @@ def bars_in(
 
 
 def best_bar(contour: NDArray[np.int32], free: NDArray[np.bool_], width_px: int) -> Bar | None:
-    """The pair of opposite lines with the most points of a closed contour, shape (n, 2), on the lesser of both.
-
-    `free`, shape (n,), says which points are away from the picture's border.
-    """
+    """The pair of opposite lines with the most points of a closed contour, shape (n, 2), on the lesser of both."""
     points = contour.astype(np.float64)
     if len(points) < 24 or np.count_nonzero(free) < 16:
         return None
@@ -229,14 +223,10 @@ def _line_of(points: Array, axis: Array) -> Array:
     return np.stack([middle + at.min() * along, middle + at.max() * along])
 
 
-PLACES = 32
-"""Places along a side at which its edge is sought."""
-STEP_PX = 0.5
-"""Distance of the samples across a side."""
-HALF_STEP_PX = 1.5
-"""Colours this far to either side of an edge are compared: the working image's blur."""
-LEAST_AGREEING = 0.5
-"""Part of the places whose edges must lie on one line; else the side stays where it was."""
+PLACES = 32  # places along a side at which its edge is sought
+STEP_PX = 0.5  # distance of the samples across a side
+HALF_STEP_PX = 1.5  # colours this far to either side of an edge are compared: the working image's blur
+LEAST_AGREEING = 0.5  # part of the places whose edges must lie on one line; else the side stays where it was
 
 
 def sharpened(bar: Bar, image: WorkingImage) -> Bar:

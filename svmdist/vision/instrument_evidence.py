@@ -103,11 +103,7 @@ def _way_out(start: Array, along: Array, part: Image, image: WorkingImage, longe
 
 @dataclass(frozen=True)
 class _Steps:
-    """Along one side: the part of it with a step, and what the inside is.
-
-    How much less red and how much darker than the outside, how coloured, how much likelier an instrument's, and how
-    much more yellow; and how yellow it is itself.
-    """
+    """Along one side: the part of it with a step, and what the inside is."""
 
     fraction: float
     cooler: float
@@ -157,14 +153,10 @@ def _values(field: NDArray[Value], places: NDArray[np.int_]) -> NDArray[Value]:
     return np.asarray(values)
 
 
-RATIO_SURE = 1.5
-"""A colour that speaks for an instrument by more belongs to the one that it touches."""
-RATIO_DOUBT = 2.0
-"""A colour that speaks against an instrument by no more may be that of a wrist."""
-FAR_D2 = 16.0
-"""Squared deviation from the colours around, of three numbers, that one in a thousand exceeds."""
-MOST_GOING_ON_PX = 3
-"""Pixels of a part beside a bar that may touch what goes on beyond."""
+RATIO_SURE = 1.5  # A colour that speaks for an instrument by more belongs to the one that it touches
+RATIO_DOUBT = 2.0  # A colour that speaks against an instrument by no more may be that of a wrist
+FAR_D2 = 16.0  # squared deviation from the colours around, of three numbers, that one in a thousand exceeds
+MOST_GOING_ON_PX = 3  # pixels of a part beside a bar that may touch what goes on beyond
 MOST_CUT_FRACTION = 0.08
 """Of the border of where wrist and jaws can be: where more of it is likely on both sides, they end elsewhere."""
 MOST_ELSEWHERE = 0.05
@@ -175,10 +167,7 @@ SQUARE_9 = np.ones((9, 9), np.uint8)
 
 
 def belonging(zones: Zones, likely: Image, ratio: Floats, image: WorkingImage) -> NDArray[np.bool_]:
-    """What of the likely pixels belongs to the instrument of these zones: what hangs together with its bar.
-
-    `likely`, shape (h, w), is what looks like an instrument, and `ratio` how much.
-    """
+    """What of the likely pixels belongs to the instrument of these zones: what hangs together with its bar."""
     likely = likely | _unlike_nearby(zones, ratio, image)
     sure = ratio > RATIO_SURE
     distal = zones.distal & (likely > 0)
@@ -198,15 +187,15 @@ def belonging(zones: Zones, likely: Image, ratio: Floats, image: WorkingImage) -
 def with_missed_parts(
     masks: Sequence[NDArray[np.bool_]], ratio: Floats, image: WorkingImage
 ) -> list[NDArray[np.bool_]]:
-    """The instruments' masks with large parts that look like them and touch them: a shaft found by its narrow wrist.
-
-    Only where next to nothing else in the picture looks so: then it is no colour of the background's.
-    """
+    """The instruments' masks with large parts that look like them and touch them: a shaft found by its narrow wrist."""
     mask = np.any(masks, axis=0) if masks else np.zeros(image.core.shape, bool)
     rest = np.asarray(((ratio > RATIO_SURE) & image.inner & ~mask).astype(np.uint8))
     rest = np.asarray(cv2.morphologyEx(rest, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(rest)
-    touching = [np.bincount(labels[_grown(one)], minlength=count) > 0 for one in masks]
+    touching = [
+        np.bincount(labels[cv2.dilate(one.astype(np.uint8), SQUARE_5) > 0], minlength=count) > 0
+        for one in masks
+    ]
     size = stats[:, cv2.CC_STAT_AREA]
     parts = range(1, count)
     apart = sum(int(size[part]) for part in parts if not any(near[part] for near in touching))
@@ -221,10 +210,7 @@ def with_missed_parts(
 
 
 def _unlike_nearby(zones: Zones, ratio: Floats, image: WorkingImage) -> Image:
-    """What in the distal zone has not the colours around it, shape (h, w): wrists are reddish by tissue's reflection.
-
-    The colours around are one normal distribution; a pixel far outside of it is not of what lies there.
-    """
+    """What in the distal zone has not the colours around it, (h, w): wrists are reddish by tissue's reflection."""
     near = cv2.dilate(zones.distal.astype(np.uint8), SQUARE_9) > 0
     around = near & ~zones.distal & ~zones.strip & (image.core > 0) & (ratio < 0.0)
     inside = zones.distal & (image.core > 0) & (ratio > -RATIO_DOUBT)
@@ -268,7 +254,3 @@ def _without_holes(mask: NDArray[np.bool_], most_px: float) -> NDArray[np.bool_]
     count, labels, stats, _ = cv2.connectedComponentsWithStats(cv2.subtract(whole, solid))
     small = [label for label in range(1, count) if stats[label, cv2.CC_STAT_AREA] < most_px]
     return np.asarray(mask | np.isin(labels, small))
-
-
-def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    return np.asarray(cv2.dilate(mask.astype(np.uint8), SQUARE_5) > 0)

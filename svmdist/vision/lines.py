@@ -100,13 +100,7 @@ def fit_line(
     shared = (systematic_px * unit) ** 2
     turn = (variance / weight.sum() + shared) / max(float(weight @ position**2 / weight.sum()), 1e-30)
     shift = variance / weight.sum() + shared
-    return Line(
-        normal,
-        float(normal @ centre),
-        centre,
-        np.diag([turn, shift]),
-        len(points),
-    )
+    return Line(normal, float(normal @ centre), centre, np.diag([turn, shift]), len(points))
 
 
 def _main_direction(offsets: Array, weight: Array) -> Array:
@@ -141,17 +135,14 @@ def _trials(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return first, (first + rng.integers(1, count, TRIALS)) % count
 
 
-MIN_SINE = 5e-3
-"""Of the angle between the two planes: a radius below 0.25 % of the distance has no measurable width."""
+MIN_SINE = (
+    5e-3  # of the angle between the two planes: a radius below 0.25 % of the distance has no measurable width
+)
 
 
 @dataclass(frozen=True, slots=True)
 class TangentPlane:
-    """A plane through the camera's centre that touches the cylinder.
-
-    `normal` (3,), of length 1, points to the cylinder's side; `covariance` (3, 3) is that of the normal, with
-    nothing along it.
-    """
+    """A plane through the camera's centre that touches the cylinder: unit normal (3,), covariance (3, 3)."""
 
     normal: Array
     covariance: Array
@@ -165,10 +156,7 @@ class TangentPlane:
 
 @dataclass(frozen=True, slots=True)
 class CylinderAxis:
-    """The axis: the point nearest to the camera's centre, (3,) in m, its direction, (3,), of length 1.
-
-    `covariance` (6, 6) belongs to (point, direction).
-    """
+    """The axis: point nearest to the camera's centre (3,) in m, unit direction (3,), and covariance (6, 6) of both."""
 
     point_m: Array
     direction: Array
@@ -191,10 +179,7 @@ def tangent_plane(line: Line, inside: Array) -> TangentPlane:
 
 
 def axis_of_cylinder(first: TangentPlane, second: TangentPlane, radius_m: float) -> CylinderAxis | None:
-    """The axis of a cylinder of known radius between two planes; None where the planes nearly coincide.
-
-    They do where the cylinder has no measurable width, and where the camera looks along it from inside.
-    """
+    """The axis of a cylinder of known radius between two planes; None where the planes nearly coincide."""
     n1, n2 = first.normal, second.normal
     across = cross(n1, n2)
     sine, cosine = float(np.linalg.norm(across)), float(n1 @ n2)
@@ -238,10 +223,7 @@ def tangent_normal_with_derivatives(
 
 
 def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> Array:
-    """Radius, shape (...), of the disc as large as the image of a small sphere about a centre, shape (..., 3).
-
-    f r / z, and 1 / cos θ longer away from the axis.
-    """
+    """Radius of the disc as large as a small sphere's image: f r / z, and 1 / cos θ longer away from the axis."""
     z_m = centre_m[..., 2]
     stretch = np.sqrt(np.linalg.norm(centre_m, axis=-1) / np.abs(z_m))
     return np.asarray(camera.K[0, 0] * radius_m / z_m * stretch)

@@ -19,8 +19,7 @@ REFIT_THRESHOLDS_PX = (1.5, 1.0, 0.7, 0.5, 0.3)  # the fine pyramid levels agree
 # Fewer matches than this are not fitted again: five times the four that determine a homography
 REFIT_MIN_COUNT = 20
 
-CELL_COUNT = 12
-"""Cells along a side: margin, frame, eight of data, frame, margin."""
+CELL_COUNT = 12  # cells along a side: margin, frame, eight of data, frame, margin
 
 DATA_ROWS = (0b00100011, 0b11010100, 0b10110111, 0b00111001, 0b11100100, 0b00011011, 0b01011000, 0b11100100)
 """Eight rows of eight cells, 1 is white. Found by random search: half the cells are white, no run along a
@@ -60,18 +59,8 @@ def marker_pattern(size_px: int) -> Image:
     return pattern
 
 
-@lru_cache(maxsize=8)
-def _marker_bgr(size_px: int) -> Image:
-    """The marker with three channels alike: pasting it is a plain copy."""
-    return np.asarray(cv2.cvtColor(marker_pattern(size_px), cv2.COLOR_GRAY2BGR), np.uint8)
-
-
 def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: int) -> MarkedWindow:
-    """Paste the marker with its middle at `centre_px` (x, y in px of the image, rounded to whole pixels).
-
-    The window, shape (size_px + 2 margin_px,) squared, repeats the image's edge where it reaches over it, which
-    adds no corners. The image itself is left alone.
-    """
+    """A window with the marker about `centre_px` (x, y, rounded); the image's edge is repeated beyond it."""
     height, width = image_bgr.shape[:2]
     x0 = _first_px(float(centre_px[0]), size_px, width) - margin_px
     y0 = _first_px(float(centre_px[1]), size_px, height) - margin_px
@@ -79,7 +68,7 @@ def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: in
     window = image_bgr[max(y0, 0) : y1, max(x0, 0) : x1]
     top, bottom, left, right = max(-y0, 0), max(y1 - height, 0), max(-x0, 0), max(x1 - width, 0)
     window = np.asarray(cv2.copyMakeBorder(window, top, bottom, left, right, cv2.BORDER_REPLICATE), np.uint8)
-    window[margin_px:-margin_px, margin_px:-margin_px] = _marker_bgr(size_px)
+    window[margin_px:-margin_px, margin_px:-margin_px] = marker_pattern(size_px)[..., None]
     return MarkedWindow(window, (x0, y0))
 
 
@@ -94,15 +83,14 @@ def padded_template(size_px: int, margin_px: int) -> Image:
     return np.pad(marker_pattern(size_px), margin_px, constant_values=127)
 
 
-EDGE_MARGIN_PX = 31
-"""ORB finds no keypoint closer to the border of a pyramid level than its `edgeThreshold`."""
+EDGE_MARGIN_PX = 31  # ORB finds no keypoint closer to the border of a pyramid level than its `edgeThreshold`
 
 SCALE_FACTOR = 1.2
-MAX_LEVELS = 8
-"""ORB's pyramid as in Rublee 2011, sec. 6.1: eight levels, each 1.2 times as coarse as the one before."""
+MAX_LEVELS = (
+    8  # ORB's pyramid as in Rublee 2011, sec. 6.1: eight levels, each 1.2 times as coarse as the one before
+)
 
-DESCRIPTOR_BYTES = 32
-"""eqs. (13)–(16): n = 256 binary tests make 32 bytes, not "32 dimensions"."""
+DESCRIPTOR_BYTES = 32  # eqs. (13)–(16): n = 256 binary tests make 32 bytes, not "32 dimensions"
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +116,7 @@ class Matches:
 
 
 def detect_orb(image_grey: Image, feature_count: int, mask: Image | None = None) -> Features:
-    """Detect ORB features (Rublee 2011) of a grey image, shape (h, w), inside a mask of the same shape.
-
-    A featureless image gives no features rather than an error.
-    """
+    """ORB features (Rublee 2011) of a grey image, shape (h, w), inside a mask; none of a featureless image."""
     side_px = min(image_grey.shape)
     if side_px <= 2 * EDGE_MARGIN_PX:  # all margin; OpenCV fails on the smallest of these
         return _no_features()
@@ -152,11 +137,7 @@ def detect_orb(image_grey: Image, feature_count: int, mask: Image | None = None)
 
 
 def match_features(template: Features, frame: Features, ratio: float) -> Matches:
-    """Match each template feature to the nearest frame feature, if it is clearly nearer than the second.
-
-    Brute-force Hamming distance with k = 2 and the ratio test (Lowe 2004, sec. 7.1); matches are sorted
-    by distance. A feature with a single neighbour has nothing to be compared with and is dropped.
-    """
+    """Nearest neighbours by Hamming distance that pass the ratio test (Lowe 2004, sec. 7.1), best first."""
     if len(template) == 0 or len(frame) < 2:
         return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
     # What cv2.BFMatcher.knnMatch does, without an object for every match.
@@ -174,8 +155,7 @@ def _no_features() -> Features:
 
 DEFAULT = MarkerSettings()
 
-SEED = 20
-"""Fixed seed of the sampler: with it, and without threads, USAC gives the same bits everywhere."""
+SEED = 20  # fixed seed of the sampler: with it, and without threads, USAC gives the same bits everywhere
 
 REFIT_STEPS = Steps(max_steps=10, settled=1e-9, damping=1e-9)
 """Gauss–Newton from a fit that is good to a fraction of a pixel: two or three steps reach rounding."""
@@ -190,11 +170,7 @@ class Homography:
 
 
 def fit_homography(matches: Matches, reprojection_px: float) -> Homography | None:
-    """Fit a homography robustly (MAGSAC, Barath 2019); None where the points allow none.
-
-    Inliers are counted here by eq. (18), not taken from OpenCV, so that the number means what the paper
-    says. Fewer than four inliers cannot carry a homography.
-    """
+    """Fit a homography robustly (MAGSAC, Barath 2019), inliers by eq. (18); None for fewer than four."""
     if len(matches) < 4:
         return None
     parameters = cv2.UsacParams()
@@ -219,10 +195,7 @@ def fit_homography(matches: Matches, reprojection_px: float) -> Homography | Non
 
 
 def _refit(H: Array, matches: Matches) -> tuple[Array, Array]:
-    """Refit by least squares on the matches within shrinking thresholds, while they are many and agree.
-
-    Gives the homography and each match's transfer error in px, shape (n,).
-    """
+    """Refit by least squares on the matches within shrinking thresholds, while they are many and agree."""
     error_px = transfer_error(H, matches.template_px, matches.frame_px)
     fitted_on: NDArray[np.bool_] | None = None
     for threshold_px in REFIT_THRESHOLDS_PX:
@@ -284,10 +257,7 @@ def _normal_equations(h: Array, p: Array, q: Array) -> NormalEquations | None:
 
 
 def _normalised(points_px: Array) -> tuple[Array, Array] | None:
-    """Points, shape (n, 2), of zero mean and a mean square of 1, and the similarity (3, 3) that takes them back to px.
-
-    None where all points are alike.
-    """
+    """Points (n, 2) of zero mean and mean square 1, and the similarity (3, 3) back to px; None where all are alike."""
     mean = points_px.sum(0) / len(points_px)
     off = points_px - mean
     size = math.sqrt(float(np.vdot(off, off)) / off.size)
@@ -317,11 +287,7 @@ def transfer_error(H: Array, template_px: Array, frame_px: Array) -> Array:
 
 
 def is_plausible(H: Array, size_px: int, settings: MarkerSettings = DEFAULT) -> bool:
-    """Tell whether a homography maps the template's square to a convex shape of similar size.
-
-    The marker is pasted without scaling, so that a shape turned over, folded or of quite another size comes
-    from wrong matches.
-    """
+    """Whether the template's square becomes a convex shape of similar size: it was pasted without scaling."""
     corners = transfer(H, square_corners(size_px))
     if not np.all(np.isfinite(corners)):
         return False

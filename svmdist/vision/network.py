@@ -16,19 +16,15 @@ from svmdist.errors import ProfileError, did_you_mean
 from svmdist.input_file import open_regular, why
 from svmdist.profile import ClassRegion, OnnxSegmentation
 from svmdist.samples import Image
-from svmdist.vision.colour import field_of_view
+from svmdist.vision.colour import Masks, field_of_view
 
 MARGIN = 0.02
 """How far from the border a part may end, over the image's width: optics fade there, and networks are coarse."""
-LEAST_AREA = 0.003
-"""An instrument's least part of the picture, as of `auto`."""
+LEAST_AREA = 0.003  # an instrument's least part of the picture, as of `auto`
 
 
 def parts_from_border(mask: Image, black: Image) -> Image:
-    """Those connected parts of `mask` that reach the border of the picture; shape (h, w), 0 or 255.
-
-    `black` is what may be black border around the picture, of the same shape.
-    """
+    """Connected parts of `mask` that reach the picture's border; `black`, (h, w), is what may be border around it."""
     picture = field_of_view(black)
     height, width = mask.shape
     reach = max(2, round(MARGIN * width))
@@ -48,15 +44,13 @@ def parts_from_border(mask: Image, black: Image) -> Image:
 Labels = NDArray[np.int32]
 Tensor = NDArray[np.generic]
 
-BLACK_LEVEL = 24
-"""Of 255, in every channel: video codes black as 16, and noise of a few levels lies on it."""
+BLACK_LEVEL = 24  # of 255, in every channel: video codes black as 16, and noise of a few levels lies on it
 FINITE = float(np.finfo(np.float32).max)
 """OpenCV's convolutions give the largest float in place of infinity and of what is no number."""
-MAX_FILE_BYTES = 2 << 30
-"""Protobuf, which ONNX is written in, ends at 2 GiB."""
+MAX_FILE_BYTES = 2 << 30  # protobuf, which ONNX is written in, ends at 2 GiB
 
 
-class ClassMasks:
+class ClassMasks(Masks):
     """The masks of one image by the class of every pixel, shape (h, w)."""
 
     def __init__(self, image_bgr: Image, labels: Labels, rules: OnnxSegmentation) -> None:
@@ -84,15 +78,6 @@ class ClassMasks:
         """Pixels as black as the border around an endoscope's view, which no class represents."""
         return np.asarray(cv2.inRange(self._image_bgr, np.full(3, 0), np.full(3, BLACK_LEVEL)), np.uint8)
 
-    @property
-    def picture(self) -> None:
-        """None: what is black may be border or shaft."""
-        return None
-
-    @property
-    def seen(self) -> None:
-        """None: classes tell no instruments apart."""
-
     def _kept(self, mask: Image) -> Image:
         return mask if self._from_border is None else np.asarray(mask & self._from_border, np.uint8)
 
@@ -111,11 +96,7 @@ class ClassMasks:
 
 
 class OnnxSegmenter:
-    """`method = "onnx"`: the class of every pixel by a network.
-
-    Raises ProfileError where the file cannot be used: it is read and tried on a black image at once, so that a
-    fault of the profile shows before the first frame.
-    """
+    """`method = "onnx"`: the class of every pixel by a network; ProfileError at once where it cannot run."""
 
     uses_colours = False
 
@@ -144,10 +125,7 @@ class OnnxSegmenter:
         )
 
     def scores(self, image_bgr: Image) -> NDArray[np.float32]:
-        """The classes' scores at the network's own resolution, shape (C, h', w'), of an image, shape (h, w, 3) in BGR.
-
-        Raises ProfileError for a network that gives labels.
-        """
+        """The classes' scores, (C, h', w'), of a BGR image; raises ProfileError for a network that gives labels."""
         output = self._run(image_bgr)
         if output.ndim != 4 or output.shape[1] < 2:
             raise ProfileError(f"{self._rules.model}: the network gives labels, and no scores of classes")
@@ -190,11 +168,7 @@ class OnnxSegmenter:
 
 
 def network_input(image_bgr: Image, rules: OnnxSegmentation) -> NDArray[np.float32]:
-    """The network's input, shape (1, 3, h, w): the image stretched to its size, (pixel - mean) * scale.
-
-    Stretched and not framed: networks for segmentation are trained so, and no pixel is wasted on a frame. To keep the
-    aspect ratio, choose an input size of the same ratio.
-    """
+    """The network's input, shape (1, 3, h, w): the image stretched to its size, (pixel - mean) * scale."""
     size = (rules.width_px, rules.height_px)
     if (image_bgr.shape[1], image_bgr.shape[0]) != size:
         # Averaging over a pixel's area keeps what is thinner than a pixel from flickering.

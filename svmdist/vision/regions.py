@@ -35,8 +35,7 @@ INSIDE_DEVIATIONS = 2.0  # less than outside: what covers an object can only cut
 
 DEFAULT = OutlineSettings()
 CURVE_POINTS = 360
-BORDER_PX = 3
-"""Samples closer than this to the image's border may be cut by it."""
+BORDER_PX = 3  # samples closer than this to the image's border may be cut by it
 CENTRE_SETTLED_PX = 0.01
 
 
@@ -58,11 +57,7 @@ class CompletedOutline:
 def complete_outline(
     mask: NDArray[np.uint8], hull: NDArray[np.int32], settings: OutlineSettings = DEFAULT
 ) -> CompletedOutline:
-    """Fit the outline that a partly hidden object has.
-
-    `mask`, shape (h, w), holds the visible part; `hull`, shape (n, 1, 2), is its convex hull. Points at the
-    image's border are no outline either: the object goes on there.
-    """
+    """Fit the outline of a partly hidden object to its mask (h, w) and hull; the image's border is no outline."""
     corners = hull.reshape(-1, 2).astype(np.float64)
     points_px, step_px = _sample(corners)
     centroid_px = polygon_centroid(corners)
@@ -89,10 +84,7 @@ def _sample(corners: Array) -> tuple[Array, float]:
 
 
 def _is_outline(
-    points_px: Array,
-    step_px: float,
-    mask: NDArray[np.uint8],
-    radius_px: float,
+    points_px: Array, step_px: float, mask: NDArray[np.uint8], radius_px: float
 ) -> NDArray[np.bool_]:
     """Which points, shape (n,), of the hull lie at visible pixels, off straight edges and inside the image."""
     height, width = mask.shape
@@ -258,10 +250,7 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A connected part: its outer contour, shape (n, 1, 2), and its own pixels in the contour's bounding box.
-
-    `pixels`, shape (h, w), is 0 outside the part and in its holes; `corner_px` is its top left pixel (x, y).
-    """
+    """A connected part: its outer contour, shape (n, 1, 2), and its own pixels in the contour's bounding box."""
 
     contour: NDArray[np.int32]
     pixels: Image

@@ -1,7 +1,4 @@
-"""The instrument's shaft in the image: a dark bar that comes in from the border of what the endoscope shows.
-
-Its contour starts at the border, runs along one side, around the distal end and back along the other side.
-"""
+"""The instrument's shaft in the image: a dark bar that comes in from the border of what the endoscope shows."""
 
 from __future__ import annotations
 
@@ -23,8 +20,7 @@ SPECK_WIDTH_FRACTION = 0.008  # of the image's width; narrower dark lines are ve
 MIN_SIDE_PX = 6.0  # the shortest side of a shaft: the least that a line can be fitted to
 MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera has no contour lines
 
-MAX_SAMPLES = 120
-"""Points of a contour among which its two corners are searched."""
+MAX_SAMPLES = 120  # points of a contour among which its two corners are searched
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +71,9 @@ class ShaftRegion:
 
 
 def find_shaft(
-    shaft: Image,
-    rule: AreaGate,
-    covered: Image | None = None,
-    black: Image | None = None,
+    shaft: Image, rule: AreaGate, covered: Image | None = None, black: Image | None = None
 ) -> ShaftRegion | None:
-    """Find the shaft in its mask, shape (h, w); None where none comes in from the border.
-
-    `covered`, shape (h, w), marks what is mounted on the shaft and must not be taken for it; `black` what may be the
-    image's border, where the shaft's mask does not hold that too.
-    """
+    """Find the shaft in its mask (h, w), less `covered`; `black` may be border; None where none comes in."""
     height, width = shaft.shape
     dark = np.asarray(cv2.medianBlur(shaft, 3), np.uint8)
     view = field_of_view(dark if black is None else np.asarray(dark | black))
@@ -119,10 +108,7 @@ def find_shaft(
 
 
 def bright_fraction(region: ShaftRegion, dark: Image) -> float:
-    """How much of the region's inside is not dark: streaks of glare on a shaft, and the white cells of a print.
-
-    `dark`, shape (h, w), is the mask that the region was found in.
-    """
+    """How much of the region's inside is not dark: streaks of glare on a shaft, and the white cells of a print."""
     inside = _eroded(region.mask, 2)
     return 1.0 - cv2.countNonZero(cv2.bitwise_and(inside, dark)) / max(cv2.countNonZero(inside), 1)
 
@@ -130,10 +116,7 @@ def bright_fraction(region: ShaftRegion, dark: Image) -> float:
 def _sides_of(
     contour: NDArray[np.int32], inside: NDArray[np.bool_]
 ) -> tuple[Side, Side, Array | None] | None:
-    """The two sides of a closed contour, shape (n, 2), and the middle of its distal end.
-
-    `inside`, shape (n,), says which of its points are away from the border.
-    """
+    """The two sides of a closed contour, shape (n, 2), and the middle of its distal end."""
     arcs = _arcs_inside(contour, inside, MIN_SIDE_PX)
     if not arcs:
         return None

@@ -27,8 +27,7 @@ FLANK_LIGHT_LEVELS = 8.0
 FLANK_COLOUR_LEVELS = 3.0  # the least scatter of Lab's a and b: compression leaves as much
 MAX_FLANK_OUTLIERS = 0.05  # with more of a flank so far off, fat or vessels lie beside the wrist
 
-WIDTH_CELLS = 24
-"""Of the patch that is looked at, across the shaft: its cost is the same for every image."""
+WIDTH_CELLS = 24  # of the patch that is looked at, across the shaft: its cost is the same for every image
 BEHIND, BESIDE = 0.75, 2.0
 """How far the patch reaches behind the end and to each side of the axis, over the shaft's width."""
 FLANK = 0.75
@@ -37,17 +36,14 @@ MAD = 1.4826
 MIN_CELLS = 12
 FROM_ONE_END = 1.0 / np.sqrt(3.0)
 """How far what may be anywhere in a range is from one end of it, root mean square, over its length."""
-FAR_PERCENTILE = 99.0
-"""Of the outline's distances from the shaft's end: its tip, without a speck that hangs on it."""
+FAR_PERCENTILE = (
+    99.0  # of the outline's distances from the shaft's end: its tip, without a speck that hangs on it
+)
 
 
 @dataclass(frozen=True, slots=True)
 class WristShape:
-    """A straight wrist with closed jaws beyond the shaft's end, as an outline.
-
-    `tool_fraction` is where between end and tip the tool's origin is, `length_widths` how long all of it is over the
-    shaft's width.
-    """
+    """A straight wrist beyond the shaft's end: the tool's origin as a fraction of it, its length over the width."""
 
     tool_fraction: float
     length_widths: float
@@ -63,12 +59,7 @@ class WristPoint:
 
 
 def wrist_point(
-    bgr: Image,
-    mask: Image,
-    end_px: Array,
-    along: Array,
-    width_px: float,
-    shape: WristShape,
+    bgr: Image, mask: Image, end_px: Array, along: Array, width_px: float, shape: WristShape
 ) -> WristPoint | None:
     """Where the tool's origin is beyond a shaft's end, in an image, shape (h, w, 3); None where no wrist is seen.
 
@@ -120,10 +111,7 @@ def wrist_point(
 
 
 def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_] | None:
-    """What of a patch, shape (m, n, 3), looks like neither flank; None without a flank of one colour.
-
-    Each flank is a colour with its scatter: on tissue that is large, and little differs from it.
-    """
+    """What of a patch, shape (m, n, 3), looks like neither flank; None without a flank of one colour."""
     lab = cv2.cvtColor(patch, cv2.COLOR_BGR2LAB).astype(np.float32)
     floor = np.array([FLANK_LIGHT_LEVELS, FLANK_COLOUR_LEVELS, FLANK_COLOUR_LEVELS])
     unlike: NDArray[np.bool_] | None = None
@@ -151,8 +139,9 @@ def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.b
     return np.asarray(labels == np.bincount(own).argmax())
 
 
-ENDS_APART = 0.3
-"""Deviation of an end over the distance of both ends: those of a uniform distribution between them."""
+ENDS_APART = (
+    0.3  # deviation of an end over the distance of both ends: those of a uniform distribution between them
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,15 +182,9 @@ class Silhouette:
 
 
 def find_silhouette(
-    bgr: Image,
-    seen: SeenInstrument,
-    picture: Image | None,
-    wrist: WristShape,
+    bgr: Image, seen: SeenInstrument, picture: Image | None, wrist: WristShape
 ) -> Silhouette | None:
-    """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges.
-
-    `picture`, shape (h, w), marks what is not border. `wrist` is what may be seen beyond the cylinder's end.
-    """
+    """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges."""
     found = [edge_line(bgr, side, seen.width_px, picture) for side in seen.sides]
     first, second = found
     if first is None or second is None or not _are_a_pair(first, second):

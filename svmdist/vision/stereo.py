@@ -124,10 +124,8 @@ def _rows_along(x: Array) -> Array:
 DEFAULT = StereoSettings()
 POINTS, CONTRAST, EDGE = 1000, 0.015, 8.0
 """Of SIFT: wet tissue and paper have little contrast, and a point on an edge has no place along it."""
-RATIO = 0.8
-"""Of the distances to the nearest and the next descriptor (Lowe 2004)."""
-PEAK_PX = 1.5
-"""Differences of rows this near to the most frequent one are of points that do correspond."""
+RATIO = 0.8  # of the distances to the nearest and the next descriptor (Lowe 2004)
+PEAK_PX = 1.5  # differences of rows this near to the most frequent one are of points that do correspond
 MIN_PEAK_SHARE = 0.3
 """Of all matches, those at the most frequent difference. Of differences that mean nothing it is a fifth."""
 LEAST_STD_PX = 0.02
@@ -145,10 +143,7 @@ class RowOffset:
 def row_differences(
     left_grey: Image, right_grey: Image, min_px: float, max_px: float, settings: StereoSettings = DEFAULT
 ) -> Array:
-    """Row in the right view less that in the left one, shape (n,) in px, of points that look alike (SIFT, Lowe 2004).
-
-    `min_px` and `max_px` bound their disparity; only differences within the settings' range are looked for.
-    """
+    """Row in the right view less that in the left one, (n,) in px, of points that look alike (SIFT, Lowe 2004)."""
     sift = cv2.SIFT.create(POINTS, 3, CONTRAST, EDGE)
     (at_left, left), (at_right, right) = (
         sift.detectAndCompute(image, None) for image in (left_grey, right_grey)
@@ -233,17 +228,9 @@ def match_region(
 
 
 def _match(
-    left_grey: Image,
-    right_grey: Image,
-    min_px: int,
-    max_px: int,
-    block_px: int,
-    speckle_px2: int,
+    left_grey: Image, right_grey: Image, min_px: int, max_px: int, block_px: int, speckle_px2: int
 ) -> Array:
-    """Disparity of every left pixel, shape (h, w) in px; NaN where there is none.
-
-    `min_px` and `max_px` bound the search; OpenCV searches a multiple of 16.
-    """
+    """Disparity of every left pixel, shape (h, w) in px; NaN where there is none."""
     if left_grey.shape[1] < _least_width_px(min_px, max_px, block_px):
         return np.full(left_grey.shape, np.nan)
     count = 16 * int(np.ceil((max_px - min_px) / 16))
@@ -274,13 +261,10 @@ def _reduced(image: Image, step: int) -> Image:
     return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-NEAREST_M, FURTHEST_M = 0.04, 0.5
-"""Where tissue lies in front of an endoscope, with room on both sides."""
-WIDTH_PX = 640
-"""Images are matched at about this width: a plane needs no more."""
+NEAREST_M, FURTHEST_M = 0.04, 0.5  # where tissue lies in front of an endoscope, with room on both sides
+WIDTH_PX = 640  # images are matched at about this width: a plane needs no more
 MAX_DISPARITIES = 256
-ROW_OFFSETS_PX = (-2, -1, 0, 1, 2)
-"""Rows of a pair that is called rectified were found 1.5 px apart."""
+ROW_OFFSETS_PX = (-2, -1, 0, 1, 2)  # rows of a pair that is called rectified were found 1.5 px apart
 SAMPLE_COUNT = 20_000
 INLIER_PX = 1.5
 MIN_INLIER_FRACTION, MIN_MATCHED_FRACTION = 0.4, 0.1
@@ -289,10 +273,7 @@ TRIALS = 200
 
 @dataclass(frozen=True, slots=True)
 class StereoPlane:
-    """A plane n · p = -d as a pair shows it: unit normal (3,) towards the camera, and d in m.
-
-    `surface_std_m` is how far what is on it stands off it; `row_offset_px` how far right rows are above left ones.
-    """
+    """A plane n · p = -d: unit normal (3,), d in m, what stands off it, and by how much right rows are above left."""
 
     normal: Array
     distance_m: float
@@ -301,11 +282,7 @@ class StereoPlane:
 
 
 def fit_plane(left_bgr: Image, right_bgr: Image, K: Array, baseline_m: float) -> StereoPlane | None:
-    """The plane of a rectified pair of images, both with K; None where too little matches, or lies on no one plane.
-
-    1 / depth is linear in the pixel on a plane, and so is the disparity f b / depth: three numbers are fitted robustly
-    (RANSAC, then Geman and McClure's loss) to the disparities of semi-global matching.
-    """
+    """The plane of a rectified pair, by RANSAC and Geman and McClure's loss on disparities; None where none fits."""
     step = max(1, round(left_bgr.shape[1] / WIDTH_PX))
     left, right = (_small_grey(image, step) for image in (left_bgr, right_bgr))
     fb_px_m = float(K[0, 0]) / step * baseline_m
@@ -322,11 +299,7 @@ def fit_plane(left_bgr: Image, right_bgr: Image, K: Array, baseline_m: float) ->
     kept = rng.choice(len(rows), min(len(rows), SAMPLE_COUNT), replace=False)
     rows, columns = rows[kept], columns[kept]
     rays = np.column_stack(
-        [
-            (columns * step - K[0, 2]) / K[0, 0],
-            (rows * step - K[1, 2]) / K[1, 1],
-            np.ones(len(rows)),
-        ]
+        [(columns * step - K[0, 2]) / K[0, 0], (rows * step - K[1, 2]) / K[1, 1], np.ones(len(rows))]
     )
     values = disparity_px[rows, columns]
     q = _robust_plane(rays, values, rng)

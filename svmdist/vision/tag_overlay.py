@@ -21,16 +21,13 @@ EDGE_SLOPE = 0.2  # of the pattern's largest: residuals on edges tell the standa
 MIN_PIXELS = 50  # pixels on the tag below which there is no pose
 MIN_CONTRAST = 4.0  # grey levels between black and white below which there is no pattern to compare
 
-CELL_SAMPLES = 16
-"""Texture samples per cell: three for each pixel of a tag that is seen 40 px wide."""
-PAD_CELLS = 2
-"""Of white around the black square. What is further off is as white as its rim."""
+CELL_SAMPLES = 16  # texture samples per cell: three for each pixel of a tag that is seen 40 px wide
+PAD_CELLS = 2  # of white around the black square. What is further off is as white as its rim
 SHEET_COLUMNS = 64
 BLUR_RATIO = 1.01
 """Textures are made for blurs at powers of this ratio and kept. Between them the brightness follows the derivative by
 the blur, which is right within 1e-5 of the contrast."""
-KEPT_TEXTURES = 48
-"""Of 0.6 MB each: tags from 30 to 60 px wide at one blur of the image need no more."""
+KEPT_TEXTURES = 48  # of 0.6 MB each: tags from 30 to 60 px wide at one blur of the image need no more
 SMALLEST_BLUR_CELLS = 0.3 / CELL_SAMPLES
 
 
@@ -46,10 +43,7 @@ class TagPattern:
         self._texture = lru_cache(KEPT_TEXTURES)(self._make_texture)
 
     def sample(self, xy_cells: Array, blur_cells: float) -> Array:
-        """Brightness and its derivatives by x, y and blur, shape (4, n), under a Gaussian blur in cells.
-
-        The points, shape (2, n), are in cells about the tag's middle: x to the right and y up as one reads the tag.
-        """
+        """Brightness and derivatives by x, y, blur, (4, n), under a blur in cells, at points (2, n) in cells, y up."""
         blur_cells = max(blur_cells, SMALLEST_BLUR_CELLS)
         level = round(math.log(blur_cells) / math.log(BLUR_RATIO))
         # OpenCV remaps images of at most 32767 columns: the points go in as rows of a sheet.
@@ -82,10 +76,7 @@ class TagPattern:
     def _profiles(
         self, blur_cells: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """How much of each sample is each cell's, and the derivatives by place and blur, shape (samples, cells) each.
-
-        A step under a Gaussian blur is the normal distribution's integral, a cell is the difference of two steps.
-        """
+        """How much of each sample is each cell's, and derivatives by place and blur, (samples, cells) each."""
         samples = (self.cell_count + 2 * PAD_CELLS) * CELL_SAMPLES
         place = (np.arange(samples) + 0.5) / CELL_SAMPLES - PAD_CELLS
         u = (place[:, None] - np.arange(self.cell_count + 1)) / blur_cells
@@ -178,10 +169,7 @@ class LaidPattern(NormalEquations):
 
     @property
     def cell(self) -> NDArray[np.int64]:
-        """The cluster of each pixel, shape (n,): of the size of a cell about the cells' corners.
-
-        No edge lies between two of them.
-        """
+        """The cluster of each pixel, (n,): of a cell's size about the cells' corners, where no edge divides it."""
         column, row = (self.xy_cells + 0.5 * self.clusters_across).astype(np.int64)
         return np.asarray(row * self.clusters_across + column)
 
@@ -196,11 +184,7 @@ class LaidPattern(NormalEquations):
         return float((self.weight * self.residual) @ self.residual) / max(len(self.residual) - 9, 1)
 
     def covariance(self, cluster_inflation: float) -> Array:
-        """Covariance of the parameters, shape (9, 9), by clusters (White 1980; Liang and Zeger 1986).
-
-        What is left over lies along the edges and is alike along each of them, for sampling and printing err
-        together there: pixels of one cell count as one observation, and what they say is taken as it is.
-        """
+        """Covariance of the parameters (9, 9), by clusters of pixels (White 1980; Liang and Zeger 1986)."""
         inverse = np.linalg.inv(self.information)
         weighted = self.weight * self.residual
         cell = self.cell
@@ -211,10 +195,7 @@ class LaidPattern(NormalEquations):
 
 
 class _PixelsOnTag(NamedTuple):
-    """Pixels on the tag: brightness (n,) and the share by which each counts (n,).
-
-    In the tag's frame their rays' x/z and y/z, shape (2, n), and their feet in cells, shape (2, n).
-    """
+    """Pixels on the tag: brightness (n,) and the share by which each counts (n,)."""
 
     brightness: Array
     share: Array
@@ -225,10 +206,7 @@ class _PixelsOnTag(NamedTuple):
 def start_overlay(
     pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern
 ) -> tuple[Overlay, float] | None:
-    """The blur, brightness and contrast that fit best at a first pose, and the standard deviation on the edges.
-
-    None where the tag is not on the pixels.
-    """
+    """Blur, brightness and contrast that fit best at a first pose, and the deviation; None beside the tag."""
     on_tag = _pixels_on_tag(pixels, T_camera_tag, pattern)
     if on_tag is None:
         return None

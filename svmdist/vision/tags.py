@@ -21,21 +21,14 @@ MIN_EDGE_REACH_PX = 2.0  # the same in px, at least: a rough corner is off by a 
 EDGE_STEPS = 2  # how often edges are measured anew along the corners that they gave
 
 DEFAULT = TagSettings()
-SAMPLE_PX = 0.25
-"""Between samples across an edge."""
-MIN_PROFILES = 6
-"""Across each edge, of however small a tag."""
-PART = 0.9
-"""Of each side, in its middle, that is measured."""
+SAMPLE_PX = 0.25  # between samples across an edge
+MIN_PROFILES = 6  # across each edge, of however small a tag
+PART = 0.9  # of each side, in its middle, that is measured
 LINE_STEPS, HUBER, MIN_SCALE_PX = 3, 1.5, 0.05
 
 
 def refine_corners(image_grey: Image, corners_px: Array, cell_count: int) -> Array:
-    """The corners, shape (4, 2) in px, of a black square that was found roughly, in their order.
-
-    `cell_count` is the number of cells along a side, the black border included. Corners whose edges are not seen, or
-    which would move by more than a cell, stay where they were found.
-    """
+    """Corners (4, 2) of a roughly found black square of so many cells, moved to where its edges meet."""
     found_px = refined_px = np.asarray(corners_px, np.float64)
     # A slanting tag is narrow in one direction: what is a cell wide across a side is told by the sides next to it.
     side_px = np.linalg.norm(np.roll(found_px, -1, 0) - found_px, axis=1)
@@ -133,10 +126,7 @@ class FoundTag:
 
 
 def find_tags(image_grey: Image, family: str, settings: TagSettings = DEFAULT) -> dict[int, Array]:
-    """Corners, shape (4, 2) in px, of the tags of a family by number, the largest where one is found twice.
-
-    Upper left, upper right, lower right, lower left as one reads the tag.
-    """
+    """Corners, (4, 2) in px, of a family's tags by number: upper left first, clockwise as one reads; the largest."""
     found: dict[int, Array] = {}
     for tag in find_every_tag(image_grey, family, settings):
         known = found.get(tag.number)
@@ -150,19 +140,13 @@ def find_every_tag(image_grey: Image, family: str, settings: TagSettings = DEFAU
     # OpenCV takes the smallest perimeter relative to the image's longer side.
     min_perimeter = 4.0 * settings.min_side_px / max(image_grey.shape)
     detector = _detector(
-        family,
-        settings.error_correction_rate,
-        CELL_SAMPLES,
-        CELL_MARGIN,
-        min_perimeter,
-        get_ident(),
+        family, settings.error_correction_rate, CELL_SAMPLES, CELL_MARGIN, min_perimeter, get_ident()
     )
     corners, ids, _ = detector.detectMarkers(image_grey)
     cell_count = detector.getDictionary().markerSize + 2
     return [
         FoundTag(
-            int(number),
-            refine_corners(image_grey, np.asarray(seen, np.float64).reshape(4, 2), cell_count),
+            int(number), refine_corners(image_grey, np.asarray(seen, np.float64).reshape(4, 2), cell_count)
         )
         for seen, number in zip(corners, [] if ids is None else ids.ravel(), strict=True)
     ]

@@ -22,8 +22,7 @@ BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haz
 LEVEL_OFFSET = 8.0
 
 Floats = NDArray[np.float32]
-Hint = Callable[[Image], Floats]
-"""Gives log odds of instrument, shape (h, w), of an image, shape (h, w, 3)."""
+Hint = Callable[[Image], Floats]  # gives log odds of instrument, shape (h, w), of an image, shape (h, w, 3)
 
 SQUARE_3 = np.ones((3, 3), np.uint8)
 SQUARE_5 = np.ones((5, 5), np.uint8)
@@ -31,10 +30,7 @@ SQUARE_5 = np.ones((5, 5), np.uint8)
 
 @dataclass(frozen=True)
 class WorkingImage:
-    """A small image, shape (h, w, 3) in BGR, and the mask, shape (h, w), of what of it is picture.
-
-    `scale` is its size over that of the image that it was made of; `hinting` gives log odds of instrument for pixels.
-    """
+    """A small BGR image (h, w, 3), the mask of what is picture, its scale, and log odds of instrument on demand."""
 
     bgr: Image
     picture: Image
@@ -109,10 +105,7 @@ class WorkingImage:
 
 
 def picture_of(bgr: Image) -> Image:
-    """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border.
-
-    A border is the darkest thing in the image; haze lifts both alike. A shaft is brighter, if only by a little.
-    """
+    """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border."""
     value = bgr.max(axis=2)
     floor = float(np.percentile(value, 0.5))
     level = max(floor + BORDER_LEVELS, BORDER_FLOOR_LEVEL)
@@ -135,14 +128,11 @@ BINS = (20, 20, 12)
 LOWEST = np.array([-0.7, -0.9, 2.0], np.float32)
 HIGHEST = np.array([1.5, 1.0, 5.6], np.float32)
 """Bounds of log(R/G), log(G/B) and the mean logarithm: what lies outside counts with the nearest bin."""
-ACHROMATIC_SHARE = 0.3
-"""How much of an instrument is steel and glare that no image before has shown."""
+ACHROMATIC_SHARE = 0.3  # how much of an instrument is steel and glare that no image before has shown
 ACHROMATIC_STD = 0.15
 """How far the colour ratio of steel is from that of the instruments seen: light that tissue has reflected."""
-UNKNOWN_SHARE = 0.02
-"""How much of anything has a colour not seen before: it speaks for neither."""
-MOST_RATIO = 4.0
-"""One pixel's colour says no more than this, as the logarithm of a likelihood ratio."""
+UNKNOWN_SHARE = 0.02  # how much of anything has a colour not seen before: it speaks for neither
+MOST_RATIO = 4.0  # one pixel's colour says no more than this, as the logarithm of a likelihood ratio
 
 
 @dataclass(frozen=True)

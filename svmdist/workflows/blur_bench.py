@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from svmdist.vision.frame_context import to_grey
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
 from svmdist.vision.regions import find_region
 from svmdist.workflows.conditions import BlurCondition
-from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.truth import Reference, distance_truth
@@ -88,31 +87,8 @@ class BlurTally:
 
     def add(self, other: BlurTally) -> None:
         """Take in what was collected on another recording."""
-        self.frame_count += other.frame_count
-        self.measured_count += other.measured_count
-        self.keypoints += other.keypoints
-        self.areas += other.areas
-        self.marker_keypoints += other.marker_keypoints
-        self.matches += other.matches
-        self.inliers += other.inliers
-        self.squared_errors_m2 += other.squared_errors_m2
-
-
-def blur_bench(
-    recordings: Sequence[Recording],
-    setup: Setup,
-    kernels_px: Mapping[Blur, int] = DEFAULT_KERNELS_PX,
-    jobs: int | None = None,
-    on_progress: Progress | None = None,
-) -> list[BlurRow]:
-    """Degrade every frame of the recordings by every blur and measure it; images are decoded once.
-
-    The marker is virtual: it is pasted on the degraded image and is not degraded itself. `on_progress` is told of
-    images. Raises RecordingError where there is no image.
-    """
-    steps = Steps(on_progress, image_total(recordings))
-    parts = [blur_tallies(recording, setup, kernels_px, jobs, steps) for recording in recordings]
-    return blur_rows(parts, kernels_px)
+        for one in fields(self):
+            setattr(self, one.name, getattr(self, one.name) + getattr(other, one.name))
 
 
 def blur_tallies(
@@ -120,16 +96,18 @@ def blur_tallies(
     setup: Setup,
     kernels_px: Mapping[Blur, int],
     jobs: int | None = None,
-    steps: Steps | None = None,
+    advance: Callable[[], None] = lambda: None,
 ) -> dict[Blur, BlurTally]:
-    """Degrade every frame of one recording by every blur, measure it, and count; `steps` hears of each image."""
+    """Degrade every frame of one recording by every blur, measure it, and count; images are decoded once.
+
+    The marker is virtual: it is pasted on the degraded image and is not degraded itself. `advance` is called for
+    each image.
+    """
     tallies = {blur: BlurTally() for blur in kernels_px}
     conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
     measured: dict[Blur, list[FrameResult]] = {blur: [] for blur in kernels_px}
     first = recording.instruments[:1]
-    for replayed in (steps or Steps(None, None)).of(
-        replay(recording, [setup], conditions, wanted=first, jobs=jobs)
-    ):
+    for replayed in replay(recording, [setup], conditions, wanted=first, jobs=jobs):
         for blur, lane in zip(kernels_px, replayed, strict=True):
             (result,) = lane.results
             tallies[blur].frame_count += 1
@@ -137,6 +115,7 @@ def blur_tallies(
                 _count(frame, result, tallies[blur])
             if result.measured:
                 measured[blur].append(result)
+        advance()
     for blur, results in measured.items():
         tallies[blur].measured_count += len(results)
         tallies[blur].squared_errors_m2 += _squared_errors_m2(recording, setup, results)

@@ -86,10 +86,8 @@ def drawn_frames(
     """
     last = max(numbers, default=-1) if numbers is not None else None
     watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
-    first_ns: int | None = None
-    for number, (replayed,) in enumerate(replay(recording, [setup], wanted=wanted, jobs=jobs)):
-        stamp_ns = replayed.results[0].stamp_ns
-        first_ns = stamp_ns if first_ns is None else first_ns
+    for (replayed,) in replay(recording, [setup], wanted=wanted, jobs=jobs):
+        number, seconds = replayed.results[0].number, replayed.results[0].seconds
         alarms = {
             result.instrument: watches[result.instrument].watch(result)
             for result in replayed.results
@@ -99,7 +97,7 @@ def drawn_frames(
             on_image()
         if numbers is None or number in numbers:
             drawing = frame_drawing(replayed, setup, alarms)
-            yield DrawnFrame(number, (stamp_ns - first_ns) / 1e9, replayed, alarms, drawing)
+            yield DrawnFrame(number, seconds, replayed, alarms, drawing)
         if last is not None and number >= last:
             return
 
@@ -239,13 +237,13 @@ def _contours(mask: Image, region: Region, part: Part, name: str = "") -> Iterat
     inside = np.zeros((height, width), np.uint8)
     cv2.fillConvexPoly(inside, region.hull - np.array([x, y], np.int32), 255)
     window = np.ascontiguousarray(mask[y : y + height, x : x + width])
-    yield from contours_of(cv2.bitwise_and(window, inside), part, name, (x, y))
+    yield from contours_of(np.asarray(cv2.bitwise_and(window, inside), np.uint8), part, name, (x, y))
 
 
 def contours_of(mask: Image, part: Part, name: str = "", offset: tuple[int, int] = (0, 0)) -> Iterator[Shape]:
     """The outer contours of a mask, shape (h, w), whose first pixel is at an offset (x, y)."""
     contours, _ = cv2.findContours(
-        np.asarray(mask, np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=offset
+        np.ascontiguousarray(mask), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=offset
     )
     for contour in contours:
         if cv2.arcLength(contour, closed=True) >= MIN_CONTOUR_PX:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +16,9 @@ from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.transforms import Array
 from svmdist.workflows.replay import replay
-from svmdist.workflows.request import Setup
+from svmdist.workflows.request import Lag, Setup
 from svmdist.workflows.scoring.score import Readings
 from svmdist.workflows.scoring.truth import PoseAt, Reference, TruthRules, tool_track
-
-Lag = float | Literal["auto"]
-"""A lag in s, positive when the image stamps are late, or `auto` to estimate it."""
 
 FOUND_LAG_STD_S = 0.01
 """The middle of an instrument that enters the image or is partly hidden moves otherwise than its tool: lags that are

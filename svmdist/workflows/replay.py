@@ -14,12 +14,11 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
-from svmdist.estimation.frame import Clock, Frame, Needs, prefetch
+from svmdist.estimation.frame import Frame, Needs, prefetch
 from svmdist.estimation.methods import Estimator
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile import AutoSegmentation
@@ -95,7 +94,6 @@ def replay(
     *,
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
-    clock: Clock | None = None,
 ) -> Iterator[tuple[Replayed, ...]]:
     """Yield for each image what every setup gave under every condition, conditions first, in order.
 
@@ -105,11 +103,15 @@ def replay(
     the recording has no topics of, and CalibrationError for another camera. Where the lag of a recording is known,
     methods take the offset of its joints for as well known.
     """
-    replaying = _Replay(recording, setups, conditions, wanted, clock or time.thread_time)
+    replaying = _Replay(recording, setups, conditions, wanted)
     return replaying.run(usable_cores() if jobs is None else jobs)
 
 
-NOTHING: Mapping[str, float] = MappingProxyType({})
+class Place(TypedDict):
+    """Which image of a log a result is of: its number from 0, and its time since the first one."""
+
+    number: int
+    seconds: float
 
 
 class MultiInstrumentEstimator:
@@ -129,19 +131,18 @@ class MultiInstrumentEstimator:
         """Whether a result depends on earlier frames."""
         return self._estimators[0].keeps_state
 
-    def estimate(
-        self, frames: Sequence[Frame], spent_s: Mapping[str, float] = NOTHING, clock: Clock = time.thread_time
-    ) -> Replayed:
+    def estimate(self, frames: Sequence[Frame], place: Place, spent_s: Mapping[str, float]) -> Replayed:
         """Measure one image: a frame for each instrument; `spent_s`: what detections computed ahead took."""
         needs = self.needs
         shared_s = sum(spent_s.get(name, 0.0) for name in needs.scene + needs.frame) / len(frames)
         results: list[FrameResult] = []
         seconds: list[float] = []
         for estimator, arm, frame in zip(self._estimators, self._arms, frames, strict=True):
-            start_s = clock()
+            start_s = time.thread_time()
             result = estimator.estimate(frame)
-            seconds.append(shared_s + clock() - start_s)
-            named = replace(_through_lens(result, frame), instrument=arm.profile.instrument_name)
+            seconds.append(shared_s + time.thread_time() - start_s)
+            name = arm.profile.instrument_name
+            named = replace(_through_lens(result, frame), instrument=name, **place)
             results.append(named.doubted(frame.doubt) if frame.doubt else named)
         if len(results) > 1:
             from svmdist.estimation.distances import with_clearance_between
@@ -164,6 +165,7 @@ def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
 class _Prepared:
     """A decoded frame, and what of it is known for each condition before the frame before it is done."""
 
+    place: Place
     decoded: Decoded
     conditions: tuple[_Ahead, ...] = ()
 
@@ -190,12 +192,10 @@ class _Replay:
         setups: Sequence[Setup],
         conditions: Sequence[ReplayCondition],
         wanted: Sequence[str] | None,
-        clock: Clock,
     ) -> None:
         self._recording = recording
         setups = [setup.knowing(recording.lag) for setup in setups]
         self._setup = setups[0]
-        self._clock = clock
         for setup in setups:
             setup.require_camera(recording)
         every = recording.instruments
@@ -227,41 +227,42 @@ class _Replay:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
         logged = ReadNeeds(joints=robot, transforms=robot, right=right)
-        numbered = enumerate(self._recording.encoded_observations(self._recording.instruments, logged))
+        numbered = self._recording.numbered_observations(self._recording.instruments, logged)
         with one_opencv_thread():
             for prepared in in_order(self._prepare, numbered, jobs):
                 yield tuple(self._measure(prepared))
 
-    def _prepare(self, numbered: tuple[int, EncodedObservation]) -> _Prepared:
+    def _prepare(self, numbered: tuple[int, int, EncodedObservation]) -> _Prepared:
         """Whatever of a frame needs no other one."""
-        number, encoded = numbered
+        number, at_ns, encoded = numbered
+        place = Place(number=number, seconds=at_ns * 1e-9)
         decoded = encoded.decode()
         found = decoded.found
         if isinstance(found, Rejection):
-            return _Prepared(decoded)
-        ahead = [self._look(at, number, found) for at in range(len(self._conditions))]
-        return _Prepared(decoded, tuple(ahead))
+            return _Prepared(place, decoded)
+        ahead = [self._look(at, place, found) for at in range(len(self._conditions))]
+        return _Prepared(place, decoded, tuple(ahead))
 
-    def _look(self, at: int, number: int, found: tuple[Observation, ...]) -> _Ahead:
+    def _look(self, at: int, place: Place, found: tuple[Observation, ...]) -> _Ahead:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
-        seen = self._conditions[at].apply(found[0], number)
+        seen = self._conditions[at].apply(found[0], place["number"])
         scene = Scene(seen, self._setup.profile, self._segmenters[at], self._row_offset_px)
-        spent_s = prefetch(scene, self._needs.scene, self._clock)
+        spent_s = prefetch(scene, self._needs.scene)
         lanes = self._lanes[at]
         if self._associations[at] is not None:
             prefetch(scene, ("left.masks.seen", "right.masks.seen"))
             return _Ahead(scene, None, (None,) * len(lanes), spent_s)
         frames = [Frame.of(scene, self._arms[0], found[0], self._arms[0].state_at(seen))]
-        spent_s |= prefetch(frames[0], self._needs.frame, self._clock)
-        measured = [
-            None if lane.keeps_state else lane.estimate(frames, spent_s, self._clock) for lane in lanes
-        ]
+        spent_s |= prefetch(frames[0], self._needs.frame)
+        measured = [None if lane.keeps_state else lane.estimate(frames, place, spent_s) for lane in lanes]
         return _Ahead(scene, frames, tuple(measured), spent_s)
 
     def _measure(self, prepared: _Prepared) -> Iterator[Replayed]:
         found = self._recording.record_losses(prepared.decoded)
         if isinstance(found, Rejection):
-            lost = tuple(FrameResult.of_rejection(found, name) for name in self._wanted)
+            lost = tuple(
+                replace(FrameResult.of_rejection(found, name), **prepared.place) for name in self._wanted
+            )
             for _ in self._conditions:
                 yield from (Replayed(lost, (0.0,) * len(lost)) for _ in self._lanes[0])
             return
@@ -274,5 +275,5 @@ class _Replay:
             assert every is not None  # one instrument, or an association
             chosen = [every[place] for place in self._places]
             for lane, known in zip(lanes, ahead.measured, strict=True):
-                replayed = known or lane.estimate(chosen, ahead.spent_s, self._clock)
+                replayed = known or lane.estimate(chosen, prepared.place, ahead.spent_s)
                 yield replace(replayed, image_bgr=found[0].image_bgr)

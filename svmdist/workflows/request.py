@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import copy
+import logging
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError, did_you_mean
+from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.plane_mapping import (
@@ -23,12 +26,25 @@ from svmdist.estimation.plane_mapping import (
 )
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue import require_tissue
+from svmdist.input_file import LogPath
 from svmdist.perturbations.calibration import stated_profile
 from svmdist.perturbations.chosen import Perturbations
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
-from svmdist.recording.log import KnownLag, Recording
+from svmdist.recording.log import KnownLag, Recording, open_recording
+from svmdist.recording.observations import Reading, Window
+from svmdist.recording.topics import Role
 from svmdist.results import FrameResult
 from svmdist.vision.segmentation import Segmenter, make_segmenter
+from svmdist.workflows.conditions import CLEAN, LogCondition
+from svmdist.workflows.scoring.truth import TruthRules
+
+Lag = float | Literal["auto"]
+"""A lag in s, positive when the image stamps are late, or `auto` to estimate it."""
+
+ANY_TRUTH = TruthRules()
+
+LOG = logging.getLogger("svmdist")
+"""What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
 
 
 @runtime_checkable
@@ -79,10 +95,20 @@ class Setup:
     own: OwnMethod | None = None
     """A user's own method, in place of one of svmdist's."""
 
+    @staticmethod
+    def reading(profile: str, hand_eye: Path | None = None) -> Setup:
+        """A setup by which logs are read, and nothing is measured; raises ProfileError."""
+        return Setup(load_profile(profile, hand_eye), "kinematic", "corrected", None)
+
     @cached_property
     def segmenter(self) -> Segmenter:
         """What tells tissue and instrument apart; raises ProfileError where its network cannot be used."""
         return make_segmenter(self.profile.segmentation, self.profile.settings.auto)
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether the method measures in the paper's plane."""
+        return self.method in PLANAR_METHODS
 
     def require_camera(self, recording: Recording) -> None:
         """Raise CalibrationError for a recording of another camera than the calibration's."""
@@ -128,6 +154,32 @@ class Setup:
         self.__dict__.update(state)
 
 
+@dataclass(frozen=True)
+class Request:
+    """What a command does with each log: it travels to workers, and results depend on nothing else but the log.
+
+    `instruments` None stands for all. `lag` is taken off the image stamps. `rules` say what estimates are scored
+    against, and `alarms` when one is raised; `conditions` are those of a comparison.
+    """
+
+    setup: Setup
+    topics: Mapping[str, str] = field(default_factory=dict)
+    window: Window | None = None
+    instruments: tuple[str, ...] | None = None
+    lag: Lag | None = None
+    alarms: AlarmRules | None = None
+    rules: TruthRules = ANY_TRUTH
+    conditions: tuple[LogCondition, ...] = (CLEAN,)
+
+    def open(self, path: LogPath, name: str) -> Recording:
+        """Open a log under a name; raises RecordingError, or UsageError for an unknown role."""
+        recording = open_recording(path, self.setup.profile, topics=dict(self.topics))
+        recording = recording.read_as(Reading(name, self.window))
+        found = [f"{role} {topic}" for role in Role if (topic := recording.topic_of(role))]
+        LOG.debug("%s: %s: %s", name, path, ", ".join(found))
+        return recording
+
+
 def prepare(
     profile: str | Path | Profile = DEFAULT_PROFILE,
     method: str | OwnMethod = "overlay",
@@ -137,13 +189,11 @@ def prepare(
 ) -> Setup:
     """Load what a measurement needs, by names and paths; a `Profile`, and an own method, are taken as they are.
 
-    A planar method needs a calibration: the given one, else the one that ships beside the profile. A method
-    that measures in 3D needs none, and knows no other equations. `hand_eye` is a file of camera-to-base transforms in
-    place of the profile's. Raises ProfileError, CalibrationError or
-    UsageError.
+    A planar method needs a calibration: the given one, else the one that ships beside the profile. `hand_eye` is a
+    file of camera-to-base transforms in place of the profile's. Raises ProfileError, CalibrationError or UsageError.
     """
     if not isinstance(method, str):
-        loaded = profile if isinstance(profile, Profile) else load_profile(profile)
+        loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
         return Setup(loaded, name_of(method), equations, None, own=method)
     if method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")

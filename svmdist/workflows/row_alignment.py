@@ -5,8 +5,6 @@ It is found from the first pairs before any row is made, so that rows do not dep
 
 from __future__ import annotations
 
-from itertools import islice
-
 import numpy as np
 
 from svmdist.profile import Profile
@@ -29,7 +27,12 @@ def row_offset(recording: Recording, profile: Profile) -> RowOffset | None:
     needs = Needs(joints=False, transforms=False, right=True)
     encoded = recording.encoded_observations(recording.instruments[:1], needs)
     found: list[Array] = []
-    for one in islice(encoded, 0, settings.row_pairs * ROW_STRIDE, ROW_STRIDE):
+    end = settings.row_pairs * ROW_STRIDE
+    for number, one in enumerate(encoded):
+        if number >= end and recording.file.is_read:
+            break  # else to the end: this pass reads the joints and transforms, too, which no other has to
+        if number >= end or number % ROW_STRIDE:
+            continue
         decoded = one.decode().found
         if isinstance(decoded, Rejection) or decoded[0].right is None:
             continue

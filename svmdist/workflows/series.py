@@ -82,17 +82,22 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class WorstFrame:
-    """One of the worst frames of a log: its image's number, whose it is, and how bad it is."""
+    """One of the worst frames of a log: its place in a series, and how bad it is."""
 
-    number: int
+    at: int
     series: Series
     badness_m: float
 
     @property
+    def number(self) -> int:
+        """Its image's number in the log."""
+        return int(self.series.number[self.at])
+
+    @property
     def in_words(self) -> str:
         """What is bad about it, for a person."""
-        series, at = self.series, self.number
-        where = f"frame {at} at {series.seconds[at]:.2f} s, {series.instrument}"
+        series, at = self.series, self.at
+        where = f"frame {self.number} at {series.seconds[at]:.2f} s, {series.instrument}"
         if not series.measured[at]:
             detail = f" ({series.detail[at]})" if series.detail[at] else ""
             return f"{where}: not measured: {series.status[at]}{detail}"
@@ -111,7 +116,8 @@ def worst_frames(series: Sequence[Series], count: int) -> list[WorstFrame]:
         badness_m = one.badness_m
         for at in one.worst(count):
             worse = WorstFrame(at, one, float(badness_m[at]))
-            found[at] = max(found.get(at, worse), worse, key=lambda frame: frame.badness_m)
+            known = found.get(worse.number, worse)
+            found[worse.number] = max(known, worse, key=lambda frame: frame.badness_m)
     return sorted(found.values(), key=lambda frame: -frame.badness_m)[:count]
 
 
@@ -165,9 +171,9 @@ def _series(
         name,
         setup.method,
         distance.name,
-        np.arange(len(rows), dtype=np.int64),
+        np.array([row.number for row in rows], np.int64),
         stamps_ns,
-        (stamps_ns - (stamps_ns[0] if len(rows) else 0)) / 1e9,
+        np.array([row.seconds for row in rows]),
         tuple(str(row.status) for row in rows),
         tuple(row.detail for row in rows),
         read[:, 0],

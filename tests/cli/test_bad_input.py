@@ -28,7 +28,7 @@ def _one_line(err: str) -> str:
         ("missing.mcap", None, "missing.mcap"),
         ("empty.mcap", b"", "empty"),
         ("text.mcap", b"stamp,x,y\n1,2,3\n" * 50, "MCAP"),
-        ("old.bag", b"#ROSBAG V2.0\n" + b"\0" * 4096, "no topics"),
+        ("old.bag", b"#ROSBAG V2.0\n" + b"\0" * 4096, "rosbag reindex"),
     ],
 )
 def test_unusable_file(cli: Cli, tmp_path: Path, name: str, content: bytes | None, said: str) -> None:

@@ -108,17 +108,3 @@ def test_the_guides_profile_by_colours_measures(cli: Cli, my_folder: Path) -> No
     tissue_m = 0.11 * np.array([0.5 / CAMERA.K[0, 0], 10.5 / CAMERA.K[1, 1], 1.0])
     spatial_m = np.linalg.norm(DRAWN.tool_m - tissue_m)
     assert abs(float(row["spatial_m"]) - spatial_m) < 1.96 * float(row["spatial_std_m"])
-
-
-def test_the_guides_masks_are_the_parts(my_folder: Path) -> None:
-    """The lines of Python run as they stand; each part of the picture is white in its own mask, and only there."""
-    (code,) = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
-    exec(compile(code, "guide.md", "exec"), {})
-    drawn = cv2.imread(str(my_folder / "masks.png"), cv2.IMREAD_GRAYSCALE)
-    assert drawn is not None
-    masks = np.split(drawn, 3, axis=1)
-    hinge_px = CAMERA.project(DRAWN.hinge_m - 0.003 * DRAWN.direction)[0]
-    shaft_px = CAMERA.project(DRAWN.hinge_m - 0.012 * DRAWN.direction)[0]
-    for place_px, white in (((700.0, 450.0), 0), (hinge_px, 1), (shaft_px, 2)):
-        x, y = (round(float(value)) for value in place_px)
-        assert [bool(mask[y, x]) for mask in masks] == [index == white for index in range(3)]

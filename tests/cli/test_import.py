@@ -60,7 +60,7 @@ def test_pair_without_baseline_is_told(cli: Cli, folder: Path, tmp_path: Path) -
         ),
         (("--calibration", "no.yaml", "--rate", "1"), 1, "no.yaml: cannot read: No such file"),
         (("--camera", "60,61,31,23", "--times", "no.csv"), 1, "no.csv: cannot read"),
-        (("--camera", "60,61,31,23", "--rate", "1", "--times", "no.csv"), 2, "exclude each other"),
+        (("--camera", "60,61,31,23", "--rate", "1", "--times", "no.csv"), 2, "cannot be combined"),
         (("--camera", "60,61,31,23", "--rate", "1", "--poses", "no.csv"), 1, "no.csv: cannot read"),
         (("--camera", "60,61,31,23", "--rate", "1", "--start", "soon"), 2, "--start soon: expected a time"),
         (

@@ -93,7 +93,7 @@ def test_a_bad_log_is_told_at_the_end_and_stops_nothing(cli: Cli, with_bad: Path
     outcome = cli("estimate", with_bad, "-f", "csv", "--jobs", "2")
     assert outcome.code == 3
     assert "left out: " in outcome.err.splitlines()[-1]
-    assert "junk.mcap: is no recording" in outcome.err.splitlines()[-1]
+    assert "junk.mcap: is not a recording" in outcome.err.splitlines()[-1]
     assert outcome.err.splitlines()[0].endswith("frames measured (100.0%)")
     rows = rows_of(outcome.out)
     good = [row for row in rows if row["recording"].startswith("log")]
@@ -198,7 +198,7 @@ def test_a_report_ranks_the_logs(cli: Cli, with_bad: Path, tmp_path: Path) -> No
     outcome = cli("estimate", with_bad, "-o", report)
     assert outcome.code == 3
     page = report.read_text()
-    assert page.index("Logs, what went wrong most first") < page.index("junk") < page.index(">cut<")
+    assert page.index("Logs, worst first") < page.index("junk") < page.index(">cut<")
     assert "distance-3" in page  # figures of four logs
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.recording.builders import scene, write_scene
 
-UNUSED = ("rich", "matplotlib", "pybullet", "sqlite3", "lz4", "yaml")
+UNUSED = ("rich", "matplotlib", "pybullet", "sqlite3", "yaml")
 SAY_LOADED = """
 import sys
 sys.argv = ["svmdist", *{arguments!r}]

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.errors import ProfileError
-from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.one_view import tool_from_tag
 from svmdist.kinematics.dh import (
@@ -22,11 +20,11 @@ from svmdist.kinematics.dh import (
     wrist_rows,
 )
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import CameraError, KinematicError, load_profile
+from svmdist.profile import KinematicError, load_profile
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_z
 from svmdist.vision.tag_overlay import TagPattern
-from svmdist.vision.tags import find_tags, pose_candidates, square_corners_m
+from svmdist.vision.tags import find_tags, square_corners_m
 from tests.measuring import Measuring
 from tests.rotations import rotation_y
 from tests.shipped import CHAIN, POSTURE, PROFILE
@@ -94,16 +92,6 @@ def test_a_tag_is_placed_to_a_tenth_of_a_millimetre(depth_m: float, noise: float
         assert error @ np.linalg.solve(pose.covariance + floor, error) < 40.0  # six degrees of freedom
 
 
-def test_exact_corners_give_back_the_pose() -> None:
-    """One of the two poses of solvePnP is the true one to 1e-6, and projects to the corners."""
-    rng = np.random.default_rng(1)
-    for _ in range(50):
-        T = tilted(rng, (0.2, 1.0), 0.09)
-        corners = CAMERA.project(square_corners_m(SIZE_M) @ T[:3, :3].T + T[:3, 3])
-        candidates = pose_candidates(corners, SIZE_M, CAMERA.K, CAMERA.D)
-        assert min(np.abs(found - T).max() for found in candidates) < 1e-6
-
-
 def test_the_predicted_rotation_decides_where_the_image_cannot() -> None:
     """Seen from far, both poses fit: ambiguous without a predicted rotation, and the right one with it."""
     rng = np.random.default_rng(2)
@@ -121,61 +109,6 @@ def test_the_predicted_rotation_decides_where_the_image_cannot() -> None:
         if pose is not None:
             assert np.linalg.norm(pose.T_camera_tag[:3, :3] - T[:3, :3]) < 0.4
     assert undecided > 0
-
-
-def test_a_certain_prediction_finds_the_same_pose() -> None:
-    """Started from a rotation known to a degree, the one search ends where both would; a wrong one is rejected."""
-    rng = np.random.default_rng(8)
-    for seed in range(3):
-        T = tilted(rng, (0.3, 0.6), 0.09)
-        image = draw(T, 2.0, seed)
-        corners = find_tags(image, "36h11").get(0)
-        assert corners is not None
-        whole = found_pose(image)
-        for R_predicted in (rotation_x(0.015) @ T[:3, :3], rotation_x(1.0) @ T[:3, :3]):
-            sure = find_tag_pose(image, corners, CAMERA, PATTERN, R_predicted, 0.01)
-            assert sure is not None
-            np.testing.assert_allclose(sure.T_camera_tag[:3, 3], whole.T_camera_tag[:3, 3], atol=2e-5)
-            np.testing.assert_allclose(sure.T_camera_tag[:3, :3], whole.T_camera_tag[:3, :3], atol=2e-3)
-
-
-def test_the_tool_is_behind_the_tag() -> None:
-    """The exact tag gives the exact tool; one degree in the wrist's pitch is 0.16 mm at the tool."""
-    fiducial = PROFILE.fiducial
-    assert fiducial is not None
-    T_camera_base = make_transform(rotation_x(0.4), [0.1, -0.2, 0.3])
-    T_base_link = frame_transforms(CHAIN, POSTURE)[row_index(CHAIN, fiducial.link)]
-    tag = TagPose(T_camera_base @ T_base_link @ fiducial.T_link_tag, np.zeros((6, 6)), 0.0, 0.8)
-    pose = tool_from_tag(
-        tag, fiducial, RobotState(CHAIN, 0, POSTURE), KinematicError(play_std_rad=0.0, length_std_m=0.0)
-    )
-    np.testing.assert_allclose(
-        pose.T_camera_tool, T_camera_base @ forward_kinematics(CHAIN, POSTURE), atol=1e-12
-    )
-    assert np.sqrt(np.trace(pose.position_covariance)) == pytest.approx(np.deg2rad(1.0) * 0.0091, rel=1e-9)
-
-
-def test_camera_mounting_wrist_and_play_widen_the_tool() -> None:
-    """In quadrature: depth by focal length and tag size, the mounting at its arm, play at 9.1 mm, a length."""
-    fiducial = PROFILE.fiducial
-    assert fiducial is not None
-    T_camera_tag = make_transform(rotation_x(np.pi), [0.0, 0.0, 0.09])
-    tag = TagPose(T_camera_tag, np.zeros((6, 6)), 0.0, 0.8)
-    error = KinematicError(joint_std_rad=0.0, joint_std_m=0.0, play_std_rad=0.01, length_std_m=4e-4)
-    robot = RobotState(CHAIN, 0, POSTURE)
-    exact = tool_from_tag(tag, fiducial, robot, error)
-    assert np.trace(exact.position_covariance) == pytest.approx((0.01 * 0.0091) ** 2 + 4e-4**2, rel=1e-9)
-    deviations = Deviations(
-        CameraError(focal_std_fraction=0.003, centre_std_px=0.0),
-        tag_size_fraction=0.004,
-        tag_position_m=2e-4,
-        tag_rotation_rad=0.02,
-    )
-    wide = tool_from_tag(tag, fiducial, robot, error, deviations, np.array([554.0, 554.0]))
-    added = wide.position_covariance - exact.position_covariance
-    arm_m = np.linalg.norm(wide.position_m - T_camera_tag[:3, 3])
-    expected = 0.09**2 * (0.003**2 + 0.004**2) + 3 * 2e-4**2 + 2 * (0.02 * arm_m) ** 2
-    assert np.trace(added) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", ["psm13", "dvrk-psm"])
@@ -244,10 +177,3 @@ def test_what_is_missing_is_the_reason(joints: bool, tag: bool, status: Status) 
     assert row.status is status
     assert (row.distance_m, row.spatial_m) == (None, None)
     assert row.tissue_x_px == pytest.approx(150.0, abs=1.0)
-
-
-def test_a_profile_without_tag_or_plane_is_refused() -> None:
-    with pytest.raises(ProfileError, match=r"no \[fiducial\]"):
-        Measuring("fiducial", PROFILE.model_copy(update={"fiducial": None}))
-    with pytest.raises(ProfileError, match=r"no \[tissue\]"):
-        Measuring("fiducial", PROFILE.model_copy(update={"tissue": None}))

@@ -1,36 +1,30 @@
-"""Every method behind the one interface: made by its name, honest about what it asks for and whether it remembers."""
+"""Every method behind the one interface: honest about what it needs and remembers; a frame is looked at once."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError, UsageError
+from svmdist.estimation.association import Association
 from svmdist.estimation.frame import Frame, frame_of
-from svmdist.estimation.fused import FusedEstimator
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
-from svmdist.estimation.one_view import FiducialEstimator, KinematicEstimator, ShaftEstimator
-from svmdist.estimation.planar import CentroidEstimator, OverlayEstimator
-from svmdist.estimation.scene import Arm
-from svmdist.estimation.stereo import StereoEstimator
+from svmdist.estimation.scene import Arm, Scene
+from svmdist.kinematics import robot_state
 from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
+from svmdist.vision import frame_context
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE
+from svmdist.workflows.replay import MultiInstrumentEstimator
+from svmdist.workflows.request import Setup, prepare
 from tests.shipped import PROFILE
 
-CLASSES = {
-    "overlay": OverlayEstimator,
-    "centroid": CentroidEstimator,
-    "fiducial": FiducialEstimator,
-    "shaft": ShaftEstimator,
-    "stereo": StereoEstimator,
-    "kinematic": KinematicEstimator,
-    "fused": FusedEstimator,
-}
 REQUIRES = {
     "fiducial": ("robot", "tissue", "fiducial"),
     "shaft": ("robot", "tissue", "instrument"),
@@ -64,35 +58,12 @@ def frames(seen: list[Observation]) -> Iterator[Frame]:
         yield frame_of(one, arm, segmenter)
 
 
-def test_every_method_has_a_class_and_a_name() -> None:
-    assert tuple(CLASSES) == METHODS
-    for method, expected in CLASSES.items():
-        estimator = made(method)
-        assert type(estimator) is expected
-        assert estimator.name == method
-
-
 def test_a_name_that_is_none_lists_the_names() -> None:
     with pytest.raises(UsageError, match="fused"):
         make_estimator("fuse", Arm(PROFILE))
     for method in PLANAR_METHODS:
         with pytest.raises(UsageError, match="calibration"):
             make_estimator(method, Arm(PROFILE))
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_what_is_needed_is_used(method: str, seen: list[Observation]) -> None:
-    """Where a frame is measured, all of it was asked for: nothing is computed ahead in vain. No frame shows the tag."""
-    estimator = made(method)
-    for frame in frames(seen[:1]):
-        result = estimator.estimate(frame)
-        computed = {*vars(frame), *(f"left.{one}" for one in {**vars(frame.left), **vars(frame.scene.left)})}
-        computed |= {f"right.{one}" for one in vars(frame.right)}
-        assert set(estimator.needs.scene) <= computed | set(frame.scene.found)
-        assert result.stamp_ns == frame.stamp_ns
-        assert result.measured == (method != "fiducial")
-        if result.measured:
-            assert set(estimator.needs.frame) <= computed
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -134,3 +105,59 @@ def test_a_profile_without_what_a_method_needs_is_refused(method: str, key: str)
     """At once, not at the first frame; the error names the part."""
     with pytest.raises(ProfileError, match=key):
         make_estimator(method, Arm(PROFILE.model_copy(update={key: None})))
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """How often colours of whole images are converted, exposures normalised, and joints selected."""
+    counts: Counter[str] = Counter()
+    convert, expose, select = cv2.cvtColor, frame_context.exposure_of, robot_state.select_joints
+
+    def converted(image: np.ndarray, code: int, *rest: object) -> np.ndarray:
+        if image.shape[:2] == (480, 640):
+            counts[{cv2.COLOR_BGR2HSV: "HSV", cv2.COLOR_BGR2GRAY: "grey"}.get(code, "other")] += 1
+        return convert(image, code, *rest)
+
+    def exposed(*args: object) -> object:
+        counts["exposure"] += 1
+        return expose(*args)
+
+    def selected(*args: object) -> object:
+        counts["joints"] += 1
+        return select(*args)
+
+    monkeypatch.setattr(cv2, "cvtColor", converted)
+    monkeypatch.setattr(frame_context, "exposure_of", exposed)
+    monkeypatch.setattr(robot_state, "select_joints", selected)
+    return counts
+
+
+def measure_once(golden: Path, methods: tuple[str, ...]) -> tuple[Setup, int]:
+    """Measure the second frame of the golden log of two instruments by some methods; gives their number too."""
+    setups = [prepare(method=method) for method in methods]
+    recording = open_recording(golden / "3d" / "duo.mcap", setups[0].profile)
+    arms = [Arm(setups[0].profile.for_instrument(name)) for name in recording.instruments]
+    association = Association(arms)
+    lanes = [MultiInstrumentEstimator(setup, arms) for setup in setups]
+    found = next(iter(recording.observations_of(recording.instruments)))
+    assert isinstance(found, tuple)
+    frames = association.frames(Scene(found[0], setups[0].profile, setups[0].segmenter), found)
+    for lane in lanes:
+        lane.estimate(frames)
+    return setups[0], len(arms)
+
+
+@pytest.mark.parametrize("methods", [("fused",), METHODS], ids=["fused", "all methods"])
+def test_a_frame_is_converted_once(golden: Path, counted: Counter[str], methods: tuple[str, ...]) -> None:
+    """Two images and two arms: one HSV and one exposure an image, at most one grey; joints once an arm."""
+    _, arm_count = measure_once(golden, methods)
+    assert counted["HSV"] == 2
+    assert counted["exposure"] == 2
+    assert counted["grey"] <= 2
+    assert counted["other"] == 0
+    assert counted["joints"] == arm_count
+
+
+def test_an_observation_has_no_field_for_truth() -> None:
+    """No estimator can peek: neither an observation nor a frame's scene holds a distance or a true pose."""
+    assert not {name for name in Observation.__slots__ if "truth" in name or "distance" in name}

@@ -11,11 +11,9 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.estimation.frame import frame_of
 from svmdist.estimation.instrument.shaft_detection import ShaftDetection
-from svmdist.estimation.instrument.shaft_fit import ShaftFit, fit_shaft
-from svmdist.estimation.instrument.shaft_model import shaft_frames, shaft_model
+from svmdist.estimation.instrument.shaft_fit import ShaftFit
 from svmdist.estimation.scene import Arm
-from svmdist.kinematics.dh import chain_of, forward_kinematics
-from svmdist.profile import AutoSegmentation, ColourRegion, Profile, load_profile
+from svmdist.profile import AutoSegmentation, Profile, load_profile
 from svmdist.results import Failure
 from svmdist.samples import Observation
 from svmdist.vision.segmentation import make_segmenter
@@ -84,40 +82,10 @@ def test_glare_blur_and_noise(faults: dict[str, float]):
     check(drawn, measured(drawn), axis_rad=0.03, across_m=3e-4, depth_m=1.5e-3)
 
 
-@pytest.mark.parametrize(
-    "faults",
-    [{"glints": 8}, {"stripe": True, "gradient": 0.5, "vignette": 0.5}],
-    ids=["glints", "uneven"],
-)
-def test_wet_and_unevenly_lit(faults: dict[str, float]):
-    drawn = replace(picture(SMALL, "bottom", background_bgr=RED_BGR), **faults)  # type: ignore[arg-type]
-    check(drawn, measured(drawn), axis_rad=0.03, across_m=3e-4, depth_m=1.5e-3)
-
-
 @pytest.mark.parametrize("angle_rad", [0.65, np.pi + 0.65])
 def test_from_the_corners(angle_rad: float):
     drawn = ShaftImage(SMALL, *entering_from(angle_rad, SMALL))
     check(drawn, measured(drawn), axis_rad=0.02, across_m=2e-4, depth_m=1e-3)
-
-
-def test_portrait_with_distortion():
-    """A lens that bends straight lines by several pixels: the sides are undistorted before they are fitted."""
-    K = np.array([[560.0, 0.0, 239.5], [0.0, 560.0, 319.5], [0.0, 0.0, 1.0]])
-    camera = Camera(480, 640, K, np.array([-0.25, 0.06, 0.0, 0.0, 0.0]))
-    drawn = picture(camera, "top")
-    check(drawn, measured(drawn), axis_rad=0.02, across_m=2e-4, depth_m=1e-3)
-
-
-def test_bare_steel_is_no_distal_marker():
-    """A profile whose instrument rule is the steel's: the rim gives the place, and no disc is made of the tip."""
-    steel = ColourRegion(hue=(0, 179), saturation=(0, 40), value=(110, 165), min_area_px=100)
-    rules = PROFILE.segmentation.model_copy(update={"instrument": steel})
-    profile = PROFILE.model_copy(update={"segmentation": rules})
-    drawn = picture(SMALL, "left", background_bgr=RED_BGR, marker=False)
-    fit = find_tool(Observation(0, drawn.draw(2), drawn.camera), profile)
-    assert isinstance(fit, ShaftFit), fit
-    assert "distal marker" not in fit.used
-    check(drawn, fit, axis_rad=0.02, across_m=1e-3, depth_m=1.5e-3)
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -144,19 +112,6 @@ def test_the_softer_of_two_edges_is_a_shadows():
     assert [contour.side for contour in shadowed.contours] == [-1]
 
 
-def test_a_stub_alone_is_no_measurement():
-    """Short sides are found on anything dark at the border: without wrist and marker nothing contradicts them."""
-    drawn = picture(SMALL, "left", background_bgr=RED_BGR)
-    arm = Arm(PROFILE)
-    tool = frame_of(Observation(0, drawn.draw(2), SMALL), arm, make_segmenter(PROFILE.segmentation)).left
-    assert arm.chain is not None
-    assert PROFILE.instrument is not None
-    model = shaft_model(Failure(""), arm.chain, PROFILE.instrument, PROFILE.kinematic_error)
-    stub = replace(tool.shaft, is_stub=True)
-    assert isinstance(fit_shaft(stub, tool.distal_marker, model, SMALL), ShaftFit)
-    assert isinstance(fit_shaft(stub, None, model, SMALL), Failure)
-
-
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("background", [(170.0, 185.0, 205.0), RED_BGR], ids=["pale", "red"])
 def test_axis_without_colours(side: str, background: tuple[float, float, float]):
@@ -176,18 +131,3 @@ def test_an_image_without_an_instrument_says_so():
     assert isinstance(find_tool(Observation(0, empty, SMALL)), Failure)
     black = np.zeros((480, 640, 3), np.uint8)
     assert isinstance(find_tool(Observation(0, black, SMALL)), Failure)
-
-
-@pytest.mark.parametrize("name", ["psm13", "dvrk-psm"])
-def test_shaft_frame_closes_the_chain_and_lies_along_the_insertion(name: str):
-    robot = load_profile(name).robot
-    assert robot is not None
-    chain = chain_of(robot)
-    rng = np.random.default_rng(5)
-    q = rng.uniform(0.1, 0.5, len(chain.joint_names))
-    T_base_shaft, T_shaft_tool = shaft_frames(chain, q)
-    np.testing.assert_allclose(T_base_shaft @ T_shaft_tool, forward_kinematics(chain, q), atol=1e-12)
-    deeper = q.copy()
-    deeper[chain.joint_names.index("insertion")] += 0.01
-    moved_m = shaft_frames(chain, deeper)[0][:3, 3] - T_base_shaft[:3, 3]
-    np.testing.assert_allclose(moved_m, 0.01 * T_base_shaft[:3, 2], atol=1e-12)

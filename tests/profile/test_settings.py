@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from benchmarks.settings_docs import PAGE, meanings, settings_page
 from svmdist.errors import ProfileError
 from svmdist.estimation.instrument.shaft_detection import detect_distal_marker
 from svmdist.estimation.tissue import TissuePose
@@ -36,13 +35,6 @@ from svmdist.workflows.request import Setup, prepare
 from tests.shipped import EXACT_PROFILE
 
 TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")
-
-
-def test_every_setting_says_what_it_means() -> None:
-    """The page in the documentation is made from the fields, each of which has a docstring."""
-    for name, field in Settings.model_fields.items():
-        assert set(meanings(type(field.default))) == set(type(field.default).model_fields), name
-    assert PAGE.read_text("utf-8") == settings_page()
 
 
 def test_a_profile_sets_them(tmp_path) -> None:

@@ -65,22 +65,6 @@ def test_joints_of_one_arm_stand_in_for_no_others(tmp_path: Path, two_arms: Prof
     assert only.choice.find(Role.JOINTS) == "/PSM2/measured_js"
 
 
-def test_an_arm_whose_topics_have_no_names_stays(tmp_path: Path, two_arms: Profile) -> None:
-    """Where the profile names no joints nor pose of the first one, nothing says that it is not there."""
-    nameless = two_arms.topics.model_copy(update={"joints": None, "pose": None})
-    profile = two_arms.model_copy(update={"topics": nameless})
-    first, second = find_arms(source(tmp_path, ("/PSM2/measured_js", JOINTS)), profile, {})
-    assert first.choice.find(Role.JOINTS) is None
-    assert second.name == "PSM2"
-
-
-def test_an_arm_without_a_pose_topic_takes_none_of_the_others(tmp_path: Path, two_arms: Profile) -> None:
-    log = source(tmp_path, ("/PSM2/measured_js", JOINTS), ("/PSM1/measured_cp", POSE))
-    first, second = find_arms(log, two_arms, {})
-    assert first.choice.find(Role.POSE) == "/PSM1/measured_cp"
-    assert second.choice.find(Role.POSE) is None
-
-
 def test_the_callers_joints_are_the_first_arms(tmp_path: Path, two_arms: Profile) -> None:
     """A topic that the caller gives to the first instrument is no sign of another one; an image is for all."""
     log = source(tmp_path, ("/PSM2/measured_js", JOINTS), ("/a", IMAGE), ("/b", IMAGE))

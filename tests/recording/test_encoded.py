@@ -15,10 +15,10 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
 from svmdist.camera import Camera
 from svmdist.profile import Profile
-from svmdist.recording.encode import encode
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import LEFT_IMAGES, Needs
-from svmdist.recording.source import Health, Loss, LossKind
+from svmdist.recording.source import LossKind
+from svmdist.recording.writer import encode
 from svmdist.samples import CameraSample, ImageSample, Observation, Rejection
 
 from .builders import CAMERA, scene, write_messages, write_scene
@@ -175,13 +175,3 @@ def test_frames_of_a_video_are_decoded_in_order_for_any_thread(
 
 def _resized(camera: Camera, width_px: int, height_px: int) -> Camera:
     return replace(camera, width_px=width_px, height_px=height_px)
-
-
-def test_a_loss_that_is_found_late_is_listed_at_its_place() -> None:
-    health = Health()
-    place = health.next_place()
-    late, early = Loss(LossKind.IMAGE, "late"), Loss(LossKind.CHUNK, "early")
-    health.add(early)
-    health.add(late, place)
-    health.add(late)
-    assert health.losses == (late, early)

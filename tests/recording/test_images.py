@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import random
-import struct
-import zlib
 
 import cv2
 import numpy as np
@@ -69,15 +67,6 @@ def test_what_is_no_whole_still_is_refused(data: bytes, reason: str) -> None:
         decode_still(data, Limits())
 
 
-def test_limits_hold_before_decoding() -> None:
-    with pytest.raises(ImageError, match="the limit is 100"):
-        decode_still(PNG, Limits(image_pixels=100))
-    with pytest.raises(ImageError, match="the limit is 1024"):
-        decode_still(PNG, Limits(image_bytes=1024))
-    with pytest.raises(ImageError, match="the limit is 100"):
-        decode_still(JPEG, Limits(image_pixels=100))
-
-
 def test_a_flipped_bit_in_a_png_never_gives_another_picture() -> None:
     rng = random.Random(5)
     for _ in range(500):
@@ -86,22 +75,6 @@ def test_a_flipped_bit_in_a_png_never_gives_another_picture() -> None:
         except ImageError:
             continue
         np.testing.assert_array_equal(image, IMAGE)
-
-
-def test_pixel_data_that_end_early_are_refused_although_every_crc_is_right() -> None:
-    raw = b"".join(b"\0" + row.tobytes() for row in IMAGE[:, :, ::-1])
-
-    def png(pixels: bytes) -> bytes:
-        def part(kind: bytes, body: bytes) -> bytes:
-            return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-
-        head = struct.pack(">IIBBBBB", 64, 48, 8, 2, 0, 0, 0)
-        return PNG[:8] + part(b"IHDR", head) + part(b"IDAT", pixels) + part(b"IEND", b"")
-
-    np.testing.assert_array_equal(decode_still(png(zlib.compress(raw)), Limits()), IMAGE)
-    for broken in (zlib.compress(raw[: len(raw) // 2]), zlib.compress(raw)[:-200], b""):
-        with pytest.raises(ImageError):
-            decode_still(png(broken), Limits())
 
 
 LARGE = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (240, 320, 3), np.uint8), (0, 0), 2)
@@ -143,11 +116,3 @@ def test_damage_that_the_decoder_notices_is_no_image(way: tuple[int, int, int]) 
             assert cv2.imdecode(np.frombuffer(broken, np.uint8), cv2.IMREAD_COLOR) is not None, what
             with pytest.raises(ImageError):
                 decode_still(broken, Limits())
-
-
-def test_a_jpeg_of_endless_scans_is_refused() -> None:
-    data = jpeg(*WAYS[-1])
-    scan = data[data.rindex(b"\xff\xda") : -2]
-    decode_still(data, Limits())
-    with pytest.raises(ImageError, match="more than 100 scans"):
-        decode_still(data[:-2] + 200 * scan + data[-2:], Limits())

@@ -5,17 +5,14 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from svmdist.errors import RecordingError
 from svmdist.profile import Limits, Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import MAX_LISTED_LOSSES, Health, Loss, LossKind
-from svmdist.samples import CameraSample, DistanceSample, ImageSample, JointSample
 
-from .builders import CAMERA, Entry, rewrite, scene, write_messages, write_scene
-from .faults import Part, Reading, expand, join, pack_chunk, read, split
+from .builders import rewrite, scene, write_scene
+from .faults import Part, Reading, expand, join, read, split
 
 MAGIC_BYTES = 8
 MESSAGE, CHUNK, STATISTICS = 5, 6, 11
@@ -116,25 +113,6 @@ def test_a_summary_that_promises_more_is_a_loss(data: bytes, intact: Reading, tm
     assert reading.kinds == {LossKind.STATISTICS}
 
 
-def test_an_unknown_compression_is_refused(data: bytes, intact: Reading, tmp_path: Path) -> None:
-    broken = data.replace(struct.pack("<I", 4) + b"zstd", struct.pack("<I", 4) + b"zzzz", 1)
-    reading = reading_of(broken, tmp_path)
-    assert reading.messages == intact.messages[message_count(chunks(data)[0]) :] or not reading.messages
-    assert LossKind.CHUNK in reading.kinds
-
-
-def test_messages_of_a_channel_that_is_not_defined_are_counted(tmp_path: Path) -> None:
-    message = struct.pack("<HIQQ", 9, 0, 1, 1) + b"x"
-    content = join([(MESSAGE, message)] * 3)
-    file = join([(1, bytes(8)), (CHUNK, pack_chunk("zstd", content)), (15, bytes(4)), (2, bytes(20))])
-    path = tmp_path / "a.mcap"
-    path.write_bytes(b"\x89MCAP0\r\n" + file + b"\x89MCAP0\r\n")
-    reading = read(path)
-    assert reading is not None
-    assert reading.messages == []
-    assert reading.kinds == {LossKind.MESSAGE}
-
-
 def test_a_cut_file_says_so_once_with_its_figures(data: bytes, tmp_path: Path, profile: Profile) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(data[: chunks(data)[2].end])
@@ -147,14 +125,6 @@ def test_a_cut_file_says_so_once_with_its_figures(data: bytes, tmp_path: Path, p
     assert recording.metadata == {"scenario": "test", "seed": "7"}
 
 
-def test_a_log_of_other_data_only_says_what_it_holds(tmp_path: Path, profile: Profile) -> None:
-    rows = [("/chatter\x1b[31m\n", "std_msgs/msg/String", "cdr", b"\0\1\0\0", 1)]
-    recording = open_recording(write_messages(tmp_path / "a.mcap", rows), profile)
-    with pytest.raises(RecordingError, match=r"the topics are /chatter\\x1b\[31m\\n \(std_msgs") as caught:
-        recording.joint_track()
-    assert str(caught.value).isprintable()
-
-
 def test_reports_of_losses_stay_short() -> None:
     health = Health()
     for number in range(3 * MAX_LISTED_LOSSES):
@@ -164,21 +134,6 @@ def test_reports_of_losses_stay_short() -> None:
     lines = health.describe(5)
     assert len(lines) == 6
     assert all(line.isprintable() for line in lines)
-
-
-def test_images_do_not_wait_in_memory_for_joints_that_never_come(tmp_path: Path, profile: Profile) -> None:
-    """Ten seconds of images whose joints are stamped an hour later: the look-ahead is bounded by its bytes."""
-    entries = [Entry("/ECM/left/camera_info", CameraSample(0, CAMERA))]
-    image = np.zeros((24, 32, 3), np.uint8)
-    joints = JointSample(3_600_000_000_000, ("a",), np.zeros(1))
-    entries += [
-        Entry("/ECM/left/image", ImageSample(frame * 40_000_000, "camera", image)) for frame in range(250)
-    ]
-    entries += [Entry("/PSM1/measured_js", joints), Entry("/d", DistanceSample(1, 1.0, 1.0, 1.0))]
-    recording = open_recording(write_scene(tmp_path / "a.mcap", entries), profile)
-    assert [item.stamp_ns for item in recording.observations()] == [
-        frame * 40_000_000 for frame in range(250)
-    ]
 
 
 def test_a_profile_sets_the_limits(native: Path, profile: Profile) -> None:

@@ -17,7 +17,7 @@ import pytest
 
 from svmdist.errors import ProfileError, SvmdistError
 from svmdist.geometry.mesh import read_closed_mesh
-from svmdist.profile import Limits, Profile, load_profile
+from svmdist.profile import Limits, load_profile
 from svmdist.recording.images import ImageError, decode_still
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import KINDS, DecodeError, Decoder
@@ -196,11 +196,3 @@ def test_mutants_of_logs_stay_small(tmp_path: Path, target: str) -> None:
         [sys.executable, "-c", script, tmp_path], cwd=root, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-
-
-def test_the_profile_of_the_corpus_is_one(tmp_path: Path) -> None:
-    """The mutants begin at what is right: else they would all fail at the first line."""
-    for data in corpus_of("profile"):
-        path = tmp_path / "it.toml"
-        path.write_bytes(data)
-        assert isinstance(load_profile(path), Profile)

@@ -11,10 +11,10 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.profile import Profile
-from svmdist.recording.encode import encode
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import LossKind
 from svmdist.recording.summary import inspect_recording
+from svmdist.recording.writer import encode
 from svmdist.samples import (
     CameraSample,
     ImageSample,
@@ -56,11 +56,6 @@ def test_what_is_no_recording_is_one_clear_line(
         open_recording(path, profile)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
-
-
-def test_a_directory_is_no_recording(tmp_path: Path, profile: Profile) -> None:
-    with pytest.raises(RecordingError, match=r"a directory without metadata\.yaml"):
-        open_recording(tmp_path, profile)
 
 
 def test_a_missing_topic_lists_the_topics_there_are(tmp_path: Path, profile: Profile) -> None:

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.camera import Camera, stereo_transform
+from svmdist.camera import Camera
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.samples import CameraSample, ImageSample, Observation, TransformSample, TransformsSample
-from svmdist.transforms import Array, inverse, rotation_x
-from tests.rotations import rotation_y
+from svmdist.transforms import Array, inverse
 
 from .builders import CAMERA, PERIOD_NS, Entry, pose, scene, write_scene
 
@@ -111,17 +110,6 @@ def test_the_right_topics_leave_the_left_ones_to_be_found(tmp_path: Path, profil
     assert [item.right for item in observations(path, profile)] == [None] * 5
 
 
-def test_an_unrectified_pair_is_turned_back() -> None:
-    """T_left_right of two cameras, each turned into the common frame by its own rotation."""
-    left = replace(CAMERA, R_rectified_camera=rotation_y(0.02))
-    right = replace(right_camera(), R_rectified_camera=rotation_x(-0.01))
-    T_left_right = stereo_transform(left, right)
-    assert T_left_right is not None
-    p_right = np.array([0.01, -0.02, 0.1])
-    rectified = rotation_x(-0.01) @ p_right + [BASELINE_M, 0.0, 0.0]
-    np.testing.assert_allclose((T_left_right @ [*p_right, 1.0])[:3], rotation_y(0.02).T @ rectified)
-
-
 def tf_entry(topic: str, stamp_ns: int, parent: str, child: str, T: Array) -> Entry:
     return Entry(topic, TransformsSample(stamp_ns, (TransformSample(stamp_ns, parent, child, T),)))
 
@@ -146,8 +134,3 @@ def test_the_believed_base_is_interpolated_along_the_tree(tmp_path: Path, profil
         expected[0, 3] = 0.001 * (2 * frame - 0.05)
         assert item.T_camera_base is not None
         np.testing.assert_allclose(item.T_camera_base, pose(3) @ expected, atol=1e-12)
-
-
-def test_a_log_whose_transforms_lack_the_base_has_none(tmp_path: Path, profile: Profile) -> None:
-    path = write_scene(tmp_path / "plain.mcap", scene())
-    assert [item.T_camera_base for item in observations(path, profile)] == [None] * 5

@@ -45,6 +45,7 @@ MEASURED = FrameResult(
     status=Status.OK,
     image=ImageFindings((1.5, 2.5), (3.5, 4.5), 200, 5000, 900, 120, 100),
     distances=Distances(Distance(0.0123), clearance=Distance(0.004, 1e-3, (0.0, 0.6, 0.8), (0.0, 0.0, 0.1))),
+    seconds=0.5,
 )
 
 
@@ -52,7 +53,7 @@ def test_the_columns_are_those_of_the_contract() -> None:
     """In their order; a measured frame fills them in SI, and stamps keep their nanoseconds."""
     assert list(ESTIMATE_KEYS[:44]) == CONTRACT.split()
     alarm = AlarmState(True, 0.01, 0.4)
-    row = estimate_row("a", MEASURED, "overlay", "corrected", MEASURED.stamp_ns - 500_000_000, alarm)
+    row = estimate_row("a", MEASURED, "overlay", "corrected", alarm)
     assert (row["stamp_ns"], row["time_s"], row["distance_m"]) == (1_700_000_000_500_000_000, 0.5, 0.0123)
     assert [row[key] for key in ESTIMATE_KEYS[4:13]] == [1.5, 2.5, 3.5, 4.5, 200, 5000, 900, 120, 100]
     assert [row[f"direction_{axis}"] for axis in "xyz"] == [0.0, 0.6, 0.8]
@@ -61,7 +62,7 @@ def test_the_columns_are_those_of_the_contract() -> None:
 
 def test_a_rejected_frame_has_empty_cells() -> None:
     """A frame without tissue has a status and its stamp, and nothing that was not measured."""
-    row = estimate_row("a", FrameResult(5, Status.NO_TISSUE, instrument="PSM1"), "overlay", "corrected", 5)
+    row = estimate_row("a", FrameResult(5, Status.NO_TISSUE, instrument="PSM1"), "overlay", "corrected")
     assert {key for key in ESTIMATE_KEYS if row[key] is not None} == {
         *("recording", "stamp_ns", "status", "method", "equations", "instrument")
     }
@@ -84,10 +85,10 @@ def test_the_message_has_the_numbers_of_the_row() -> None:
 def test_a_person_sees_what_fits() -> None:
     """Distances in mm; a narrow terminal goes without pixels first, by rank, and keeps what the method is for."""
     results = (MEASURED, replace(MEASURED, status=Status.NO_INSTRUMENT, distances=Distances()))
-    rows = [estimate_row("a", result, "overlay", "corrected", MEASURED.stamp_ns) for result in results]
+    rows = [estimate_row("a", result, "overlay", "corrected") for result in results]
     lines = list(text_lines(shown_columns(None), rows))
-    assert lines[2].split()[:4] == ["a", "0.000", "ok", "12.30"]
-    assert lines[3].split()[:4] == ["a", "0.000", "no_instrument", "–"]
+    assert lines[2].split()[:4] == ["a", "0.500", "ok", "12.30"]
+    assert lines[3].split()[:4] == ["a", "0.500", "no_instrument", "–"]
     kept = [column.key for column in shown_columns(80)]
     assert kept == ["time_s", "status", "distance_m", "spatial_m", "clearance_m", "clearance_std_m"]
     for planar, alarms, essential in (
@@ -133,7 +134,7 @@ def test_trajectories_are_the_tools_poses(golden: Path, cli: Cli) -> None:
 
 
 def test_the_page_explains_every_column_once() -> None:
-    """docs/metrics.md is made from the tables of columns: `uv run python -m benchmarks.make_metrics_page`."""
+    """docs/metrics.md is made from the tables of columns: `uv run python -m benchmarks.generated_pages`."""
     page = columns_page()
     assert (REPOSITORY / "docs" / "metrics.md").read_text("utf-8") == page
     of_rows, of_scores = (
@@ -142,12 +143,12 @@ def test_the_page_explains_every_column_once() -> None:
             for cell in re.findall(r"^\| (`.+?) \|", part, re.MULTILINE)
             for key in re.findall(r"`(\w+)`", cell)
         ]
-        for part in page.split("\n## Scores")
+        for part in page.split("\n## Metrics")
     )
     assert sorted(of_rows) == sorted(ESTIMATE_KEYS)
     labels = {
         *["recording", "method", "equations", "reference", "instrument", "group", "scenario", "degradation"]
     }
     assert sorted(of_scores) == sorted({*keys_of(score_columns()), *keys_of(compare_columns())} - labels)
-    assert "| m | lower | 2e-05 m or 2 % |" in page
+    assert "| 2e-05 m or 2 % |" in page
     assert all(column.meaning for column in ESTIMATE_COLUMNS if column.stored)

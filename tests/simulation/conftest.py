@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from svmdist.kinematics.inverse import solve_position
+from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, parse_perturbations
 from svmdist.profile import Profile, load_profile
-from svmdist.simulation.scene import Scene, make_scene
+from svmdist.simulation.scene import Options, Scene, make_scene
+from svmdist.transforms import Array, inverse, transform_points
 
 
 @pytest.fixture(scope="session")
@@ -14,3 +18,26 @@ def profile() -> Profile:
 @pytest.fixture(scope="session")
 def scene(profile: Profile) -> Scene:
     return make_scene(profile, 1)
+
+
+def chosen(text: str) -> Perturbations:
+    return parse_perturbations(text) if text else UNPERTURBED
+
+
+def perturbed(text: str, **options: object) -> Options:
+    return Options(perturbations=chosen(text), **options)  # type: ignore[arg-type]
+
+
+def posed(scene: Scene, p_world_m: object, wrist_rad: object = 0.0) -> Array:
+    """Joints with the tool's origin at a point of the world."""
+    q = scene.posture.copy()
+    q[-4:] += wrist_rad
+    target_m = transform_points(inverse(scene.T_world_base), np.array([p_world_m]))
+    return solve_position(scene.chain, q[None], target_m, ("yaw", "pitch", "insertion"))[0]
+
+
+def withdrawn(scene: Scene) -> Array:
+    """Joints with the instrument out of the image."""
+    q = scene.posture.copy()
+    q[scene.chain.joint_names.index("insertion")] = 0.02
+    return q

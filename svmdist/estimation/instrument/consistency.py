@@ -33,10 +33,7 @@ GATE_Z = FilterSettings().gate_z
 
 @dataclass(frozen=True, slots=True)
 class GatingResult:
-    """A measurement at the gate: its normalised innovation squared, of so many degrees of freedom.
-
-    `source` is the detection that it was made of: what misleads one measurement of a source misleads the others too.
-    """
+    """A measurement at the gate: normalised innovation squared, degrees of freedom, the detection it is made of."""
 
     name: str
     nis: float
@@ -52,8 +49,7 @@ def chi_square_bound(degrees_of_freedom: int, z: float = GATE_Z) -> float:
     return degrees_of_freedom * (1.0 - c + z * math.sqrt(c)) ** 3
 
 
-CODED = "tag"
-"""The source that nothing else can be taken for."""
+CODED = "tag"  # the source that nothing else can be taken for
 
 
 @dataclass(slots=True)
@@ -141,10 +137,7 @@ class Consistency:
 
     @property
     def ratio(self) -> float | None:
-        """Innovations squared over what is expected of them: 1 is as expected; None before anything was measured.
-
-        Of accepted measurements, so that a wild one alone is no contradiction.
-        """
+        """Innovations squared of accepted measurements over what is expected of them; None before any."""
         accepted = sum(tally.accepted for tally in self._tallies.values())
         return sum(tally.square for tally in self._tallies.values()) / accepted if accepted else None
 
@@ -170,10 +163,7 @@ class Consistency:
 
     @property
     def widening(self) -> float:
-        """By what variances grow: the ratio where innovations are larger than expected (Birge 1932).
-
-        So do they where a constant is far from what is stated: it may be off as far again, and others with it.
-        """
+        """By what variances grow: the ratio where innovations are larger than expected (Birge 1932)."""
         return max(1.0, self.ratio or 1.0, (self._furthest / USUAL_CONSTANT_DEVIATIONS) ** 2)
 
     @property

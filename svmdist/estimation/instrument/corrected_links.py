@@ -201,14 +201,10 @@ def joints_under(nominal: NominalFrames, correction: Correction, first_joint: in
 
 @dataclass(frozen=True, slots=True)
 class CorrectedLink:
-    """Corrected poses of a link, (..., 4, 4), and the derivatives of their (δp, δθ) by the error state, (..., 6, n).
-
-    `time_column` is that of the joints' time offset: how the link moves with time.
-    """
+    """Corrected poses of a link, (..., 4, 4), and the derivatives of their (δp, δθ) by the error state, (..., 6, n)."""
 
     T_camera_link: Array
     derivative: Array
-    time_column: int
 
 
 class CorrectedLinks:
@@ -291,4 +287,4 @@ class CorrectedLinks:
                 derivative[..., columns.lengths.start + index] = 0.0
         T.setflags(write=False)
         derivative.setflags(write=False)
-        return CorrectedLink(T, derivative, columns.time_offset)
+        return CorrectedLink(T, derivative)

@@ -76,10 +76,7 @@ class ErrorModel:
         return P
 
     def propagation(self, elapsed_s: float) -> tuple[Array, Array]:
-        """By what time multiplies the error state and what variance it adds, shape (n,) each.
-
-        Play is a Gauss–Markov process, all else a random walk.
-        """
+        """Factors and added variance (n,) over a time: play is a Gauss–Markov process, all else a random walk."""
         keep = np.ones(self.size)
         keep[self.columns.play] = np.exp(-elapsed_s / self._error.play_time_s)
         added = self._drift**2 * elapsed_s

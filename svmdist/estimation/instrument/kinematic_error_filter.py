@@ -41,10 +41,7 @@ SETTLED, NEARLY_SETTLED = 1e-3, 0.1
 
 @dataclass(frozen=True, slots=True)
 class MostProbable:
-    """The most probable change x of the state, with derivatives, noise and gain there, and its squared deviation.
-
-    `nis` is xᵀ P⁻¹ x + rᵀ R⁻¹ r at its minimum: what prior and measurements have to give way, together.
-    """
+    """The most probable change x of the state, with derivatives, noise and gain there, and its squared deviation."""
 
     x: Array
     H: Array
@@ -60,10 +57,7 @@ def most_probable(
     parts: Sequence[Linearised],
     settings: FilterSettings,
 ) -> MostProbable | None:
-    """The state that measurements make the most probable; None where no start leads to one that shows them all.
-
-    `parts` are the measurements about the present state.
-    """
+    """The state that measurements make the most probable; None where no start leads to one that shows them all."""
     size = sum(len(part.residual) for part in parts)
     bound = chi_square_bound(size, settings.gate_z)
     best = _descend(state, measurements, np.zeros(len(state.P)), parts)
@@ -79,10 +73,7 @@ def most_probable(
 
 
 def _other_depths(state: ErrorState, settings: FilterSettings) -> Iterator[Array]:
-    """While depth is as good as unknown, the most probable states at other depths.
-
-    Of robots that err by centimetres some report their tool behind the camera, where nothing can be seen.
-    """
+    """While depth is as good as unknown, the most probable states at other depths."""
     tool = state.link(None)
     along = state.P[:, : state.model.size] @ tool.derivative[2]
     variance_m2 = float(tool.derivative[2] @ along[: state.model.size])
@@ -97,11 +88,7 @@ def _descend(
     x: Array,
     parts: Sequence[Linearised] | None = None,
 ) -> MostProbable | None:
-    """x ← K (r + H x) until x rests; None where a measurement's link leaves the view.
-
-    In this form neither P nor the information has to be inverted: P is nearly singular where a joint's error is
-    as good as known. `parts` are the measurements about the state after x, where they are known.
-    """
+    """x ← K (r + H x) until x rests; None where a link leaves the view. P may be nearly singular."""
     P, size = state.P, state.model.size
     R = block_diagonal([measurement.covariance for measurement in measurements])
     deviations = np.sqrt(np.diag(P) + 1e-18)
@@ -133,10 +120,7 @@ DEFAULT = FilterSettings()
 
 
 class KinematicErrorFilter:
-    """Estimates the error of nominal kinematics; `predict` once per frame, then `update` with its measurements.
-
-    The state is the error state of `ErrorModel`, then the biases of measurements in units of their deviations.
-    """
+    """Estimates the error of nominal kinematics; `predict` once per frame, then `update` with its measurements."""
 
     def __init__(self, chain: DHChain, error: KinematicError, settings: FilterSettings = DEFAULT) -> None:
         self._settings = settings
@@ -174,10 +158,7 @@ class KinematicErrorFilter:
             self._state.propagate(elapsed_s)
 
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
-        """Take up what the image shows, all at once; tells what passed the gate.
-
-        An iterated update of the prior by all accepted residuals (`iterated_update`).
-        """
+        """Take up what the image shows by one iterated update; gives what passed the gate."""
         parts = self._state.linearise(measurements)
         self._state.augment_state(parts)
         results = [self._gate(*pair) for pair in zip(measurements, parts, strict=True)]
@@ -271,11 +252,7 @@ class KinematicErrorFilter:
         self.consistency.clear()
 
     def _gate(self, measurement: LinkMeasurement, part: Linearised) -> GatingResult:
-        """Whether some state near the present one explains a measurement.
-
-        Centimetres off, a camera is far from linear, and a derivative taken there belittles what a state can explain:
-        what fails is judged again at the state that it makes the most probable.
-        """
+        """Whether a state near the present one explains a measurement, judged at the most probable one if need be."""
         size, nis = len(part.residual), np.inf
         if part.is_finite:
             innovation, S, _ = self._state.innovation(part)
@@ -287,10 +264,7 @@ class KinematicErrorFilter:
         return GatingResult(measurement.name, nis, size, nis <= bound, measurement.source)
 
     def _correct(self, measurements: Sequence[LinkMeasurement], parts: Sequence[Linearised]) -> bool:
-        """Go to the most probable state; covariance in Joseph's form at the last linearisation.
-
-        False where there is none: the iteration does not come to rest, or the measurements contradict each other.
-        """
+        """Go to the most probable state, covariance in Joseph's form; False where there is none."""
         found = most_probable(self._state, measurements, parts, self._settings)
         bound = chi_square_bound(sum(len(part.residual) for part in parts), self._settings.gate_z)
         if found is None or not found.is_settled or found.nis > bound:
@@ -300,11 +274,7 @@ class KinematicErrorFilter:
         return True
 
     def _keep_in_window(self, measurements: Sequence[LinkMeasurement]) -> None:
-        """While the filter is young, keep what it was given, and solve for all of it anew at growing intervals.
-
-        The first frames are linearised tens of millimetres off, where a camera is far from linear; a Kalman
-        filter can never take back a linearisation, a batch can.
-        """
+        """While the filter is young, keep what it was given, and solve it anew as a batch at growing intervals."""
         solves = WINDOW_SOLVES
         if len(self._window) < max(solves):
             self._window.add(MeasurementsAt(self._state.robot, tuple(measurements)))
@@ -314,10 +284,7 @@ class KinematicErrorFilter:
                     self._take_solution(solved)
 
     def _take_solution(self, at: Correction) -> None:
-        """Go on from the batch's solution, unless it asks constants to be what no user would state so wrongly.
-
-        Filtered along a wrong linearisation, shared constants explain what they cannot.
-        """
+        """Go on from the batch's solution, unless it asks constants to be what no user would state so wrongly."""
         before, far = copy(self._state), self._furthest_constant()
         self._replay(at)
         if self._furthest_constant() > max(far, USUAL_CONSTANT_DEVIATIONS):
@@ -327,10 +294,7 @@ class KinematicErrorFilter:
         return max((abs(off) for _, off in self._state.constants()), default=0.0)
 
     def _replay(self, at: Correction) -> None:
-        """Filter the window's frames once more, all linearised at the batch's solution.
-
-        The batch takes the biases of measurements for noise; the filter knows that they last.
-        """
+        """Filter the window's frames once more, all linearised at the batch's solution."""
         size, state = self._model.size, self._state
         state.reset_bias_states(self._window.prior_at(at), self._window.prior_with_constants_at(at))
         # What is to be added to `at`: at first all the way back to no correction.

@@ -14,20 +14,16 @@ from svmdist.profile.hand_eye import BASELINE, FOCAL_LENGTH, PRINCIPAL_POINT, SH
 from svmdist.transforms import Array, cross, skew
 
 FOR_EVER_S = np.inf
-MIN_DEPTH_M = 1e-3
-"""What is nearer to the camera, or behind it, has no image."""
-AHEAD_M = np.array([0.0, 0.0, 1.0])
-"""Stands in for a point that cannot be seen, so that its projection is a number."""
-NEAR_M = 1e-3
-"""A camera is no nearer to an edge than this: it bounds a derivative."""
+MIN_DEPTH_M = 1e-3  # what is nearer to the camera, or behind it, has no image
+AHEAD_M = np.array(
+    [0.0, 0.0, 1.0]
+)  # stands in for a point that cannot be seen, so that its projection is a number
+NEAR_M = 1e-3  # A camera is no nearer to an edge than this: it bounds a derivative
 
 
 @dataclass(frozen=True, slots=True)
 class SharedBias:
-    """What an error that several measurements share does to a residual: the derivative, (..., m, k), by its name.
-
-    The error is a vector of k numbers of variance one that fade with a time constant; a constant never does.
-    """
+    """What an error that several measurements share does to a residual: the derivative, (..., m, k), by its name."""
 
     name: str
     jacobian: Array
@@ -71,10 +67,7 @@ class Deviations:
     def of_disparity(
         self, p_right_m: Array, slope_right: Array, disparity_px: Array, T_right_left: Array
     ) -> tuple[SharedBias, ...]:
-        """Of x in the left view less x in the right one, shape (...): focal length, and how the right camera stands.
-
-        `slope_right`, shape (..., 3), is the derivative of x in the right view by the point there.
-        """
+        """Of x in the left view less x in the right one, shape (...): focal length, and how the right camera stands."""
         focal = self.camera.focal_std_fraction * disparity_px[..., None, None]
         baseline_m = T_right_left[..., :3, 3]
         by_baseline = -(slope_right * baseline_m).sum(-1) * self.camera.baseline_std_fraction
@@ -106,10 +99,7 @@ class Deviations:
     def of_edge(
         self, normal: Array, across: Array, by_radius: Array, radius_m: Array, focal_px: Array
     ) -> tuple[SharedBias, ...]:
-        """Of the plane through an edge, measured normal (..., 3), and its predicted one's derivative by the radius.
-
-        A line l of the image has the normal Kᵀ l: a longer focal length tilts it towards the image plane.
-        """
+        """Of the plane through an edge, measured normal (..., 3), and its predicted one's derivative by the radius."""
         flat = normal * np.array([1.0, 1.0, 0.0])
         focal = -self.camera.focal_std_fraction * (across @ flat[..., None])
         centre = -self.camera.centre_std_px * across[..., :, 2:] * (normal[..., None, :2] / focal_px)
@@ -121,11 +111,7 @@ class Deviations:
         )
 
     def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[SharedBias, ...]:
-        """Of a tag's pose, shape (..., 4, 4): focal length, principal point, the tag's size, and how it is mounted.
-
-        Depth goes with the focal length; a shifted principal point shifts the tag beside the axis, and turns
-        it as if seen from there; the distance goes against the size.
-        """
+        """Of a tag's pose, shape (..., 4, 4): focal length, principal point, the tag's size, and how it is mounted."""
         p_m, R = T_camera_tag[..., :3, 3], T_camera_tag[..., :3, :3]
         focal = np.zeros((*p_m.shape[:-1], 6, 1))
         focal[..., 2, 0] = -self.camera.focal_std_fraction * p_m[..., 2]
@@ -149,10 +135,7 @@ class Deviations:
 
 
 def edge_by_radius(p_axis_m: Array, axis: Array, radius_m: Array, side: Array) -> Array:
-    """Derivative by the radius, shape (..., 3), of the normal of the plane that touches a cylinder on one side.
-
-    The axis runs through points (..., 3) along directions (..., 3): dn/dr = e / (e · p) with e = n x d.
-    """
+    """Derivative by the radius, shape (..., 3), of the normal of the plane that touches a cylinder on one side."""
     foot_m = p_axis_m - (axis * p_axis_m).sum(-1, keepdims=True) * axis
     square = (foot_m * foot_m).sum(-1)
     beside_m = side * np.sqrt(np.maximum(square - radius_m**2, NEAR_M**2))
@@ -170,11 +153,7 @@ EXACT = Deviations(
 
 @dataclass(frozen=True, slots=True)
 class PoseResidual:
-    """Measured minus predicted, shape (..., m), and its derivative by (δp, δθ) of the link's pose, shape (..., m, 6).
-
-    δp in m and δθ in rad are in the camera frame, p + δp and exp([δθ]) R. The residual is inf and the derivative NaN
-    where the link cannot be seen.
-    """
+    """Measured minus predicted (..., m), derivative by (δp, δθ) in the camera frame; inf and NaN where unseen."""
 
     residual: Array
     derivative: Array
@@ -196,15 +175,12 @@ class LinkMeasurement(Protocol):
     """A measurement of the frame of the DH row `link`, or of the tool where that is None.
 
     `covariance` is that of what changes from frame to frame, the noise. What stays alike, the bias, is a vector of
-    `bias_size` numbers of variance one that fade with the time constant `correlation_time_s`.
+    numbers of variance one that fade with the time constant `correlation_time_s`.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
-    STACKED: ClassVar[tuple[str, ...]]
-    """Fields with a leading axis in a stack."""
-    bias_size: ClassVar[int]
-    source: ClassVar[str]
-    """The detection that it is made of."""
+    STACKED: ClassVar[tuple[str, ...]]  # fields with a leading axis in a stack
+    source: ClassVar[str]  # the detection that it is made of
 
     @property
     def name(self) -> str:
@@ -223,10 +199,6 @@ class LinkMeasurement(Protocol):
         """Measurements of one such name share one bias."""
 
     @property
-    def delay_std_s(self) -> float:
-        """How late what was measured may be against the rest of its image, as where colour is of two fields."""
-
-    @property
     def correlation_time_s(self) -> float:
         """How long the bias lasts: the time constant of its fading."""
 
@@ -234,7 +206,7 @@ class LinkMeasurement(Protocol):
         """Residual and derivative about poses of the link, shape (..., 4, 4)."""
 
     def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
-        """Derivative of the residual by the bias, (..., m, bias_size), from the pose and the pose's derivative."""
+        """Derivative of the residual by the bias, (..., m, k), from the pose and the pose's derivative."""
 
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """What errors of constants do to the residual."""
@@ -244,7 +216,6 @@ class ConstantBias:
     """What measurements have in common whose bias Jacobian is the same for all poses: a bias of their own name."""
 
     name: str
-    delay_std_s: ClassVar[float] = 0.0
 
     @property
     def bias_name(self) -> str:

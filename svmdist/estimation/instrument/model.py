@@ -36,10 +36,7 @@ class Jaw:
 
 @dataclass(frozen=True, slots=True)
 class Wrist:
-    """The bent wrist in one frame: where the hinge is, and unit vectors along shaft, jaws and the jaws' axis.
-
-    `hinge_m`, `tool_m` are points; `shaft` points towards the tip; shape (3,) each.
-    """
+    """The bent wrist: points `hinge_m` and `tool_m`, unit vectors along shaft, jaws and the jaws' axis, (3,)."""
 
     hinge_m: Array
     tool_m: Array
@@ -61,11 +58,7 @@ class Wrist:
 
 @dataclass(frozen=True, slots=True)
 class WristKinematics:
-    """How a chain's joints bend its wrist.
-
-    `straight` is the jaws' direction in the tool frame, shape (3,): the shaft's, with the wrist's joints at zero.
-    `length_m` is the distance from the hinge to the tool then.
-    """
+    """How joints bend a wrist; straight, jaws point along `straight` (3,), and the hinge is `length_m` away."""
 
     chain: DHChain
     rows: WristRows
@@ -101,10 +94,7 @@ class WristKinematics:
 
 
 def wrist_in_tool(chain: DHChain, q: Array) -> Wrist:
-    """The wrist in the tool frame at joints `q`, shape (n_joints,); raises KinematicsError for a chain without one.
-
-    The tool turns with the moving jaw. A chain without a jaw's joint has its jaws closed.
-    """
+    """The wrist in the tool frame at joints `q`, shape (n_joints,); raises KinematicsError for a chain without one."""
     kinematics = WristKinematics.of(chain)
     if kinematics is None:
         raise KinematicsError(
@@ -147,12 +137,11 @@ def _turned(vector: Array, axis: Array, angle_rad: float) -> Array:
 # part, and have no meaning apart from one another. What differs between instruments is in the profile.
 WRIST_LENGTH_PER_RADIUS = 3.4
 """Distance from the wrist's hinge to the tool over the wrist's radius, where no chain tells: 9.1 / 2.7."""
-NECK_PER_RADIUS = 2.2
-"""The shaft begins this many radii of the wrist behind the hinge."""
-TINE_RADIUS_M = 0.0005
-"""Of the fork's rods beside the distal marker, whose thickness does not follow its size."""
-FORK_BEGIN = 0.3
-"""Where the fork's tines leave its bridges, over the way from the hinge to the tool."""
+NECK_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
+TINE_RADIUS_M = (
+    0.0005  # of the fork's rods beside the distal marker, whose thickness does not follow its size
+)
+FORK_BEGIN = 0.3  # where the fork's tines leave its bridges, over the way from the hinge to the tool
 BLADE_RODS = (
     (0.0, 0.62, 0.43, 0.50),
     (0.0, 0.62, -0.43, 0.50),
@@ -164,8 +153,9 @@ BLADE_RODS = (
 it lies and how thick it is, both over the jaw's radius. The last one ends with its cap."""
 PLATE_RADIUS_M, PLATE_RODS = 0.0003, 7
 """Half of the thickness of a printed plate; rods 1.4 mm apart stand in for one of 9 mm."""
-BLADE_OFFSET = 0.55
-"""A blade's middle plane stands this many radii of the jaw outside the plane where the jaws meet."""
+BLADE_OFFSET = (
+    0.55  # A blade's middle plane stands this many radii of the jaw outside the plane where the jaws meet
+)
 
 
 class InstrumentModel:
@@ -194,10 +184,7 @@ class InstrumentModel:
         return self._instrument.body_std_m
 
     def posed(self, pose: ToolPose, joints: JointSample | None = None, has_plate: bool = False) -> Capsules:
-        """Capsules in the camera frame: with the wrist as the joints bend it, or straight without joints.
-
-        `has_plate` adds the plate of the profile's fiducial, where joints tell how its link stands.
-        """
+        """Capsules in the camera frame, bent by the joints where there are any; `has_plate` adds the tag's plate."""
         kinematics = self._kinematics
         q = joints_of(kinematics.chain, joints) if kinematics is not None else None
         if kinematics is None or q is None:
@@ -224,10 +211,7 @@ class InstrumentModel:
 
 @dataclass(frozen=True, slots=True)
 class Rods:
-    """The capsules about any wrist: ends are weighted sums of its points and vectors, shape (n, 10) each.
-
-    `radius_m` has shape (n,).
-    """
+    """The capsules about any wrist: ends are weighted sums of its points and vectors, shape (n, 10) each."""
 
     start: Array
     end: Array
@@ -235,11 +219,7 @@ class Rods:
 
     @staticmethod
     def of(instrument: Instrument) -> Rods:
-        """The instrument's rods.
-
-        All ends are linear in the wrist's points and vectors: about a wrist of ten unit vectors in ten dimensions
-        they are the weights themselves.
-        """
+        """The instrument's rods."""
         starts, ends, radii = zip(*_rods(instrument, Wrist.of(np.eye(10))), strict=True)
         return Rods(np.array(starts), np.array(ends), np.array(radii))
 
@@ -250,11 +230,7 @@ class Rods:
 
 
 def _rods(instrument: Instrument, wrist: Wrist) -> list[tuple[Array, Array, float]]:
-    """Start, end and radius of every rod.
-
-    Parts wider than thick are rods side by side; the shaft's flat end is a cap that stands half a radius before
-    it, which is right within 0.06 radii at the rim.
-    """
+    """Start, end and radius of every rod."""
     shaft_m, wrist_m, marker_m = (
         instrument.shaft_radius_m,
         instrument.wrist_radius_m,

@@ -74,11 +74,7 @@ class DistalMarker:
 def detect_distal_marker(
     image_hsv: Image, mask: Image, region: Region | None, settings: DistalMarkerSettings = DEFAULT
 ) -> DistalMarker | None:
-    """The region of the instrument's mask, shape (h, w), as a disc, sized where the colour has half its strength.
-
-    A grey region is bare steel, of a tip without a coloured marker: it is no disc about the tool's origin and gives
-    None. `image_hsv` has shape (h, w, 3), at normalised exposure.
-    """
+    """The region of the mask (h, w) as a disc, sized where the colour has half its strength; None of bare steel."""
     if region is None or _median_saturation(image_hsv, mask) < settings.min_saturation:
         return None
     disc = marker_disc(image_hsv, mask, region)
@@ -93,10 +89,7 @@ def detect_distal_marker(
 
 
 def marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
-    """The circle along the border of a region of a mask, shape (h, w).
-
-    None at the image's border, or where the colour makes another border than the mask.
-    """
+    """The circle along a region's border; None at the image's border, or where the colour's border is another."""
     corners = region.hull.reshape(-1, 2)
     height, width = mask.shape
     if not bool(((corners > 1) & (corners < [width - 2, height - 2])).all()):
@@ -111,11 +104,7 @@ def marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
 def marker_centre(
     region: Region, disc: Disc | None, camera: Camera, depth_m: float, radius_m: float
 ) -> tuple[Array, float]:
-    """The pixel (2,) of the middle of a sphere of `radius_m` at `depth_m`, and the blur of its border in px.
-
-    Blur moves a threshold's border to the side of what the colour mixes with, the place of half its strength hardly.
-    Without a circle, or for a tip that is no sphere (`radius_m` 0), it is the region's centroid, of blur 0.
-    """
+    """The pixel (2,) of a sphere's middle, and its border's blur in px; without a circle the centroid, blur 0."""
     if disc is None or radius_m <= 0.0:
         return region.centroid_px, 0.0
     return without_perspective(disc.centre_px, camera, depth_m, radius_m), disc.blur_px
@@ -137,10 +126,7 @@ MIN_LINE_POINTS, MIN_END_POINTS = 5, 4
 
 @dataclass(frozen=True, slots=True)
 class Contour:
-    """One side of the silhouette: the plane that touches the shaft there, and where it is.
-
-    `side` is +1 to the right of the axis as it runs to the tip, y being down, and -1 to the left.
-    """
+    """One side of the silhouette: the plane that touches the shaft there; `side` is +1 to the right of the axis."""
 
     plane: TangentPlane
     side: int
@@ -148,11 +134,7 @@ class Contour:
 
 @dataclass(frozen=True, slots=True)
 class Rim:
-    """Where the shaft ends on its middle line: a pixel (2,), the unit direction to the tip (2,), px.
-
-    `is_outline` says that the outline ends to be a cylinder's there; otherwise its dark part ends, on the side that
-    faces the camera.
-    """
+    """The shaft's end on its middle line: pixel (2,), direction to the tip (2,); by the outline or the dark part."""
 
     pixel: Array
     towards_tip: Array
@@ -183,10 +165,7 @@ NO_SHAFT = ShaftDetection((), None, None, None, True)
 def detect_shaft(
     brightness: Image, region: ShaftRegion | None, camera: Camera, settings: ShaftSettings = DEFAULT_SHAFT
 ) -> ShaftDetection:
-    """Measure contours and rim of a shaft that was found; `NO_SHAFT` for none.
-
-    `brightness`, shape (h, w), is the brightest channel at normalised exposure.
-    """
+    """Measure contours and rim of a shaft that was found; `NO_SHAFT` for none."""
     if region is None:
         return NO_SHAFT
     towards_tip = region.first.direction + region.second.direction
@@ -228,11 +207,7 @@ def wrist_marker(shaft: ShaftDetection) -> DistalMarker | None:
 
 
 def _edge_contour(
-    edge: EdgeLine,
-    width_px: float,
-    middle_px: Array,
-    towards_tip: Array,
-    camera: Camera,
+    edge: EdgeLine, width_px: float, middle_px: Array, towards_tip: Array, camera: Camera
 ) -> Contour | None:
     line = fit_line(
         undistorted(camera, edge.points_px),
@@ -279,7 +254,9 @@ def _contour(
     # A threshold may cut a blurred edge two of its deviations off its middle.
     reach_px = max(MIN_EDGE_REACH_PX, EDGE_REACH_FRACTION * width_px) + 2.0 * blur_px
     points_px = edge_points(brightness, start_px, end_px, outward, reach_px, settings, blur_px)
-    points_px = _inside_view(points_px, region.field_of_view)
+    # Around a point the endoscope shows something.
+    column, row = np.round(points_px).astype(np.intp).T
+    points_px = points_px[region.field_of_view[row, column] > 0]
     if len(points_px) == 0:
         return None
     across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
@@ -318,9 +295,3 @@ def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: S
     middle_px = median(ahead_px)
     std_px = max(MIN_END_STD_PX, scale_of(ahead_px - middle_px))
     return Rim(region.end_px + middle_px * towards_tip, towards_tip, std_px)
-
-
-def _inside_view(points_px: Array, view: Image) -> Array:
-    """The points, shape (n, 2), around which the endoscope shows something."""
-    column, row = np.round(points_px).astype(np.intp).T
-    return np.asarray(points_px[view[row, column] > 0])

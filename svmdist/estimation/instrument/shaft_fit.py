@@ -31,15 +31,11 @@ from svmdist.vision.lines import CylinderAxis, apparent_radius_px, axis_of_cylin
 GATE_CHI2 = 12.0  # squared deviation that one in 400 true measurements of two numbers exceeds
 DOUBT_SQUARE = 2.25  # of the marker's size against the depth by the shaft: 1.5 deviations, more than chance
 
-MAX_TURN_RAD = 0.5
-"""Of one step: beyond it the derivatives of the residuals say nothing."""
+MAX_TURN_RAD = 0.5  # of one step: beyond it the derivatives of the residuals say nothing
 
 
 def normal_equations(found: Sequence[Residual]) -> NormalEquations:
-    """Cost, gradient and information of all residuals about a state.
-
-    Errors of constants are unknowns of variance one, solved for and left out: I + C Cᵀ in place of I.
-    """
+    """Cost, gradient and information of all residuals; errors of constants are solved for and left out."""
     r = np.concatenate([residual.whitened for residual in found])
     J = np.concatenate([residual.derivative for residual in found])
     C = by_constants(found)
@@ -253,17 +249,9 @@ def _fit(
 
 
 def _with_doubt(
-    fit: ShaftFit,
-    marker: DistalMarker | None,
-    model: ShaftModel,
-    camera: Camera,
-    deviations: Deviations,
+    fit: ShaftFit, marker: DistalMarker | None, model: ShaftModel, camera: Camera, deviations: Deviations
 ) -> ShaftFit:
-    """The fit, as uncertain in depth as the size of a whole marker contradicts it, whether it took that or not.
-
-    A shadow beside the shaft, or blood on it, moves an edge far beyond its deviation; blood on the marker makes it
-    small. Which of the two is right, one image does not tell.
-    """
+    """The fit, as uncertain in depth as the size of a whole marker contradicts it, whether it took that or not."""
     if marker is None or marker.radius_px is None:
         return fit
     tool_m = fit.pose.position_m

@@ -126,11 +126,7 @@ def roll_row(chain: DHChain) -> int:
 
 
 def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
-    """`T_base_shaft` and `T_shaft_tool` at joints `q`, shape (n_joints,).
-
-    The shaft's frame: z along the roll's axis, which is the insertion's, to the tip; its origin is the point of that
-    axis next to the wrist's pitch axis.
-    """
+    """`T_base_shaft` and `T_shaft_tool` at joints `q`, shape (n_joints,)."""
     frames = frame_transforms(chain, q)
     roll = roll_row(chain)
     z, on_axis_m = joint_axis(chain, frames, roll)
@@ -142,8 +138,7 @@ def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
     return T_base_shaft, inverse(T_base_shaft) @ frames[-1] @ chain.T_last_tool
 
 
-NO_FOCAL_PX = np.ones(2)
-"""Where no deviation asks for it."""
+NO_FOCAL_PX = np.ones(2)  # where no deviation asks for it
 FREE_RAD, FREE_M = 3.0, 0.1
 """Standard deviations of an angle and of a place of which nothing is known: half a turn, a whole scene."""
 
@@ -171,10 +166,7 @@ class Landmarks:
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """Measured minus predicted over its standard deviation, shape (k,), and the prediction's derivative, (k, 8).
-
-    `constants` says what errors of camera and instrument do to it, each of variance one.
-    """
+    """Measured minus predicted, whitened, (k,), the prediction's derivative, (k, 8), and that by `constants`."""
 
     name: str
     whitened: Array
@@ -256,11 +248,7 @@ def rim_residual(
 
 
 def marker_residuals(
-    marker: DistalMarker,
-    tool: BentTool,
-    model: ShaftModel,
-    camera: Camera,
-    deviations: Deviations = EXACT,
+    marker: DistalMarker, tool: BentTool, model: ShaftModel, camera: Camera, deviations: Deviations = EXACT
 ) -> list[Residual]:
     """The marker's middle at the tool's origin, and its radius where the whole of it is visible."""
     tool_m, by_state = tool.T[:3, 3], tool.derivative[:3]
@@ -325,10 +313,7 @@ def prior_residual(state: ShaftState, start: Array, model: ShaftModel) -> Residu
 
 
 def left_jacobian(vector_rad: Array) -> Array:
-    """J, shape (3, 3), with exp([v + δ]) = exp([J δ]) exp([v]) to first order, for a rotation vector v, (3,).
-
-    I + (1 - cos θ) / θ² [v] + (θ - sin θ) / θ³ [v]² (Solà 2018, "A micro Lie theory", eq. 145).
-    """
+    """J (3, 3) with exp([v + δ]) = exp([J δ]) exp([v]) to first order (Solà 2018, eq. 145)."""
     K = skew(vector_rad)
     angle = float(np.linalg.norm(vector_rad))
     if angle < 1e-4:  # the next terms of the series are below 1e-13

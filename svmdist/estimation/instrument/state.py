@@ -76,9 +76,6 @@ def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
     )
     H = -(by_pose.derivative @ link.derivative)
     biases = (own, *measurement.shared_biases(link.T_camera_link))
-    if measurement.delay_std_s > 0.0:
-        by_time = H[..., link.time_column, None] * measurement.delay_std_s
-        biases = (*biases, SharedBias("delay of colour", by_time))
     return Linearised(by_pose.residual, H, biases, measurement.covariance)
 
 
@@ -93,15 +90,11 @@ def block_diagonal(blocks: Sequence[Array]) -> Array:
     return joined
 
 
-TINY_M = 1e-9
-"""Stands in for a deviation of zero."""
+TINY_M = 1e-9  # stands in for a deviation of zero
 
 
 class ErrorState:
-    """The correction, its error state's covariance `P` with that of the bias states behind it, and their mean.
-
-    The bias states are in units of their deviations.
-    """
+    """The correction, its error state's covariance `P` with that of the bias states behind it, and their mean."""
 
     def __init__(self, model: ErrorModel) -> None:
         self.model = model
@@ -160,10 +153,7 @@ class ErrorState:
         self.P = 0.5 * (P + P.T)
 
     def reset_bias_states(self, P: Array, with_constants: Mapping[str, Array]) -> None:
-        """Begin anew with a covariance of the correction, shape (n, n), and no biases of measurements.
-
-        `with_constants` is the correction's covariance, shape (n, k), with constants that had a part in it.
-        """
+        """Begin anew with a covariance of the correction, shape (n, n), and no biases of measurements."""
         self.P, self.bias_mean = P, np.zeros(0)
         self._bias_slices, self._correlation_times_s = {}, np.zeros(0)
         for name, covariance in with_constants.items():

@@ -59,22 +59,15 @@ KEPT_DOUBT_STDS = 2.5  # the same in one frame, of a disparity that is not refus
 
 STEPS = Steps(max_steps=20, settled=1e-5, damping=1e-6)
 PRIOR = "nominal kinematics"
-MAX_CHECK_STD = 0.1
-"""Of the depth: what tells it less certainly is no check of a disparity."""
-CERTAIN = 100.0
-"""What costs more to refuse than this is not refused."""
-SUSPECTS = 6
-"""Of contradicting measurements, those with the largest residuals are tried to do without."""
-ONE_IN_400 = 2.807
-"""Deviations that one in 400 normal numbers exceeds, to one side or the other."""
+MAX_CHECK_STD = 0.1  # of the depth: what tells it less certainly is no check of a disparity
+CERTAIN = 100.0  # what costs more to refuse than this is not refused
+SUSPECTS = 6  # of contradicting measurements, those with the largest residuals are tried to do without
+ONE_IN_400 = 2.807  # deviations that one in 400 normal numbers exceeds, to one side or the other
 
 
 @dataclass(frozen=True, slots=True)
 class StereoFit:
-    """The fit, and the measurements that were left out of it because they contradict the rest.
-
-    `check` holds the disparity against the depth by everything else, None where nothing else tells it.
-    """
+    """The fit, and the measurements that were left out of it because they contradict the rest."""
 
     fit: ShaftFit
     refused: tuple[str, ...]
@@ -124,12 +117,11 @@ def fit_two_views(
             alone = _solve(start, only, model)
             if alone is not None and max(alone.excess(GATE_CHI2).values()) <= 1.0:
                 return _fitted(alone, measured, seen, model)
-        failure = found if isinstance(found, Failure) else Failure(_uncertain(found.fit.pose))
+        if isinstance(found, StereoFit):
+            std_m = found.fit.pose.position_std_m
+            found = Failure(f"the position is uncertain by {std_m * 1e3:.1f} mm")
+        failure = found
     return failure
-
-
-def _uncertain(pose: ToolPose) -> str:
-    return f"the position is uncertain by {pose.position_std_m * 1e3:.1f} mm"
 
 
 def _is_disc_in_both(seen: TwoViews) -> bool:
@@ -138,10 +130,7 @@ def _is_disc_in_both(seen: TwoViews) -> bool:
 
 
 def _fitted(
-    agreed: _Solution,
-    measured: dict[str, Predicted],
-    seen: TwoViews,
-    model: ShaftModel,
+    agreed: _Solution, measured: dict[str, Predicted], seen: TwoViews, model: ShaftModel
 ) -> StereoFit:
     state = agreed.state
     tool = BentTool.of(state, model)
@@ -163,10 +152,7 @@ def _has_width(found: Mapping[str, object]) -> bool:
 def _check(
     agreed: _Solution, measured: dict[str, Predicted], seen: TwoViews, model: ShaftModel
 ) -> DisparityCheck | None:
-    """The disparity against the depth by the width of a long shaft; None without both.
-
-    A marker's size is no check: blood and jaws make it small. Nor are the edges of a stub, which are often mistaken.
-    """
+    """The disparity against the depth by the width of a long shaft; None without both."""
     is_long = dict(zip(VIEWS, (not view.shaft.is_stub for view in (seen.left, seen.right)), strict=True))
     others = {
         name: predict
@@ -241,10 +227,7 @@ def _agreeing(
 
 
 def first_poses(seen: TwoViews, model: ShaftModel) -> Iterator[Array | Failure]:
-    """First `T_left_shaft`, shape (4, 4): by the sides in either view, by the triangulated marker; or what is missing.
-
-    Both sides of a shaft tell its direction, which nominal kinematics may not.
-    """
+    """First `T_left_shaft`, (4, 4): by the sides in either view, by the triangulated marker; or what is missing."""
     tool_m = None if seen.match is None else seen.pair.point(seen.match.left_px, seen.match.disparity_px)[0]
     right_model = model
     if model.R_camera_shaft is not None:
@@ -294,16 +277,9 @@ def _bound(gate_chi2: float, count: int) -> float:
 
 
 def _with_doubt(
-    pose: ToolPose,
-    measured: dict[str, Predicted],
-    agreed: _Solution,
-    check: DisparityCheck | None,
+    pose: ToolPose, measured: dict[str, Predicted], agreed: _Solution, check: DisparityCheck | None
 ) -> ToolPose:
-    """The pose as uncertain in depth as size or disparity contradict it, where no two others agree about the depth.
-
-    Blood makes a marker small, a turned camera a disparity large, a shadow a shaft wide: one against one, there is no
-    telling which is wrong; one against two is. A disparity that was not refused pulls the others, right or wrong.
-    """
+    """The pose as uncertain in depth as size or disparity contradict it, where no two others agree about the depth."""
     found = agreed.found
     has_width = _has_width(found)
     variance, is_alone = 0.0, has_width + (SIZE in found) < 2

@@ -90,12 +90,7 @@ def refine_fit(pixels: TagPixels, coarse: LaidPattern, pattern: TagPattern) -> T
 
 
 def _minimise(
-    pixels: TagPixels,
-    start: Overlay,
-    pattern: TagPattern,
-    loss: Loss,
-    max_steps: int,
-    settled: float,
+    pixels: TagPixels, start: Overlay, pattern: TagPattern, loss: Loss, max_steps: int, settled: float
 ) -> LaidPattern | None:
     def linearise(overlay: Overlay) -> LaidPattern | None:
         return lay_pattern(pixels, overlay, pattern, loss)

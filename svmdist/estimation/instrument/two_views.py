@@ -41,8 +41,9 @@ WATCH_FRAMES = 20  # frames over which disparities are held against the instrume
 WATCH_BOUND_STDS = 2.5  # in the median; beyond, it widens the depth: one log in eighty by chance
 
 DEFAULT = StereoSettings()
-ASIDE_RAD = 0.056
-"""The angle between the views for which the settings state the disparity's deviation: 5 mm at 90 mm."""
+ASIDE_RAD = (
+    0.056  # the angle between the views for which the settings state the disparity's deviation: 5 mm at 90 mm
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +67,7 @@ def match_distal_marker(
     settings: StereoSettings = DEFAULT,
     radius_std_fraction: float = 0.0,
 ) -> StereoMatch | Failure:
-    """Pair the markers of both views; or why they cannot be paired.
-
-    `radius_m` is a whole marker's, if known, and `radius_std_fraction` its standard deviation over itself.
-    """
+    """Pair the markers of both views; or why they cannot be paired."""
     if left is None or right is None:
         return Failure("the instrument is seen in one view only")
     left_at, right_at = pair.to_rows(left.centre_px), pair.to_rows(right.centre_px, right=True)
@@ -127,11 +125,7 @@ class DisparityWatch:
 
     @property
     def doubt(self) -> float:
-        """By how much disparities contradict the sizes, where that is more than their deviations allow; else 0.
-
-        Deviations are those of constants for the most part, which are the same in all frames: the median is as
-        uncertain as one check.
-        """
+        """By how much disparities contradict the sizes, where that is more than their deviations allow; else 0."""
         if not self._checks:
             return 0.0
         stds = median(np.array([check.off / check.std for check in self._checks]))
@@ -144,16 +138,12 @@ DISPARITY, SIZE, MARKER, RIM = "disparity", "size", "distal marker", "rim"
 VIEWS = ("left", "right")
 MOTION = "motion between the views"
 
-Predicted = Callable[[ShaftState], Residual]
-"""A measurement's residual at a state."""
+Predicted = Callable[[ShaftState], Residual]  # A measurement's residual at a state
 
 
 @dataclass(frozen=True, slots=True)
 class TwoViews:
-    """What both views show of one tool, with the cameras; the right one's place is `T_right_left`, shape (4, 4).
-
-    `match` is the marker in both views, None where only one of them has it.
-    """
+    """What both views show of one tool, with the cameras; the right one's place is `T_right_left`, shape (4, 4)."""
 
     left: Landmarks
     right: Landmarks
@@ -162,8 +152,7 @@ class TwoViews:
     right_camera: Camera
     T_right_left: Array
     pair: RectifiedPair
-    motion_std_m: float = 0.0
-    """How far the tool may have moved along each axis between the views' stamps."""
+    motion_std_m: float = 0.0  # how far the tool may have moved along each axis between the views' stamps
 
 
 def measurements(
@@ -171,10 +160,7 @@ def measurements(
 ) -> dict[str, Predicted]:
     """Everything that both views show, by its name, as residuals of the state in the left camera."""
     found: dict[str, Predicted] = {}
-    views = (
-        ("left", seen.left, seen.left_camera),
-        ("right", seen.right, seen.right_camera),
-    )
+    views = (("left", seen.left, seen.left_camera), ("right", seen.right, seen.right_camera))
     for view, landmarks, camera in views:
         for contour in landmarks.shaft.contours:
             edge = _edge(contour, camera, model, deviations)

@@ -40,10 +40,7 @@ def geman_mcclure(deviation: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class MeasurementStack:
-    """Measurements that differ in their numbers only: the stack of them, and where each of them is from.
-
-    `frames` and `places`, shape (k,), are the frame's index and the place among the frame's measurements.
-    """
+    """Measurements that differ in their numbers only: the stack of them, and where each of them is from."""
 
     measurement: LinkMeasurement
     frames: NDArray[np.intp]
@@ -85,10 +82,10 @@ def _join(members: list[tuple[LinkMeasurement, int, int]]) -> MeasurementStack:
 
 FIRST_DAMPING = 1e-4
 MAX_TIME_STEPS = 4
-TIME_SETTLED_S = 1e-3
-"""A joint that turns at 1 rad/s with 10 rad/s² leaves its tangent by 5 µrad within as long."""
-COST_SETTLED = 1e-3
-"""A step that lowers a sum of squares by less moves nothing that a deviation would notice."""
+TIME_SETTLED_S = (
+    1e-3  # A joint that turns at 1 rad/s with 10 rad/s² leaves its tangent by 5 µrad within as long
+)
+COST_SETTLED = 1e-3  # A step that lowers a sum of squares by less moves nothing that a deviation would notice
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +108,7 @@ class WeightedFrame:
 
 @dataclass(frozen=True, slots=True)
 class _Weighed:
-    """A stack about a correction: what of it is visible, (k,), its information, (k, m, m), with noise and bias.
-
-    `deviation`, shape (k,), is the residual's normalised square over the gate's bound.
-    """
+    """A stack about a correction: what of it is visible, (k,), its information, (k, m, m), with noise and bias."""
 
     part: Linearised
     visible: NDArray[np.bool_]
@@ -124,11 +118,7 @@ class _Weighed:
 
 
 class Window:
-    """The first frames of a filter that starts at `anchor_m`, shape (3,), with a prior covariance (n, n).
-
-    `with_constants` is the prior's covariance with constants, shape (n, k) each: the batch takes what they do for
-    noise, but the filter that follows does not.
-    """
+    """The first frames of a filter from `anchor_m` (3,), prior covariance (n, n), and that with constants (n, k)."""
 
     def __init__(
         self,
@@ -158,11 +148,7 @@ class Window:
         self._nominal = None
 
     def solve(self, start: Correction) -> Correction | None:
-        """The correction that fits prior and frames best, from the start and from other depths.
-
-        From afar every residual is beyond the gate, and Huber's loss draws it in; a wild detection it would let pull
-        for ever, so that a loss without a pull far out decides.
-        """
+        """The correction that fits prior and frames best, from the start and from other depths."""
         is_young = len(self) <= WINDOW_DEPTH_OFFSET_FRAMES
         offsets_m = WINDOW_DEPTH_OFFSETS_M if is_young else (0.0,)
         self._time_offset_s, self._nominal = start.time_offset_s, None
@@ -254,8 +240,7 @@ class Window:
             link = links.link(members.measurement.link)
             rows = members.frames
             part = linearise(
-                members.measurement,
-                CorrectedLink(link.T_camera_link[rows], link.derivative[rows], link.time_column),
+                members.measurement, CorrectedLink(link.T_camera_link[rows], link.derivative[rows])
             )
             visible = np.asarray(np.isfinite(part.residual).all(-1))
             H = part.H[..., self._model.columns.play]

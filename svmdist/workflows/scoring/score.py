@@ -32,7 +32,7 @@ from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import Distance as ResultDistance
 from svmdist.results import Distances, FrameResult
 from svmdist.tracks import SampledDistances
-from svmdist.transforms import Array
+from svmdist.transforms import Array, Stamps
 from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth, truth_follows_images
 
@@ -63,7 +63,7 @@ DISTANCES = (PLANAR, SPATIAL, CLEARANCE)
 class Pairs:
     """Measured frames with a reference, shape (n,) each: stamps, and estimate, truth and deviation (or NaN) in m."""
 
-    stamps_ns: NDArray[np.int64]
+    stamps_ns: Stamps
     estimate_m: Array
     truth_m: Array
     std_m: Array
@@ -227,6 +227,8 @@ class Score:
     clearance: DistanceScore | None = None
     alarms: AlarmStatistics | None = None
     instrument: str = ""
+    start_ns: int = 0
+    """Stamp of the first image of the log."""
 
     @cached_property
     def planar(self) -> DistanceScore | None:
@@ -317,6 +319,7 @@ def score_rows(
         score_pairs(spatial),
         score_pairs(clearance),
         score_alarms(rows, truth, stamps_ns, alarms) if alarms and is_truth else None,
+        start_ns=rows[0].stamp_ns - round(rows[0].seconds * 1e9) if rows else 0,
     )
 
 

@@ -9,8 +9,6 @@ from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist.camera import Camera
-from svmdist.cli.drawn import DrawnJob
-from svmdist.cli.show import DEFAULT_COUNT, show_command
 from svmdist.drawing import Body, Form, FrameDrawing, Label, Part, SceneDrawing, Shape, StatusLine
 from svmdist.estimation.alarms import AlarmState
 from svmdist.recording.viewer_messages import image_annotations, scene_update
@@ -110,9 +108,3 @@ def test_a_scene_holds_capsules_and_deletes_what_is_gone() -> None:
     along = [2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), 1 - 2 * (q.x**2 + q.y**2)]
     np.testing.assert_allclose(along, [0.0, 0.6, 0.8], atol=1e-12)  # the cylinder's own z axis
     assert {deletion.id for deletion in message.deletions} == {"tissue", "PSM1 distance", "PSM1 between"}
-
-
-def test_the_commands_say_what_they_do() -> None:
-    assert DEFAULT_COUNT > 1
-    assert (show_command.__doc__ or "").startswith("Show images")
-    assert (DrawnJob.__doc__ or "").startswith("What is")

@@ -1,0 +1,96 @@
+"""Whole commands against each other, in turn, as ratios of one run: what docs/scale.md shows.
+
+`uv run python -m benchmarks.speed FOLDER [NAME ...]` makes the logs that it needs in a folder, runs each comparison
+A B A B … and prints a row of a table with the medians. Machines are noisy: look at the ratio.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.generated_pages import table_row
+
+ROOT = Path(__file__).resolve().parent.parent
+PAIRS = 5
+MANY = 1000
+LOGS = {
+    "mono.mcap": "--scenario random --seed 5 --rate 30 --duration 20",
+    "stereo.mcap": "--scenario random --seed 6 --rate 20 --duration 10 --stereo --tag --kinematic-error 1"
+    " --noise 2 --jpeg 92",
+    "short.mcap": "--scenario random --seed 7 --rate 5 --duration 0.8 --jpeg 92",
+}
+COMPARISONS = {
+    "overlay : plain loop": ("svmdist estimate mono.mcap -o a.csv -j 1", "plain mono.mcap"),
+    "overlay : reading and decoding": ("svmdist estimate mono.mcap -o a.csv", "plain mono.mcap decode"),
+    "fused : decoding both views": (
+        "svmdist estimate stereo.mcap --method fused -o a.csv",
+        "plain stereo.mcap decode",
+    ),
+    "compare, seven methods : fused alone": (
+        "svmdist compare stereo.mcap -o a.csv",
+        "svmdist estimate stereo.mcap --method fused -o b.csv",
+    ),
+    "record, one process : two": (
+        "svmdist record --scenario random --duration 15 --force -o a.mcap -j 1",
+        "svmdist record --scenario random --duration 15 --force -o a.mcap -j 2",
+    ),
+    "1,000 logs, one process : two": (
+        "svmdist estimate many -o a.csv -j 1",
+        "svmdist estimate many -o b.csv -j 2",
+    ),
+    "--help : import typer": ("svmdist --help", "python -c 'import typer'"),
+}
+"""Two commands each, run in the folder of the logs."""
+PROGRAMS = {
+    "svmdist": [sys.executable, "-m", "svmdist"],
+    "plain": [sys.executable, str(Path(__file__).with_name("plain_loop.py"))],
+    "python": [sys.executable],
+}
+
+
+def make_logs(folder: Path) -> None:
+    """600 PNG frames; 200 stereo pairs as JPEG with a tag; a log of four frames, and a thousand links to it."""
+    for name, options in LOGS.items():
+        if not (folder / name).exists():
+            run(f"svmdist record {options} -o {name}", folder)
+    if not (folder / "many").exists():
+        (folder / "many").mkdir()
+        for number in range(MANY):
+            os.link(folder / "short.mcap", folder / "many" / f"log-{number:04d}.mcap")
+
+
+def run(command: str, folder: Path) -> tuple[float, float]:
+    """Time by the clock and processor time of a command that must succeed, in s."""
+    program, *arguments = shlex.split(command)
+    before, start_s = os.times(), time.perf_counter()
+    subprocess.run([*PROGRAMS[program], *arguments], cwd=folder, check=True, capture_output=True)
+    after = os.times()
+    processor_s = after.children_user + after.children_system - before.children_user - before.children_system
+    return time.perf_counter() - start_s, processor_s
+
+
+def main(folder: Path, names: Sequence[str]) -> None:
+    """Run the comparisons whose names contain one of the given ones; all without any."""
+    folder.mkdir(parents=True, exist_ok=True)
+    make_logs(folder)
+    print("| comparison | ratio of wall time | of processor time |\n|---|---|---|")
+    for name, (first, second) in COMPARISONS.items():
+        if names and not any(part in name for part in names):
+            continue
+        run(first, folder), run(second, folder)  # what is compiled and cached on first use
+        pairs = [(run(first, folder), run(second, folder)) for _ in range(PAIRS)]
+        wall, processor = (statistics.median(a[at] / b[at] for a, b in pairs) for at in (0, 1))
+        print(table_row((name, f"{wall:.2f}", f"{processor:.2f}")), end="", flush=True)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
+    main(Path(sys.argv[1]), sys.argv[2:])

@@ -1,0 +1,256 @@
+"""The logs that a command is given, and one path for all of them: one log is a batch of one."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from glob import glob
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from svmdist.cli.options import GoldenLogOptions, LogOptions, group_name
+from svmdist.cli.output import LOG, ExitCode, progress_bar
+from svmdist.errors import RecordingError, UsageError
+from svmdist.input_file import LogPath, why
+from svmdist.remote_file import RemoteFile, is_url
+
+if TYPE_CHECKING:
+    from svmdist.recording.source import Health
+    from svmdist.report.scores import LogFigures
+    from svmdist.report.tables import Row
+    from svmdist.workflows.batch import Job, LogFile, Outcome
+
+Result = TypeVar("Result")
+
+LOG_ENDINGS = (".mcap", ".bag")
+GLOB = re.compile(r"[*?\[]")
+MAX_REPORTED = 12
+"""The most logs whose frames are held at once, and fill a page."""
+
+
+class Logs:
+    """The logs of a command; raises UsageError where options contradict each other or name no log."""
+
+    def __init__(self, given: LogOptions | GoldenLogOptions) -> None:
+        self.files = named_logs(given.files) if given.files else _golden_logs()
+        self.jobs, self.scheduler, self.resume = given.jobs, given.scheduler, given.resume
+        if self.scheduler is not None and self.jobs is not None:
+            raise UsageError("--jobs and --scheduler: the cluster has its own workers; leave out one of them")
+
+    @property
+    def paths(self) -> list[Path]:
+        """Those on this machine."""
+        return [log.path for log in self.files if isinstance(log.path, Path)]
+
+    @property
+    def is_one(self) -> bool:
+        """Whether there is one log, measured here: its rows come as they are measured, its errors end the command."""
+        return len(self.files) == 1 and self.scheduler is None and self.resume is None
+
+    def run(self, job: Job[Result], title: str) -> Run[Result]:
+        """Measure the logs with a job that has no rows."""
+        run = Run(self, job, title)
+        run.finish()
+        return run
+
+
+class Run(Generic[Result]):
+    """What a job makes of the logs of a command: `outcomes` are known when the rows are at their end."""
+
+    def __init__(self, logs: Logs, job: Job[Result], title: str) -> None:
+        self._logs = logs
+        self._job = job
+        self._title = title
+        self.outcomes: list[tuple[LogFile, Outcome[Result]]] = []
+
+    def rows(self, keep: Callable[[Any], None] | None = None) -> Iterator[Row]:
+        """Measure the logs and yield their rows, in the order of the logs; what was remarked is said once.
+
+        Of one log the rows come as they are measured, and `keep` is passed on to the job.
+        """
+        from svmdist.workflows.batch import log_notes, measure_logs, measured
+        from svmdist.workflows.parallel import usable_cores
+
+        logs = self._logs
+        if logs.is_one:
+            more = {} if keep is None else {"keep": keep}
+            outcome = yield from measured(self._job, logs.files[0], logs.jobs or usable_cores(), **more)
+            self.outcomes = [(logs.files[0], outcome)]
+            return
+        with progress_bar(self._title, "logs") as advance:
+            found = measure_logs(
+                self._job,
+                logs.files,
+                jobs=logs.jobs,
+                scheduler=logs.scheduler,
+                folder=logs.resume,
+                on_progress=advance,
+            )
+        self.outcomes = list(zip(logs.files, found, strict=True))
+        log_notes(found)
+        self._require_any()
+        for _, one in self.outcomes:
+            yield from one.rows() if one.failure is None else ()
+
+    def finish(self, keep: Callable[[Any], None] | None = None) -> None:
+        """Measure the logs with a job that has no rows; raises RecordingError where none could be measured."""
+        deque(self.rows(keep), maxlen=0)
+
+    @property
+    def measured(self) -> list[tuple[LogFile, Outcome[Result], Result]]:
+        """Logs with a result."""
+        return [(log, one, one.result) for log, one in self.outcomes if one.result is not None]
+
+    @property
+    def results(self) -> list[Result]:
+        """The results of the logs that have one."""
+        return [result for _, _, result in self.measured]
+
+    def groups(self, keys: Sequence[str]) -> list[str]:
+        """The group of each log with a result, by its metadata."""
+        return [group_name(one.metadata, keys) for _, one, _ in self.measured] if keys else []
+
+    def figures(self, keys: Sequence[str] = ()) -> list[LogFigures]:
+        """How the frames of each log ended, by the `statuses` of its result."""
+        from svmdist.report.scores import LogFigures
+
+        return [
+            LogFigures(
+                recording=log.name,
+                path=str(log.path),
+                failure=one.failure,
+                statuses=getattr(one.result, "statuses", Counter()),
+                loss_count=len(one.losses),
+                group=group_name(one.metadata, keys) if keys and one.failure is None else "",
+            )
+            for log, one in self.outcomes
+        ]
+
+    def measure_again(self, keep: Callable[[Any], None]) -> None:
+        """Measure frames again that were not kept with the results: of many logs those with which most went wrong."""
+        from svmdist.report.scores import ranked
+        from svmdist.workflows.batch import collected_notes, measured
+        from svmdist.workflows.parallel import usable_cores
+
+        if self._logs.is_one:
+            return
+        usable = [one for one in ranked(self.figures()) if one.failure is None and one.frame_count]
+        names = {one.recording for one in usable[:MAX_REPORTED]}
+        if len(usable) > MAX_REPORTED:
+            shown = f"{MAX_REPORTED} of {len(usable)} logs"
+            LOG.info("note: the report and the plot show %s frame by frame", shown)
+        with collected_notes():
+            for log in self._logs.files:
+                if log.name in names:
+                    threads = self._logs.jobs or usable_cores()
+                    deque(measured(self._job, log, threads, keep=keep), maxlen=0)
+
+    def _require_any(self) -> None:
+        """Raise RecordingError where no log could be measured, with the reason of each."""
+        if self.measured:
+            return
+        reasons = [_reason(log, one) for log, one in self.outcomes]
+        if len(reasons) == 1:
+            raise RecordingError(reasons[0])
+        for reason in reasons:
+            LOG.error("left out: %s", reason)
+        raise RecordingError("no recording could be used")
+
+    def exit_code(self) -> ExitCode:
+        """Say what was lost in reading, and which logs were left out and why; the exit code tells of either."""
+        codes = [log_losses(log.path, one.health) for log, one in self.outcomes if one.failure is None]
+        for log, one in self.outcomes:
+            if one.failure is not None:
+                codes.append(ExitCode.LOSS)
+                LOG.error("left out: %s", _reason(log, one))
+        return max(codes, default=ExitCode.CLEAN)
+
+
+def log_losses(path: LogPath, health: Health) -> ExitCode:
+    """Say what was lost while reading a log; the exit code tells whether anything was."""
+    for line in health.describe():
+        LOG.error("loss: %s: %s", path, line)
+    return ExitCode.CLEAN if health.is_clean else ExitCode.LOSS
+
+
+def _reason(log: LogFile, one: Outcome[Any]) -> str:
+    """Why a log was left out, with its name."""
+    reason, path = one.failure or "", str(log.path)
+    is_named = any(name in reason for name in (path, log.name))
+    return reason if is_named else f"{path}: {reason}"
+
+
+def _golden_logs() -> list[LogFile]:
+    if not any(Path("recordings").glob("*.mcap")):
+        raise UsageError(f"no FILE given, and there is no .mcap in {Path('recordings').resolve()}")
+    return named_logs(["recordings/*.mcap"])
+
+
+def named_logs(files: Sequence[str | Path]) -> list[LogFile]:
+    """The logs that files, folders, globs and URLs stand for, each once and under a name of its own.
+
+    Raises UsageError for a glob that nothing matches, and RecordingError where a store cannot be asked.
+    """
+    from svmdist.input_file import unique_names
+    from svmdist.workflows.batch import LogFile
+
+    found: dict[object, LogPath] = {}
+    for text in files:
+        for path in _paths_of(os.fspath(text)):
+            found.setdefault(path if isinstance(path, RemoteFile) else os.path.realpath(path), path)
+    paths = list(found.values())
+    return [LogFile(path, name) for path, name in zip(paths, unique_names(paths), strict=True)]
+
+
+def _paths_of(text: str) -> Sequence[LogPath]:
+    if is_url(text):
+        return _urls_of(text)
+    if text.lower().startswith(("file://", "local://")):
+        from urllib.parse import unquote
+
+        text = unquote(text.partition("://")[2].removeprefix("localhost"))
+    path = Path(text)
+    if "\0" in text or os.path.lexists(path) or not GLOB.search(text):
+        return _logs_in(path)
+    matches = sorted(Path(match) for match in glob(text, recursive=True))
+    logs = [match for match in matches if _is_log(match)]
+    folders = [match for match in matches if match.is_dir() and match not in logs]
+    if not logs and len(folders) == len(matches) and matches:
+        logs = [log for folder in folders for log in _logs_in(folder) if log != folder]
+    chosen = logs or [match for match in matches if match.is_file()]
+    if not chosen:
+        raise UsageError(f"{text}: no log matches")
+    return chosen
+
+
+def _urls_of(url: str) -> list[RemoteFile]:
+    """The logs of a URL: of a folder or a glob all those in it, by name; a file stands for itself."""
+    from svmdist.remote_file import listed_urls
+
+    is_glob = GLOB.search(url.partition("://")[2].partition("?")[0]) is not None
+    try:
+        found = listed_urls(url, LOG_ENDINGS, is_glob=is_glob)
+    except OSError as problem:
+        raise RecordingError(f"{RemoteFile(url)}: cannot read: {why(problem)}") from None
+    if not found:
+        raise UsageError(f"{RemoteFile(url)}: no log matches")
+    return found
+
+
+def _is_log(path: Path) -> bool:
+    from svmdist.recording.source import METADATA_FILE
+
+    return path.suffix.lower() in LOG_ENDINGS or (path.is_dir() and (path / METADATA_FILE).is_file())
+
+
+def _logs_in(path: Path) -> list[Path]:
+    """The logs in a folder, by name; a file, and a folder that is a rosbag2, stand for themselves."""
+    if "\0" in str(path) or not path.is_dir() or _is_log(path):
+        return [path]
+    try:
+        found = sorted(file for file in path.iterdir() if _is_log(file) and not file.name.startswith("."))
+    except OSError as problem:
+        raise RecordingError(f"{path}: cannot read: {why(problem)}") from None
+    return found or [path]  # opening it says what was expected

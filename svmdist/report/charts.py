@@ -1,0 +1,274 @@
+"""Charts as data, in mm: what is drawn of series, for plots in print and for a report's page alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.metrics import interval_coverage
+from svmdist.transforms import Array
+from svmdist.workflows.series import Series
+
+LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
+"""Levels of intervals whose calibration is shown."""
+MAX_GAP_IN_STEPS = 3.0
+"""A curve is broken where frames are missing for longer than this many frame periods."""
+
+
+class Form(StrEnum):
+    """How a curve's points are drawn."""
+
+    LINE = "line"
+    DOTS = "dots"
+    BARS = "bars"
+    BAND = "band"
+    """The area between `low` and `y`."""
+    SPANS = "spans"
+    """The full height between `x` and `y`."""
+
+
+class Role(StrEnum):
+    """What a curve shows: it decides on the colour, and on the dash of a line."""
+
+    ESTIMATE = "estimate"
+    ERROR = "error"
+    TRUTH = "truth"
+    INTERVAL = "interval"
+    LOST = "lost"
+    THRESHOLD = "threshold"
+    MODEL = "model"
+    LIMIT = "limit"
+    CONSISTENCY = "consistency"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Points of a curve, shape (n,); NaN is a gap. `number` has the frames, `colour_by` values that colour the dots.
+
+    `hover` is a template of plotly.
+    """
+
+    form: Form
+    role: Role
+    name: str
+    x: Array
+    y: Array
+    low: Array | None = None
+    number: Array | None = None
+    colour_by: Array | None = None
+    hover: str = ""
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart with its heading, and a text in place of it."""
+
+    title: str
+    text: str
+    x_title: str
+    y_title: str
+    curves: Sequence[Curve]
+    over_time: bool = False
+    is_image: bool = False
+    """Whether x and y are pixels: y runs down."""
+
+
+def distance_name(series: Series) -> str:
+    """The series' distance in words."""
+    return series.distance if series.distance == "clearance" else f"{series.distance} distance"
+
+
+def distance_curves(
+    seconds: Array, estimate_mm: Array, half_mm: Array, truth_mm: Array, truth_name: str = "truth"
+) -> list[Curve]:
+    """Interval, truth and estimate over time, shape (n,) each, as far as there are any."""
+    seconds, estimate_mm, half_mm, truth_mm = with_breaks(seconds, estimate_mm, half_mm, truth_mm)
+    curves = _interval(seconds, estimate_mm, half_mm)
+    if np.isfinite(truth_mm).any():
+        curves.append(Curve(Form.LINE, Role.TRUTH, truth_name, seconds, truth_mm))
+    return [*curves, Curve(Form.LINE, Role.ESTIMATE, "estimate", seconds, estimate_mm)]
+
+
+def error_curves(seconds: Array, error_mm: Array, half_mm: Array) -> list[Curve]:
+    """The stated interval about zero, and errors over time, shape (n,) each."""
+    seconds, error_mm, half_mm = with_breaks(seconds, error_mm, half_mm)
+    interval = _interval(seconds, np.zeros(len(seconds)), half_mm)
+    return [*interval, Curve(Form.LINE, Role.ERROR, "error", seconds, error_mm)]
+
+
+def _interval(seconds: Array, middle_mm: Array, half_mm: Array) -> list[Curve]:
+    if not np.isfinite(half_mm).any():
+        return []
+    high, low = middle_mm + half_mm, middle_mm - half_mm
+    return [Curve(Form.BAND, Role.INTERVAL, "95 % interval", seconds, high, low)]
+
+
+def threshold(seconds: Array, below_m: float) -> Curve:
+    """The alarms' threshold from the first to the last of some times."""
+    below_mm = below_m * 1e3
+    ends = seconds[[0, -1]] if len(seconds) else seconds
+    return Curve(
+        Form.LINE, Role.THRESHOLD, f"alarm below {below_mm:g} mm", ends, np.full(len(ends), below_mm)
+    )
+
+
+def distance_over_time(series: Series, alarm_below_m: float | None = None) -> Chart:
+    """Estimate with its interval, truth, the alarms' threshold, and the spans that were not measured."""
+    estimate_mm, name, spans = series.estimate_m * 1e3, distance_name(series), rejected_spans(series)
+    text = f"{int(series.measured.sum())} of {len(series)} frames measured."
+    if series.measured.any():
+        least, most = np.nanmin(estimate_mm), np.nanmax(estimate_mm)
+        text += f" The estimated {name} runs from {least:.1f} to {most:.1f} mm."
+    curves = []
+    if spans:
+        text += f" {len(spans)} spans were not measured; they are shaded."
+        begins, ends = np.array(spans).T
+        curves.append(Curve(Form.SPANS, Role.LOST, "not measured", begins, ends))
+    curves += distance_curves(series.seconds, estimate_mm, series.half_m * 1e3, series.truth_m * 1e3)
+    if alarm_below_m is not None and series.distance == "clearance":
+        curves.append(threshold(series.seconds, alarm_below_m))
+    return _over_time(series, f"{name} over time", text, f"{name} [mm]", curves)
+
+
+def error_over_time(series: Series) -> Chart:
+    """Estimate less truth, with the stated interval about zero."""
+    error_mm = series.error_m * 1e3
+    known = error_mm[np.isfinite(error_mm)]
+    text = f"RMSE {np.sqrt(np.mean(known**2)):.2f} mm, largest error {np.abs(known).max():.2f} mm."
+    curves = error_curves(series.seconds, error_mm, series.half_m * 1e3)
+    return _over_time(series, "error over time", text, "error [mm]", curves)
+
+
+def consistency_over_time(series: Series) -> Chart:
+    """Normalised innovations squared; 1 is as expected."""
+    known = series.consistency[np.isfinite(series.consistency)]
+    text = f"Normalised innovations squared: median {np.median(known):.2f}, largest {known.max():.2f}."
+    curve = Curve(Form.LINE, Role.CONSISTENCY, "consistency", series.seconds, series.consistency)
+    return _over_time(series, "consistency over time", text, "consistency (1: as expected)", [curve])
+
+
+def _over_time(series: Series, title: str, text: str, y_title: str, curves: list[Curve]) -> Chart:
+    number = with_breaks(series.seconds, series.number.astype(np.float64))[1]
+    hover = "frame %{customdata}<br>%{x:.2f} s: %{y:.2f}<extra></extra>"
+    for at, curve in enumerate(curves):
+        if curve.role in (Role.ESTIMATE, Role.ERROR):
+            curves[at] = replace(curve, number=number, hover=hover)
+    return Chart(title, text, "time [s]", y_title, curves, over_time=True)
+
+
+def errors_over(group: Sequence[Series], what: str) -> Chart:
+    """Errors of each series over `time`, or over the true `distance`."""
+    curves = []
+    for one in group:
+        kept = np.isfinite(one.error_m)
+        x = one.seconds if what == "time" else one.truth_m * 1e3
+        hover = f"{one.recording}<br>%{{x:.2f}}: error %{{y:+.2f}} mm<extra></extra>"
+        name = f"{one.recording} {one.instrument}"
+        curves.append(Curve(Form.DOTS, Role.ERROR, name, x[kept], one.error_m[kept] * 1e3, hover=hover))
+    truth_mm, error_mm, _ = pooled(group)
+    text = "Too few points for a trend."
+    if len(truth_mm) > 2 and np.ptp(truth_mm) > 0.0:
+        slope = float(np.polyfit(truth_mm, error_mm, 1)[0])
+        text = f"The error changes by {slope * 10:+.2f} mm for each 10 mm of distance."
+    x_title = "time [s]" if what == "time" else f"true {distance_name(group[0])} [mm]"
+    return Chart(f"error over {what}", text, x_title, "error [mm]", curves)
+
+
+def error_over_image(group: Sequence[Series]) -> Chart:
+    """Where in the image the tool was, coloured by the size of the error."""
+    places = np.concatenate([one.tool_px for one in group])
+    error_mm = np.abs(np.concatenate([one.error_m for one in group])) * 1e3
+    kept = np.isfinite(error_mm) & np.isfinite(places).all(1)
+    hover = "(%{x:.0f}, %{y:.0f}) px<br>|error| %{marker.color:.2f} mm<extra></extra>"
+    x, y = places[kept].T
+    dots = Curve(Form.DOTS, Role.ERROR, "|error| [mm]", x, y, colour_by=error_mm[kept], hover=hover)
+    text = "Where the tool was in the image, coloured by the size of the error."
+    return Chart("error over image position", text, "tool x [px]", "tool y [px]", [dots], is_image=True)
+
+
+def agreement(group: Sequence[Series]) -> Chart:
+    """Difference over mean of estimate and truth, with bias and limits of agreement (Bland & Altman 1986)."""
+    truth_mm, error_mm, _ = pooled(group)
+    mean_mm = truth_mm + 0.5 * error_mm
+    bias, deviation = float(error_mm.mean()), float(error_mm.std(ddof=1)) if len(error_mm) > 1 else 0.0
+    low, high = bias - 1.96 * deviation, bias + 1.96 * deviation
+    hover = "mean %{x:.2f} mm<br>difference %{y:+.2f} mm<extra></extra>"
+    ends = np.array([mean_mm.min(), mean_mm.max()])
+    curves = [
+        Curve(Form.DOTS, Role.ERROR, "frames", mean_mm, error_mm, hover=hover),
+        Curve(Form.LINE, Role.MODEL, f"bias {bias:+.2f} mm", ends, np.full(2, bias)),
+        Curve(Form.LINE, Role.LIMIT, f"limit {low:+.2f} mm", ends, np.full(2, low)),
+        Curve(Form.LINE, Role.LIMIT, f"limit {high:+.2f} mm", ends, np.full(2, high)),
+    ]
+    text = f"Bias {bias:+.2f} mm; 95 % limits of agreement {low:+.2f} to {high:+.2f} mm."
+    titles = ("mean of estimate and truth [mm]", "estimate − truth [mm]")
+    return Chart("Bland–Altman", text, *titles, curves)
+
+
+def distribution(group: Sequence[Series]) -> Chart:
+    """A histogram of the errors."""
+    _, error_mm, _ = pooled(group)
+    counts, edges = np.histogram(error_mm, bins=min(60, max(10, int(np.sqrt(len(error_mm))))))
+    hover = "%{x:+.2f} mm: %{y} frames<extra></extra>"
+    bars = Curve(Form.BARS, Role.ERROR, "frames", 0.5 * (edges[1:] + edges[:-1]), counts, hover=hover)
+    low, middle, high = np.percentile(error_mm, [2.5, 50.0, 97.5])
+    text = f"Median error {middle:+.2f} mm; 95 % of the errors are between {low:+.2f} and {high:+.2f} mm."
+    return Chart("distribution of errors", text, "error [mm]", "frames", [bars])
+
+
+def calibration(group: Sequence[Series]) -> Chart:
+    """Share of truths inside intervals of several levels; on the diagonal, intervals are as wide as stated."""
+    truth_mm, error_mm, std_mm = pooled(group)
+    kept = np.isfinite(std_mm)
+    estimate_mm, truth_mm, std_mm = (truth_mm + error_mm)[kept], truth_mm[kept], std_mm[kept]
+    held = [100.0 * (interval_coverage(estimate_mm, truth_mm, std_mm, level) or 0.0) for level in LEVELS]
+    hover = "stated %{x:g} %: %{y:.1f} % inside<extra></extra>"
+    levels, ends = 100.0 * np.array(LEVELS), np.array([50.0, 100.0])
+    curves = [
+        Curve(Form.LINE, Role.LIMIT, "as stated", ends, ends),
+        Curve(Form.LINE, Role.ESTIMATE, "truths inside", levels, np.array(held), hover=hover),
+    ]
+    text = (
+        f"{held[LEVELS.index(0.95)]:.1f} % of {len(truth_mm)} truths are inside the stated 95 % interval."
+        " Below the diagonal, intervals are too narrow."
+    )
+    return Chart("calibration of the interval", text, "stated level [%]", "truths inside [%]", curves)
+
+
+def rejected_spans(series: Series) -> list[tuple[float, float]]:
+    """Beginning and end in s of each run of frames without the distance, half a frame wider on both sides."""
+    if len(series) == 0:
+        return []
+    step_s = float(np.median(np.diff(series.seconds))) if len(series) > 1 else 0.1
+    return [
+        (round(series.seconds[begin] - 0.5 * step_s, 3), round(series.seconds[end - 1] + 0.5 * step_s, 3))
+        for begin, end in runs(~series.measured)
+    ]
+
+
+def runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First index, and index after the last one, of each run of true values, shape (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def pooled(series: Sequence[Series]) -> tuple[Array, Array, Array]:
+    """Truth, error and deviation in mm of all frames that have an error."""
+    truth_m, error_m, std_m = (
+        np.concatenate([getattr(one, key) for one in series]) for key in ("truth_m", "error_m", "std_m")
+    )
+    kept = np.isfinite(error_m)
+    return truth_m[kept] * 1e3, error_m[kept] * 1e3, std_m[kept] * 1e3
+
+
+def with_breaks(seconds: Array, *curves: Array) -> tuple[Array, ...]:
+    """Put a NaN between frames that are far apart, so that no line spans what was not measured."""
+    if len(seconds) < 3:
+        return seconds, *curves
+    steps = np.diff(seconds)
+    at = np.flatnonzero(steps > MAX_GAP_IN_STEPS * np.median(steps)) + 1
+    return tuple(np.insert(values, at, np.nan) for values in (seconds, *curves))

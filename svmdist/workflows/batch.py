@@ -1,0 +1,291 @@
+"""Many logs, each measured by itself: here, in processes, or on a cluster, with results kept for another run.
+
+A log that cannot be measured is an outcome with a reason; the others are measured all the same.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import logging
+import re
+import threading
+import traceback
+import zlib
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from svmdist.errors import OutputError, ProfileError, SvmdistError, UsageError
+from svmdist.files import write_atomically
+from svmdist.input_file import LogPath, files_of, why
+from svmdist.recording.source import Health, Loss
+from svmdist.remote_file import RemoteFile
+from svmdist.workflows.parallel import Progress, each_in_processes, one_opencv_thread, usable_cores
+from svmdist.workflows.request import LOG, Request
+
+Result = TypeVar("Result")
+Row = Mapping[str, Any]
+
+ATTEMPTS = 2
+"""A log whose process is killed is measured once more: it may have been another that took the memory."""
+MAX_STEM = 80
+
+
+@dataclass(frozen=True, slots=True)
+class LogFile:
+    """A log to measure, and the name that it goes by."""
+
+    path: LogPath
+    name: str
+
+
+@dataclass(frozen=True)
+class Job(Generic[Result]):
+    """What is done with each log; it travels between processes, and results depend on nothing else but the log.
+
+    `measure(recording, request, threads, *options)` gives a result; where it has rows, it is a generator that yields
+    them and returns the result. `result_type` is a dataclass that pydantic can store.
+    """
+
+    measure: Callable[..., Any]
+    request: Request
+    result_type: type[Result]
+    options: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Result]):
+    """What came of a log. `failure` says why there is no result; `notes` are (level, text) of what was logged."""
+
+    result: Result | None
+    failure: str | None = None
+    losses: tuple[Loss, ...] = ()
+    unlisted_count: int = 0
+    metadata: dict[str, str] = field(default_factory=dict)
+    notes: tuple[tuple[int, str], ...] = ()
+    packed_rows: str = ""
+
+    @property
+    def health(self) -> Health:
+        """What was lost while the log was read."""
+        health = Health(self.unlisted_count)
+        for loss in self.losses:
+            health.add(loss)
+        return health
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """The rows of the log; values that do not exist are left out."""
+        for line in zlib.decompress(base64.b64decode(self.packed_rows)).splitlines():
+            yield json.loads(line)
+
+
+def measured(
+    job: Job[Result], log: LogFile, threads: int, **more: Any
+) -> Generator[Row, None, Outcome[Result]]:
+    """Measure a log in this process: yield its rows, return its outcome. Raises what measuring it raises."""
+    recording = job.request.open(log.path, log.name)
+    found = job.measure(recording, job.request, threads, *job.options, **more)
+    result = (yield from found) if isinstance(found, Generator) else found
+    health = recording.health
+    return Outcome(result, None, health.losses, health.unlisted_count, dict(recording.metadata))
+
+
+def outcome_of(job: Job[Result], threads: int, log: LogFile) -> Outcome[Result]:
+    """Measure a log, and keep its rows and remarks; whatever goes wrong with this log alone is its outcome.
+
+    Raises UsageError and ProfileError, which every log would meet.
+    """
+    packer, packed = zlib.compressobj(1), b""
+    steps = measured(job, log, threads)
+    with collected_notes() as notes, one_opencv_thread():
+        try:
+            while True:
+                row = {key: value for key, value in next(steps).items() if value is not None}
+                packed += packer.compress(json.dumps(row, separators=(",", ":")).encode() + b"\n")
+        except StopIteration as end:
+            found: Outcome[Result] = end.value
+        except (UsageError, ProfileError):
+            raise
+        except SvmdistError as problem:
+            return Outcome(None, str(problem))
+        except Exception as problem:
+            return Outcome(None, _fault(problem))
+    rows = base64.b64encode(packed + packer.flush()).decode("ascii")
+    return replace(found, notes=tuple(notes), packed_rows=rows)
+
+
+def _fault(problem: Exception) -> str:
+    """A fault of svmdist's own, or of the machine, in a line."""
+    if isinstance(problem, MemoryError):
+        return "there is not enough memory"
+    frames = traceback.extract_tb(problem.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    what = f"{type(problem).__name__}: {' '.join(str(problem).split())}"
+    return f"svmdist failed on it, please report this: {what}{place}"
+
+
+class _Collector(logging.Filter):
+    """Keeps what one thread logs, in place of printing it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.notes: list[tuple[int, str]] = []
+        self._thread = threading.get_ident()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if record.thread != self._thread:
+            return True
+        self.notes.append((record.levelno, record.getMessage()))
+        return False
+
+
+@contextmanager
+def collected_notes() -> Iterator[list[tuple[int, str]]]:
+    """Collect what this thread logs: the remarks on a log travel with its outcome."""
+    collector, level = _Collector(), LOG.level
+    LOG.addFilter(collector)
+    LOG.setLevel(logging.DEBUG)
+    try:
+        yield collector.notes
+    finally:
+        LOG.removeFilter(collector)
+        LOG.setLevel(level)
+
+
+def log_notes(outcomes: Sequence[Outcome[Any]], most: int = 3) -> None:
+    """Log what was noted on logs; what is true of more than `most` is said once."""
+    counts = Counter(note for one in outcomes for note in set(one.notes))
+    said = set()
+    for one in outcomes:
+        for note in one.notes:
+            level, text = note
+            if counts[note] <= most:
+                LOG.log(level, "%s", text)
+            elif note not in said:
+                LOG.log(level, "%s (so in %d logs)", text, counts[note])
+            said.add(note)
+
+
+def measure_logs(
+    job: Job[Result],
+    logs: Sequence[LogFile],
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    folder: Path | None = None,
+    on_progress: Progress = lambda _done, _total: None,
+) -> list[Outcome[Result]]:
+    """Measure logs by `jobs` processes, or by the cluster of a scheduler; their outcomes are the same.
+
+    `folder` keeps results for another run with the same request. Raises what ends all work: UsageError and
+    ProfileError, OutputError where results cannot be kept, SvmdistError where the cluster is lost.
+    """
+    store = None if folder is None else _Store(folder, job)
+    found: dict[int, Outcome[Result]] = {}
+    for place, log in enumerate(logs):
+        if store is not None and (known := store.load(log)) is not None:
+            found[place] = known
+    if store is not None and len(logs) > 1:
+        LOG.info("%d of %d logs are done", len(found), len(logs))
+    on_progress(len(found), len(logs))
+    places = [place for place in range(len(logs)) if place not in found]
+    for at, outcome in _measured([logs[place] for place in places], job, jobs, scheduler):
+        place = places[at]
+        found[place] = outcome
+        if store is not None and outcome.failure is None:
+            store.save(logs[place], outcome)
+        on_progress(len(found), len(logs))
+    return [found[place] for place in range(len(logs))]
+
+
+def _measured(
+    logs: Sequence[LogFile], job: Job[Result], jobs: int | None, scheduler: str | None
+) -> Iterator[tuple[int, Outcome[Result]]]:
+    if scheduler is not None and logs:
+        from svmdist.workflows.cluster import measured_on_cluster
+
+        yield from measured_on_cluster(partial(outcome_of, job, 1), logs, scheduler)
+        return
+    jobs = usable_cores() if jobs is None else jobs
+    workers = min(jobs, len(logs))
+    in_memory = any(isinstance(log.path, RemoteFile) and log.path.url.startswith("memory:") for log in logs)
+    if workers <= 1 or in_memory:  # what is in a process's memory is its own
+        yield from ((at, outcome_of(job, jobs, log)) for at, log in enumerate(logs))
+        return
+    killed = Outcome[Result](None, f"its process was killed, perhaps for want of memory, {ATTEMPTS} times")
+    work = partial(outcome_of, job, max(1, jobs // workers))
+    yield from each_in_processes(work, logs, workers, attempts=ATTEMPTS, died=killed)
+
+
+class _Store:
+    """A folder of results: one document per log, by request, name and path; valid while the log is the same."""
+
+    def __init__(self, folder: Path, job: Job[Any]) -> None:
+        self._folder = folder
+        self._request = _fingerprint(job)
+        self._outcomes = TypeAdapter(Outcome[job.result_type])  # type: ignore[name-defined]
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as problem:
+            raise OutputError(f"{folder}: cannot keep results there: {why(problem)}") from None
+
+    def _place(self, log: LogFile) -> Path:
+        path = log.path.url if isinstance(log.path, RemoteFile) else str(log.path.absolute())
+        key = hashlib.sha256(f"{self._request}\0{log.name}\0{path}".encode("utf-8", "replace")).hexdigest()
+        stem = re.sub(r"[^A-Za-z0-9._-]+", "-", log.name).strip(".-")[-MAX_STEM:] or "log"
+        return self._folder / f"{stem}-{key[:24]}.json"
+
+    def save(self, log: LogFile, outcome: Outcome[Any]) -> None:
+        """Keep an outcome; raises OutputError."""
+        stored = self._outcomes.dump_python(outcome, mode="json")
+        document = {"request": self._request, "log": _identity(log.path), "outcome": stored}
+        write_atomically(self._place(log), [json.dumps(document) + "\n"])
+
+    def load(self, log: LogFile) -> Outcome[Any] | None:
+        """Read an outcome; None where it is not there or not whole, or the log has changed since."""
+        try:
+            document = json.loads(self._place(log).read_bytes())
+            if (document["request"], document["log"]) != (self._request, _identity(log.path)):
+                return None
+            found: Outcome[Any] = self._outcomes.validate_json(json.dumps(document["outcome"]))
+            sum(1 for _ in found.rows())
+        except (OSError, ValueError, KeyError, TypeError, ValidationError, zlib.error):
+            return None
+        return found
+
+
+def _identity(path: LogPath) -> list[list[Any]]:
+    """Size and time of change of the files of a log; of one behind a URL what its store says of it."""
+    if isinstance(path, RemoteFile):
+        return [[path.size_bytes(), path.version()]]
+    return [
+        [file.name, (stat := file.stat()).st_size, stat.st_mtime_ns] for file in map(Path, files_of(path))
+    ]
+
+
+def _fingerprint(job: Job[Any]) -> str:
+    """A hash of what results depend on beside the log; files that the profile names count by size and time."""
+    setup = job.request.setup
+    files = [[str(path), _identity(path)] for path in _paths_in(setup.profile.model_dump()) if path.is_file()]
+    said = (version("svmdist"), job.measure.__module__, job.measure.__qualname__, job.request, job.options)
+    return hashlib.sha256(repr((said, files)).encode("utf-8", "replace")).hexdigest()
+
+
+def _paths_in(value: object) -> Iterator[Path]:
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            yield from _paths_in(item)
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _paths_in(item)

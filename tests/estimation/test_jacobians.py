@@ -1,0 +1,250 @@
+"""Derivatives against central differences: measurements, corrected links, residuals of the shaft."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from svmdist.camera import Camera
+from svmdist.estimation.instrument.corrected_links import Correction
+from svmdist.estimation.instrument.error_model import ErrorModel
+from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement_kinds import (
+    ContourMeasurement,
+    DisparityMeasurement,
+    PointsMeasurement,
+    PoseMeasurement,
+    SizeMeasurement,
+)
+from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, Rim
+from svmdist.estimation.instrument.shaft_model import (
+    BentTool,
+    Residual,
+    ShaftModel,
+    ShaftState,
+    contour_residual,
+    marker_residuals,
+    prior_residual,
+    rim_residual,
+    tip_residual,
+)
+from svmdist.estimation.instrument.window import stack
+from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, frame_transforms, row_index
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.profile import KinematicError
+from svmdist.profile.settings import ShaftSettings
+from svmdist.tracks import JointTrack
+from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, rotation_x
+from svmdist.vision.lines import TangentPlane
+from svmdist.vision.silhouette import WristPoint
+from tests.jacobian import check_jacobian
+from tests.shipped import CHAIN, POSTURE, PROFILE
+
+IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
+LENS = replace(IDEAL, D=np.array([-0.3, 0.12, 2e-3, -1e-3, -0.02]))
+T_LINK = make_transform(rotation_of([0.4, -0.7, 0.2]), [0.01, -0.02, 0.09])
+T_RIGHT_LEFT = make_transform(rotation_of([0.0, 0.01, 0.002]), [-0.005, 0.0, 0.0])
+
+
+def moved(T: Array, step: Array) -> Array:
+    """A pose after a small (δp, δθ)."""
+    return make_transform(rotation_of(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
+
+
+def measurements(seed: int = 0) -> list[LinkMeasurement]:
+    """All kinds, also off the link's origin, through a lens, and with large residuals."""
+    rng = np.random.default_rng(seed)
+    across = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    axis = across[2]
+    root = rng.normal(size=(6, 6))
+    T_frame = make_transform(rotation_of([0.1, 0.3, -0.2]), [0.002, 0.004, -0.003])
+    near, far = (
+        make_transform(rotation_of(turn * rng.normal(size=3)) @ T_LINK[:3, :3], [0.012, -0.02, 0.088])
+        for turn in (1e-9, 0.9)
+    )
+    p_m, pixels = rng.normal(0.0, 0.003, (4, 3)), rng.uniform(0.0, 400.0, (4, 2))
+    return [
+        PointsMeasurement(
+            "origin", None, IDEAL, np.zeros((1, 3)), pixels[:1], np.diag([0.2, 0.3]), 1e-4, 0.7
+        ),
+        PointsMeasurement("corners", "tag", LENS, p_m, pixels, np.diag(rng.uniform(0.1, 1.0, 8)), 2e-4),
+        DisparityMeasurement("ideal", None, IDEAL, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1), 1e-4, 0.5),
+        DisparityMeasurement("lens", None, LENS, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1), 1e-4),
+        SizeMeasurement("size", None, IDEAL, 0.00175, 12.0, np.eye(1), 0.2),
+        *(
+            ContourMeasurement(
+                f"edge {side}",
+                "shaft",
+                across[0],
+                across[:2],
+                np.diag([1e-4, 1e-6]),
+                np.array([0.001, -0.002, 0.003]),
+                axis,
+                0.004,
+                side,
+                np.diag([2e-4, 1e-6]),
+            )
+            for side in (1, -1)
+        ),
+        PoseMeasurement("near", "tag", T_frame, near @ T_frame, np.eye(6), root @ root.T),
+        PoseMeasurement("far", "tag", T_frame, far, np.eye(6), np.eye(6)),
+    ]
+
+
+@pytest.mark.parametrize("measurement", measurements(), ids=lambda measurement: measurement.name)
+def test_derivatives_are_those_of_the_residual(measurement: LinkMeasurement) -> None:
+    """To 1e-7 of the largest element; rounding over the step leaves 1e-9 px/m of some 1e4."""
+    found = measurement.linearise(T_LINK)
+    assert found.derivative.shape == (len(measurement.covariance), 6)
+    check_jacobian(
+        lambda step: measurement.linearise(moved(T_LINK, step)).residual, found.derivative, relative=1e-7
+    )
+
+
+@pytest.mark.parametrize("measurement", measurements()[:7], ids=lambda measurement: measurement.name)
+def test_what_cannot_be_seen_has_no_finite_residual(measurement: LinkMeasurement) -> None:
+    """Behind the camera, or with the camera inside of the shaft; a visible pose beside it in a stack stays as it is."""
+    hidden = make_transform(np.eye(3), [0.0, 0.0, -0.05])
+    if isinstance(measurement, ContourMeasurement):
+        hidden = make_transform(np.eye(3), -measurement.p_axis_m)
+    alone = measurement.linearise(hidden)
+    assert not np.isfinite(alone.residual).any()
+    assert not np.isfinite(alone.derivative).any()
+    [members] = stack([(measurement,), (measurement,)])
+    both = members.measurement.linearise(np.stack([hidden, T_LINK]))
+    assert not np.isfinite(both.residual[0]).any()
+    np.testing.assert_allclose(both.residual[1], measurement.linearise(T_LINK).residual, rtol=1e-12)
+    assert np.isfinite(both.derivative[1]).all()
+
+
+T_CAMERA_BASE = make_transform(rotation_of([2.0, 0.4, -0.3]), [0.1, -0.2, 0.9])
+rng = np.random.default_rng(11)
+ROWS = tuple(
+    DHRow(f"j{index}", kind, *rng.uniform(-1.0, 1.0, 4))  # type: ignore[arg-type]
+    for index, kind in enumerate(("prismatic", "revolute", "fixed", "revolute", "prismatic", "revolute"))
+)
+SHORT = DHChain(ROWS, "modified", make_transform(rotation_x(0.7), [0.1, -0.2, 0.05]))
+CASES = [
+    (CHAIN, PROFILE.kinematic_error, POSTURE, (None, "yaw", CHAIN.rows[0].name, CHAIN.rows[-2].name)),
+    (
+        SHORT,
+        KinematicError(first_moving_joint="j1"),
+        np.array([0.1, 0.2, -0.4, 0.3, 1.0]),
+        (None, "j0", "j2", "j4"),
+    ),
+    (SHORT, KinematicError(), np.array([0.1, 0.2, -0.4, 0.3, 1.0]), (None, "j0", "j3")),
+]
+
+
+def moving_robot(chain: DHChain, q: Array) -> RobotState:
+    """The robot at rates of up to 0.5 in each joint, which its track tells."""
+    rates = np.random.default_rng(4).uniform(-0.5, 0.5, len(q))
+    stamps_ns = np.arange(-50, 51, 10) * 1_000_000
+    track = JointTrack(stamps_ns, chain.joint_names, q + rates * stamps_ns[:, None] / 1e9)
+    return RobotState(chain, 0, q, T_CAMERA_BASE, track)
+
+
+def by_definition(
+    model: ErrorModel, robot: RobotState, at: Correction, anchor_m: Array, link: str | None
+) -> Array:
+    """The corrected pose as the head of `correction` writes it, by a chain with other lengths."""
+    q, moving = robot.q.copy(), slice(-model.columns.joint_count, None)
+    q[moving] += robot.rates[moving] * at.time_offset_s + at.q_offset + at.play
+    rows, lengths = list(model.chain.rows), iter(at.length_m)
+    is_modified = model.chain.convention == "modified"
+    first = int(model.chain.moving_rows[len(q) - model.columns.joint_count])
+    for index in range(first + is_modified, len(rows)):
+        row = rows[index]
+        if row.a_m != 0.0:
+            rows[index] = replace(rows[index], a_m=row.a_m + next(lengths))
+        if row.d_m != 0.0 and row.joint != "prismatic" and (is_modified or index > first):
+            rows[index] = replace(rows[index], d_m=row.d_m + next(lengths))
+    assert next(lengths, None) is None
+    chain = DHChain(tuple(rows), model.chain.convention, model.chain.T_last_tool)
+    last = forward_kinematics(chain, q)
+    if link is not None:
+        last = frame_transforms(chain, q)[row_index(chain, link)]
+    T = T_CAMERA_BASE @ last
+    return make_transform(at.turn @ T[:3, :3], anchor_m + at.shift_m + at.turn @ (T[:3, 3] - anchor_m))
+
+
+@pytest.mark.parametrize(("chain", "error", "q", "links"), CASES)
+def test_links_are_moved_and_turned_about_the_anchor(
+    chain: DHChain, error: KinematicError, q: Array, links: tuple[str | None, ...]
+) -> None:
+    """Poses equal the definition within 1e-13, derivatives central differences of it to 1e-8."""
+    model, robot = ErrorModel(chain, error), moving_robot(chain, q)
+    anchor_m = model.anchor_m(robot)
+    at = model.no_correction().retract(0.05 * np.random.default_rng(1).normal(size=model.size))
+    found = model.links(model.nominal(robot), at, anchor_m)
+    for name in links:
+        link, T = found.link(name), by_definition(model, robot, at, anchor_m, name)
+        assert found.link(name) is link
+        np.testing.assert_allclose(link.T_camera_link, T, atol=1e-13)
+
+        def pose(step: Array, name: str | None = name, T: Array = T) -> Array:
+            stepped = by_definition(model, robot, at.retract(step), anchor_m, name)
+            return np.concatenate([stepped[:3, 3], rotation_vector(stepped[:3, :3] @ T[:3, :3].T)])
+
+        check_jacobian(pose, link.derivative, absolute=1e-8)
+
+
+CAMERA = Camera(640, 480, IDEAL.K, np.array([-0.12, 0.03, 1e-3, -5e-4, 0.0]))
+WRIST = make_transform(rotation_of(np.array([0.2, -0.1, 0.4])), [0.001, -0.002, 0.009])
+MODEL = ShaftModel(
+    WRIST,
+    0.02,
+    rotation_of(np.array([0.3, 0.9, -0.2])),
+    0.05,
+    0.004,
+    0.006,
+    0.00175,
+    0.0,
+    0.003,
+    0.001,
+    0.009,
+)
+PLANE = TangentPlane(np.array([0.6, 0.0, 0.8]), np.diag([0.0, 1e-6, 4e-6]))
+MARKER = DistalMarker(np.array([310.0, 250.0]), 0.5, 11.0, 0.2)
+TIP = WristPoint(np.array([310.0, 250.0]), 4.0, np.array([330.0, 265.0]))
+RIM = Rim(np.array([300.0, 240.0]), np.array([0.6, 0.8]), 0.4)
+
+
+def states() -> list[ShaftState]:
+    rng = np.random.default_rng(4)
+    return [
+        ShaftState(
+            make_transform(rotation_of(rng.normal(0.0, 0.8, 3)), [*rng.normal(0.0, 0.01, 2), 0.09]),
+            rng.normal(0.0, 0.3, 2),
+        )
+        for _ in range(8)
+    ]
+
+
+RESIDUALS: dict[str, Callable[[ShaftState], Residual]] = {
+    "contour": lambda state: contour_residual(Contour(PLANE, 1), PLANE.whitening, state, MODEL.radius_m),
+    "rim": lambda state: rim_residual(RIM, state, MODEL, CAMERA, ShaftSettings()),
+    "outline's end": lambda state: rim_residual(
+        replace(RIM, is_outline=True), state, MODEL, CAMERA, ShaftSettings()
+    ),
+    "tip": lambda state: tip_residual(TIP, BentTool.of(state, MODEL), MODEL, CAMERA),
+    "marker": lambda state: marker_residuals(MARKER, BentTool.of(state, MODEL), MODEL, CAMERA)[0],
+    "size": lambda state: marker_residuals(MARKER, BentTool.of(state, MODEL), MODEL, CAMERA)[1],
+    "prior": lambda state: prior_residual(state, np.eye(4), MODEL),
+}
+
+
+@pytest.mark.parametrize("name", RESIDUALS)
+@pytest.mark.parametrize("index", range(8))
+def test_derivatives_are_those_of_central_differences(name: str, index: int) -> None:
+    """Within 1e-6 of the largest: truncation and rounding of differences over 1e-6 m and rad leave less."""
+    state = states()[index]
+    # A residual falls where what is predicted grows.
+    check_jacobian(
+        lambda step: -RESIDUALS[name](state.retracted(step)).whitened,
+        RESIDUALS[name](state).derivative,
+        relative=1e-6,
+    )

@@ -1,0 +1,166 @@
+"""The paper's methods: its equations in both readings, and both estimators on frames whose truth is known."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from svmdist.camera import Camera
+from svmdist.estimation.plane_mapping import (
+    PUBLISHED_MAPPING,
+    PUBLISHED_X,
+    PUBLISHED_Y,
+    PlaneMapping,
+    Quadratic,
+    degeneracies,
+    planar_distance_m,
+    screen_cm_as_published,
+    screen_cm_corrected,
+)
+from svmdist.profile import load_profile
+from svmdist.samples import Observation, Status
+from tests.measuring import Measuring
+
+CORRECTED = PlaneMapping("corrected", PUBLISHED_X, PUBLISHED_Y)
+"""The published quadratics of the corrected screen coordinate: what eq. (6) would mean if only (4) were fixed."""
+
+
+@pytest.mark.parametrize(("pixel", "screen_cm"), [(0, 0.01), (1, -0.0154), (100, -2.53), (640, -16.246)])
+def test_eqs_3_4_as_published_run_backwards(pixel, screen_cm):
+    """(1 - T * 2.54) / 100 is +0.01 at pixel 0 and -16.2 at pixel 640, and nowhere 0.0245."""
+    assert float(screen_cm_as_published(pixel)) == pytest.approx(screen_cm, abs=1e-12)
+
+
+@pytest.mark.parametrize(("pixel", "screen_cm"), [(0, 0.0), (1, 0.0254), (100, 2.54), (640, 16.256)])
+def test_eqs_3_4_corrected_are_pixels_at_100_dpi(pixel, screen_cm):
+    """S = 0.0254 T cm: a hundred pixels are an inch."""
+    assert float(screen_cm_corrected(pixel)) == pytest.approx(screen_cm, abs=1e-12)
+
+
+@pytest.mark.parametrize("screen_cm", [-16.2, 0.0, 0.01, 2.9, 16.2])
+def test_eqs_5_6_are_the_published_quadratics(screen_cm):
+    """The shipped constants are those of the paper, evaluated here term by term."""
+    x = -0.0036 * screen_cm**2 + 0.7938 * screen_cm - 0.0403
+    y = -0.0068 * screen_cm**2 + 0.0395 * screen_cm - 0.4439
+    assert PUBLISHED_X(screen_cm) == pytest.approx(x, abs=1e-14)
+    assert PUBLISHED_Y(screen_cm) == pytest.approx(y, abs=1e-14)
+
+
+def test_eqs_25_to_27_are_the_euclidean_distance():
+    """3 mm and 4 mm apart is 5 mm, and the quadratics' constants cancel in the difference."""
+    assert planar_distance_m(np.array([0.003, 0.0]), np.array([0.0, -0.004])) == pytest.approx(0.005)
+    shifted = PlaneMapping("corrected", Quadratic(-0.0036, 0.7938, 7.0), Quadratic(-0.0068, 0.0395, -9.0))
+    a_px, b_px = np.array([10.0, 20.0]), np.array([300.0, 400.0])
+    distances_m = [
+        planar_distance_m(mapping.to_plane_m(a_px), mapping.to_plane_m(b_px))
+        for mapping in (CORRECTED, shifted)
+    ]
+    assert distances_m[0] == pytest.approx(distances_m[1], rel=1e-12)
+
+
+def test_the_published_mode_says_what_its_screen_coordinate_does():
+    """The published reading warns of S running from +0.01 to -16.2 cm over 640 px.
+
+    With that S neither quadratic turns around inside the image, so there is no second sentence.
+    """
+    warnings = degeneracies(PUBLISHED_MAPPING, 640, 480)
+    assert len(warnings) == 1
+    assert "S runs from +0.01 to -16.2 cm over 640 px" in warnings[0]
+
+
+CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
+PROFILE = load_profile()
+MAPPING = PlaneMapping("corrected", Quadratic(0.0, 0.8, 0.0), Quadratic(0.0, 0.8, 0.0))
+METRES_PER_PX = 0.0254 * 0.8 / 100.0
+TISSUE_PX = (330.0, 250.0)
+PLANAR = ("overlay", "centroid")
+ESTIMATORS = {method: Measuring(method, PROFILE, MAPPING) for method in PLANAR}
+
+
+def ground(seed: int = 1) -> np.ndarray:
+    """A dull textured ground without the colours of tissue or instrument."""
+    grey = np.random.default_rng(seed).integers(60, 130, (60, 80)).astype(np.uint8)
+    smooth = cv2.resize(grey, (640, 480), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(cv2.merge([smooth, smooth, smooth]), np.uint8)
+
+
+def frame(
+    tool_px: tuple[float, float] | None, tissue: bool = True, seed: int = 1, radius_px: float = 12.0
+) -> Observation:
+    """A frame drawn pixel by pixel: the red ellipse about TISSUE_PX, and the cyan disc over it."""
+    image = ground(seed)
+    ys, xs = np.mgrid[:480, :640]
+    if tissue:
+        image[((xs - TISSUE_PX[0]) / 150) ** 2 + ((ys - TISSUE_PX[1]) / 110) ** 2 <= 1] = (70, 60, 200)
+    if tool_px is not None:
+        image[(xs - tool_px[0]) ** 2 + (ys - tool_px[1]) ** 2 <= radius_px**2] = (210, 190, 30)
+    return Observation(1_000, image, CAMERA)
+
+
+def check_consistent(row) -> None:
+    """What holds for every outcome: a distance exactly when measured, never a number that is not finite."""
+    assert row.measured is (row.distance_m is not None)
+    for name, value in vars(row).items():
+        assert not isinstance(value, float) or math.isfinite(value), name
+    assert (row.tool_x_px is None) is (row.tool_y_px is None) is (row.tool_area_px is None)
+    assert (row.tissue_x_px is None) is (row.tissue_y_px is None) is (row.tissue_area_px is None)
+    # Counts are nested: matches need keypoints, inliers need matches.
+    counts = [row.keypoint_count, row.match_count, row.inlier_count]
+    known = [count for count in counts if count is not None]
+    assert counts[: len(known)] == known
+
+
+@pytest.mark.parametrize("method", PLANAR)
+@settings(deadline=None, max_examples=25)
+@given(x=st.floats(2.0, 637.0), y=st.floats(2.0, 477.0), seed=st.integers(0, 50))
+def test_places_are_found_all_over_the_image(method, x, y, seed):
+    """Tool and tissue are found within 1 px of the truth wherever the tool is, and the distance within 0.3 mm.
+
+    Near the border the disc is cut, so the truth there is the centroid of what is left to see.
+    """
+    observation = frame((x, y), seed=seed)
+    ys, xs = np.mgrid[:480, :640]
+    inside = (xs - x) ** 2 + (ys - y) ** 2 <= 12.0**2
+    truth_px = np.array([xs[inside].mean(), ys[inside].mean()])
+    row = ESTIMATORS[method].estimate(observation)
+    assert row.status is Status.OK
+    check_consistent(row)
+    assert math.dist((row.tool_x_px, row.tool_y_px), truth_px) < 1.0
+    assert math.dist((row.tissue_x_px, row.tissue_y_px), TISSUE_PX) < 1.0
+    assert row.tool_area_px == np.count_nonzero(inside)
+    assert row.distance_m == pytest.approx(math.dist(truth_px, TISSUE_PX) * METRES_PER_PX, abs=3e-4)
+
+
+@pytest.mark.parametrize("method", PLANAR)
+@pytest.mark.parametrize(
+    ("tool_px", "tissue", "status"),
+    [
+        (None, True, Status.NO_INSTRUMENT),
+        ((100.0, 100.0), False, Status.NO_TISSUE),
+        (None, False, Status.NO_TISSUE),
+    ],
+)
+def test_a_missing_region_is_the_reason(method, tool_px, tissue, status):
+    """Without tissue or instrument the row says which, holds what was found, and has no distance."""
+    row = ESTIMATORS[method].estimate(frame(tool_px, tissue))
+    assert row.status is status
+    check_consistent(row)
+    assert (row.tissue_area_px is not None) is tissue
+    assert (row.tool_area_px is not None) is (tool_px is not None)
+    assert row.keypoint_count is None
+
+
+@pytest.mark.parametrize("method", PLANAR)
+def test_two_runs_give_equal_rows(method):
+    """An estimator keeps nothing between frames: other frames in between change no bit of a row."""
+    observation = frame((222.2, 333.3), seed=4)
+    first = ESTIMATORS[method].estimate(observation)
+    ESTIMATORS[method].estimate(frame((30.0, 40.0), seed=5))
+    ESTIMATORS[method].estimate(frame(None))
+    assert ESTIMATORS[method].estimate(observation) == first
+    assert Measuring(method, PROFILE, MAPPING).estimate(observation) == first

@@ -1,0 +1,179 @@
+"""The scene of a seed: bodies as they are described, and options that move nothing else."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import ConvexHull
+
+from svmdist.errors import SimulationError, UsageError
+from svmdist.kinematics.dh import frame_transforms
+from svmdist.profile import Profile
+from svmdist.simulation.instrument import BLACK, THICKNESS_M, WHITE, make_plate
+from svmdist.simulation.organ import LIMIT, OrganSurface, make_organ
+from svmdist.simulation.scene import BREATHING_HZ, PULSE_HZ, Options, Scene, make_scene
+from svmdist.simulation.textures import floor_texture, tissue_texture
+from svmdist.transforms import Array, polygon_centroid
+from tests.simulation.conftest import chosen, perturbed
+
+T_S = np.arange(0.0, 40.0, 0.01)
+
+
+def depth_in_hull_m(vertices_m: Array) -> float:
+    """How far the deepest vertex lies inside of the convex hull."""
+    planes = ConvexHull(vertices_m).equations
+    blocks = np.array_split(vertices_m, len(vertices_m) // 16 + 1)
+    return -min(float((block @ planes[:, :3].T + planes[:, 3]).max(axis=1).min()) for block in blocks)
+
+
+def test_transforms_multiply(scene: Scene) -> None:
+    np.testing.assert_allclose(scene.T_world_camera @ scene.T_camera_base, scene.T_world_base, atol=1e-15)
+    np.testing.assert_allclose(scene.T_world_camera @ scene.T_camera_tissue, scene.T_world_tissue, atol=1e-15)
+    last = scene.link_poses(scene.posture)[scene.chain.rows[-1].name]
+    expected = scene.T_world_base @ frame_transforms(scene.chain, scene.posture)[-1]
+    np.testing.assert_allclose(last, expected, atol=1e-15)
+
+
+def test_options_move_nothing_else(profile: Profile, scene: Scene) -> None:
+    other = make_scene(profile, 1, Options(stereo=True, tag=True))
+    np.testing.assert_array_equal(other.T_world_tissue, scene.T_world_tissue)
+    np.testing.assert_array_equal(other.floor_texture, scene.floor_texture)
+    assert [part.name for part in other.parts] == [*(part.name for part in scene.parts), "plate"]
+
+
+def test_the_ideal_bodies_are_convex(profile: Profile, scene: Scene) -> None:
+    """Bullet measures hulls of the parts: every vertex lies on its hull to 5 µm, the bridge's to 0.1 mm."""
+    for part in scene.parts:
+        depth_m = depth_in_hull_m(part.mesh.vertices_m)
+        assert depth_m < (1e-4 if part.name == "bridge" else 5e-6), part.name
+    for seed in range(4):
+        assert depth_in_hull_m(make_scene(profile, seed).organ.mesh.vertices_m) < 5e-6
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lobes_keep_centroid_and_height(seed: int) -> None:
+    """The origin stays the outline's centroid, nothing is higher than the dome, and a place has one height."""
+    dome, organ = (
+        make_organ(np.random.default_rng(seed), seed, chosen(text)) for text in ("", "tissue_shape=0.4")
+    )
+    np.testing.assert_allclose(polygon_centroid(organ.outline_m), 0.0, atol=1e-12)
+    z_m = organ.mesh.vertices_m[:, 2]
+    assert (z_m.min(), z_m.max()) == pytest.approx((0.0, dome.height_m), abs=1e-12)
+    corners_m = organ.mesh.vertices_m[organ.mesh.faces][..., :2]
+    (ax, ay), (bx, by) = (np.moveaxis(corners_m[:, k] - corners_m[:, 0], -1, 0) for k in (1, 2))
+    assert (ax * by - ay * bx).min() > 0.0
+    assert 0.0005 < depth_in_hull_m(organ.mesh.vertices_m) < 0.005
+
+
+def test_an_ellipsoid_is_one() -> None:
+    """Height over the plane is sqrt(1 - r²) of the apex's."""
+    organ = make_organ(np.random.default_rng(1), 1, chosen("tissue_ellipsoid=1"))
+    apex_m, rings = organ.mesh.vertices_m[0], organ.mesh.vertices_m[1:].reshape(-1, len(organ.outline_m), 3)
+    away_m = np.linalg.norm(rings[..., :2] - apex_m[:2], axis=-1)
+    np.testing.assert_allclose((rings[..., 2] / apex_m[2]) ** 2 + (away_m / away_m[-1]) ** 2, 1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("text", ["", "dent=1,tissue_shape=0.4,tissue_ellipsoid=0.5"])
+def test_heights_are_those_of_the_triangles(text: str) -> None:
+    """Within 1 nm of where a ray from above meets the mesh; -inf where none does."""
+    organ = make_organ(np.random.default_rng(2), 3, chosen(text))
+    low, high = organ.outline_m.min(0), organ.outline_m.max(0)
+    xy_m = np.random.default_rng(1).uniform(low, high, (400, 2))
+    mesh = trimesh.Trimesh(organ.mesh.vertices_m * 1e3, organ.mesh.faces, process=False)
+    starts = np.column_stack([xy_m * 1e3, np.full(len(xy_m), 50.0)])
+    hits, ray, _ = mesh.ray.intersects_location(starts, np.tile([0.0, 0.0, -1.0], (len(starts), 1)))
+    expected_m = np.full(len(xy_m), -np.inf)
+    expected_m[ray] = hits[:, 2] * 1e-3
+    np.testing.assert_allclose(OrganSurface(organ).heights_m(xy_m), expected_m, atol=1e-9)
+    assert 0.6 < np.isfinite(expected_m).mean() < 0.9
+
+
+@pytest.mark.parametrize("depth_m", [1e-5, 5e-4, 4e-3])
+def test_a_dent_goes_down_to_what_presses_and_leaves_the_rest(depth_m: float) -> None:
+    """A ball pressed 0.01 to 4 mm deep has 2 µm inside at most, and the surface goes down as far, to 2 %."""
+    organ = make_organ(np.random.default_rng(2), 0, chosen("dent=1"))
+    surface = OrganSurface(organ)
+    points = np.random.default_rng(0).normal(0.0, 1.0, (6000, 3))
+    points *= 0.0015 / np.linalg.norm(points, axis=1, keepdims=True)
+    points += [0.002, 0.001, surface.heights_m(np.array([[0.002, 0.001]]))[0] + 0.0015 - depth_m]
+    points = points[surface.inside_m(points) > 0.0]
+    deepest_m = surface.inside_m(points).max()  # the surface is tilted
+    assert not surface.is_too_deep(points)
+    dented = surface.dented(points)
+    assert OrganSurface(dented).inside_m(points).max() < 2e-6
+    down_m = organ.mesh.vertices_m[:, 2] - dented.mesh.vertices_m[:, 2]
+    assert down_m.min() >= 0.0
+    assert down_m.max() == pytest.approx(deepest_m, rel=0.02, abs=3e-6)
+    away_m = np.linalg.norm(organ.mesh.vertices_m[:, None, :2] - points[None, ::20, :2], axis=2).min(axis=1)
+    np.testing.assert_array_equal(down_m[away_m > 0.0135], 0.0)
+    far_down = points - [0.0, 0.0, 0.9 * organ.height_m]
+    assert surface.is_too_deep(far_down)
+    flat_m = surface.dented(far_down).mesh.vertices_m[:, 2]
+    assert (flat_m >= (1.0 - LIMIT) * organ.mesh.vertices_m[:, 2] - 1e-12).all()
+
+
+def test_the_plate_is_the_tag_and_has_its_size(profile: Profile) -> None:
+    fiducial = profile.fiducial
+    assert fiducial is not None
+    plate = make_plate(fiducial)
+    assert plate.texture_bgr is not None
+    assert set(np.unique(plate.texture_bgr)) == {BLACK, WHITE}
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{fiducial.family}"))
+    small = cv2.resize(plate.texture_bgr, None, fx=0.5, fy=0.5)
+    assert cv2.aruco.ArucoDetector(family).detectMarkers(small)[1].ravel().tolist() == [fiducial.id]
+    side_m = fiducial.plate_side_m
+    np.testing.assert_allclose(np.ptp(plate.mesh.vertices_m, axis=0), [side_m, side_m, THICKNESS_M])
+    a, b, c = np.moveaxis(plate.mesh.triangles_m, 1, 0)
+    volume_m3 = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0  # positive: all faces look outside
+    assert volume_m3 == pytest.approx(side_m**2 * THICKNESS_M)
+
+
+def test_tissue_is_saturated_and_the_floor_is_dull() -> None:
+    tissue, floor = (
+        cv2.cvtColor(make(np.random.default_rng(1)), cv2.COLOR_BGR2HSV)[..., 1]
+        for make in (tissue_texture, floor_texture)
+    )
+    assert np.percentile(tissue, 5) > np.percentile(floor, 95)
+
+
+def test_breath_and_pulse_have_their_amplitudes_and_frequencies(profile: Profile) -> None:
+    """Two lines in the spectrum, of 2 mm at 0.25 Hz and of 0.4 mm at 1.2 Hz."""
+    offset_m = make_scene(profile, 7, perturbed("breathing=2,pulse=0.4")).tissue_offset_m(T_S)
+    spectrum = np.abs(np.fft.rfft(offset_m)) / (0.5 * len(T_S))
+    hz = np.fft.rfftfreq(len(T_S), 0.01)
+    for frequency, amplitude_m in ((BREATHING_HZ, 2e-3), (PULSE_HZ, 4e-4)):
+        line = int(np.argmin(np.abs(hz - frequency)))
+        assert abs(spectrum[line] - amplitude_m) < 2e-6
+        spectrum[line] = 0.0
+    assert spectrum.max() < 1e-6
+    opening_rad = make_scene(profile, 7, perturbed("jaw=20")).jaw_opening_rad(T_S)
+    assert (opening_rad.min(), opening_rad.max()) == pytest.approx((0.0, np.deg2rad(20.0)), abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("update", "options", "said"),
+    [
+        ({"robot": None}, {}, r"it needs \[robot\], \[instrument\] and \[simulation\]"),
+        ({"fiducial": None}, {"tag": True}, r"it needs \[fiducial\]"),
+        ({}, {"kinematic_error": -1.0}, "from 0 to 20"),
+        ({}, {"arms": 3}, "a recording has 1 to 2 arms, found 3"),
+        ({}, {"degradations": (("smok", 3),)}, "did you mean smoke"),
+        ({}, {"degradations": (("smoke", 6),)}, "1 to 5"),
+    ],
+)
+def test_what_cannot_be_simulated_is_an_error(
+    profile: Profile, update: dict, options: dict, said: str
+) -> None:
+    with pytest.raises((SimulationError, UsageError), match=said):
+        make_scene(profile.model_copy(update=update), 1, Options(**options))
+    unknown = profile.fiducial.model_copy(update={"id": 587})
+    with pytest.raises(SimulationError, match="0 to 586"):
+        make_plate(unknown)
+
+
+def test_metadata_names_what_is_set() -> None:
+    assert Options().metadata() == {}
+    options = Options(stereo=True, kinematic_error=1.0, degradations=(("smoke", 3), ("jpeg", 1)))
+    assert options.metadata() == {"stereo": "yes", "kinematic_error": "1", "degrade": "smoke=3,jpeg=1"}

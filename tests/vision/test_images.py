@@ -1,0 +1,165 @@
+"""Forms of an image: exposure, first field, undistorted and rectified; each made once, when first asked for."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from svmdist.camera import Camera
+from svmdist.profile import ColourRegion, load_profile
+from svmdist.samples import Image, Observation, RightView
+from svmdist.transforms import Array, make_transform, rotation_of
+from svmdist.vision.colour import colour_mask
+from svmdist.vision.frame_context import (
+    FrameContext,
+    as_pinholes,
+    first_field,
+)
+from svmdist.vision.segmentation import make_segmenter
+from svmdist.vision.stereo import RectifiedPair, rectified_pair
+
+SEGMENTER = make_segmenter(load_profile().segmentation)
+
+
+def test_a_context_is_freed_at_once() -> None:
+    """Without the collector of circles: it looks for them by the number of objects, of which an image is one."""
+    gc.disable()
+    try:
+        context = FrameContext(np.full((48, 64, 3), 90, np.uint8), SEGMENTER)
+        for masks in (context.masks, context.masks_as_recorded):
+            assert not masks.tissue.any()
+        del masks
+        gone = weakref.ref(context)
+        del context
+        assert gone() is None
+    finally:
+        gc.enable()
+
+
+def with_disc(x_px: float, noise: float = 2.0, seed: int = 1) -> Image:
+    """A bright disc of 30 px radius over a textured ground, with sensor noise."""
+    rng = np.random.default_rng(5)
+    ground = cv2.GaussianBlur(rng.uniform(60, 120, (480, 640, 3)).astype(np.float32), (0, 0), 2.0)
+    image = ground.copy()
+    cv2.circle(image, (round(16 * x_px), 240 * 16), 30 * 16, (230.0, 220.0, 90.0), -1, cv2.LINE_AA, 4)
+    image += np.random.default_rng(seed).normal(0.0, noise, image.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def woven(first: Image, second: Image) -> Image:
+    image = first.copy()
+    image[1::2] = second[1::2]
+    return image
+
+
+def centre_x_px(image: Image) -> float:
+    inside = image[..., 0] > 180
+    return float(np.mean(np.nonzero(inside)[1]))
+
+
+@pytest.mark.parametrize("moved_px", [3.0, 8.0, 20.0])
+def test_what_moves_is_where_the_first_field_shows_it(moved_px: float) -> None:
+    """Its middle within 0.3 px; as woven it is off by half of the motion between both fields."""
+    image = woven(with_disc(300.0), with_disc(300.0 + moved_px, seed=2))
+    assert centre_x_px(image) > 300.0 + 0.4 * moved_px
+    mended = first_field(image)
+    assert centre_x_px(mended) == pytest.approx(300.0, abs=0.3)
+    np.testing.assert_array_equal(mended[::2], image[::2])
+    np.testing.assert_array_equal(mended[:, 500:], image[:, 500:])
+
+
+IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
+LENSES = {
+    "plumb_bob": replace(IDEAL, D=np.array([-0.2, 0.05, 1e-3, -5e-4, 0.01])),
+    "rational_polynomial": replace(
+        IDEAL,
+        D=np.array([0.3, -0.1, 1e-4, 2e-4, 0.02, 0.5, -0.05, 0.01]),
+        distortion_model="rational_polynomial",
+    ),
+    "fisheye": replace(IDEAL, D=np.array([0.05, -0.01, 0.002, 0.0]), distortion_model="fisheye"),
+}
+POINTS_M = np.array(
+    [[-0.03, -0.02, 0.09], [0.03, -0.02, 0.1], [0.0, 0.0, 0.08], [-0.02, 0.02, 0.1], [0.025, 0.018, 0.085]]
+)
+
+
+def drawn(camera: Camera, points_m: Array = POINTS_M) -> Image:
+    """White discs of 6 px at points of the camera frame, to a sixteenth of a pixel."""
+    image = np.zeros((480, 640, 3), np.uint8)
+    for x, y in camera.project(points_m):
+        cv2.circle(image, (round(x * 16), round(y * 16)), 96, (255, 255, 255), -1, cv2.LINE_AA, 4)
+    return image
+
+
+def centres(image: Image) -> Array:
+    """Centroids of the discs, sorted along x, shape (n, 2)."""
+    count, labels = cv2.connectedComponents((image[..., 0] > 20).astype(np.uint8))
+    ys, xs = np.mgrid[:480, :640]
+    found = []
+    for label in range(1, count):
+        weight = image[..., 0] * (labels == label).astype(np.float64)
+        found.append([(weight * xs).sum() / weight.sum(), (weight * ys).sum() / weight.sum()])
+    return np.array(sorted(found))
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_points_are_where_an_ideal_camera_sees_them(lens: str) -> None:
+    """Within 0.15 px all over the image, of which distortion moves some by more than 5 px."""
+    camera = LENSES[lens]
+    seen = as_pinholes(Observation(0, drawn(camera), camera))
+    assert not seen.camera.has_distortion
+    expected = np.array(sorted(IDEAL.project(POINTS_M).tolist()))
+    assert np.abs(camera.project(POINTS_M) - IDEAL.project(POINTS_M)).max() > 5.0
+    np.testing.assert_allclose(centres(seen.image_bgr), expected, atol=0.15)
+
+
+def test_a_turned_and_distorted_right_camera_becomes_parallel() -> None:
+    """A camera turned by degrees, with a lens and a K of its own: rows agree, and disparity is f b / z, in 0.2 px."""
+    own = replace(
+        LENSES["plumb_bob"], K=IDEAL.K * np.array([[1.02], [1.02], [1.0]]) + np.diag([1.0, -1.0, 0.0])
+    )
+    T_left_right = make_transform(rotation_of([0.02, -0.03, 0.015]), [0.005, 0.0, 0.0])
+    in_right_m = (POINTS_M - T_left_right[:3, 3]) @ T_left_right[:3, :3]
+    camera = LENSES["plumb_bob"]
+    seen = as_pinholes(
+        Observation(0, drawn(camera), camera, right=RightView(drawn(own, in_right_m), own, T_left_right))
+    )
+    assert seen.right is not None
+    pair = rectified_pair(seen.camera, seen.right)
+    assert isinstance(pair, RectifiedPair)
+    left_px, right_px = centres(seen.image_bgr), centres(seen.right.image_bgr)
+    depths_m = POINTS_M[np.argsort(IDEAL.project(POINTS_M)[:, 0]), 2]
+    np.testing.assert_allclose(left_px[:, 1], right_px[:, 1], atol=0.2)
+    np.testing.assert_allclose(
+        left_px[:, 0] - right_px[:, 0], [pair.disparity_at(z) for z in depths_m], atol=0.2
+    )
+
+
+hues = st.integers(0, 179)
+bounds = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(sorted).map(tuple)
+
+
+def brute_force(image_hsv: np.ndarray, region: ColourRegion) -> np.ndarray:
+    """The mask by the definition: hue inside the range, or outside the gap where the range wraps."""
+    h, s, v = np.moveaxis(image_hsv.astype(int), -1, 0)
+    first, last = region.hue
+    in_hue = (h >= first) & (h <= last) if first <= last else (h >= first) | (h <= last)
+    in_s = (s >= region.saturation[0]) & (s <= region.saturation[1])
+    in_v = (v >= region.value[0]) & (v <= region.value[1])
+    return np.where(in_hue & in_s & in_v, 255, 0)
+
+
+@settings(deadline=None, max_examples=80)
+@given(hues, hues, bounds, bounds, st.integers(0, 99))
+def test_a_mask_equals_the_definition(first, last, saturation, value, seed):
+    """Every box, wrapped or not, selects exactly the pixels that its bounds include."""
+    region = ColourRegion(hue=(first, last), saturation=saturation, value=value, min_area_px=1)
+    image_hsv = np.random.default_rng(seed).integers(0, [180, 256, 256], (24, 24, 3)).astype(np.uint8)
+    np.testing.assert_array_equal(colour_mask(image_hsv, region), brute_force(image_hsv, region))
