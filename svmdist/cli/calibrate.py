@@ -30,7 +30,7 @@ class CalibrateOptions(LogOptions, ReadOptions, WindowOptions):
 
     output: Path = output_option("FILE.toml", "Calibration file to write.", ...)
     method: PlanarMethod = option(
-        PlanarMethod.OVERLAY, "--method", None, "The planar method that will use the mapping."
+        PlanarMethod.OVERLAY, "--method", "The planar method that will use the mapping."
     )
     force: bool = FORCE
 

@@ -28,12 +28,7 @@ from svmdist.cli.options import (
     parse_degradations,
     parse_perturbations,
 )
-from svmdist.cli.output import (
-    progress_bar,
-    require_output,
-    require_plot,
-    write_results,
-)
+from svmdist.cli.output import progress_bar, require_output, require_plot, write_results
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.report.writers import Holds, choose_writer
 
@@ -56,26 +51,24 @@ class CompareOptions(GoldenLogOptions, CalibrationOption, ReadOptions, LagOption
     """What `compare` takes."""
 
     method: list[Method] | None = option(
-        None, "--method", "|".join(Method), "A method to compare; may be repeated. Default: all."
+        None, f"--method {'|'.join(Method)}", "A method to compare; may be repeated. Default: all."
     )
     degrade: list[str] | None = option(
         None,
-        "--degrade",
-        "NAME=SEVERITY|all",
+        "--degrade NAME=SEVERITY|all",
         "Also measure with the images degraded, as in smoke=3; all stands for every degradation at every severity."
         " May be repeated; each is applied alone.",
     )
     perturb: list[str] | None = option(
         None,
-        "--perturb",
-        "NAME=STRENGTH",
+        "--perturb NAME=STRENGTH",
         "Also measure in a world that is not as log and profile say, as in focal=1 or lag=30. May be "
         "repeated; each is applied alone, NAME=STRENGTH,NAME=STRENGTH together. Names: docs/simulation.md.",
     )
     form: str | None = format_option(Holds.FIGURES)
     output: Path | None = output_option()
     save_plot: Path | None = PLOT
-    plot: ComparePlot | None = option(None, "--plot", None, "What --save-plot draws.", hidden=True)
+    plot: ComparePlot | None = option(None, "--plot", "What --save-plot draws.", hidden=True)
 
     @property
     def conditions(self) -> list[LogCondition]:
@@ -173,7 +166,7 @@ class BlurOptions(GoldenLogOptions, CalibrationOption, ReadOptions, WindowOption
     """What `blur-bench` takes."""
 
     kernel: list[str] | None = option(
-        None, "--kernel", "BLUR=PX", "Kernel size of one blur, an odd number; may be repeated."
+        None, "--kernel BLUR=PX", "Kernel size of one blur, an odd number; may be repeated."
     )
     form: str | None = format_option(Holds.FIGURES)
     output: Path | None = output_option()

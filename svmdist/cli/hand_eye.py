@@ -52,13 +52,11 @@ class HandEyeOptions(ProfileOptions, InstrumentOption, LagOption, WindowOptions)
     method: SeeingMethod | None = option(
         None,
         "--method",
-        None,
         "What finds the tool: fiducial, stereo or shaft. Default: the first of these that finds it.",
     )
     against: Against | None = option(
         None,
         "--against",
-        None,
         "What the robot reports: kinematics of its joints, or the poses of measured_cp. Default: the joints"
         " where log and profile have them.",
     )

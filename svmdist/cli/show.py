@@ -40,15 +40,12 @@ class ShowOptions(MethodOptions, ReadOptions, InstrumentOption, LagOption):
     """What `show` takes."""
 
     file: Path = argument(..., "FILE", "Recording to look at.")
-    masks: bool = option(
-        False, "--masks", None, "Draw what is segmented as tissue, shaft, distal part and border."
-    )
-    frame: int | None = option(None, "--frame", "N", "Only the image of this number, from 0.", min=0)
-    at: float | None = option(None, "--at", "S", "Only the image nearest to so many seconds.", min=0.0)
+    masks: bool = option(False, "--masks", "Draw what is segmented as tissue, shaft, distal part and border.")
+    frame: int | None = option(None, "--frame N", "Only the image of this number, from 0.", min=0)
+    at: float | None = option(None, "--at S", "Only the image nearest to so many seconds.", min=0.0)
     worst: int | None = option(
         None,
-        "--worst",
-        "N",
+        "--worst N",
         "The N worst frames: by error where the log has ground truth, else by the interval's width.",
         min=1,
     )

@@ -67,29 +67,26 @@ class ValidateOptions(GoldenLogOptions, MeasureOptions, GroupOption):
     output: Path | None = output_option()
     truth: list[TruthChoice] | None = option(
         None,
-        "--truth",
-        "|".join(TruthChoice),
+        f"--truth {'|'.join(TruthChoice)}",
         "Reference to compare with; may be repeated. Default: every reference that the log has.",
     )
     truth_tf: list[str] | None = option(
         None,
-        "--truth-tf",
-        "PARENT:CHILD",
+        "--truth-tf PARENT:CHILD",
         "Transform that is the truth of the tool or the tissue, as in camera:tool; may be given twice.",
     )
     max_gap: float = option(
-        0.1, "--max-gap", "SECONDS", "Longest gap in the truth to interpolate across.", min=0.0, max=60.0
+        0.1, "--max-gap SECONDS", "Longest gap in the truth to interpolate across.", min=0.0, max=60.0
     )
     baseline: Path | None = option(
-        None, "--baseline", "FILE", "Exit with code 4 if a metric is worse than in this file."
+        None, "--baseline FILE", "Exit with code 4 if a metric is worse than in this file."
     )
-    write_baseline: Path | None = option(None, "--write-baseline", "FILE", "Store the metrics in this file.")
+    write_baseline: Path | None = option(None, "--write-baseline FILE", "Store the metrics in this file.")
     report: Path | None = REPORT
     save_plot: Path | None = PLOT
     plot: PlotKind | None = option(
         None,
-        "--plot",
-        "|".join(PlotKind),
+        f"--plot {'|'.join(PlotKind)}",
         "What --save-plot draws: fig6, truth, estimate and error over time as in the paper's figure; time, the distance"
         " with its interval; residuals over time and distance; bland-altman; calibration of the interval. Default:"
         " fig6.",
