@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -18,7 +18,6 @@ from svmdist.cli.options import (
     GoldenLogOptions,
     GroupOption,
     LagOption,
-    Method,
     ReadOptions,
     WindowOptions,
     format_option,
@@ -41,17 +40,16 @@ if TYPE_CHECKING:
     from svmdist.workflows.request import Request, Setup
 
 
-class ComparePlot(StrEnum):
-    """`--plot`: the only one that there is."""
-
-    COMPARE = "compare"
+MethodChoice = StrEnum("MethodChoice", "overlay centroid fiducial shaft stereo kinematic fused")
+ComparePlot = Literal["compare"]
+"""`--plot`: the only one that there is."""
 
 
 class CompareOptions(GoldenLogOptions, CalibrationOption, ReadOptions, LagOption, WindowOptions, GroupOption):
     """What `compare` takes."""
 
-    method: list[Method] | None = option(
-        None, f"--method {'|'.join(Method)}", "A method to compare; may be repeated. Default: all."
+    method: list[MethodChoice] | None = option(
+        None, f"--method {'|'.join(MethodChoice)}", "A method to compare; may be repeated. Default: all."
     )
     degrade: list[str] | None = option(
         None,
@@ -116,12 +114,12 @@ def compare_command(given: CompareOptions) -> None:
     writer = choose_writer(given.form, given.output, Holds.FIGURES)
     keys, lag = given.group_keys, given.given_lag
     conditions = given.conditions
-    planar = (Method.OVERLAY, Method.CENTROID)
-    methods = list(dict.fromkeys(given.method or Method))
+    planar = ("overlay", "centroid")
+    methods = list(dict.fromkeys(map(str, given.method or MethodChoice)))
     setups = tuple(
         prepare(
             given.profile,
-            method.value,
+            method,
             "corrected",
             given.calibration if method in planar else None,
             given.hand_eye,

@@ -10,9 +10,8 @@ import logging
 import math
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
@@ -86,30 +85,16 @@ def choose_verbosity(*, quiet: bool, verbose: bool) -> None:
         logging.getLogger("svmdist").setLevel(logging.ERROR if quiet else logging.DEBUG)
 
 
-class Method(StrEnum):
-    """`--method`: the paper's, its ablation, and those in 3D."""
-
-    OVERLAY = "overlay"
-    CENTROID = "centroid"
-    FIDUCIAL = "fiducial"
-    SHAFT = "shaft"
-    STEREO = "stereo"
-    KINEMATIC = "kinematic"
-    FUSED = "fused"
+Method = Literal["overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"]
+"""`--method`: the paper's, its ablation, and those in 3D."""
 
 
-class PlanarMethod(StrEnum):
-    """`--method` where only the paper's and its ablation make sense."""
-
-    OVERLAY = "overlay"
-    CENTROID = "centroid"
+PlanarMethod = Literal["overlay", "centroid"]
+"""`--method` where only the paper's and its ablation make sense."""
 
 
-class EquationsChoice(StrEnum):
-    """`--equations`: the readings of the paper's formulas."""
-
-    CORRECTED = "corrected"
-    PRINTED = "printed"
+EquationsChoice = Literal["corrected", "printed"]
+"""`--equations`: the readings of the paper's formulas."""
 
 
 def format_option(holds: Holds, more: str = "") -> Any:
@@ -242,7 +227,7 @@ class MethodOptions(CalibrationOption):
     """What measures."""
 
     method: Method = option(
-        Method.OVERLAY,
+        "overlay",
         "--method",
         "Planar: overlay (the paper's virtual marker) and centroid (the same without the marker)."
         " In 3D: fiducial (tag), shaft, stereo (two cameras), kinematic, and fused (all of them).",
@@ -253,7 +238,7 @@ class EquationsOption(Options):
     """Which reading of the paper's equations is used."""
 
     equations: EquationsChoice = option(
-        EquationsChoice.CORRECTED,
+        "corrected",
         "--equations",
         "Reading of the paper's formulas: corrected, or printed, that is as published.",
     )
@@ -376,10 +361,8 @@ class MeasureOptions(
         from svmdist.workflows.request import Request, prepare
         from svmdist.workflows.scoring.score import require_clearance
 
-        lag, alarms, window = self.given_lag, self.rules(self.method.value), self.window
-        setup = prepare(
-            self.profile, self.method.value, self.equations.value, self.calibration, self.hand_eye
-        )
+        lag, alarms, window = self.given_lag, self.rules(self.method), self.window
+        setup = prepare(self.profile, self.method, self.equations, self.calibration, self.hand_eye)
         if alarms:
             require_clearance(setup.method, setup.profile)
         wanted = self.instruments(setup.profile)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -17,28 +16,18 @@ if TYPE_CHECKING:
     from svmdist.workflows.episodes import Episodes
 
 
-class ScenarioName(StrEnum):
-    """`--scenario`."""
-
-    CALIBRATION = "calibration"
-    SWEEP = "sweep"
-    APPROACH = "approach"
-    CONTACT = "contact"
-    OCCLUSION = "occlusion"
-    RANDOM = "random"
+ScenarioName = Literal["calibration", "sweep", "approach", "contact", "occlusion", "random"]
+"""`--scenario`."""
 
 
-class WorldName(StrEnum):
-    """`--world`."""
-
-    IDEAL = "ideal"
-    REAL = "real"
+WorldName = Literal["ideal", "real"]
+"""`--world`."""
 
 
 class RecordOptions(Options):
     """What `record` takes."""
 
-    scenario: ScenarioName = option(ScenarioName.SWEEP, "--scenario", "Motion of the instrument.")
+    scenario: ScenarioName = option("sweep", "--scenario", "Motion of the instrument.")
     seed: int = option(
         1, "--seed N", "Seed of everything random; the same seed gives the same content.", min=0
     )
@@ -77,7 +66,7 @@ class RecordOptions(Options):
         "Names and units: docs/simulation.md.",
     )
     world: WorldName = option(
-        WorldName.IDEAL,
+        "ideal",
         "--world",
         "ideal: log and profile are exact; real: everything is off as on real robots, drawn by seed.",
     )
@@ -149,12 +138,12 @@ def record_command(given: RecordOptions) -> None:
     path = (
         given.output or Path()
         if given.episodes
-        else given.output or Path(f"{given.scenario.value}-{given.seed}.mcap")
+        else given.output or Path(f"{given.scenario}-{given.seed}.mcap")
     )
     if given.episodes is None:
         require_output(path)
-    scenario = Scenario(given.scenario.value, given.seed, given.duration, given.rate)
-    profile, world = load_profile(given.profile), World(given.world.value)
+    scenario = Scenario(given.scenario, given.seed, given.duration, given.rate)
+    profile, world = load_profile(given.profile), World(given.world)
     options = scene.Options(
         given.stereo,
         given.tag,

@@ -83,7 +83,7 @@ def show_command(given: ShowOptions) -> None:
             "--worst needs what a method measured, and --masks shows what was segmented before it"
         )
     lag, output = given.given_lag, given.output
-    method = Segmented() if given.masks else given.method.value
+    method = Segmented() if given.masks else given.method
     setup = prepare(given.profile, method, "corrected", given.calibration, given.hand_eye)
     request = Request(setup, given.topics, None, given.instruments(setup.profile), lag)
     recording = request.open(given.file, given.file.stem)
