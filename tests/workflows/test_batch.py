@@ -2,65 +2,21 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
-import time
-from collections.abc import Generator, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from svmdist.errors import RecordingError, SvmdistError, UsageError
-from svmdist.recording.log import Recording
+from svmdist.errors import SvmdistError, UsageError
 from svmdist.recording.observations import Window
-from svmdist.transforms import Array
 from svmdist.workflows import batch
 from svmdist.workflows.batch import ATTEMPTS, Job, LogFile, Outcome, collected_notes, log_notes, measure_logs
-from svmdist.workflows.parallel import is_worker
 from svmdist.workflows.request import LOG, Request, Setup
 from tests.synthetic import write_log
 from tests.workflows.dask_cluster import DaskCluster, wait_until
-
-
-@dataclass(frozen=True)
-class Counted:
-    """What the job finds: a number, an array with a hole, and texts by name."""
-
-    images: int
-    values: Array
-    names: dict[str, str]
-
-
-def count_images(
-    recording: Recording, _request: Request, _threads: int, folder: str
-) -> Generator[dict[str, Any], None, Counted]:
-    """A row for each image; a file in the folder says what goes wrong with a log, and each attempt is written there."""
-    name = recording.name
-    with (Path(folder) / f"{name}.attempts").open("a") as file:
-        file.write(f"{os.getpid()}\n")
-    fate = Path(folder) / f"{name}.fate"
-    what = fate.read_text() if fate.exists() else ""
-    LOG.info("note: the same of all")
-    LOG.debug("only of %s", name)
-    if what == "broken":
-        raise RecordingError(f"{name} is broken")
-    if what == "fault":
-        raise ZeroDivisionError("a fault")
-    if what == "usage":
-        raise UsageError("wrong for all")
-    if what == "killed" and is_worker():
-        os.kill(os.getpid(), signal.SIGKILL)
-    while what == "held" and not (Path(folder) / "open").exists():
-        time.sleep(0.01)
-    count = 0
-    for number, _ in enumerate(recording.images()):
-        yield {"recording": name, "number": number, "nothing": None}
-        count += 1
-    return Counted(count, np.array([1.5, np.nan, count]), {"name": name})
+from tests.workflows.jobs import Counted, count_images
 
 
 @pytest.fixture
@@ -101,7 +57,7 @@ def test_outcomes_are_the_same_for_any_number_of_jobs(logs: list[LogFile], tmp_p
     assert seen(measure_logs(job, logs, jobs=3)) == alone
     assert [one[0] is None for one in alone] == [True, False, False, True]
     assert alone[1][0] == "log1 is broken"
-    assert "please report this: ZeroDivisionError: a fault (test_batch.py:" in alone[2][0]
+    assert "please report this: ZeroDivisionError: a fault (jobs.py:" in alone[2][0]
     assert [len(one[2]) for one in alone] == [2, 0, 0, 5]
     assert alone[0][2][1] == {"recording": "log0", "number": 1}
     assert [text for _, text in alone[0][3]][-1] == "only of log0"
