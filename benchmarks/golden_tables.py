@@ -31,9 +31,9 @@ METHODS = {
 """Methods in 3D, and where each takes tool and tissue from."""
 OPTIONS = "".join(f" --method {name}" for name in METHODS)
 ALARMS = "--method fused --alarm-below 5mm --truth ground_truth"
-FIGURES = "n / frames", "spatial RMSE [mm]", "in 95 %", "clearance RMSE [mm]", "in 95 %"
+FIGURES = "n/frames", "spatial RMSE [mm]", "in 95%", "clearance RMSE [mm]", "in 95%"
 ALARM_FIGURES = "unsafe", "recall", "precision", "safe alarmed", "least lead [s]"
-PLANAR = "n / frames", "R²", "RMSE [mm]", "RMSE 95 % [mm]", "p95 [mm]", "bias [mm]", "σ [mm]"
+PLANAR = "n/frames", "R²", "RMSE [mm]", "RMSE 95% [mm]", "p95 [mm]", "bias [mm]", "σ [mm]"
 BLUR = "kernel [px]", "features", "paper", "area [px²]", "paper", "RMSE [mm]"
 
 
@@ -61,7 +61,7 @@ def millimetres(value_m: float | None, digits: int = 2) -> str:
 
 def percent(share: float | None, digits: int = 0) -> str:
     """A share, or a dash."""
-    return "–" if share is None else f"{100 * share:.{digits}f} %"
+    return "–" if share is None else f"{100 * share:.{digits}f}%"
 
 
 def pooled(records: Sequence[Record]) -> Record:
@@ -87,7 +87,7 @@ def pooled(records: Sequence[Record]) -> Record:
 def cells_in_3d(record: Record) -> list[str]:
     """Frames, and the figures of both distances in 3D."""
     count = record.get("measured_count", record.get("sample_count"))
-    cells = [f"{count} / {record['frame_count']}"]
+    cells = [f"{count}/{record['frame_count']}"]
     for name in ("spatial", "clearance"):
         cells += [millimetres(record[f"{name}_rmse_m"]), percent(record[f"{name}_interval_coverage"])]
     return cells
@@ -148,7 +148,7 @@ def between_instruments() -> list[str]:
     error_m = np.array([distance.value_m for _, distance in found]) - true_m
     inside = np.abs(error_m) <= 1.96 * np.array([distance.std_m for _, distance in found], float)
     rmse_m = float(np.sqrt(np.mean(error_m**2)))
-    return [f"{len(found)} / {len(rows)}", "–", "–", millimetres(rmse_m), percent(float(inside.mean()))]
+    return [f"{len(found)}/{len(rows)}", "–", "–", millimetres(rmse_m), percent(float(inside.mean()))]
 
 
 def planar(readme: str, results: str) -> tuple[str, str]:
@@ -173,7 +173,7 @@ def planar(readme: str, results: str) -> tuple[str, str]:
 def cells_in_plane(score: Record) -> list[str]:
     """Frames, and the figures of the planar distance."""
     return [
-        f"{score['sample_count']} / {score['frame_count']}",
+        f"{score['sample_count']}/{score['frame_count']}",
         f"{score['r_squared']:.4f}",
         millimetres(score["rmse_m"]),
         f"{millimetres(score['rmse_low_m'])}–{millimetres(score['rmse_high_m'])}",

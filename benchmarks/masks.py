@@ -157,7 +157,7 @@ def measure(sets: Sequence[Sequence[tuple[Image, Mask]]]) -> dict[str, str]:
                 into.setdefault(name, []).append(value)
     return {
         name: f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
-        + (f"; {100 * float(np.mean(wrong[name])):.1f} %" if name in wrong else "")
+        + (f"; {100 * float(np.mean(wrong[name])):.1f}%" if name in wrong else "")
         for name, values in ious.items()
     }
 

@@ -79,7 +79,7 @@ def number(values: Any, percentile: float = 50.0, digits: int = 2) -> str:
 
 def share(values: Any) -> str:
     """How many of truth values hold."""
-    return f"{100.0 * float(np.mean(values)):.0f} %" if len(values) else "–"
+    return f"{100.0 * float(np.mean(values)):.0f}%" if len(values) else "–"
 
 
 def normalised(rows: Sequence[FrameResult], errors_m: Array, reference: Array) -> Array:
@@ -131,11 +131,11 @@ def thrust(folder: Path, out: Path) -> Iterator[str]:
     robot.write_text(f'hand_eye = "{found.name}"\n' + robot.read_text("utf-8"), "utf-8")
     joint_px, joint_m = red_joints(images)
     middle_m, face_m, face_std_m = joint_middles(joint_m, poses)
-    columns = ("method", "rows", "px, median", "mm, median", "p95", "in 95 %", "over 5 deviations")
+    columns = ("method", "rows", "px, median", "mm, median", "p95", "in 95%", "over 5 deviations")
     columns += (
         "mm to the joint's middle, median",
         "p95",
-        "in 95 %",
+        "in 95%",
         "mm after a rigid fit to the poses, median",
         "mean",
     )

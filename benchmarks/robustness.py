@@ -76,8 +76,8 @@ def _cell(runs: Sequence[Run]) -> str:
         rmse_mm = 1e3 * float(np.sqrt(np.mean((pairs.estimate_m - pairs.truth_m) ** 2)))
         text = f"{rmse_mm:.2f} ({100 * (pairs.interval_coverage or 0.0):.0f})"
         if (far := 100 * far_share(pairs)) >= 0.5:
-            text += f", {far:.0f} % far off"
-    return text + (f", {100 * inconsistent:.0f} % inconsistent" if inconsistent >= 0.005 else "")
+            text += f", {far:.0f}% far off"
+    return text + (f", {100 * inconsistent:.0f}% inconsistent" if inconsistent >= 0.005 else "")
 
 
 def main(arguments: Sequence[str]) -> None:

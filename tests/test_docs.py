@@ -83,9 +83,7 @@ def test_figures_in_3d_are_those_of_the_baseline(folder: str) -> None:
         assert _share(frames) == pytest.approx(score["coverage"])
         assert float(spatial_mm) == pytest.approx(1e3 * score["spatial_rmse_m"], abs=6e-3)
         assert float(clearance_mm) == pytest.approx(1e3 * score["clearance_rmse_m"], abs=6e-3)
-        assert float(safe_alarmed.rstrip(" %")) == pytest.approx(
-            100 * score["false_alarm_fraction"], abs=0.06
-        )
+        assert float(safe_alarmed.rstrip("%")) == pytest.approx(100 * score["false_alarm_fraction"], abs=0.06)
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -14,8 +14,6 @@ from svmdist.results import (
     ImageFindings,
     ToolEstimate,
     ToolPose,
-    as_pixel,
-    as_vector,
 )
 from svmdist.samples import Rejection, Status
 from svmdist.transforms import make_transform
@@ -60,13 +58,3 @@ def test_a_lost_image_s_result_is_its_rejection() -> None:
     assert not result.measured
     assert result.image == ImageFindings()
     assert result.distances == Distances()
-
-
-def test_points_become_plain_numbers() -> None:
-    """As JSON and columns take them."""
-    assert as_pixel(np.array([1.5, 2.0])) == (1.5, 2.0)
-    vector = as_vector(np.array([1.0, 2.0, 3.0], np.float32))
-    assert vector == (1.0, 2.0, 3.0)
-    assert all(type(value) is float for value in vector)
-    with pytest.raises(ValueError, match="unpack"):
-        as_vector(np.zeros(2))

@@ -14,8 +14,7 @@ from benchmarks.masks import OUTLINES, PANEL_SIZE, filled, panels
 from tests.conftest import REPOSITORY
 from training import train
 from training.dataset import VALIDATION_SEED, augmented, halved, iou, rendered
-from training.instruments import DISTAL, OTHER, SHAFT, TISSUE, Part, draw
-from training.materials import Material
+from training.instruments import DISTAL, OTHER, SHAFT, TISSUE, Material, Part, draw
 from training.scene import layers, render
 
 SIZE = (150, 200)

@@ -1,19 +1,17 @@
-"""Pictures rendered once to two files, which training then reads as often as it likes."""
+"""Pictures drawn once to two files, which training then reads as often as it likes, and the overlap of masks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from training.instruments import DISTAL, Labels
+from training.instruments import DISTAL
 from training.scene import HEIGHT, WIDTH, render
+from training.textures import Array
 
 VALIDATION_SEED = 10_000_000
 """Seeds from here on are never trained on."""
@@ -23,35 +21,28 @@ VALIDATION_SEED = 10_000_000
 class Pictures:
     """`images`, shape (n, h, w, 3) in BGR, and `labels`, shape (n, h, w); both uint8."""
 
-    images: NDArray[np.uint8]
-    labels: Labels
+    images: Array
+    labels: Array
 
 
 def rendered(first_seed: int, count: int, folder: Path, processes: int = 1) -> Pictures:
-    """The pictures of seeds `first_seed` to `first_seed + count - 1`; rendered where `folder` has not got them.
-
-    Files bear a fingerprint of the renderer: pictures of an older one are not taken for this one's.
-    """
+    """The pictures of `count` seeds from `first_seed` on; drawn where `folder` does not have them."""
     folder.mkdir(parents=True, exist_ok=True)
-    name = f"{first_seed}-{count}-{fingerprint()}"
-    images_path, labels_path = (folder / f"{name}-{kind}.npy" for kind in ("images", "labels"))
+    images_path, labels_path = (folder / f"{first_seed}-{count}-{kind}.npy" for kind in ("images", "labels"))
     if not labels_path.exists():
-        images = np.lib.format.open_memmap(
-            images_path, mode="w+", dtype=np.uint8, shape=(count, HEIGHT, WIDTH, 3)
-        )
-        labels = np.empty((count, HEIGHT, WIDTH), np.uint8)
-        for number, (image, label) in enumerate(_many(range(first_seed, first_seed + count), processes)):
-            images[number], labels[number] = image, label
-            if number % 1000 == 999:
-                print(f"rendered {number + 1} of {count}", flush=True)
+        shape = (count, HEIGHT, WIDTH)
+        images = np.lib.format.open_memmap(images_path, mode="w+", dtype=np.uint8, shape=(*shape, 3))
+        labels = np.empty(shape, np.uint8)
+        with ProcessPoolExecutor(processes, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
+            pairs = pool.map(render, range(first_seed, first_seed + count), chunksize=25)
+            for number, (image, label) in enumerate(pairs):
+                images[number], labels[number] = image, label
         images.flush()
-        np.save(labels_path, labels)  # last: it says that both are whole
+        np.save(labels_path, labels)  # last: it says that both are complete
     return Pictures(np.load(images_path, mmap_mode="r"), np.load(labels_path, mmap_mode="r"))
 
 
-def augmented(
-    rng: np.random.Generator, images: NDArray[np.uint8], labels: Labels
-) -> tuple[NDArray[np.uint8], Labels]:
+def augmented(rng: np.random.Generator, images: Array, labels: Array) -> tuple[Array, Array]:
     """Flipped, and with each channel brighter or darker: a picture that is read twice is not the same twice."""
     out_images, out_labels = images.copy(), labels.copy()
     for number, (image, label) in enumerate(zip(images, labels, strict=True)):
@@ -63,42 +54,20 @@ def augmented(
     return out_images, out_labels
 
 
-def halved(images: NDArray[np.uint8], labels: Labels) -> tuple[NDArray[np.uint8], Labels]:
+def halved(images: Array, labels: Array) -> tuple[Array, Array]:
     """Half as wide and half as high: pixels averaged, labels taken from one of four."""
     count, height, width = labels.shape
     fours = images.reshape(count, height // 2, 2, width // 2, 2, 3)
     return fours.mean((2, 4)).astype(np.uint8), np.ascontiguousarray(labels[:, ::2, ::2])
 
 
-def iou(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
+def iou(found: Array, truth: Array) -> float:
     """Intersection over union of two masks of one shape; 1 of two that are empty."""
     either = int((found | truth).sum())
     return float((found & truth).sum()) / either if either else 1.0
 
 
-def union_ious(found: NDArray[np.uint8], labels: Labels) -> NDArray[np.float64]:
+def union_ious(found: Array, labels: Array) -> Array:
     """The IoU of the union of instruments in each picture that has one."""
     pairs = zip(found >= DISTAL, labels >= DISTAL, strict=True)
     return np.array([iou(one, two) for one, two in pairs if two.any()], np.float64)
-
-
-def fingerprint() -> str:
-    """A digest of eight pictures: changes with whatever changes any of them."""
-    digest = sha256()
-    for seed in range(8):
-        for part in render(seed):
-            digest.update(part.tobytes())
-    return digest.hexdigest()[:12]
-
-
-def _many(seeds: range, processes: int) -> Iterator[tuple[NDArray[np.uint8], Labels]]:
-    if processes == 1:
-        yield from map(_one, seeds)
-        return
-    with ProcessPoolExecutor(processes) as pool:
-        yield from pool.map(_one, seeds, chunksize=25)
-
-
-def _one(seed: int) -> tuple[NDArray[np.uint8], Labels]:
-    cv2.setNumThreads(1)
-    return render(seed)

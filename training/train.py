@@ -11,7 +11,6 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from tempfile import gettempdir
 from typing import TYPE_CHECKING
@@ -19,9 +18,10 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from svmdist.models import INSTRUMENTS
+from svmdist.profile import OnnxSegmentation
 from svmdist.vision.network import network_input
 from training.dataset import VALIDATION_SEED, Pictures, rendered, union_ious
-from training.layout import network_rules
 
 if TYPE_CHECKING:
     from training.network import InstrumentNet
@@ -37,13 +37,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("model", type=Path, help="the ONNX file to write")
     parser.add_argument("--pictures", type=int, default=24000, help="how many are drawn to train on")
     parser.add_argument("--validation", type=int, default=400, help="how many others are drawn to measure on")
-    parser.add_argument("--part", type=float, default=1.0, help="of the usual number of steps, for a trial")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=1, help="for drawing; training takes one thread")
     parser.add_argument("--cache", type=Path, default=Path(gettempdir(), "svmdist-segmentation-pictures"))
     given = parser.parse_args(arguments)
     try:
-        from training.training import STAGES, export, predicted, train
+        from training.network import STAGES, export, predicted, train
     except ModuleNotFoundError as missing:
         print(
             f"{missing.name} is not installed; training needs it: pip install torch==2.13.0 onnx, in an environment"
@@ -62,13 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             line += f", IoU of instruments on 100 pictures not trained on {ious.mean():.3f}"
         print(line, flush=True)
 
-    stages = [
-        replace(
-            stage, **{name: max(1, round(given.part * getattr(stage, name))) for name in ("steps", "horizon")}
-        )
-        for stage in STAGES
-    ]
-    net = train(pictures, stages, given.seed, say)
+    net = train(pictures, STAGES, given.seed, say)
     ious = union_ious(predicted(net, held_out.images), held_out.labels)
     print(f"IoU of instruments on {len(ious)} pictures: mean {ious.mean():.3f}, median {np.median(ious):.3f}")
     given.model.parent.mkdir(parents=True, exist_ok=True)
@@ -78,12 +71,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _checked(net: InstrumentNet, model: Path, held_out: Pictures) -> int:
     """Whether OpenCV's scores are PyTorch's, and the file is small enough."""
-    from training.training import scores_of
+    from training.network import scores_of
 
     difference = 0.0
+    rules = OnnxSegmentation.model_validate({**INSTRUMENTS, "method": "onnx", "model": model})
     opencv = cv2.dnn.readNetFromONNX(str(model))
     for image in held_out.images[:20]:
-        opencv.setInput(network_input(np.array(image), network_rules(model)))
+        opencv.setInput(network_input(np.array(image), rules))
         difference = max(difference, float(np.abs(opencv.forward() - scores_of(net, image[None])).max()))
     size = model.stat().st_size
     print(

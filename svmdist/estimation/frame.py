@@ -16,9 +16,10 @@ from svmdist.image_input import require_bgr
 from svmdist.results import Failure
 from svmdist.samples import Image, JointSample, Observation
 from svmdist.transforms import Array
+from svmdist.vision.colour import Masks
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.regions import Region, find_region
-from svmdist.vision.segmentation import InstrumentMasks, Masks, Segmenter
+from svmdist.vision.segmentation import InstrumentMasks, Segmenter
 
 if TYPE_CHECKING:
     from svmdist.estimation.instrument.shaft_detection import DistalMarker, ShaftDetection
@@ -148,10 +149,8 @@ class Needs:
 
     scene: tuple[str, ...] = ()
     frame: tuple[str, ...] = ()
-    robot: bool = True
-    """Whether it uses joints or transforms."""
-    right_view: bool = False
-    """Whether it uses the right image."""
+    robot: bool = True  # whether it uses joints or transforms
+    right_view: bool = False  # whether it uses the right image
 
     def __or__(self, other: Needs) -> Needs:
         """What several methods take."""
@@ -165,11 +164,7 @@ class Needs:
 
 @dataclass(frozen=True)
 class Frame:
-    """What an estimator may use of one instant; it has no field for ground truth.
-
-    `robot` holds joints and nominal poses, or says what of them the log lacks. `scene` and the views compute their
-    detections when they are first asked for; all methods share them.
-    """
+    """What an estimator may use of one instant, detections that all methods share; no field for ground truth."""
 
     scene: Scene
     arm: Arm
@@ -177,8 +172,7 @@ class Frame:
     right: View | None
     joints: JointSample | None
     robot: RobotState | Failure
-    doubt: str = ""
-    """Why it is not sure which instrument this is; empty where it is."""
+    doubt: str = ""  # why it is not sure which instrument this is; empty where it is
 
     @classmethod
     def of(

@@ -33,7 +33,6 @@ from svmdist.transforms import inverse
 from svmdist.vision.edges import Disc
 from svmdist.vision.regions import Region
 
-COLOUR_DELAY_STD_S = 0.008  # of colours against brightness: 4:2:0 mixes those of both fields, 1/60 s apart
 VISIBLE_MIDDLE = 0.05  # off the true one over the radius: 6 % of the disc hidden on one side moves it so
 SHADING_BIAS = 0.12  # over radius and angle of the light: half of √(1 - 0.97²), Lambert's dark limb
 CENTRE_NOISE = 0.02  # what is left over the radius: pixels, shading, the view's angle
@@ -80,7 +79,6 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
     std_px = float(np.hypot(whole_std_px, BORDER_STD_PER_BLUR * blur_px))
     covariance = std_px**2 * np.eye(2)
     lasts_s = profile.settings.filter.point_correlation_time_s
-    delay_std_s = COLOUR_DELAY_STD_S if frame.scene.is_interlaced else 0.0
     yield PointsMeasurement(
         "distal marker",
         None,
@@ -92,7 +90,6 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
         shading_px,
         correlation_time_s=lasts_s,
         deviations=frame.arm.deviations,
-        delay_std_s=delay_std_s,
     )
 
     right, geometry = frame.right, frame.scene.observation.right
@@ -124,7 +121,6 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
         shading_px,
         correlation_time_s=lasts_s,
         deviations=frame.arm.deviations,
-        delay_std_s=delay_std_s,
         lasting_std_px=radius_px * LASTING_DISPARITY,
         p_link_m=place_m,
     )

@@ -28,16 +28,14 @@ class LagRules:
     coarse_step_s: float = 0.01
     """The track of a hand-held tool hardly turns within 10 ms, so that no minimum is stepped over."""
     min_pairs: int = 12
-    min_motion_px: float = 4.0
-    """Standard deviation of the predicted track below which noise could pass for motion."""
+    min_motion_px: float = (
+        4.0  # standard deviation of the predicted track below which noise could pass for motion
+    )
     map_std: float = 0.2
     """Prior of the affine map's four factors about the identity: a turn or scale of some 10°, or 20 %."""
-    pixel_std: float = 1.0
-    """What segmentation leaves of noise in a position; weighs the prior."""
-    max_std_s: float = 0.02
-    """A lag less certain than this is not told."""
-    rival_distance_s: float = 0.15
-    """Minima further away than this are other answers, not the same one."""
+    pixel_std: float = 1.0  # what segmentation leaves of noise in a position; weighs the prior
+    max_std_s: float = 0.02  # A lag less certain than this is not told
+    rival_distance_s: float = 0.15  # minima further away than this are other answers, not the same one
     min_confidence: float = 0.5
 
 

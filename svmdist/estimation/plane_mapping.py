@@ -19,8 +19,10 @@ from svmdist.transforms import Array
 Equations = Literal["corrected", "printed"]
 
 CM_PER_PIXEL = 0.0254  # one pixel at 100 dpi: 2.54 cm / 100, which eqs. (3) and (4) give as 0.0245 cm
-PUBLISHED_TISSUE_M = (0.099, 0.043)
-"""The numbers of eqs. (33) and (34): they can only be the tissue's x and y in m."""
+PUBLISHED_TISSUE_M = (
+    0.099,
+    0.043,
+)  # the numbers of eqs. (33) and (34): they can only be the tissue's x and y in m
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,11 +228,7 @@ class CalibrationSamples:
 def fit_calibration(
     samples: CalibrationSamples, camera: Camera, method: str, created_by: str, sources: tuple[SourceFile, ...]
 ) -> Calibration:
-    """Fit eqs. (5) and (6) by least squares, one quadratic per axis.
-
-    Raises CalibrationError for too few samples, for samples that span too little of the image to carry a
-    quadratic, and for a camera without focal length, as logs of uncalibrated cameras have it.
-    """
+    """Fit eqs. (5) and (6) by least squares; CalibrationError for few samples, a small span, no focal length."""
     if not (np.all(np.isfinite(camera.K)) and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
         raise CalibrationError(
             "expected a camera with intrinsics to calibrate: found"

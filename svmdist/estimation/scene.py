@@ -104,7 +104,8 @@ class Scene:
         self.observation = observation = as_pinholes(observation, row_offset_px)
         self._profile = profile
         right, settings = observation.right, profile.settings
-        rules = segmenter, settings.exposure, profile.fiducial and profile.fiducial.family, settings.tag
+        family = None if profile.fiducial is None else profile.fiducial.family
+        rules = segmenter, settings.exposure, family, settings.tag
         self.left = FrameContext(observation.image_bgr, *rules)
         self.right = None if right is None else FrameContext(right.image_bgr, *rules)
 

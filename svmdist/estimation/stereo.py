@@ -136,7 +136,8 @@ class StereoEstimator:
         stereo = self._profile.stereo_in_range
         instrument = self._profile.instrument
         radius_m = instrument.knuckle_radius_m if instrument else None
-        left, right = frame.left.distal_marker, frame.right and frame.right.distal_marker
+        left = frame.left.distal_marker
+        right = None if frame.right is None else frame.right.distal_marker
         radius_std = instrument.knuckle_radius_std_fraction if instrument else 0.0
         match = match_distal_marker(left, right, pair, radius_m, frame.left.camera, stereo, radius_std)
         self._has_plate |= frame.left.tag_corners_px is not None

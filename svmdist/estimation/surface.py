@@ -24,12 +24,14 @@ CLEAN_MISMATCH_PX = 0.36  # in those measurements; JPEG and noise shift pixels a
 DEFAULT = StereoSettings()
 DEGREE = 3
 SCALE_PX = 100.0
-TERMS = tuple((i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i))
-"""The powers of u and v in each term."""
+TERMS = tuple(
+    (i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)
+)  # the powers of u and v in each term
 BRIGHTNESS_TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 """Powers of u and v by which the views may differ in brightness."""
-MAX_SAMPLES = 15_000
-"""Pixels used in the alignment: beyond some ten thousand, noise is no longer what limits it."""
+MAX_SAMPLES = (
+    15_000  # pixels used in the alignment: beyond some ten thousand, noise is no longer what limits it
+)
 MAX_START_SAMPLES = 1000  # matches that the alignment starts from: it must begin within a pixel, no better
 START_STEPS, ALIGN_STEPS = 6, 12
 SETTLED_PX = 0.005  # A step that moves no pixel by more ends the alignment
@@ -51,8 +53,9 @@ class DisparitySurface:
     centre_px: Array
     mismatch_px: float
     matched_fraction: float
-    agreeing_fraction: float = 1.0
-    """The share of the matches that lie within two of matching's pixels of the surface."""
+    agreeing_fraction: float = (
+        1.0  # the share of the matches that lie within two of matching's pixels of the surface
+    )
 
     def at(self, points_px: Array) -> Array:
         """Disparity in px, shape (n,), at pixels of the left image, shape (n, 2)."""
@@ -128,11 +131,7 @@ def _align(
     centre_px: Array,
     coefficients: Array,
 ) -> tuple[Array, float]:
-    """Gauss–Newton on right(u - d(u, v), v) - left(u, v), with a free, smooth field of brightness between the images.
-
-    `columns`, `rows` and `is_used`, shape (h, w), make the grid of the left image's pixels that are aligned. Gives the
-    coefficients and the mismatch that they leave, in px.
-    """
+    """Gauss–Newton on right(u - d(u, v), v) - left(u, v) on a grid, brightness free: coefficients, mismatch in px."""
     left, slope = _smoothed_with_slope(left_grey, columns, rows, SMOOTHING_PX)
     right, first_row = _smoothed_where_seen(right_grey, right_region, rows)
     u, v = (

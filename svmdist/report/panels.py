@@ -16,8 +16,8 @@ from svmdist.estimation.methods import REGISTRY, Phase
 from svmdist.files import atomic_file
 from svmdist.samples import Image
 from svmdist.transforms import Array
+from svmdist.vision.colour import Masks
 from svmdist.vision.marker import EDGE_MARGIN_PX, padded_template
-from svmdist.vision.segmentation import Masks
 from svmdist.workflows.frame_drawing import DrawnFrame, contours_of, virtual_marker
 
 FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -192,7 +192,7 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
     large = cv2.resize(tinted, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)
 
     def enlarged(points_px: Array) -> Array:
-        return (points_px + 0.5) * times - 0.5
+        return np.asarray((points_px + 0.5) * times - 0.5)
 
     drawing = replace(
         frame.drawing,

@@ -78,26 +78,19 @@ def validation_document(validation: Validation) -> dict[str, Any]:
 
     def of(score: Score) -> dict[str, Any]:
         """A row whose `rejected` is an object of counts by reason."""
-        return {key: finite(value) for key, value in row_of(columns, score).items()} | {
-            "rejected": dict(score.rejected)
-        }
+        row = {key: finite(value) for key, value in row_of(columns, score).items()}
+        return row | {"rejected": dict(score.rejected)}
 
-    by_reference = {
-        str(score.reference): of(score)
-        for score in validation.overall
-        if primary is None or score.instrument == primary.instrument
-    }
-    by_instrument = {
-        score.instrument: of(score)
-        for score in validation.overall
-        if primary is None or score.reference is primary.reference
-    }
+    def same(score: Score, what: str) -> bool:
+        return primary is None or getattr(score, what) == getattr(primary, what)
+
+    overall = validation.overall
     return {
         "schema": VALIDATION_SCHEMA,
         "recordings": [of(score) for score in validation.scores],
         "overall": of(primary) if primary else None,
-        "overall_by_reference": by_reference,
-        "overall_by_instrument": by_instrument,
+        "overall_by_reference": {str(one.reference): of(one) for one in overall if same(one, "instrument")},
+        "overall_by_instrument": {one.instrument: of(one) for one in overall if same(one, "reference")},
         **({"groups": [of(score) for score in validation.groups]} if validation.groups else {}),
         "paper": {"r_squared": PAPER_R_SQUARED, "note": PAPER_NOTE},
         "notes": list(validation.notes),
@@ -284,17 +277,6 @@ class LogFigures:
         return self.statuses.get("ok", 0)
 
     @property
-    def coverage(self) -> float | None:
-        """Share of the frames that were measured."""
-        return coverage(self.measured_count, self.frame_count) if self.frame_count else None
-
-    @property
-    def worst(self) -> tuple[str | None, int | None]:
-        """How most of the frames ended that were not measured, and how many did."""
-        found = Counter({status: count for status, count in self.statuses.items() if status != "ok"})
-        return found.most_common(1)[0] if found else (None, None)
-
-    @property
     def state(self) -> str:
         """The gravest of failed, nothing measured, loss and ok."""
         if self.failure is not None:
@@ -304,9 +286,18 @@ class LogFigures:
         return "loss" if self.loss_count or self.failed_count else "ok"
 
     @property
-    def reason(self) -> str | None:
-        """Why the log failed, or how many of several did."""
-        return f"{self.failed_count} of {self.log_count} logs failed" if self.failed_count else self.failure
+    def worst(self) -> tuple[str | None, int | None]:
+        """How most of the frames ended that were not measured, and how many did."""
+        found = Counter({status: count for status, count in self.statuses.items() if status != "ok"})
+        return found.most_common(1)[0] if found else (None, None)
+
+
+def _coverage(log: LogFigures) -> float | None:
+    return coverage(log.measured_count, log.frame_count) if log.frame_count else None
+
+
+def _reason(log: LogFigures) -> str | None:
+    return f"{log.failed_count} of {log.log_count} logs failed" if log.failed_count else log.failure
 
 
 LOG_COLUMNS = (
@@ -315,11 +306,11 @@ LOG_COLUMNS = (
     Column("state", TEXT, "state"),
     Column("frame_count", COUNT, "frames"),
     Column("measured_count", COUNT, "measured"),
-    Column("coverage", SHARE, "coverage [%]"),
+    Column("coverage", SHARE, "coverage [%]", _coverage),
     Column("worst", TEXT, "most often", lambda log: log.worst[0]),
     Column("worst_count", COUNT, "frames so", lambda log: log.worst[1]),
     Column("loss_count", COUNT, "losses"),
-    Column("reason", TEXT, "reason"),
+    Column("reason", TEXT, "reason", _reason),
     Column("group", TEXT, "group", lambda log: log.group or None),
     Column("path", TEXT, of=lambda log: log.path or None),
 )
@@ -337,25 +328,17 @@ def ranked(figures: Sequence[LogFigures]) -> list[LogFigures]:
 
 def pooled_log_figures(figures: Sequence[LogFigures]) -> list[LogFigures]:
     """The figures of each group, in the order of their names, and of all logs: every frame counts the same."""
-    names = sorted({one.group for one in figures if one.group})
-    return [_pooled(figures, name) for name in names] + [_pooled(figures)]
-
-
-def _pooled(figures: Sequence[LogFigures], group: str = "") -> LogFigures:
-    members = [one for one in figures if not group or one.group == group]
-    statuses: Counter[str] = Counter()
-    for one in members:
-        statuses.update(one.statuses)
-    losses = sum(one.loss_count for one in members)
-    failed = sum(one.failure is not None for one in members)
-    return LogFigures(
-        group or "overall",
-        statuses=dict(statuses),
-        loss_count=losses,
-        group=group,
-        log_count=len(members),
-        failed_count=failed,
-    )
+    pooled = []
+    for group in (*sorted({one.group for one in figures if one.group}), ""):
+        members = [one for one in figures if not group or one.group == group]
+        statuses: Counter[str] = Counter()
+        for one in members:
+            statuses.update(one.statuses)
+        losses = sum(one.loss_count for one in members)
+        failed = sum(one.failure is not None for one in members)
+        name, count = group or "overall", len(members)
+        pooled.append(LogFigures(name, "", None, dict(statuses), losses, group, count, failed))
+    return pooled
 
 
 def log_results(each: Sequence[LogFigures], together: Sequence[LogFigures]) -> Results:

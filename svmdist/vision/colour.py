@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Protocol
 
 import cv2
 import numpy as np
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 from svmdist.profile import ColourRegion, HsvSegmentation
 from svmdist.profile.settings import ExposureSettings
 from svmdist.samples import Image
+
+if TYPE_CHECKING:
+    from svmdist.vision.find_instruments import SeenInstrument
 
 SAMPLING_PX = 4  # levels are counted on every n-th row and column, enough for a percentile
 BORDER_FRACTION = 0.2  # of the bright level; what is darker may be the endoscope's black border
@@ -23,8 +27,39 @@ NOISY_GAIN = 1.5  # dim light comes with shot noise: from this gain on, neighbou
 NOISE_SIGMA_PX = 1.0  # width of that average
 
 
-class HsvMasks:
-    """The masks of one image, shape (h, w) with 0 or 255, each made when it is first asked for."""
+class Masks(Protocol):
+    """What is what in one image: masks of shape (h, w), uint8, 0 or 255; they may be combined by `&`."""
+
+    @property
+    def tissue(self) -> Image:
+        """The tissue."""
+
+    @property
+    def instrument(self) -> Image:
+        """The instrument's distal part, about the tool's origin."""
+
+    @property
+    def shaft(self) -> Image | None:
+        """The instrument's shaft; None where the profile knows none."""
+
+    @property
+    def black(self) -> Image | None:
+        """What may be border around the endoscope's view; None where the shaft's mask holds it already."""
+        return None
+
+    @property
+    def picture(self) -> Image | None:
+        """What is surely not border around the endoscope's view; None where that is not known."""
+        return None
+
+    @property
+    def seen(self) -> tuple[SeenInstrument, ...] | None:
+        """Whole instruments with their geometry, the surest first; None where instruments are not separated."""
+        return None
+
+
+class HsvMasks(Masks):
+    """The masks of one image by colour, each made when it is first asked for."""
 
     def __init__(self, hsv: Image, rules: HsvSegmentation) -> None:
         self._channels = _Channels(hsv)
@@ -44,20 +79,6 @@ class HsvMasks:
     def shaft(self) -> Image | None:
         """Pixels as dark as the shaft; None where the profile knows no shaft."""
         return None if self._rules.shaft is None else _mask(self._channels, self._rules.shaft)
-
-    @property
-    def black(self) -> Image | None:
-        """None: what is as black as the border of the view is dark enough for the shaft."""
-        return None
-
-    @property
-    def picture(self) -> None:
-        """None: what is black may be border or shaft."""
-        return None
-
-    @property
-    def seen(self) -> None:
-        """None: colours tell no instruments apart."""
 
 
 class HsvSegmenter:
@@ -114,8 +135,9 @@ def _mask(channels: _Channels, region: ColourRegion) -> Image:
     return np.asarray(mask, np.uint8)
 
 
-BRIGHT_PART_FRACTION = 0.005
-"""Bright parts below this fraction of the image are letters on a black border, not scene."""
+BRIGHT_PART_FRACTION = (
+    0.005  # bright parts below this fraction of the image are letters on a black border, not scene
+)
 
 
 def field_of_view(dark: Image) -> Image:

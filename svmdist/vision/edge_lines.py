@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from svmdist.least_squares import median, scale_of
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edges import SLOPE_SIGMA_PX, STEP_PX, slope_filter
+from svmdist.vision.edges import SLOPE_SIGMA_PX, STEP_PX, least_slope, peak_shift_px, slope_filter
 
 EDGE_REACH_FRACTION = 0.012  # how far from a rough side the image's edge is searched, over the image's width
 # The same over the shaft's width, where that is more: jaws and ears lead a rough side astray
@@ -37,10 +37,7 @@ FAINT = 0.3  # the slope of a point of an edge over that of most of them, below 
 
 @dataclass(frozen=True, slots=True)
 class Profiles:
-    """Slopes of three channels across a segment, shape (3, n, k), at `offsets`, shape (k,) in px, and what is seen.
-
-    `seen`, shape (n, k), says which samples are in the picture; `sigma_px` is the scale of the slopes.
-    """
+    """Slopes of three channels across a segment (3, n, k) at `offsets` (k,) px, what is seen (n, k), their scale."""
 
     slopes: Array
     offsets: Array
@@ -95,11 +92,7 @@ def profiles_across(
 
 
 def straightest(profiles: Profiles, where: Array, reach_px: float, turn_px: float) -> LineAcross | None:
-    """The most distinct line within a reach of the segment, turned by so much at its ends; None without any.
-
-    `where`, shape (n,), says how far along the segment each profile is, from 0 to 1. Neighbouring profiles vote as one,
-    by their common change of colour: an edge goes on, texture does not.
-    """
+    """The most distinct line near a segment, by the common change of colour of neighbouring profiles; or None."""
     slopes, offsets, seen, sigma_px = profiles.slopes, profiles.offsets, profiles.seen, profiles.sigma_px
     count = len(where) // BLOCK
     if count < 2:
@@ -134,7 +127,7 @@ def straightest(profiles: Profiles, where: Array, reach_px: float, turn_px: floa
     )
 
 
-def points_near(profiles: Profiles, place: Array, reach_px: float, min_slope: float) -> Array:
+def points_near(profiles: Profiles, place: Array, reach_px: float) -> Array:
     """Sub-pixel offset of each profile's edge near a line at offsets `place`, shape (n,); NaN where there is none."""
     slopes, offsets, seen = profiles.slopes, profiles.offsets, profiles.seen
     rows = np.arange(len(place))
@@ -151,14 +144,11 @@ def points_near(profiles: Profiles, place: Array, reach_px: float, min_slope: fl
     peak = columns[rows, best]
     before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
     inside = (best > 0) & (best < 2 * reach) & seen[rows, peak]
-    good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after) & (top > min_slope)
+    good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after)
+    good &= top > least_slope(MIN_CONTRAST_LEVELS, profiles.sigma_px)
     # What is much fainter than most of the edge is texture beside it.
     good &= top > FAINT * (median(top[good]) if good.any() else 0.0)
-    log_before, log_top, log_after = (np.log(np.maximum(value, 1e-9)) for value in (before, top, after))
-    bend = log_before - 2.0 * log_top + log_after
-    good &= bend < -1e-9
-    shift = 0.5 * (log_before - log_after) / np.where(good, bend, -1.0)
-    return np.where(good, offsets[peak] + np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan)
+    return np.asarray(offsets[peak] + peak_shift_px(before, top, after, good))
 
 
 SPACING_PX = 1.5  # between profiles
@@ -170,8 +160,9 @@ REFINED_PER_SCALE = 1.5  # how far from the rough line the fine one is sought, o
 MIN_POINTS = 8
 START_PART = 0.8  # of an edge that was found roughly, what is surely shaft: the rest may be wrist already
 END_STEPS = 3
-UNSEEN_SHARE = 0.15
-"""Against a line by a profile that shows no edge, where one beside the line counts `end_share`."""
+UNSEEN_SHARE = (
+    0.15  # against a line by a profile that shows no edge, where one beside the line counts `end_share`
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +240,7 @@ def edge_line(bgr: Image, rough: Array, width_px: float, picture: Image | None =
         profiles = profiles_across(
             bgr, segment.points(at, place), segment.across, reach_px, sigma_px, picture
         )
-        off_px = place + points_near(profiles, np.zeros(len(at)), reach_px, _min_slope(sigma_px))
+        off_px = place + points_near(profiles, np.zeros(len(at)), reach_px)
         line = _ending_line(at, off_px, line.end_at, straight_px, END_SHARE)
         if line is None:
             return None
@@ -286,15 +277,9 @@ def _first_line(bgr: Image, segment: _Segment, width_px: float, picture: Image |
     fine = straightest(profiles.first(side), where[:side], reach_px, reach_px)
     if fine is None:
         return None
-    near_px, min_slope = max(PEAK_REACH_PX, coarse_px), _min_slope(SLOPE_SIGMA_PX)
-    off_px = place + points_near(profiles, fine.at(where), near_px, min_slope)
+    off_px = place + points_near(profiles, fine.at(where), max(PEAK_REACH_PX, coarse_px))
     straight_px = max(STRAIGHT_PX, STRAIGHT_WIDTHS * width_px)
     return _ending_line(at, off_px, fine.part * segment.length_px, straight_px, END_SHARE)
-
-
-def _min_slope(sigma_px: float) -> float:
-    """A step of height c smoothed by σ has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ."""
-    return float(MIN_CONTRAST_LEVELS / (np.sqrt(2.0 * np.pi) * 2.0 * sigma_px))
 
 
 def _ending_line(

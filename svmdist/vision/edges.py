@@ -56,14 +56,19 @@ def edge_points(
     good = (peak > 0) & (peak < len(offsets) - 1)
     peak = np.clip(peak, 1, len(offsets) - 2)
     before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
-    good &= (top > _min_slope(settings.min_contrast_levels, sigma_px)) & (before > 0) & (after > 0)
+    good &= (top > least_slope(settings.min_contrast_levels, sigma_px)) & (before > 0) & (after > 0)
     good &= (top >= before) & (top > after)
+    found = offsets[peak] + peak_shift_px(before, top, after, good)
+    return np.asarray((feet_px + found[:, None] * across)[good & np.isfinite(found)])
+
+
+def peak_shift_px(before: Array, top: Array, after: Array, good: NDArray[np.bool_]) -> Array:
+    """How far the peak of a Gaussian through three samples is off the middle one, (n,); NaN where it is none."""
     log_before, log_top, log_after = (np.log(np.maximum(value, 1e-9)) for value in (before, top, after))
     bend = log_before - 2.0 * log_top + log_after
-    good &= bend < -1e-9
+    good = good & (bend < -1e-9)
     shift = 0.5 * (log_before - log_after) / np.where(good, bend, -1.0)
-    found = offsets[peak] + np.clip(shift, -1.0, 1.0) * STEP_PX
-    return np.asarray((feet_px + found[:, None] * across)[good])
+    return np.where(good, np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan)
 
 
 def edge_blur_px(
@@ -133,7 +138,7 @@ def profiles_across(
     return _sampled(window, x, y, column, row), offsets, inside
 
 
-def _min_slope(min_contrast: float, sigma_px: float) -> float:
+def least_slope(min_contrast: float, sigma_px: float) -> float:
     """A step of height c smoothed by σ has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ."""
     return float(min_contrast / (np.sqrt(2.0 * np.pi) * 2.0 * sigma_px))
 
@@ -158,8 +163,9 @@ def slope_filter(count: int, sigma_px: float) -> Array:
 
 SHADE_FROM_PX, SHADE_FROM_BLUR, SHADE_LENGTH_PX = 1.0, 2.0, 6.0
 """Shades beside an edge are read from so far off it, two deviations of its blur, over such a length."""
-MAX_SHIFT = 0.25
-"""Of the slope's scale: a larger shift by shading is no small one, and its first order is not enough."""
+MAX_SHIFT = (
+    0.25  # of the slope's scale: a larger shift by shading is no small one, and its first order is not enough
+)
 
 
 def shading_shift_px(brightness: Image, points_px: Array, outward: Array, blur_px: float = 0.0) -> float:

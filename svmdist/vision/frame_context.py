@@ -12,8 +12,8 @@ from svmdist.camera import Camera, fisheye_coefficients
 from svmdist.profile.settings import ExposureSettings, InterlaceSettings, TagSettings
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
-from svmdist.vision.colour import Exposure, apply_exposure, exposure_of
-from svmdist.vision.segmentation import Masks, Segmenter
+from svmdist.vision.colour import Exposure, Masks, apply_exposure, exposure_of
+from svmdist.vision.segmentation import Segmenter
 
 COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's rows: fine texture does both
 # Side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip

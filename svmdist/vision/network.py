@@ -16,7 +16,7 @@ from svmdist.errors import ProfileError, did_you_mean
 from svmdist.input_file import open_regular, why
 from svmdist.profile import ClassRegion, OnnxSegmentation
 from svmdist.samples import Image
-from svmdist.vision.colour import field_of_view
+from svmdist.vision.colour import Masks, field_of_view
 
 MARGIN = 0.02
 """How far from the border a part may end, over the image's width: optics fade there, and networks are coarse."""
@@ -50,7 +50,7 @@ FINITE = float(np.finfo(np.float32).max)
 MAX_FILE_BYTES = 2 << 30  # protobuf, which ONNX is written in, ends at 2 GiB
 
 
-class ClassMasks:
+class ClassMasks(Masks):
     """The masks of one image by the class of every pixel, shape (h, w)."""
 
     def __init__(self, image_bgr: Image, labels: Labels, rules: OnnxSegmentation) -> None:
@@ -78,15 +78,6 @@ class ClassMasks:
         """Pixels as black as the border around an endoscope's view, which no class represents."""
         return np.asarray(cv2.inRange(self._image_bgr, np.full(3, 0), np.full(3, BLACK_LEVEL)), np.uint8)
 
-    @property
-    def picture(self) -> None:
-        """None: what is black may be border or shaft."""
-        return None
-
-    @property
-    def seen(self) -> None:
-        """None: classes tell no instruments apart."""
-
     def _kept(self, mask: Image) -> Image:
         return mask if self._from_border is None else np.asarray(mask & self._from_border, np.uint8)
 
@@ -105,11 +96,7 @@ class ClassMasks:
 
 
 class OnnxSegmenter:
-    """`method = "onnx"`: the class of every pixel by a network.
-
-    Raises ProfileError where the file cannot be used: it is read and tried on a black image at once, so that a
-    fault of the profile shows before the first frame.
-    """
+    """`method = "onnx"`: the class of every pixel by a network; ProfileError at once where it cannot run."""
 
     uses_colours = False
 

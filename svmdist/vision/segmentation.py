@@ -13,7 +13,7 @@ from svmdist.models import INSTRUMENTS, PREFIX
 from svmdist.profile import AutoSegmentation, HsvSegmentation, OnnxSegmentation, Segmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.vision.colour import HsvSegmenter
+from svmdist.vision.colour import HsvSegmenter, Masks
 from svmdist.vision.find_instruments import (
     SeenInstrument,
     find_instruments,
@@ -102,11 +102,7 @@ class AutoMasks:
 
 
 class AutoSegmenter:
-    """Finds instruments by their straight edges, and tells them from tissue by colours that it learns.
-
-    The network that ships is a second witness (decision 33). By itself it learns from each image alone; `adapted_to`
-    makes one that has learnt from the images of a log.
-    """
+    """Finds instruments by straight edges, tells them from tissue by learnt colours and the network that ships."""
 
     uses_colours = False
 
@@ -130,34 +126,6 @@ class AutoSegmenter:
 
 
 DEFAULT_AUTO = AutoSettings()
-
-
-class Masks(Protocol):
-    """What is what in one image: masks of shape (h, w), uint8, 0 or 255; they may be combined by `&`."""
-
-    @property
-    def tissue(self) -> Image:
-        """The tissue."""
-
-    @property
-    def instrument(self) -> Image:
-        """The instrument's distal part, about the tool's origin."""
-
-    @property
-    def shaft(self) -> Image | None:
-        """The instrument's shaft; None where the profile knows none."""
-
-    @property
-    def black(self) -> Image | None:
-        """What may be border around the endoscope's view; None where the shaft's mask holds it already."""
-
-    @property
-    def picture(self) -> Image | None:
-        """What is surely not border around the endoscope's view; None where a method does not tell."""
-
-    @property
-    def seen(self) -> tuple[SeenInstrument, ...] | None:
-        """Whole instruments with their geometry, the surest first; None by a method that tells no instruments apart."""
 
 
 class Segmenter(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -10,10 +11,10 @@ import numpy as np
 from svmdist.estimation.methods import REGISTRY
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
-from svmdist.recording.observations import LEFT_IMAGES
+from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
 from svmdist.recording.summary import RecordingSummary
 from svmdist.recording.topics import Role
-from svmdist.samples import Rejection
+from svmdist.samples import Observation, Rejection
 from svmdist.vision.tags import find_tags
 
 IMAGES = ("image", "camera_info")
@@ -86,19 +87,20 @@ def look_for_tag(recording: Recording, profile: Profile) -> TagCheck | None:
         return None
     topic = recording.topic_of("image")
     count = next((info.message_count for info in recording.topics() if info.topic == topic), None) or 0
-    stride = max(1, count // TAG_IMAGES)
     looked = found = 0
-    for number, encoded in enumerate(recording.encoded_observations(recording.instruments[:1], LEFT_IMAGES)):
-        if number % stride:
-            continue
-        observation = encoded.decode().found
-        if isinstance(observation, Rejection):
-            continue
-        grey = cv2.cvtColor(observation[0].image_bgr, cv2.COLOR_BGR2GRAY)
+    for observation in observations_of(recording, count // TAG_IMAGES, LEFT_IMAGES):
+        grey = cv2.cvtColor(observation.image_bgr, cv2.COLOR_BGR2GRAY)
         tags = find_tags(np.asarray(grey, np.uint8), view.fiducial.family, profile.settings.tag)
         looked += 1
         found += view.fiducial.id in tags
     return TagCheck(f"{view.fiducial.family} {view.fiducial.id}", looked, found)
+
+
+def observations_of(recording: Recording, stride: int, needs: Needs = EVERYTHING) -> Iterator[Observation]:
+    """What the first instrument's method would see, at each n-th image that can be decoded."""
+    for number, encoded in enumerate(recording.encoded_observations(recording.instruments[:1], needs)):
+        if number % max(1, stride) == 0 and not isinstance(found := encoded.decode().found, Rejection):
+            yield found[0]
 
 
 def instruments_in(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:

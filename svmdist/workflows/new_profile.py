@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,11 +20,12 @@ from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.source import sanitize, sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
-from svmdist.samples import Image, Observation, Rejection, Vector
+from svmdist.samples import Image, Vector
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.segmentation import AutoSegmenter
 from svmdist.vision.stereo import StereoPlane, fit_plane
+from svmdist.workflows.capabilities import observations_of
 
 OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*)(/|$)")
 """Arms of a da Vinci that carry no instrument."""
@@ -85,8 +87,7 @@ class ProfileDraft:
     image_count: int
 
 
-@dataclass(frozen=True)
-class LogRoles:
+class LogRoles(NamedTuple):
     """Topics by role, those for joints and pose by instrument, and topics with images that have no role."""
 
     topics: dict[str, str]
@@ -104,7 +105,8 @@ def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDr
     roles = find_roles(summary, topics)
     recording = open_recording(path, _blank(roles.topics))
     camera = recording.camera
-    images, planes = _look(recording, summary, roles)
+    count = next(topic.message_count for topic in summary.topics if topic.topic == roles.topics["image"])
+    images, planes = _look(recording, count // LOOKED_AT)
     instruments = tuple(
         _instrument(name, own, summary, path, blank, len(roles.instruments))
         for name, own in roles.instruments.items()
@@ -238,21 +240,12 @@ def _blank(topics: Mapping[str, str]) -> Profile:
     )
 
 
-def _look(
-    recording: Recording, summary: RecordingSummary, roles: LogRoles
-) -> tuple[list[Image], list[StereoPlane]]:
-    """Some images of the log, and the planes that pairs of them show."""
-    count = next(topic.message_count for topic in summary.topics if topic.topic == roles.topics["image"])
-    stride = max(1, count // LOOKED_AT)
+def _look(recording: Recording, stride: int) -> tuple[list[Image], list[StereoPlane]]:
+    """Each n-th image of the log, and the planes that pairs of them show."""
     images: list[Image] = []
     planes: list[StereoPlane] = []
-    for number, encoded in enumerate(recording.encoded_observations(recording.instruments[:1])):
-        if number % stride:
-            continue
-        found = encoded.decode().found
-        if isinstance(found, Rejection):
-            continue
-        seen: Observation = as_pinholes(found[0])
+    for observation in observations_of(recording, stride):
+        seen = as_pinholes(observation)
         images.append(seen.image_bgr)
         right = seen.right
         if right is not None and right.T_left_right[0, 3] > 0:

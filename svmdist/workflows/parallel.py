@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -15,6 +16,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
+from multiprocessing.util import get_temp_dir
 from typing import Any, TypeVar
 
 import cv2
@@ -194,7 +196,8 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
     others = set(multiprocessing.active_children())
 
     def make(workers: int, begin: Callable[..., object] | None, arguments: tuple[Any, ...]) -> Any:
-        pools.append(ProcessPoolExecutor(workers, context, _begin, (dict(os.environ), begin, arguments)))
+        prepared = dict(os.environ), get_temp_dir(), begin, arguments
+        pools.append(ProcessPoolExecutor(workers, context, _begin, prepared))
         return pools[-1]
 
     try:
@@ -209,21 +212,26 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
 
 
 def _begin(
-    environment: dict[str, str], begin: Callable[..., object] | None, arguments: tuple[Any, ...]
+    environment: dict[str, str],
+    folder: str,
+    begin: Callable[..., object] | None,
+    arguments: tuple[Any, ...],
 ) -> None:
     """Prepare a worker: the process that began it handles interrupts, and takes it along where it is killed."""
     os.environ.update(environment)  # it may have changed since the server began that forks workers
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
     cv2.setNumThreads(1)
     if begin is not None:
         begin(*arguments)
 
 
-def _end_with_parent() -> None:
+def _end_with_parent(folder: str) -> None:
+    """End when the parent was killed, which could then not remove its temporary folder of sockets."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
+        shutil.rmtree(folder, ignore_errors=True)
         os._exit(1)
 
 

@@ -1,61 +1,75 @@
-"""Plots: their formats, what is drawn, and names that are text."""
+"""Plots: what is drawn, in which format, told apart without colour, and names that are text."""
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import matplotlib as mpl
+import matplotlib.colors
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.report.plots import PAGE_IN, draw, save_plot
-from svmdist.workflows.scoring.score import score_pairs
+from svmdist.report.charts import LEVELS, pooled, rejected_spans
+from svmdist.report.plots import COLUMN_IN, PAGE_IN, SeriesPlot, draw, draw_compare, draw_series, save_plot
+from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
+from svmdist.workflows.scoring.score import DistanceScore, Pairs, score_pairs
 from svmdist.workflows.scoring.truth import Reference
 from svmdist.workflows.validate import Validation
+from tests.cli.conftest import Cli, cli
+from tests.report.test_html import make_series
 from tests.report.test_scores import score, validation
+
+__all__ = ["cli"]
+NOWHERE = Path("figure.png")
+
+
+def drawn(axes: Axes) -> dict[str, np.ndarray]:
+    """The lines of a panel by their labels."""
+    return {str(line.get_label()): np.asarray(line.get_ydata(), float) for line in axes.get_lines()}
 
 
 @pytest.mark.parametrize(
     ("suffix", "magic"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("PNG", b"\x89PNG"), ("pdf", b"%PDF")]
 )
-def test_the_plot_is_written_in_the_format_of_its_suffix(tmp_path, suffix, magic):
-    """PNG, SVG and PDF come out as such, whatever the case of the suffix."""
-    path = tmp_path / f"plot.{suffix}"
-    save_plot(validation("sweep.mcap"), path)
-    assert path.read_bytes().startswith(magic)
-
-
-def test_an_svg_is_identical_on_a_rerun(tmp_path):
-    """Two runs on the same data write the same bytes: no date, no random ids, and no global setting is left."""
+def test_the_plot_is_written_in_the_format_of_its_suffix(tmp_path: Path, suffix: str, magic: bytes) -> None:
+    """Two runs on the same data write the same bytes, and no global setting is left."""
     salt = mpl.rcParams["svg.hashsalt"]
-    for name in ("first.svg", "second.svg"):
-        save_plot(validation("sweep.mcap"), tmp_path / name)
-    assert (tmp_path / "first.svg").read_bytes() == (tmp_path / "second.svg").read_bytes()
+    paths = [tmp_path / f"{name}.{suffix}" for name in ("first", "second")]
+    for path in paths:
+        save_plot(validation("sweep"), path)
+    first, second = (path.read_bytes() for path in paths)
+    assert first.startswith(magic)
+    assert first == second or suffix == "pdf"  # which has a date
     assert mpl.rcParams["svg.hashsalt"] == salt
 
 
-@pytest.mark.parametrize("name", ["plot.xyz", "plot", "plot.mcap", "plot.pgf", "plot.jpg"])
-def test_an_unknown_suffix_lists_the_choices(tmp_path, name):
-    """A suffix that cannot be drawn is an OutputError that names those that can, and writes nothing."""
-    with pytest.raises(OutputError, match=r"cannot draw .*the choices are png, svg, pdf$"):
-        save_plot(validation("sweep.mcap"), tmp_path / name)
+@pytest.mark.parametrize(
+    ("name", "reference", "reason"),
+    [
+        ("plot.jpg", None, r"cannot draw a \.jpg: the choices are png, svg, pdf$"),
+        ("plot", None, r"cannot draw a file without an ending"),
+        ("no folder/plot.png", None, r"plot\.png: cannot write: No such file"),
+        ("plot.png", Reference.KINEMATICS, "nothing to draw"),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_line(
+    tmp_path: Path, name: str, reference: Reference | None, reason: str
+) -> None:
+    """And nothing is written."""
+    with pytest.raises(OutputError, match=reason):
+        save_plot(validation("sweep"), tmp_path / name, reference)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_does_not_exist_is_an_output_error(tmp_path):
-    """Where the plot cannot be written, the message names path and reason."""
-    with pytest.raises(OutputError, match=r"plot\.png: cannot write: No such file"):
-        save_plot(validation("sweep.mcap"), tmp_path / "no folder" / "plot.png")
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["[red]x", "a$b$c", "$\\frac{", "a\x1bb", "a_b^100%", "測定.mcap"],
-    ids=["markup", "formula", "broken formula", "ESC", "sub and superscript", "Japanese"],
-)
-def test_names_in_plot_titles_are_text(tmp_path, name):
+@pytest.mark.parametrize("name", ["[red]x", "a$b$c", "$\\frac{", "a\x1bb", "a_b^100%", "測定"])
+def test_names_in_titles_are_text(tmp_path: Path, name: str) -> None:
     """No name starts a formula, breaks the drawing or carries a control character into the file."""
     path = tmp_path / "plot.svg"
     with mpl.rc_context({"svg.fonttype": "none"}):
@@ -66,74 +80,151 @@ def test_names_in_plot_titles_are_text(tmp_path, name):
     assert name.replace("\x1b", "\N{REPLACEMENT CHARACTER}") in title
 
 
-def test_several_recordings_make_several_panels():
-    """Each recording has its own panel of two axes, curve above residual, with its own title."""
-    figure = draw(validation("a.mcap", "b.mcap", "c.mcap").scores)
-    assert len(figure.axes) == 6
-    titles = [axes.get_title(loc="left") for axes in figure.axes[::2]]
-    names = [title.partition("\n")[0] for title in titles]
-    assert names == ["a.mcap: overlay", "b.mcap: overlay", "c.mcap: overlay"]
+def test_each_recording_has_two_panels_against_one_reference(tmp_path: Path) -> None:
+    """Curve above error, of the strongest reference; few frames, or none, are drawn without a warning."""
+    figure = draw(validation("a", "b", "c").scores)
+    titles = [axes.get_title(loc="left").partition("\n")[0] for axes in figure.axes[::2]]
+    assert titles == ["a: overlay", "b: overlay", "c: overlay"]
     assert figure.get_figwidth() == PAGE_IN
     styles = {(line.get_linestyle(), line.get_marker()) for line in figure.axes[0].get_lines()}
     assert len(styles) == 2  # told apart without colour
+    both = tuple(score(reference=reference) for reference in (Reference.KINEMATICS, Reference.GROUND_TRUTH))
+    with mpl.rc_context({"svg.fonttype": "none"}):
+        save_plot(Validation(both, both, ()), tmp_path / "plot.svg")
+    text = (tmp_path / "plot.svg").read_text("utf-8")
+    assert (text.count("simulator"), text.count("kinematics")) == (1, 0)
+    for count in (0, 1, 2):
+        save_plot(validation("sweep", count=count), tmp_path / f"{count}.png")
 
 
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_few_frames_still_make_a_plot(tmp_path, count):
-    """A recording in which nothing, one or two frames were measured is drawn without a warning."""
-    save_plot(validation("sweep.mcap", count=count), tmp_path / "plot.png")
-    assert (tmp_path / "plot.png").stat().st_size > 1000
+def test_curves_are_broken_where_frames_are_missing() -> None:
+    """Ten lost frames leave a gap: no line spans what was not measured, and error = estimate - truth."""
+    upper, lower = draw([score()]).axes
+    truth, estimate = drawn(upper).values()
+    assert int(np.isnan(truth).sum()) == int(np.isnan(estimate).sum()) == 1
+    np.testing.assert_allclose(drawn(lower)["error"], estimate - truth, atol=1e-12)
+    assert np.nanmax(truth) == pytest.approx(40.0, abs=0.1)  # 0.04 m in mm
 
 
-def test_curves_are_broken_where_frames_are_missing():
-    """Ten lost frames leave a gap: no line spans what was not measured, and residual = estimate - truth."""
-    figure = draw([score()])
-    upper, lower = figure.axes
-    truth, estimate = upper.get_lines()
-    assert int(np.isnan(truth.get_ydata()).sum()) == int(np.isnan(estimate.get_ydata()).sum()) == 1
-    residual = lower.get_lines()[1].get_ydata()
-    np.testing.assert_allclose(residual, estimate.get_ydata() - truth.get_ydata(), atol=1e-12)
-    assert np.nanmax(truth.get_ydata()) == pytest.approx(40.0, abs=0.1)  # 0.04 m in mm
-
-
-def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval():
+def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval() -> None:
     """Clearance before spatial distance before the planar one; the band is 1.96 deviations wide on either side."""
     planar = score()
     stated = replace(
         planar.pairs, std_m=np.full(len(planar.pairs), 1e-3), truth_m=planar.pairs.truth_m - 0.02
     )
-    shifted = replace(stated, estimate_m=stated.estimate_m - 0.02)
-    clearance, spatial = score_pairs(shifted), score_pairs(stated)
-    rules = AlarmRules(0.005, 0.05)
-    for made, name in (
-        (replace(planar, spatial=spatial, clearance=clearance), "clearance"),
-        (replace(planar, spatial=spatial), "spatial distance"),
+    clearance, spatial = (
+        score_pairs(replace(stated, estimate_m=stated.estimate_m - 0.02)),
+        score_pairs(stated),
+    )
+    for made, name, thresholds in (
+        (replace(planar, spatial=spatial, clearance=clearance), "clearance", [5.0]),
+        (replace(planar, spatial=spatial), "spatial distance", []),
     ):
-        upper, lower = draw([made], rules).axes
+        upper, lower = draw([made], AlarmRules(0.005, 0.05)).axes
         assert upper.get_ylabel() == f"{name} [mm]"
         assert f", {name}\nRMSE" in upper.get_title(loc="left")
         (band,) = lower.collections
         assert np.nanmax(band.get_paths()[0].vertices[:, 1]) == pytest.approx(1.96, abs=1e-3)
-        thresholds = [line for line in upper.get_lines() if line.get_linestyle() == ":"]
-        assert [line.get_ydata()[0] for line in thresholds] == ([5.0] if name == "clearance" else [])
-    assert "100 % in the 95 % interval" not in draw([planar]).axes[0].get_title(loc="left")
+        assert [
+            line.get_ydata()[0] for line in upper.get_lines() if line.get_linestyle() == ":"
+        ] == thresholds
 
 
-def test_only_one_reference_is_drawn(tmp_path):
-    """Of two references the strongest is drawn, a panel a recording, unless another is asked for."""
-    both = tuple(score(reference=reference) for reference in (Reference.KINEMATICS, Reference.GROUND_TRUTH))
-    for asked, shown, hidden in (
-        (None, "simulator", "kinematics"),
-        (Reference.KINEMATICS, "kinematics", "simulator"),
-    ):
-        with mpl.rc_context({"svg.fonttype": "none"}):
-            save_plot(Validation(both, both, ()), tmp_path / "plot.svg", asked)
-        text = (tmp_path / "plot.svg").read_text("utf-8")
-        assert text.count(shown) == 1
-        assert hidden not in text
+def test_time_plots_hold_estimate_truth_threshold_and_lost_spans() -> None:
+    series = make_series(60)
+    figure = draw_series([series], SeriesPlot.TIME, NOWHERE, 0.005)
+    (axes,) = figure.axes
+    lines = drawn(axes)
+    np.testing.assert_allclose(lines["estimate"], series.estimate_m * 1e3)
+    np.testing.assert_allclose(lines["truth"], series.truth_m * 1e3)
+    assert set(lines["alarm below 5 mm"]) == {5.0}
+    assert axes.get_title(loc="left") == "log PSM1: fused, 55 of 60 frames"
+    assert len({line.get_linestyle() for line in axes.get_lines()}) == 3  # told apart without colour
+    assert rejected_spans(series) == [(0.95, 1.45)]
 
 
-def test_a_reference_that_was_not_scored_is_an_error(tmp_path):
-    """Asking for a plot against a reference that no recording has is one clear line."""
-    with pytest.raises(OutputError, match="nothing to draw"):
-        save_plot(validation("sweep.mcap"), tmp_path / "plot.png", Reference.KINEMATICS)
+def test_agreement_calibration_and_residuals() -> None:
+    """Bias and limits; shares of truths inside; a marker for each log. Without a truth there is nothing to draw."""
+    series = make_series(300)
+    _, error_mm, std_mm = pooled([series])
+    figure = draw_series([series], SeriesPlot.BLAND_ALTMAN, NOWHERE)
+    levels = [float(line.get_ydata()[0]) for line in figure.axes[0].get_lines()]
+    bias, deviation = error_mm.mean(), error_mm.std(ddof=1)
+    np.testing.assert_allclose(levels, [bias, bias - 1.96 * deviation, bias + 1.96 * deviation])
+    assert figure.get_figwidth() == COLUMN_IN
+    held = drawn(draw_series([series], SeriesPlot.CALIBRATION, NOWHERE).axes[0])["truths inside"]
+    inside = 100 * np.mean(np.abs(error_mm) <= 0.67449 * std_mm)
+    assert held[LEVELS.index(0.5)] == pytest.approx(inside, abs=1e-6)
+    over_time, _ = draw_series([series, make_series(40, "other")], SeriesPlot.RESIDUALS, NOWHERE).axes
+    assert [text.get_text() for text in over_time.get_legend().get_texts()] == ["log PSM1", "other PSM1"]
+    assert "fused" in over_time.get_title(loc="left")
+    blind = replace(series, truth_m=np.full(300, np.nan))
+    with pytest.raises(OutputError, match="no frame has a truth"):
+        draw_series([blind], SeriesPlot.RESIDUALS, NOWHERE)
+
+
+def figures(error_mm: float, measured: int = 20, std_mm: float = np.nan, *, in_3d: bool = False) -> Figures:
+    """The figures of a method with a constant error."""
+    truth_m = np.linspace(0.01, 0.05, 20)
+    one = score_pairs(Pairs(np.arange(20), truth_m + error_mm * 1e-3, truth_m, np.full(20, std_mm * 1e-3)))
+    assert isinstance(one, DistanceScore)
+    return Figures(20, measured, one, one if in_3d else None, one if in_3d else None, 0.1)
+
+
+def dots(axes: Axes) -> dict[tuple[str, str], float]:
+    """The marker of each method and group."""
+    return {
+        (["overlay", "fused"][int(line.get_ydata()[0])], str(line.get_label())): float(line.get_xdata()[0])
+        for line in axes.get_lines()
+        if line.get_marker() not in ("None", "")
+    }
+
+
+def test_methods_stand_side_by_side_with_their_figures() -> None:
+    """A grey marker for each group; a planar method has no clearance."""
+    groups = [Group("sweep"), Group("contact"), Group(ALL, ALL)]
+    scores = [MethodScore(group, "overlay", figures(0.5 + at, 15)) for at, group in enumerate(groups)]
+    scores += [MethodScore(group, "fused", figures(0.25, 20, 0.2, in_3d=True)) for group in groups]
+    figure = draw_compare(scores)
+    above, below = figure.axes[:4], figure.axes[4:]
+    assert figure.get_suptitle() == "overlay, fused: 20 frames"
+    measured = {
+        (method, str(group)): share
+        for method, share in (("overlay", 75.0), ("fused", 100.0))
+        for group in groups
+    }
+    assert dots(above[0]) == pytest.approx(measured)
+    assert dots(above[1])["overlay", "contact"] == pytest.approx(1.5)
+    assert {method for method, _ in dots(above[2])} == {"fused"}
+    assert set(dots(below[3]).values()) == {100.0}  # 0.25 mm inside of 1.96 times 0.2 mm
+    assert dots(below[0])["fused", "all"] == 5.0
+    looks = {line.get_label(): (line.get_marker(), line.get_color()) for line in above[0].get_lines()}
+    assert (
+        [text.get_text() for text in figure.legends[0].get_texts()]
+        == list(looks)
+        == ["sweep", "contact", "all"]
+    )
+    assert len(set(looks.values())) == 3
+    assert all(len(set(matplotlib.colors.to_rgb(colour))) == 1 for _, colour in looks.values())
+    assert draw_compare(scores[3:]).axes[1].get_xscale() == "linear"
+    far = [*scores, MethodScore(Group("sweep"), "z", figures(90.0))]
+    assert draw_compare(far).axes[1].get_xscale() == "log"
+
+
+def test_commands_draw_what_they_print(cli: Cli, tmp_path: Path, golden: Path) -> None:
+    """The SVG's methods, and the PNG's size, of a real log; another ending is refused before the work."""
+    log = golden / "sweep.mcap"
+    outcome = cli(
+        "compare", log, "--method", "overlay", "--method", "kinematic", "--every", 20, "-f", "json", "--jobs", 1,
+        "--save-plot", tmp_path / "compare.svg",
+    )  # fmt: skip
+    assert [row["method"] for row in json.loads(outcome.out)] == ["overlay", "kinematic"]
+    assert re.search(r"<!-- overlay, kinematic: 4 frames -->", (tmp_path / "compare.svg").read_text("utf-8"))
+    assert cli("estimate", log, "-f", "csv", "--save-plot", tmp_path / "e.png").code == 0
+    assert cli("validate", log, "--plot", "residuals", "--save-plot", tmp_path / "v.png").code == 0
+    for name in ("e.png", "v.png"):
+        picture = cv2.imread(str(tmp_path / name))
+        assert picture is not None
+        assert picture.shape[1] == pytest.approx(PAGE_IN * 300, abs=2)
+    refused = cli("estimate", "none.mcap", "--save-plot", "a.jpeg")
+    assert (refused.code, "cannot draw a .jpeg" in refused.err, refused.err.count("\n")) == (1, True, 1)

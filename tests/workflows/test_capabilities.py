@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.estimation.methods import METHODS
-from svmdist.profile import Profile, load_profile
-from svmdist.profile.robot import ArmFrames, ArmTopics, OtherInstrument
+from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import Health
 from svmdist.recording.summary import RecordingSummary, TopicSummary
@@ -62,41 +61,67 @@ def lacking(found: tuple[Capability, ...]) -> dict[str, tuple[str, ...]]:
 
 
 def test_a_recording_that_has_everything_serves_everything() -> None:
-    """Every method is told of, in their order; those that need a calibration of the profile find it."""
+    """Every method is listed, in order; those that need a calibration of the profile find it."""
     assert lacking(capabilities(FULL, PROFILE)) == {}
     assert tuple(one.name for one in method_capabilities(FULL, PROFILE)) == tuple(METHODS)
     assert lacking(method_capabilities(FULL, PROFILE)) == {}
 
 
 @pytest.mark.parametrize("role", sorted(Role))
-def test_what_is_lacking_can_only_take_away(role: Role) -> None:
-    """And what a topic was needed for names its role."""
-    for tell in (capabilities, method_capabilities):
-        for full, less in zip(tell(FULL, PROFILE), tell(without(role), PROFILE), strict=True):
+def test_a_missing_topic_can_only_take_away(role: Role) -> None:
+    for found in (capabilities, method_capabilities):
+        for full, less in zip(found(FULL, PROFILE), found(without(role), PROFILE), strict=True):
             assert set(less.missing) >= set(full.missing)
             assert less.served == (less.missing == ())
 
 
-def test_without_images_nothing_is_measured() -> None:
-    """Kinematics alone remain."""
-    missing = ("a topic for image", "a topic for camera_info")
-    found = lacking(capabilities(without("image", "camera_info"), PROFILE))
-    assert set(found) == {"estimate", "calibrate", "validate", "compare", "blur-bench"}
-    assert all(each[:2] == missing for each in found.values())
-    methods = method_capabilities(without("image", "camera_info"), PROFILE)
-    assert all(one.missing[:2] == missing for one in methods)
+@pytest.mark.parametrize(
+    ("summary", "methods", "words"),
+    [
+        (without("image", "camera_info"), set(METHODS), "a topic for image"),
+        (without("joints"), {"fiducial", "kinematic", "fused"}, "a topic for joints"),
+        (without("right_image"), {"stereo"}, "a topic for right_image"),
+        (without("ground_truth_tf", "ground_truth_distance"), set(), ""),
+        (without(frames=(FRAMES.camera,)), {"kinematic", "fused"}, f"from {FRAMES.camera} to {FRAMES.base}"),
+        (
+            replace(FULL, joint_names={f"/{Role.JOINTS}": JOINTS[1:]}),
+            {"fiducial", "kinematic", "fused"},
+            f"the joints {JOINTS[0]} of profile {PROFILE.name}",
+        ),
+    ],
+    ids=["images", "joints", "right view", "truth", "transforms", "one joint"],
+)
+def test_each_part_of_a_log_is_needed_by_its_own_methods(
+    summary: RecordingSummary, methods: set[str], words: str
+) -> None:
+    """Without images, of the commands only `fk` remains."""
+    found = lacking(method_capabilities(summary, PROFILE))
+    assert set(found) == methods
+    assert all(any(words in one for one in each) for each in found.values())
+    if methods == set(METHODS):
+        commands = {"estimate", "calibrate", "validate", "compare", "blur-bench"}
+        assert set(lacking(capabilities(summary, PROFILE))) == commands
 
 
-def test_each_topic_is_needed_by_its_own_methods() -> None:
-    """Joints by those that use kinematics, the right image by stereo, the truth by none."""
-    by_joints = lacking(method_capabilities(without("joints"), PROFILE))
-    assert set(by_joints) == {"fiducial", "kinematic", "fused"}
-    assert set(lacking(method_capabilities(without("right_image"), PROFILE))) == {"stereo"}
-    assert lacking(method_capabilities(without("ground_truth_tf", "ground_truth_distance"), PROFILE)) == {}
+@pytest.mark.parametrize(
+    ("table", "methods"),
+    [
+        ("fiducial", {"fiducial"}),
+        ("tissue", {"fiducial", "shaft", "stereo", "kinematic", "fused"}),
+        ("instrument", {"shaft"}),
+        ("calibration", {"overlay", "centroid"}),
+        ("robot", {"fiducial", "shaft", "stereo", "kinematic", "fused"}),
+    ],
+)
+def test_what_the_profile_lacks_is_named(table: str, methods: set[str]) -> None:
+    poorer = PROFILE.model_copy(update={table: None})
+    found = lacking(method_capabilities(FULL, poorer))
+    assert set(found) == methods
+    assert all(table in words and PROFILE.name in words for each in found.values() for words in each)
 
 
-def test_the_reference_of_validation_is_truth_or_a_pose_and_the_tissues_place() -> None:
-    """Any of the tool's sources will do; each side that lacks is named."""
+def test_the_reference_of_validation_is_truth_or_poses_of_tool_and_tissue() -> None:
+    """Any of the tool's sources will do; each side that is missing is named."""
     truthless = ("ground_truth_distance", "ground_truth_tf", "pose", "joints")
     both = lacking(capabilities(without(*truthless, frames=()), PROFILE))["validate"]
     assert [each.split(" (")[0] for each in both] == ["the tool's pose", "the tissue's place"]
@@ -108,87 +133,33 @@ def test_the_reference_of_validation_is_truth_or_a_pose_and_the_tissues_place() 
     assert "validate" not in lacking(capabilities(served, PROFILE))
 
 
-def test_nominal_transforms_are_needed_by_the_methods_that_begin_with_them() -> None:
-    found = lacking(method_capabilities(without(frames=(FRAMES.camera,)), PROFILE))
-    words = (f"transforms from {FRAMES.camera} to {FRAMES.base}",)
-    assert found == {"kinematic": words, "fused": words}
-
-
-def test_joints_that_the_chain_needs_are_named() -> None:
-    """A name of another recorder counts where the profile knows it as an alias."""
-    fewer = replace(FULL, joint_names={f"/{Role.JOINTS}": JOINTS[1:]})
-    (words,) = lacking(capabilities(fewer, PROFILE))["fk"]
-    assert words == f"the joints {JOINTS[0]} of profile {PROFILE.name}"
-    none = PROFILE.model_copy(update={"robot": None})
-    assert lacking(capabilities(FULL, none))["fk"] == (f"a [robot] in profile {PROFILE.name}",)
-
-
-@pytest.mark.parametrize(
-    ("table", "methods"),
-    [
-        ("fiducial", {"fiducial"}),
-        ("tissue", {"fiducial", "shaft", "stereo", "kinematic", "fused"}),
-        ("instrument", {"shaft"}),
-        ("calibration", {"overlay", "centroid"}),
-    ],
-)
-def test_what_the_profile_lacks_is_named(table: str, methods: set[str]) -> None:
-    poorer = PROFILE.model_copy(update={table: None})
-    found = lacking(method_capabilities(FULL, poorer))
-    assert set(found) == methods
-    assert all(table in words and PROFILE.name in words for each in found.values() for words in each)
-
-
-@pytest.fixture
-def two_arms() -> Profile:
-    """The profile with one other instrument."""
-    second = OtherInstrument(
-        name="PSM9", topics=ArmTopics(joints="/PSM9/measured_js"), frames=ArmFrames(base="b2", tool="t2")
-    )
-    return PROFILE.model_copy(update={"other_instruments": (second,)})
-
-
-def test_an_instrument_is_known_by_its_topics(two_arms: Profile) -> None:
-    """The profile's own is always there."""
-    assert instruments_in(FULL, two_arms) == (PROFILE.instrument_name,)
-    both = replace(FULL, topics=(*FULL.topics, topic("/PSM9/measured_js")))
-    assert instruments_in(both, two_arms) == (PROFILE.instrument_name, "PSM9")
-    assert instruments_in(both, PROFILE) == (PROFILE.instrument_name,)
-
-
 def test_estimate_names_the_methods_that_run() -> None:
     """Where the default method lacks a calibration, the others that run are named; where none runs, it is said."""
     uncalibrated = PROFILE.model_copy(update={"calibration": None})
     (found,) = [one for one in capabilities(FULL, uncalibrated) if one.name == "estimate"]
     assert found.served
-    assert found.note.startswith(
-        "with --method fiducial or shaft or stereo or kinematic or fused; the default method"
-    )
+    others = "fiducial or shaft or stereo or kinematic or fused"
+    assert found.note.startswith(f"with --method {others}; the default method")
     bare = uncalibrated.model_copy(update={"robot": None, "tissue": None, "fiducial": None})
     assert "a method that log and profile serve" in lacking(capabilities(FULL, bare))["estimate"][0]
 
 
-def test_a_tag_that_no_image_shows_is_told() -> None:
-    """`fiducial` needs the tag in an image; where no image was looked at, nothing is said."""
+def test_fiducial_needs_the_tag_in_an_image() -> None:
+    """Where no image was looked at, nothing is said."""
     unseen, seen, unknown = (TagCheck("36h11 0", *counts) for counts in ((8, 0), (8, 1), (0, 0)))
     assert "none of 8 images" in lacking(method_capabilities(FULL, PROFILE, unseen))["fiducial"][0]
     assert lacking(method_capabilities(FULL, PROFILE, seen)) == {}
     assert lacking(method_capabilities(FULL, PROFILE, unknown)) == {}
-
-
-@pytest.mark.parametrize(("log", "found"), [("3d/contact.mcap", True), ("sweep.mcap", False)])
-def test_tags_are_looked_for_in_images(log: str, found: bool) -> None:
-    """A log with a tag and one without."""
-    check = look_for_tag(open_recording(REPOSITORY / "recordings" / log, PROFILE), PROFILE)
-    assert check is not None
-    assert check.image_count >= 8
-    assert (check.found_count > 0) == found
+    for log, found in (("3d/contact.mcap", True), ("sweep.mcap", False)):
+        check = look_for_tag(open_recording(REPOSITORY / "recordings" / log, PROFILE), PROFILE)
+        assert check is not None
+        assert check.image_count >= 8
+        assert (check.found_count > 0) == found
 
 
 def test_a_log_of_another_arm_is_that_arms() -> None:
-    """A profile of three arms serves a log of the second one: neither joints nor frames of the first are asked for."""
+    """A profile of three arms serves a log of the second one: neither joints nor frames of the first are needed."""
     dvrk = load_profile("dvrk-psm")
-    assert dvrk.instrument_names == ("PSM1", "PSM2", "PSM3")
     names = tuple(joint.name for joint in dvrk.robot.joints)
     log = replace(
         FULL,
@@ -198,5 +169,8 @@ def test_a_log_of_another_arm_is_that_arms() -> None:
         joint_names={"/PSM2/measured_js": names},
     )
     assert instruments_in(log, dvrk) == ("PSM2",)
+    both = replace(log, topics=(*log.topics, topic("/PSM1/measured_js")))
+    assert instruments_in(both, dvrk) == ("PSM1", "PSM2")
+    assert instruments_in(both, PROFILE) == (PROFILE.instrument_name, "PSM2")
     assert "fk" not in lacking(capabilities(log, dvrk))
     assert lacking(method_capabilities(log, dvrk))["kinematic"] == ("[tissue] in profile dvrk-psm",)

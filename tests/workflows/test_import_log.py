@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,9 +32,7 @@ def _open(path: Path) -> Recording:
 
 
 def _images(recording: Recording) -> list[ImageSample]:
-    found = list(recording.images())
-    assert all(isinstance(image, ImageSample) for image in found)
-    return [image for image in found if isinstance(image, ImageSample)]
+    return [image for image in recording.images() if isinstance(image, ImageSample)]
 
 
 def _messages(path: Path, topic: str) -> list[bytes]:
@@ -73,13 +72,10 @@ def test_side_by_side(tmp_path: Path) -> None:
     result = import_log(ImportOptions(views, ONE), tmp_path / "out.mcap")
     assert result.has_baseline is False
     recording = _open(result.path)
-    for left, image in zip(_images(recording), both, strict=True):
+    rights = _messages(result.path, "/ECM/right/image")
+    for left, data, image in zip(_images(recording), rights, both, strict=True):
         np.testing.assert_array_equal(left.image_bgr, image[:, :64])
-    rights = [
-        cv2.imdecode(np.frombuffer(data, np.uint8), 1) for data in _messages(result.path, "/ECM/right/image")
-    ]
-    for right, image in zip(rights, both, strict=True):
-        np.testing.assert_array_equal(right, image[:, 64:])
+        np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(data, np.uint8), 1), image[:, 64:])
 
 
 def test_other_formats_are_decoded(tmp_path: Path) -> None:
@@ -161,57 +157,43 @@ def test_video(tmp_path: Path) -> None:
         np.testing.assert_array_equal(image.image_bgr, images[place])
 
 
-def _fails(options: ImportOptions, output: Path, kind: type[Exception]) -> str:
-    with pytest.raises(kind) as caught:
-        import_log(options, output)
-    assert "\n" not in str(caught.value)
-    assert not output.exists()
-    assert not output.with_name(output.name + ".part").exists()
-    return str(caught.value)
+NUMBERS = ("1_L.png", "2_L.png", "1_R.png")
+PAIRED = {"pattern": "*_L.png", "right_pattern": "*_R.png", "rate_hz": 1.0}
+WRONG = {
+    "empty": ((), {"rate_hz": 1.0}, ONE, "no images"),
+    "no times": (NUMBERS, {}, ONE, "tells no time"),
+    "no camera": (NUMBERS, {"rate_hz": 1.0}, CalibrationOptions(), "a camera needs a calibration"),
+    "lonely": (NUMBERS, PAIRED, PAIR, "2_L.png: there is no right image"),
+    "size": ((*NUMBERS, "2_R.png 60"), PAIRED, PAIR, "60x48 px; 1_R.png has 64x48 px"),
+    "cut": ((*NUMBERS, "2_R.png cut"), PAIRED, PAIR, "2_R.png: a PNG that ends early"),
+    "no image": ((*NUMBERS, "2_R.png text"), PAIRED, PAIR, "image that can be decoded"),
+    "16 bits": ((*NUMBERS, "2_R.png 16"), PAIRED, PAIR, "16 bits"),
+    "same": (NUMBERS, {"right_pattern": "*_L.png", "rate_hz": 1.0}, PAIR, "the same images"),
+    "odd": (("1.png 65",), {"side_by_side": True, "rate_hz": 1.0}, ONE, "65 px wide"),
+    "no folder": (("1.png",), {"source": Path("nowhere")}, ONE, "no such folder"),
+    "no video": (("a.mp4 text",), {"source": Path("a.mp4")}, ONE, "a.mp4: neither an image nor a video"),
+}
 
 
-def test_wrong_files(tmp_path: Path) -> None:
+def _write(path: Path, kind: str) -> None:
+    image = _picture(1, int(kind) if kind in ("60", "65") else 64)
+    data = cv2.imencode(".png", image.astype(np.uint16) if kind == "16" else image)[1].tobytes()
+    path.write_bytes(b"no image" * 50 if kind == "text" else data[:-30] if kind == "cut" else data)
+
+
+@pytest.mark.parametrize(("files", "views", "calibration", "said"), WRONG.values(), ids=WRONG)
+def test_wrong_files(
+    tmp_path: Path, files: tuple[str, ...], views: dict[str, Any], calibration: CalibrationOptions, said: str
+) -> None:
     """What does not fit is one line that names it, and leaves no log behind."""
-    output = tmp_path / "out.mcap"
-    folder = tmp_path / "images"
+    folder, output = tmp_path / "images", tmp_path / "out.mcap"
     folder.mkdir()
-    views = ViewOptions(folder, rate_hz=1.0)
-    assert "no images" in _fails(ImportOptions(views, ONE), output, SourceError)
-    cv2.imwrite(str(folder / "1_L.png"), _picture(1))
-    cv2.imwrite(str(folder / "2_L.png"), _picture(2))
-    assert "tells no time" in _fails(ImportOptions(ViewOptions(folder), ONE), output, UsageError)
-    assert "a camera needs a calibration" in _fails(
-        ImportOptions(views, CalibrationOptions()), output, UsageError
-    )
-    cv2.imwrite(str(folder / "1_R.png"), _picture(1))
-    pair = ViewOptions(folder, pattern="*_L.png", right_pattern="*_R.png", rate_hz=1.0)
-    assert "2_L.png: there is no right image" in _fails(ImportOptions(pair, PAIR), output, SourceError)
-    cv2.imwrite(str(folder / "2_R.png"), _picture(1, 60))
-    assert "60x48 px; 1_R.png has 64x48 px" in _fails(ImportOptions(pair, PAIR), output, SourceError)
-    (folder / "2_R.png").write_bytes((folder / "2_L.png").read_bytes()[:-30])
-    assert "2_R.png: a PNG that ends early" in _fails(ImportOptions(pair, PAIR), output, SourceError)
-    (folder / "2_R.png").write_bytes(b"no image")
-    assert "not an image that can be decoded" in _fails(ImportOptions(pair, PAIR), output, SourceError)
-    cv2.imwrite(str(folder / "2_R.png"), _picture(1).astype(np.uint16))
-    assert "16 bits" in _fails(ImportOptions(pair, PAIR), output, SourceError)
-    same = ViewOptions(folder, right_pattern="*_L.png", rate_hz=1.0)
-    assert "the same images" in _fails(ImportOptions(same, PAIR), output, UsageError)
-    odd = ViewOptions(tmp_path / "odd", side_by_side=True, rate_hz=1.0)
-    assert "no such folder" in _fails(ImportOptions(odd, ONE), output, SourceError)
-    (tmp_path / "odd").mkdir()
-    cv2.imwrite(str(tmp_path / "odd" / "1.png"), _picture(1, 65))
-    assert "65 px wide" in _fails(ImportOptions(odd, ONE), output, SourceError)
-    (tmp_path / "no.mp4").write_bytes(b"text" * 100)
-    assert "no.mp4" in _fails(ImportOptions(ViewOptions(tmp_path / "no.mp4"), ONE), output, SourceError)
-
-
-def test_an_existing_log_stays(tmp_path: Path) -> None:
-    """A log is replaced only where that is asked for; a failing import leaves it as it was."""
-    cv2.imwrite(str(tmp_path / "1.png"), _picture(1))
-    output = tmp_path / "out.mcap"
-    output.write_bytes(b"precious")
-    options = ImportOptions(ViewOptions(tmp_path, rate_hz=1.0), ONE)
-    with pytest.raises(UsageError, match="exists already"):
+    for name in files:
+        _write(folder / name.split()[0], (name + " ").split(" ")[1])
+    source = folder / views.get("source", ".")
+    options = ImportOptions(ViewOptions(**{**views, "source": source}), calibration)
+    with pytest.raises((SourceError, UsageError)) as caught:
         import_log(options, output)
-    assert output.read_bytes() == b"precious"
-    assert import_log(options, output, force=True).counts["/ECM/left/image"] == 1
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == [folder]

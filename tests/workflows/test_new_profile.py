@@ -148,18 +148,6 @@ def test_distinct_colours() -> None:
     assert find_distinct_colour(two, 2) is not None
 
 
-def test_a_rounded_normal_is_normalised() -> None:
-    """A normal of length 0.9998 is one that was rounded; one of length 0.9 is a mistake."""
-    data = tomllib.loads((REPOSITORY / "svmdist" / "profiles" / "psm13.toml").read_text("utf-8"))
-    data["tissue"]["plane_normal"] = [0.139, -0.397, -0.907]
-    tissue = Profile.model_validate(data).tissue
-    assert tissue is not None
-    assert np.linalg.norm(tissue.plane_normal) == pytest.approx(1.0, abs=1e-15)
-    data["tissue"]["plane_normal"] = [0.0, 0.0, -0.9]
-    with pytest.raises(ValueError, match=r"must have length 1, found 0\.9"):
-        Profile.model_validate(data)
-
-
 def test_instruments_by_the_side_they_come_in_from(tmp_path: Path) -> None:
     """Where nothing but images tells of two instruments, they are named by their sides; estimate accepts it."""
     with RecordingWriter(tmp_path / "two.mcap", {}) as writer:

@@ -205,7 +205,6 @@ class CorrectedLink:
 
     T_camera_link: Array
     derivative: Array
-    time_column: int
 
 
 class CorrectedLinks:
@@ -288,4 +287,4 @@ class CorrectedLinks:
                 derivative[..., columns.lengths.start + index] = 0.0
         T.setflags(write=False)
         derivative.setflags(write=False)
-        return CorrectedLink(T, derivative, columns.time_offset)
+        return CorrectedLink(T, derivative)

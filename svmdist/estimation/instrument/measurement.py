@@ -15,8 +15,9 @@ from svmdist.transforms import Array, cross, skew
 
 FOR_EVER_S = np.inf
 MIN_DEPTH_M = 1e-3  # what is nearer to the camera, or behind it, has no image
-AHEAD_M = np.array([0.0, 0.0, 1.0])
-"""Stands in for a point that cannot be seen, so that its projection is a number."""
+AHEAD_M = np.array(
+    [0.0, 0.0, 1.0]
+)  # stands in for a point that cannot be seen, so that its projection is a number
 NEAR_M = 1e-3  # A camera is no nearer to an edge than this: it bounds a derivative
 
 
@@ -152,11 +153,7 @@ EXACT = Deviations(
 
 @dataclass(frozen=True, slots=True)
 class PoseResidual:
-    """Measured minus predicted, shape (..., m), and its derivative by (δp, δθ) of the link's pose, shape (..., m, 6).
-
-    δp in m and δθ in rad are in the camera frame, p + δp and exp([δθ]) R. The residual is inf and the derivative NaN
-    where the link cannot be seen.
-    """
+    """Measured minus predicted (..., m), derivative by (δp, δθ) in the camera frame; inf and NaN where unseen."""
 
     residual: Array
     derivative: Array
@@ -178,15 +175,12 @@ class LinkMeasurement(Protocol):
     """A measurement of the frame of the DH row `link`, or of the tool where that is None.
 
     `covariance` is that of what changes from frame to frame, the noise. What stays alike, the bias, is a vector of
-    `bias_size` numbers of variance one that fade with the time constant `correlation_time_s`.
+    numbers of variance one that fade with the time constant `correlation_time_s`.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
-    STACKED: ClassVar[tuple[str, ...]]
-    """Fields with a leading axis in a stack."""
-    bias_size: ClassVar[int]
-    source: ClassVar[str]
-    """The detection that it is made of."""
+    STACKED: ClassVar[tuple[str, ...]]  # fields with a leading axis in a stack
+    source: ClassVar[str]  # the detection that it is made of
 
     @property
     def name(self) -> str:
@@ -205,10 +199,6 @@ class LinkMeasurement(Protocol):
         """Measurements of one such name share one bias."""
 
     @property
-    def delay_std_s(self) -> float:
-        """How late what was measured may be against the rest of its image, as where colour is of two fields."""
-
-    @property
     def correlation_time_s(self) -> float:
         """How long the bias lasts: the time constant of its fading."""
 
@@ -216,7 +206,7 @@ class LinkMeasurement(Protocol):
         """Residual and derivative about poses of the link, shape (..., 4, 4)."""
 
     def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
-        """Derivative of the residual by the bias, (..., m, bias_size), from the pose and the pose's derivative."""
+        """Derivative of the residual by the bias, (..., m, k), from the pose and the pose's derivative."""
 
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """What errors of constants do to the residual."""
@@ -226,7 +216,6 @@ class ConstantBias:
     """What measurements have in common whose bias Jacobian is the same for all poses: a bias of their own name."""
 
     name: str
-    delay_std_s: ClassVar[float] = 0.0
 
     @property
     def bias_name(self) -> str:

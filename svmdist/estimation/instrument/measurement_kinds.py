@@ -31,7 +31,6 @@ POINT_CORRELATION_TIME_S = FilterSettings().point_correlation_time_s
 class _PointBias(ABC):
     """The bias of a point: an offset in its link's frame, and what shading does to its pixels."""
 
-    bias_size: ClassVar[int] = 4
     source: ClassVar[str] = MARKER
     point_std_m: float
     shading_bias_px: float
@@ -78,7 +77,6 @@ class PointsMeasurement(_PointBias):
     bias_name: str = "point"
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT
-    delay_std_s: float = 0.0
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus projected, shape (..., 2n), about poses (..., 4, 4)."""
@@ -140,7 +138,6 @@ class DisparityMeasurement(_PointBias):
     bias_name: str = "point"
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT
-    delay_std_s: float = 0.0
     lasting_std_px: float = 0.0
     p_link_m: Array = field(default_factory=lambda: np.zeros(3))
 
@@ -179,13 +176,9 @@ class DisparityMeasurement(_PointBias):
 
 @dataclass(frozen=True)
 class SizeMeasurement(ConstantBias):
-    """The radius in px of the disc that a sphere of `radius_m` about a link's origin shows.
-
-    The covariance has shape (1, 1) in px²; `bias_std_px` is how far the radius is off for good, by what is hidden.
-    """
+    """The radius in px of the disc that a sphere about a link's origin shows; `bias_std_px` lasts."""
 
     STACKED: ClassVar[tuple[str, ...]] = ("radius_m", "radius_px", "covariance", "bias_std_px")
-    bias_size: ClassVar[int] = 1
     source: ClassVar[str] = MARKER
 
     name: str
@@ -204,7 +197,7 @@ class SizeMeasurement(ConstantBias):
         visible = p_m[..., 2] >= MIN_DEPTH_M
         if not visible.all():
             p_m = np.where(visible[..., None], p_m, AHEAD_M)
-        predicted_px = self._predicted_px(p_m)
+        predicted_px = apparent_radius_px(p_m, 1.0, self.camera) * self.radius_m
         derivative = np.zeros((*predicted_px.shape, 1, 6))
         # Of f r |p|^½ z^(-3/2), by its logarithm.
         slope = 0.5 * p_m / np.sum(p_m * p_m, -1, keepdims=True)
@@ -219,9 +212,6 @@ class SizeMeasurement(ConstantBias):
     def shared_biases(self, _T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length and the sphere's radius."""
         return self.deviations.of_radius(np.asarray(self.radius_px, np.float64))
-
-    def _predicted_px(self, p_m: Array) -> Array:
-        return apparent_radius_px(p_m, 1.0, self.camera) * self.radius_m
 
 
 EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s
@@ -261,7 +251,6 @@ class ContourMeasurement(_MatrixBias):
     STACKED: ClassVar[tuple[str, ...]] = (
         "normal", "across", "covariance", "p_axis_m", "axis", "radius_m", "side", "bias_covariance",
     )  # fmt: skip
-    bias_size: ClassVar[int] = 2
     source: ClassVar[str] = "shaft"
 
     name: str
@@ -321,7 +310,6 @@ class PoseMeasurement(_MatrixBias):
     """A pose measured as a whole: `T_camera_frame` of a frame fixed on a link by `T_link_frame`, (4, 4)."""
 
     STACKED: ClassVar[tuple[str, ...]] = ("T_link_frame", "T_camera_frame", "covariance", "bias_covariance")
-    bias_size: ClassVar[int] = 6
     source: ClassVar[str] = "tag"
 
     name: str

@@ -76,9 +76,6 @@ def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
     )
     H = -(by_pose.derivative @ link.derivative)
     biases = (own, *measurement.shared_biases(link.T_camera_link))
-    if measurement.delay_std_s > 0.0:
-        by_time = H[..., link.time_column, None] * measurement.delay_std_s
-        biases = (*biases, SharedBias("delay of colour", by_time))
     return Linearised(by_pose.residual, H, biases, measurement.covariance)
 
 

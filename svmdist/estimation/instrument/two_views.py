@@ -41,8 +41,9 @@ WATCH_FRAMES = 20  # frames over which disparities are held against the instrume
 WATCH_BOUND_STDS = 2.5  # in the median; beyond, it widens the depth: one log in eighty by chance
 
 DEFAULT = StereoSettings()
-ASIDE_RAD = 0.056
-"""The angle between the views for which the settings state the disparity's deviation: 5 mm at 90 mm."""
+ASIDE_RAD = (
+    0.056  # the angle between the views for which the settings state the disparity's deviation: 5 mm at 90 mm
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +152,7 @@ class TwoViews:
     right_camera: Camera
     T_right_left: Array
     pair: RectifiedPair
-    motion_std_m: float = 0.0
-    """How far the tool may have moved along each axis between the views' stamps."""
+    motion_std_m: float = 0.0  # how far the tool may have moved along each axis between the views' stamps
 
 
 def measurements(

@@ -82,8 +82,9 @@ def _join(members: list[tuple[LinkMeasurement, int, int]]) -> MeasurementStack:
 
 FIRST_DAMPING = 1e-4
 MAX_TIME_STEPS = 4
-TIME_SETTLED_S = 1e-3
-"""A joint that turns at 1 rad/s with 10 rad/s² leaves its tangent by 5 µrad within as long."""
+TIME_SETTLED_S = (
+    1e-3  # A joint that turns at 1 rad/s with 10 rad/s² leaves its tangent by 5 µrad within as long
+)
 COST_SETTLED = 1e-3  # A step that lowers a sum of squares by less moves nothing that a deviation would notice
 
 
@@ -117,11 +118,7 @@ class _Weighed:
 
 
 class Window:
-    """The first frames of a filter that starts at `anchor_m`, shape (3,), with a prior covariance (n, n).
-
-    `with_constants` is the prior's covariance with constants, shape (n, k) each: the batch takes what they do for
-    noise, but the filter that follows does not.
-    """
+    """The first frames of a filter from `anchor_m` (3,), prior covariance (n, n), and that with constants (n, k)."""
 
     def __init__(
         self,
@@ -243,8 +240,7 @@ class Window:
             link = links.link(members.measurement.link)
             rows = members.frames
             part = linearise(
-                members.measurement,
-                CorrectedLink(link.T_camera_link[rows], link.derivative[rows], link.time_column),
+                members.measurement, CorrectedLink(link.T_camera_link[rows], link.derivative[rows])
             )
             visible = np.asarray(np.isfinite(part.residual).all(-1))
             H = part.H[..., self._model.columns.play]

@@ -8,9 +8,7 @@ import pytest
 from svmdist.samples import Status
 from svmdist.tracks import SampledDistances
 from svmdist.workflows.scoring.score import (
-    CLEARANCE,
     DISTANCES,
-    PLANAR,
     SPATIAL,
     Pairs,
     Readings,
@@ -45,19 +43,8 @@ def test_only_measured_rows_with_a_truth_make_pairs() -> None:
     assert (spatial.estimate_m.tolist(), spatial.std_m.tolist()) == ([1.5], [0.1])
     assert len(clearance) == 0
     assert dict(readings.rejected) == {"no_tissue": 1}
+    np.testing.assert_array_equal(readings.tool_px, [[3.0, 4.0], *[[np.nan, np.nan]] * 3])
     assert (len(readings), readings.stamps_ns.tolist()) == (4, [10, 20, 30, 40])
-
-
-def test_the_tool_is_seen_in_measured_rows_only() -> None:
-    """The tool's pixel is that of the row, and NaN where the row was not measured or has none."""
-    np.testing.assert_array_equal(Readings(ROWS).tool_px, [[3.0, 4.0], *[[np.nan, np.nan]] * 3])
-
-
-def test_other_stamps_move_the_pairs_alone() -> None:
-    """Stamps with a lag taken off stand in the pairs; estimates and truths stay."""
-    moved = Readings(ROWS).pairs(PLANAR, TRUTH, np.array([9, 19, 29, 39]))
-    assert moved.stamps_ns.tolist() == [9, 29]
-    assert moved.estimate_m.tolist() == [1.0, 2.0]
 
 
 def test_no_rows_make_no_pairs() -> None:
@@ -82,9 +69,3 @@ def test_pooling_counts_every_pair_the_same() -> None:
     assert together.statistics.bias == pytest.approx(0.3 / 4)
     assert together.interval_coverage == 0.75  # 0.3 lies outside ±1.96 x 0.1
     assert len(pooled(parts)) == 4
-
-
-def test_a_distance_of_ones_own_is_read() -> None:
-    """Readings of one distance hold that one, and pair it with its own truth."""
-    (pairs,) = (Readings(ROWS, (CLEARANCE,)).pairs(CLEARANCE, TRUTH),)
-    assert len(pairs) == 0  # the only row with a clearance has no valid truth

@@ -1,0 +1,428 @@
+"""The stream of samples of a recording: complete, reproducible, true, and perturbed where it is asked to be."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from packaging.requirements import Requirement
+
+from svmdist.camera import Camera, stereo_transform
+from svmdist.errors import SimulationError, UsageError
+from svmdist.kinematics.dh import forward_kinematics
+from svmdist.perturbations.calibration import plane_tilt, stated_profile
+from svmdist.perturbations.chosen import World, draw_world, parse_perturbations
+from svmdist.perturbations.images import perturbed_image, perturbed_right_view
+from svmdist.perturbations.table import TABLE, Place
+from svmdist.profile import Profile
+from svmdist.recording.log import open_recording
+from svmdist.samples import (
+    CameraSample,
+    DistanceSample,
+    ImageSample,
+    JointSample,
+    Observation,
+    PoseSample,
+    RightView,
+    Sample,
+    TransformsSample,
+)
+from svmdist.simulation.arm import draw_nominal_kinematics
+from svmdist.simulation.bullet import how_to_install, load_pybullet
+from svmdist.simulation.effects import FIELD_NS
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.scene import Options, Scene, make_scene
+from svmdist.transforms import inverse, rotation_angle, transform_points
+from tests.conftest import REPOSITORY
+from tests.simulation.conftest import chosen, perturbed
+
+pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+from svmdist.simulation.plan import Plan, make_plan
+from svmdist.simulation.render import Renderer
+from svmdist.simulation.simulate import Sensors, Simulator, simulate
+from svmdist.workflows.record import record
+
+SHORT = Scenario("sweep", 2, 0.2, 10.0)
+QUICK = Scenario("random", 2, 8.0, 10.0)
+FULL = Options(stereo=True, tag=True, kinematic_error=1.0)
+REPORTED = "backlash=0.5,joint_drift=0.2,joint_noise=0.02,quantisation=0.02,lag=30"
+STATED = "focal=1,principal_point=2,baseline=0.2"
+DIGEST = """
+import hashlib
+from svmdist.profile import load_profile
+from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.simulate import simulate
+digest = hashlib.sha256()
+for topic, sample in simulate(Scenario("sweep", 3, 0.3, 10.0), load_profile(), noise=2.0):
+    digest.update(repr((topic, sample.stamp_ns)).encode())
+    digest.update(getattr(sample, "image_bgr", b""))
+    digest.update(getattr(sample, "positions", b""))
+    digest.update(repr(getattr(sample, "clearance_m", "")).encode())
+print(digest.hexdigest())
+"""
+Stream = list[tuple[str, Sample]]
+
+
+def stream(profile: Profile, text: str = "", scenario: Scenario = SHORT, **options: object) -> Stream:
+    return list(simulate(scenario, profile, noise=1.0, options=perturbed(text, **options)))
+
+
+def of(found: Stream, topic: str | None) -> list:
+    return [sample for name, sample in found if name == topic]
+
+
+def images(found: Stream) -> list[np.ndarray]:
+    return [sample.image_bgr for _, sample in found if isinstance(sample, ImageSample)]
+
+
+def planned(profile: Profile, text: str, **options: object) -> Plan:
+    return make_plan(QUICK, profile, options=perturbed(text, **options))
+
+
+@pytest.fixture(scope="module")
+def plain(profile: Profile) -> Stream:
+    return stream(profile, stereo=True, tag=True)
+
+
+@pytest.fixture(scope="module")
+def full(profile: Profile) -> Stream:
+    return list(simulate(SHORT, profile, noise=1.0, options=FULL))
+
+
+def test_every_topic_is_there_in_order_and_truth_with_every_image(profile: Profile) -> None:
+    """Joints at 100 Hz about all images; eq. (35) and its 3D companion follow from the true transforms, exactly."""
+    found, topics = stream(profile, scenario=Scenario("sweep", 1, 1.2, 3.0)), profile.topics
+    stamps = [sample.stamp_ns for _, sample in found]
+    assert stamps == sorted(stamps)
+    right = {topics.right_image, topics.right_camera_info}
+    assert {topic for topic, _ in found} == set(topics.model_dump().values()) - right
+    joints = [sample.stamp_ns for sample in of(found, topics.joints)]
+    at_ns = [sample.stamp_ns for sample in of(found, topics.image)]
+    assert max(np.diff(joints)) <= 10_000_000
+    assert joints[0] <= at_ns[0] < at_ns[-1] <= joints[-1]
+    for topic in (topics.ground_truth_tf, topics.ground_truth_distance, topics.tf):
+        assert [sample.stamp_ns for sample in of(found, topic)] == at_ns
+    for truth, sample in zip(
+        of(found, topics.ground_truth_tf), of(found, topics.ground_truth_distance), strict=True
+    ):
+        tool, tissue = (item.T_parent_child[:3, 3] for item in truth.transforms)
+        assert sample.planar_m == pytest.approx(np.hypot(*(tool - tissue)[:2]), abs=1e-15)
+        assert sample.spatial_m == pytest.approx(np.linalg.norm(tool - tissue), abs=1e-15)
+
+
+def test_the_plain_recording_is_that_of_the_golden_log(golden: Path, profile: Profile) -> None:
+    """Two frames of a log that was made long ago: each pixel and joint; clearances to what Bullet was off then."""
+    recording = open_recording(golden / "sweep.mcap", profile)
+    nominal, truth, logged = recording.joint_track(), recording.distance_track(), recording.images()
+    drawn = 0
+    for _, sample in simulate(Scenario("sweep", 1), profile):
+        match sample:
+            case ImageSample():
+                np.testing.assert_array_equal(next(logged).image_bgr, sample.image_bgr)
+                drawn += 1
+            case JointSample():
+                index = np.searchsorted(nominal.stamps_ns, sample.stamp_ns)
+                np.testing.assert_array_equal(nominal.positions[index], sample.positions)
+            case DistanceSample():
+                index = np.searchsorted(truth.stamps_ns, sample.stamp_ns)
+                assert truth.spatial_m[index] == pytest.approx(sample.spatial_m, abs=1e-15)
+                assert truth.clearance_m[index] == pytest.approx(sample.clearance_m, abs=1e-5)
+        if drawn == 2:
+            break
+
+
+def test_a_seed_gives_the_same_samples_in_every_process() -> None:
+    """Stamps, joints, clearances and noisy pixels are bit-identical; another seed differs."""
+    runs = [
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+        for code in (DIGEST, DIGEST, DIGEST.replace('"sweep", 3', '"sweep", 4'))
+    ]
+    assert len(runs[0]) == 65  # PyBullet's own chatter goes nowhere
+    assert runs[0] == runs[1] != runs[2]
+
+
+def test_a_real_world_is_the_same_in_any_order_and_neutral_strengths_change_nothing(profile: Profile) -> None:
+    """Blocks forth and back, as processes would make them: moving tissue, two fields and shadows among the rest."""
+    assert profile.simulation is not None
+    simulation = profile.simulation.model_copy(update={"width_px": 160, "height_px": 120})
+    small = profile.model_copy(update={"simulation": simulation})
+    world = Options(stereo=True, tag=True, perturbations=draw_world(World.REAL, 5), world=World.REAL)
+    plan = make_plan(Scenario("random", 5, 0.9, 3.4), small, noise=1.0, options=world)
+    found: list[dict[int, list[np.ndarray]]] = []
+    for backwards in (False, True):
+        with Simulator(plan) as simulator:
+            noises = {block.frame: simulator.sensors.draw_noise() for block in plan.blocks}
+            blocks = plan.blocks[::-1] if backwards else plan.blocks
+            found.append({b.frame: images(list(simulator.samples(b, noises[b.frame]))) for b in blocks})
+    for frame in range(3):
+        np.testing.assert_array_equal(found[0][frame], found[1][frame])
+    neutral = ",".join(f"{name}={entry.neutral}" for name, entry in TABLE.items())
+    for one, other in zip(stream(small), stream(small, neutral), strict=True):
+        assert repr(one) == repr(other)
+
+
+def test_blocks_cover_all_stamps_and_a_plan_can_be_sent(profile: Profile) -> None:
+    for rate_hz in (0.5, 7.0, 60.0):
+        plan = make_plan(Scenario("sweep", 1, 4.0, rate_hz), profile)
+        stamps = [index for block in plan.blocks for index in range(block.begin, block.end)]
+        assert stamps == list(range(len(plan.stamps_ns)))
+        assert all(plan.with_image[block.begin : block.end].sum() == 1 for block in plan.blocks)
+    at_s = (plan.stamps_ns[plan.with_camera_info] - plan.stamps_ns[0]) / 1e9
+    np.testing.assert_array_equal(at_s, [0.0, 1.0, 2.0, 3.0, 4.0])
+    copy = pickle.loads(pickle.dumps(plan))
+    np.testing.assert_array_equal(copy.arms[0].q, plan.arms[0].q)
+    q, step_ns = plan.arms[0].q, float(plan.stamps_ns[4] - plan.stamps_ns[3])
+    np.testing.assert_allclose(plan.state(3, 0.25 * step_ns).q[0], 0.75 * q[3] + 0.25 * q[4], atol=1e-15)
+    np.testing.assert_array_equal(plan.state(len(q) - 1, 1e9).q[0], q[-1])
+    with pytest.raises(UsageError, match="standard deviation"):
+        make_plan(SHORT, profile, noise=-1.0)
+
+
+def test_options_leave_truth_and_left_camera_alone(plain: Stream, full: Stream, profile: Profile) -> None:
+    """Bit by bit; /tf and measured_js carry the drawn error on top of truth, and the pair is rectified."""
+    topics, scene = profile.topics, make_scene(profile, SHORT.seed)
+    for topic in (topics.ground_truth_tf, topics.ground_truth_distance):
+        assert repr(of(plain, topic)) == repr(of(full, topic))
+    for topic in (topics.image, topics.right_image):
+        for one, other in zip(of(plain, topic), of(full, topic), strict=True):
+            np.testing.assert_array_equal(one.image_bgr, other.image_bgr)
+    bare = of(stream(profile), topics.image)[0].image_bgr
+    assert 0 < (bare != of(plain, topics.image)[0].image_bgr).any(axis=-1).sum() < 6000  # the plate
+    nominal = draw_nominal_kinematics(scene.chain, scene.T_camera_base, profile, SHORT.seed, 1.0)
+    tf, joints = of(full, topics.tf)[0], of(full, topics.joints)[0]
+    np.testing.assert_array_equal(tf.transforms[0].T_parent_child, nominal.T_camera_base)
+    true_tool = scene.T_camera_base @ forward_kinematics(
+        scene.chain, joints.positions - nominal.joint_offsets
+    )
+    truth = of(full, topics.ground_truth_tf)[0].transforms[0].T_parent_child
+    np.testing.assert_allclose(true_tool, truth, atol=1e-12)
+    chain = [item.T_parent_child for item in tf.transforms if item.child != "camera_right"]
+    pose = of(full, topics.pose)[0]
+    assert isinstance(pose, PoseSample)
+    np.testing.assert_allclose(np.linalg.multi_dot(chain[1:]), pose.T_frame_pose, atol=1e-12)
+    left, right = (of(full, topic)[0].camera for topic in (topics.camera_info, topics.right_camera_info))
+    T_left_right = stereo_transform(left, right)
+    assert T_left_right is not None
+    np.testing.assert_allclose(T_left_right[:3, 3], [0.005, 0.0, 0.0], atol=1e-12)
+
+
+def test_kinematic_error_has_the_profiles_spread(scene: Scene, profile: Profile) -> None:
+    """Over 400 seeds: moving joints and T_camera_base are off by 1°, 1 mm, 2° and 5 mm; twice at twice the scale."""
+    drawn = [
+        [
+            draw_nominal_kinematics(scene.chain, scene.T_camera_base, profile, seed, scale)
+            for seed in range(400)
+        ]
+        for scale in (0.0, 1.0, 2.0)
+    ]
+    zero, one, two = (np.array([each.joint_offsets for each in its]) for its in drawn)
+    names = scene.chain.joint_names
+    moving = names.index("yaw")
+    assert not (one - zero)[:, :moving].any()
+    expected = [0.001 if name == "insertion" else np.radians(1.0) for name in names[moving:]]
+    np.testing.assert_allclose((one - zero).std(axis=0)[moving:], expected, rtol=0.15)
+    np.testing.assert_allclose(two - zero, 2.0 * (one - zero), atol=1e-12)
+    T = np.array([nominal.T_camera_base for nominal in drawn[1]])
+    np.testing.assert_allclose((T[:, :3, 3] - scene.T_camera_base[:3, 3]).std(axis=0), 0.005, rtol=0.15)
+    turns_rad = rotation_angle(T[:, :3, :3], scene.T_camera_base[:3, :3])
+    assert np.sqrt(np.mean(turns_rad**2)) == pytest.approx(np.radians(2.0) * np.sqrt(3.0), rel=0.1)
+
+
+def test_a_second_arm_has_topics_frames_and_errors_of_its_own(full: Stream, profile: Profile) -> None:
+    """The first arm does what it does alone, bit by bit; the second one's transforms agree with its joints."""
+    topics = profile.topics
+    two = list(simulate(SHORT, profile, noise=1.0, options=Options(True, True, 1.0, arms=2)))
+    for topic in (topics.joints, topics.pose, topics.ground_truth_distance):
+        assert repr(of(two, topic)) == repr(of(full, topic))
+    scene = make_scene(profile.for_instrument("PSM2"), SHORT.seed)
+    tf, truth = of(two, topics.tf)[0], of(two, topics.ground_truth_tf)[0]
+    assert isinstance(tf, TransformsSample)
+    edges = {(one.parent, one.child): one.T_parent_child for one in tf.transforms}
+    frame, T_base_tool = "PSM2_base", np.eye(4)
+    while frame != "PSM2_tool":
+        frame, T = next((child, T) for (parent, child), T in edges.items() if parent == frame)
+        T_base_tool = T_base_tool @ T
+    joints = of(two, "/PSM2/measured_js")[0]
+    np.testing.assert_allclose(T_base_tool, forward_kinematics(scene.chain, joints.positions), atol=1e-12)
+    errors = [
+        edges["camera", base] @ inverse(its.T_camera_base)
+        for base, its in (("PSM2_base", scene), ("base", make_scene(profile, SHORT.seed)))
+    ]
+    assert np.abs(errors[0][:3, :3] - errors[1][:3, :3]).max() > 1e-3
+    tools = {item.child: item.T_parent_child[:3, 3] for item in truth.transforms}
+    between = of(two, "/ground_truth/PSM1/PSM2/distance")[0]
+    expected_m = np.linalg.norm(tools["PSM2_tool"] - tools[profile.frames.tool])
+    assert between.spatial_m == pytest.approx(expected_m, rel=1e-12)
+
+
+def camera_of(width_px: int, height_px: int) -> Camera:
+    return Camera.from_horizontal_fov(width_px, height_px, 1.0)
+
+
+def test_sensors_add_noise_then_degrade() -> None:
+    """NumPy's own noise, rounded and saturated; both cameras look through the same smoke, with noise of their own."""
+    generator, sensors = np.random.default_rng([5, 11]), Sensors(camera_of(64, 48), 5, 2.0, Options())
+    for frame, level in enumerate((0, 1, 127, 254, 255)):
+        image = np.full((48, 64, 3), level, np.uint8)
+        expected = np.clip(np.rint(image + generator.normal(0.0, 2.0, image.shape)), 0, 255).astype(np.uint8)
+        np.testing.assert_array_equal(sensors.expose(0, image, *sensors.draw_noise(), frame), expected)
+    grey = np.full((120, 640, 3), 128, np.uint8)
+
+    def frames(camera: int, *degradations: tuple[str, int], noise: float = 0.0) -> list[np.ndarray]:
+        sensors = Sensors(camera_of(640, 120), 1, noise, Options(stereo=True, degradations=degradations))
+        return [sensors.expose(camera, grey, sensors.draw_noise()[camera], frame) for frame in range(2)]
+
+    left, right = (frames(camera, ("smoke", 3)) for camera in (0, 1))
+    np.testing.assert_array_equal(left[0], right[0])
+    assert (left[0] != left[1]).any()
+    assert (frames(0, ("noise", 3))[0] != frames(1, ("noise", 3))[0]).any()
+    assert frames(0, ("defocus", 4), noise=10.0)[0].std() < 3.0  # a blur behind the noise
+
+
+def test_images_and_truth_do_not_depend_on_what_is_reported_and_stated(
+    plain: Stream, profile: Profile
+) -> None:
+    topics = profile.topics
+    other = stream(profile, f"{REPORTED},{STATED}", stereo=True, tag=True)
+    for topic in (topics.ground_truth_tf, topics.ground_truth_distance):
+        assert repr(of(other, topic)) == repr(of(plain, topic))
+    np.testing.assert_array_equal(images(other), images(plain))
+    for topic in (topics.joints, topics.pose, topics.tf, topics.camera_info, topics.right_camera_info):
+        assert repr(of(other, topic)) != repr(of(plain, topic))
+    left, right = (of(other, topic)[0].camera for topic in (topics.camera_info, topics.right_camera_info))
+    T = stereo_transform(left, right)
+    assert T is not None
+    np.testing.assert_allclose(T[:3, 3], [0.0052, 0.0, 0.0], atol=1e-9)
+    (in_tf,) = (i.T_parent_child for i in of(other, topics.tf)[0].transforms if i.child == "camera_right")
+    np.testing.assert_array_equal(in_tf, T)
+
+
+def test_unstated_zoom_rotation_and_lens_are_drawn(plain: Stream, profile: Profile) -> None:
+    """Calibrations are those of the plain log; the rotated right image is what a replay makes, to interpolation."""
+    topics, text = profile.topics, "right_yaw=0.3,right_pitch=-0.2,right_roll=1"
+    for other in ("zoom=1.1", text, "lens_untold=0.8"):
+        found = stream(profile, other, stereo=True, tag=True)
+        for one, expected in zip(of(found, topics.camera_info), of(plain, topics.camera_info), strict=True):
+            assert isinstance(one, CameraSample)
+            assert one.camera.same_optics(expected.camera)
+        assert (images(found)[1] != images(plain)[1]).any()
+        if other == text:
+            np.testing.assert_array_equal(images(found)[0], images(plain)[0])
+            right = planned(profile, "").scene.right_camera
+            made = perturbed_right_view(RightView(images(plain)[1], right, np.eye(4)), chosen(text)).image_bgr
+            inside = (slice(20, -20), slice(20, -20))
+            assert np.abs(images(found)[1][inside].astype(float) - made[inside]).mean() < 2.0
+        if other == "lens_untold=0.8":
+            stated = stream(profile, "lens=0.8", stereo=True, tag=True)
+            np.testing.assert_array_equal(images(stated), images(found))
+            np.testing.assert_allclose(of(stated, topics.camera_info)[0].camera.D[:2], [-0.16, 0.04])
+
+
+def test_what_is_stated_wrongly_is_built(profile: Profile) -> None:
+    """The floor and the wrist are elsewhere than the profile states, and the robot computes with its profile."""
+    text = "plane=1,plane_tilt=2,wrist_length=1,shaft_radius=5,tag_size=2"
+    plan, ideal = planned(profile, text, tag=True), planned(profile, "").scene
+    scene, arm = plan.scene, plan.arms[0]
+    floor_m = transform_points(inverse(scene.T_world_camera), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    normal = floor_m[1] - floor_m[0]
+    assert -normal @ floor_m[0] == pytest.approx(0.111)
+    np.testing.assert_allclose(plane_tilt(chosen(text), QUICK.seed) @ normal, [0.0, 0.0, -1.0], atol=1e-12)
+    exact, true = (forward_kinematics(chain, arm.q[:5]) for chain in (arm.nominal.chain, scene.chain))
+    np.testing.assert_allclose(np.linalg.norm(exact[:, :3, 3] - true[:, :3, 3], axis=1), 0.001, rtol=1e-6)
+    radii = {part.name: np.sort(np.ptp(part.mesh.vertices_m, axis=0)) / 2.0 for part in scene.parts}
+    assert radii["shaft"][:2] == pytest.approx([0.004 / 1.05] * 2, rel=1e-3)
+    assert 2.0 * radii["plate"][2] == pytest.approx(0.007 * 10 / 8 / 1.02)
+    stated = stated_profile(profile, chosen("plane=1"), QUICK.seed)
+    assert stated.tissue is not None
+    built = planned(profile, "plane=1").scene
+    assert stated.tissue.plane_distance_m - ideal.T_world_camera[2, 3] == pytest.approx(
+        0.112 - built.T_world_camera[2, 3]
+    )
+
+
+def test_unreported_jaws_and_interpolated_reports(profile: Profile) -> None:
+    """Jaws open up to 30° in truth and not in the reports; between samples reports lie on a line."""
+    ideal, opened = (planned(profile, text).arms[0] for text in ("jaw=0", "jaw=30"))
+    opening = opened.q - ideal.q
+    assert np.abs(opening[:, :-1]).max() < 1e-9
+    assert np.deg2rad(25.0) < opening[:, -1].max() <= np.deg2rad(30.0) + 1e-12
+    np.testing.assert_allclose(opened.reported, ideal.reported, atol=1e-9)
+    plan = make_plan(Scenario("random", 1, 1.0, 30.0), profile, options=perturbed("joint_noise=0.1"))
+    at, t_s = plan.with_joints, 1e-9 * (plan.stamps_ns - plan.stamps_ns[0])
+    assert not at.all()
+    for joint in plan.arms[0].reported.T:
+        np.testing.assert_allclose(joint, np.interp(t_s, t_s[at], joint[at]), atol=1e-12)
+
+
+def test_odd_rows_are_a_field_later_and_replay_makes_the_same_border(profile: Profile) -> None:
+    """Even rows show the stamp's instant, odd ones that of 2/60 s later; border and colour replay bit by bit."""
+    plan = make_plan(Scenario("sweep", 1, 2.0, 2.0), profile, options=perturbed("interlace=2,breathing=2"))
+    block, fields = plan.blocks[1], []
+    with Simulator(plan) as simulator:
+        (frame,) = images(list(simulator.samples(block, (None,))))
+    with Renderer([plan.scene]) as renderer:
+        for number, after_ns in enumerate((0.0, 2.0 * FIELD_NS)):
+            renderer.pose(plan.state(block.begin, after_ns))
+            fields.append(renderer.draw(0, 2 + number))
+    np.testing.assert_array_equal(frame[::2], fields[0][::2])
+    np.testing.assert_array_equal(frame[1::2], fields[1][1::2])
+    text, drawn = "border=0.8,vignette=0.3,chroma=1", []
+    for each in ("", text):
+        plan = make_plan(Scenario("sweep", 1, 0.2, 5.0), profile, options=perturbed(each))
+        with Simulator(plan) as simulator:
+            drawn += images(list(simulator.samples(plan.blocks[0], (None,))))
+    np.testing.assert_array_equal(perturbed_image(drawn[0], chosen(text)), drawn[1])
+
+
+@pytest.mark.parametrize("text", [REPORTED, f"{STATED},{REPORTED}", "lag=-20", "lag_drift=5"])
+def test_a_log_of_a_perturbed_world_is_the_plain_log_perturbed_at_replay(
+    profile: Profile, tmp_path: Path, text: str
+) -> None:
+    """Joints at every image, cameras, and where the right one stands: recording and replay agree."""
+    paths = [tmp_path / "plain.mcap", tmp_path / "perturbed.mcap"]
+    for path, its in zip(paths, ("", text), strict=True):
+        record(SHORT, profile, path, options=perturbed(its, stereo=True, kinematic_error=1.0), jobs=1)
+    ideal, recorded = (open_recording(path, profile) for path in paths)
+    replayed = ideal.perturbed(chosen(text), profile)
+    for one, other in zip(recorded.observations(), replayed.observations(), strict=True):
+        assert isinstance(one, Observation)
+        assert isinstance(other, Observation)
+        assert one.joints is not None
+        assert other.joints is not None
+        assert one.right is not None
+        assert other.right is not None
+        np.testing.assert_allclose(other.joints.positions, one.joints.positions, atol=1e-6)
+        np.testing.assert_allclose(other.camera.K, one.camera.K, atol=1e-9)
+        np.testing.assert_allclose(other.right.T_left_right, one.right.T_left_right, atol=1e-12)
+        np.testing.assert_array_equal(other.image_bgr, one.image_bgr)
+
+
+def test_a_real_world_can_be_recorded_again_from_its_metadata() -> None:
+    drawn = draw_world(World.REAL, SHORT.seed)
+    metadata = Options(perturbations=drawn, world=World.REAL).metadata()
+    assert metadata["world"] == "real"
+    assert parse_perturbations(metadata["perturb"]) == drawn
+    assert all(drawn.changes(place) for place in Place)
+
+
+def test_missing_pybullet_says_why_and_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one line, which agrees with the marker of the extra `sim`."""
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    with pytest.raises(SimulationError, match=r"needs PyBullet: .*svmdist\[sim\]"):
+        load_pybullet()
+    extras = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
+    (requirement,) = map(Requirement, extras["optional-dependencies"]["sim"])
+    assert requirement.marker is not None
+    places = itertools.product([(3, 11), (3, 12)], ["linux", "darwin", "win32"], ["x86_64", "aarch64"])
+    for version, system, machine in places:
+        python = ".".join(map(str, version))
+        where = {"python_version": python, "sys_platform": system, "platform_machine": machine}
+        said = how_to_install(version, system, machine)
+        assert "pip install 'svmdist[sim]'" in said
+        assert ("installs nothing here" in said) != requirement.marker.evaluate(where)
