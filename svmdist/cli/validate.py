@@ -172,17 +172,12 @@ def _save_plot(
     result: Validation, measured: list[Measured], request: Request, kind: PlotKind, path: Path
 ) -> None:
     from svmdist.report.plots import SeriesPlot, save_plot, save_series_plot
-    from svmdist.workflows.series import make_series
+    from svmdist.workflows.series import series_of
 
     if kind == "fig6":
         save_plot(result, path)
         return
-    reference = result.primary.reference if result.primary else result.scores[0].reference
-    series = [
-        made
-        for one in measured
-        for made in make_series(one.rows, one.recording, request.setup, request.rules, reference, one.lag)
-    ]
+    series = series_of(measured, request, result.reference)
     save_series_plot(series, SeriesPlot(kind), path, request.alarms.below_m if request.alarms else None)
 
 
@@ -201,9 +196,7 @@ def _write_report(
     each = run.figures(keys)
     ranking = None if logs.is_one else log_results(ranked(each), pooled_log_figures(each))
     with progress_bar("drawing the worst frames", "images") as advance:
-        page = validation_report(
-            result, measured, request.setup, request.rules, command_line(), logs.jobs, ranking, advance
-        )
+        page = validation_report(result, measured, request, command_line(), logs.jobs, ranking, advance)
     write_report(page, path)
 
 
