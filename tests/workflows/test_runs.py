@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from svmdist.recording.encode import encode_all
 
 from svmdist.errors import RecordingError
-from svmdist.recording.encode import encode_all
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, DistanceSample, ImageSample, Sample
