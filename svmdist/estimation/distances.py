@@ -111,11 +111,7 @@ def _moves(direction: Array, point_m: Array, pose: ToolPose) -> Array:
 
 
 def _with_overlap(distance_m: float, std_m: float) -> float:
-    """The deviation of a clearance with what may be wrong where surfaces seem to overlap.
-
-    Bodies do not: soft tissue has given way, which its model does not know, and the clearance is 0; or tool or tissue
-    is elsewhere. How much of the overlap that explains is not known, so that all of it is a deviation.
-    """
+    """The deviation with all of an overlap in it: soft tissue has given way, or tool or tissue is elsewhere."""
     return float(np.hypot(std_m, max(-distance_m, 0.0)))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError, did_you_mean
+from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Limits
 from svmdist.recording.messages import (
     DecodeError,
@@ -275,3 +276,16 @@ def _logged_image(decoder: Decoder, raw: RawMessage) -> LoggedImage:
     if not isinstance(image, EncodedImage):
         image = broken_image(raw.log_time_ns, "no image")
     return LoggedImage(image, raw.topic, raw.log_time_ns, len(raw.data), raw.offset)
+
+
+def replayed_rows(world: ReplayedWorld, arm: str, names: tuple[str, ...], rows: Rows) -> Rows:
+    """Joint states as they would be reported in a perturbed world."""
+    joints = world.joints_of(arm)
+    if joints is None:
+        return rows
+    found = Rows()
+    values: Array = np.frombuffer(rows.values, np.float64).reshape(len(rows.stamps_ns), -1)
+    for stamp_ns, positions in zip(rows.stamps_ns, values, strict=True):
+        for sample in joints.replayed(JointSample(stamp_ns, names, positions)):
+            found.add(sample.stamp_ns, sample.positions)
+    return found

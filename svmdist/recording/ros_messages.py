@@ -72,9 +72,7 @@ def _compressed_image(message: Any, log_time_ns: int) -> Pixels:
 def _camera(message: Any, log_time_ns: int) -> CameraSample:
     stamp_ns, frame_id = _header(message, log_time_ns)
     # ROS 1 writes these names large, ROS 2 small.
-    numbers = [getattr(message, name, None) for name in "KDRP"]
-    if numbers[0] is None:
-        numbers = [getattr(message, name) for name in "kdrp"]
+    numbers = [getattr(message, name) for name in ("KDRP" if hasattr(message, "K") else "kdrp")]
     return CameraSample(stamp_ns, checked_camera(message, frame_id, [one.tolist() for one in numbers]))
 
 

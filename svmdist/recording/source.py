@@ -71,12 +71,6 @@ class Loss:
     byte_offset: int | None = None
     topic: str | None = None
 
-    def __post_init__(self) -> None:
-        """Keep no more of a text than is shown: it may come from the file."""
-        object.__setattr__(self, "detail", cut(self.detail))
-        if self.topic is not None:
-            object.__setattr__(self, "topic", cut(self.topic))
-
     def __str__(self) -> str:
         place = "" if self.byte_offset is None else f" at byte {self.byte_offset}"
         topic = "" if self.topic is None else f" on {sanitize(self.topic)}"

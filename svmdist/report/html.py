@@ -33,12 +33,13 @@ from svmdist.report.tables import Column, Table, row_of
 from svmdist.report.writers import Results
 from svmdist.samples import Image
 from svmdist.transforms import Array
+from svmdist.workflows.estimate import Measured
 from svmdist.workflows.frame_drawing import DrawnFrame, drawn_frames
 from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.truth import TruthRules
 from svmdist.workflows.series import Series, WorstFrame, make_series, worst_frames
-from svmdist.workflows.validate import Measured, Validation
+from svmdist.workflows.validate import Validation
 
 WORST_COUNT = 10
 JPEG_QUALITY, MAX_WIDTH_PX = 80, 960
@@ -355,7 +356,9 @@ def _add_band(figure: go.Figure, curve: Curve, _: int) -> None:
     As a fill between two traces it would reach across what was not measured. Frames that stand alone have a width.
     """
     assert curve.low is not None
-    x, y, reach_s = [], [], _reach_s(curve.x)
+    x: list[Array] = []
+    y: list[Array] = []
+    reach_s, gap = _reach_s(curve.x), np.array([np.nan])
     for begin, end in runs(np.isfinite(curve.low) & np.isfinite(curve.y)):
         times, lows, highs = (values[begin:end] for values in (curve.x, curve.low, curve.y))
         if end - begin == 1:
@@ -364,8 +367,8 @@ def _add_band(figure: go.Figure, curve: Curve, _: int) -> None:
                 np.repeat(lows, 2),
                 np.repeat(highs, 2),
             )
-        x += [times, times[::-1], [np.nan]]
-        y += [lows, highs[::-1], [np.nan]]
+        x += [times, times[::-1], gap]
+        y += [lows, highs[::-1], gap]
     _trace(figure, curve, np.concatenate(x), np.concatenate(y), **_area(curve, "toself"))
 
 

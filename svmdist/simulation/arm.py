@@ -104,15 +104,6 @@ def reported_joints(
 
 
 @dataclass(frozen=True)
-class ArmTopicNames:
-    """The topics of one simulated arm."""
-
-    joints: str
-    pose: str
-    ground_truth_distance: str
-
-
-@dataclass(frozen=True)
 class Arm:
     """An arm of a scene: profile and scene as it sees them, its topics, its exact joints (n, n_joints) at all stamps.
 
@@ -122,7 +113,7 @@ class Arm:
 
     profile: Profile
     scene: Scene
-    topics: ArmTopicNames
+    topics: dict[str, str]
     q: Array
     nominal: NominalKinematics
     reported: Array
@@ -131,9 +122,9 @@ class Arm:
     def reports(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield joints and pose as the encoders have them at the stamp number `index`."""
         names, frames, q = self.scene.chain.joint_names, self.profile.frames, self.reported[index]
-        yield self.topics.joints, JointSample(stamp_ns, names, q)
+        yield self.topics["joints"], JointSample(stamp_ns, names, q)
         T_base_tool = forward_kinematics(self.nominal.chain, q)
-        yield self.topics.pose, PoseSample(stamp_ns, frames.base, T_base_tool)
+        yield self.topics["pose"], PoseSample(stamp_ns, frames.base, T_base_tool)
 
     def true_tool(self, stamp_ns: int, index: int) -> TransformSample:
         """The true pose of the tool at the stamp number `index`."""

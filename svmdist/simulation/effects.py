@@ -236,8 +236,7 @@ def shadow(camera: Camera, points_m: Points, lamp: Lamp) -> NDArray[np.float32]:
     from_lamp_m = points_m - lamp.position_m.astype(np.float32)
     K = camera.K.astype(np.float32)
     column_px, row_px = (from_lamp_m[..., k] / from_lamp_m[..., 2] * K[k, k] + K[k, 2] for k in range(2))
-    border = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": 1e3}
-    first_m = cv2.remap(lamp.depth_m, column_px, row_px, cv2.INTER_NEAREST, **border)
+    first_m = cv2.remap(lamp.depth_m, column_px, row_px, cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, 1e3)
     hidden = (first_m < from_lamp_m[..., 2] - BIAS_M).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(hidden, (0, 0), PENUMBRA_PX), np.float32)
 

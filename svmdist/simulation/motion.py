@@ -98,7 +98,7 @@ def _lowering_m(scene: Scene, scenario: Scenario, stage: Stage, lowest_at: float
     low, high = -0.01, 0.03
     while high - low > CLEARANCE_TOLERANCE_M:
         middle = 0.5 * (low + high)
-        (clearance_m,) = tissue.clearances_m(_joints(scene, _lowered(lowest, middle)))
+        (clearance_m,) = tissue.clearances_m([_joints(scene, _lowered(lowest, middle))[0]])
         low, high = (middle, high) if clearance_m > lowest.clearance_m else (low, middle)
     return 0.5 * (low + high)
 
@@ -143,60 +143,44 @@ def make_other_arms(
         settings = view.simulation
         assert settings is not None  # the scene has checked it
         rng = np.random.default_rng([scene.seed, _PATH_STREAM, index])
-        path = _CrossingPath(scene, other, settings.working_height_m, rng, progress, duration_s)
-        path.wrist_rad[:, 3] += scene.jaw_opening_rad(progress * duration_s, index)
-        arms.append(OtherArm(name, view, other, path.joints(q)))
+        # The shaft comes in from there, as an angle in the world's xy plane.
+        bearing = float(np.arctan2(other.T_world_base[1, 3], other.T_world_base[0, 3]))
+        offset_m = _offsets(rng, progress, duration_s, bearing)
+        rise_m = 0.001 * wander(rng, progress, 2.0)
+        wrist_rad = gentle_wrist(rng, progress)
+        wrist_rad[:, 3] += scene.jaw_opening_rad(progress * duration_s, index)
+        path = _crossing(scene, other, settings.working_height_m, q, offset_m, rise_m, wrist_rad)
+        arms.append(OtherArm(name, view, other, path))
     return tuple(arms)
 
 
-class _CrossingPath:
-    """The path of one further instrument, relative to the first one in the image."""
+def _crossing(
+    scene: Scene, other: Scene, plane_m: float, q: Array, offset_m: Array, rise_m: Array, wrist_rad: Array
+) -> Array:
+    """Joints, shape (n, n_joints), on the lowest path that keeps away from the first instrument at `q`.
 
-    def __init__(
-        self,
-        scene: Scene,
-        other: Scene,
-        working_height_m: float,
-        rng: np.random.Generator,
-        progress: Array,
-        duration_s: float,
-    ) -> None:
-        self._scene, self._other = scene, other
-        self._height_m = working_height_m
-        # The shaft comes in from there, as an angle in the world's xy plane.
-        bearing = float(np.arctan2(other.T_world_base[1, 3], other.T_world_base[0, 3]))
-        self._offset_m = _offsets(rng, progress, duration_s, bearing)
-        self._rise = 0.001 * wander(rng, progress, 2.0)
-        self.wrist_rad = gentle_wrist(rng, progress)
-
-    def joints(self, q: Array) -> Array:
-        """Joints, shape (n, n_joints), on the lowest path that keeps away from the first instrument at `q`."""
-        checked = np.unique(np.linspace(0, len(q) - 1, CHECKED_COUNT).astype(int))
-        with InstrumentClearance(self._scene, self._other) as between:
-            for lift_m in LIFTS_M:
-                path = self._solve(q, float(lift_m))
-                if all(between.clearance_m(q[at], path[at]) >= APART_M for at in checked):
-                    return path
-        raise SimulationError(
-            f"a second instrument cannot keep {APART_M * 1e3:g} mm away from the first one on this path"
-        )
-
-    def _solve(self, q: Array, lift_m: float) -> Array:
-        camera_height_m = float(self._scene.T_world_camera[2, 3])
-        T_base_tool = forward_kinematics(self._scene.chain, q)
-        p_world_m = (self._scene.T_world_base @ T_base_tool)[:, :3, 3]
-        # As seen through the working plane: where the first instrument is, and the other one beside it.
-        depth_m = camera_height_m - self._height_m
-        seen_m = p_world_m[:, :2] * (depth_m / (camera_height_m - p_world_m[:, 2:]))
-        wanted_m = np.stack(
-            [_kept_within(seen_m[:, k] + self._offset_m[:, k], FIELD_M[k]) for k in range(2)], -1
-        )
-        z_m = self._height_m + lift_m + self._rise
-        target_m = np.column_stack([wanted_m * ((camera_height_m - z_m) / depth_m)[:, None], z_m])
-        try:
-            return _joints(self._other, Motion(target_m, self.wrist_rad))
-        except KinematicsError as problem:
-            raise SimulationError(f"the second instrument: {problem}") from None
+    Seen through the working plane at `plane_m`, the path is `offset_m`, shape (n, 2), from the first instrument;
+    `rise_m`, shape (n,), varies its height.
+    """
+    camera_height_m = float(scene.T_world_camera[2, 3])
+    p_world_m = (scene.T_world_base @ forward_kinematics(scene.chain, q))[:, :3, 3]
+    depth_m = camera_height_m - plane_m
+    seen_m = p_world_m[:, :2] * (depth_m / (camera_height_m - p_world_m[:, 2:]))
+    wanted_m = np.stack([_kept_within(seen_m[:, k] + offset_m[:, k], FIELD_M[k]) for k in range(2)], -1)
+    checked = np.unique(np.linspace(0, len(q) - 1, CHECKED_COUNT).astype(int))
+    with InstrumentClearance(scene, other) as between:
+        for lift_m in LIFTS_M:
+            z_m = plane_m + float(lift_m) + rise_m
+            target_m = np.column_stack([wanted_m * ((camera_height_m - z_m) / depth_m)[:, None], z_m])
+            try:
+                path = _joints(other, Motion(target_m, wrist_rad))
+            except KinematicsError as problem:
+                raise SimulationError(f"the second instrument: {problem}") from None
+            if all(between.clearance_m(q[at], path[at]) >= APART_M for at in checked):
+                return path
+    raise SimulationError(
+        f"a second instrument cannot keep {APART_M * 1e3:g} mm away from the first one on this path"
+    )
 
 
 def _offsets(rng: np.random.Generator, progress: Array, duration_s: float, bearing: float) -> Array:

@@ -16,7 +16,7 @@ from svmdist.errors import UsageError
 from svmdist.kinematics.dh import chain_of
 from svmdist.perturbations.calibration import built_profile
 from svmdist.profile import Profile
-from svmdist.simulation.arm import Arm, ArmTopicNames, draw_nominal_kinematics, reported_joints
+from svmdist.simulation.arm import Arm, draw_nominal_kinematics, reported_joints
 from svmdist.simulation.motion import make_other_arms, make_trajectory
 from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Options, Scene, make_scene
@@ -26,18 +26,6 @@ START_NS = 1_700_000_000_000_000_000
 """The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
 CAMERA_INFO_PERIOD_NS = 1_000_000_000
 MAX_NOISE_LEVELS = 64.0
-
-
-@dataclass(frozen=True)
-class TopicNames:
-    """The topics of a simulated log: the profile's names, else those of a dVRK."""
-
-    image: str
-    camera_info: str
-    right_image: str
-    right_camera_info: str
-    tf: str
-    ground_truth_tf: str
 
 
 @dataclass(frozen=True)
@@ -69,7 +57,7 @@ class Plan:
     profile: Profile
     scene: Scene
     arms: tuple[Arm, ...]
-    topics: TopicNames
+    topics: dict[str, str]
     noise: float
     options: Options
     stamps_ns: NDArray[np.int64]
@@ -144,13 +132,7 @@ def make_plan(
         reported = reported_joints(
             exact, stamps, with_joints, view, options.perturbations, scenario.seed, number
         )
-        topics, name = view.topics, view.instrument_name
-        names = ArmTopicNames(
-            topics.joints or f"/{name}/measured_js",
-            topics.pose or f"/{name}/measured_cp",
-            topics.ground_truth_distance or distance,
-        )
-        return Arm(view, its, names, q, nominal, reported, prefix)
+        return Arm(view, its, complete_topics(view, distance), q, nominal, reported, prefix)
 
     arms = [arm(0, profile, scene, trajectory.q, "/ground_truth/distance")]
     if options.arms > 1:
@@ -162,7 +144,7 @@ def make_plan(
         profile=profile,
         scene=scene,
         arms=tuple(arms),
-        topics=topic_names(profile),
+        topics=complete_topics(profile),
         noise=noise,
         options=options,
         stamps_ns=stamps,
@@ -174,17 +156,21 @@ def make_plan(
     )
 
 
-def topic_names(profile: Profile) -> TopicNames:
-    """Take the profile's topic names, with defaults for those it leaves open."""
-    topics = profile.topics
-    return TopicNames(
-        topics.image or "/ECM/left/image",
-        topics.camera_info or "/ECM/left/camera_info",
-        topics.right_image or "/ECM/right/image",
-        topics.right_camera_info or "/ECM/right/camera_info",
-        topics.tf or "/tf",
-        topics.ground_truth_tf or "/ground_truth/tf",
-    )
+def complete_topics(profile: Profile, distance: str = "/ground_truth/distance") -> dict[str, str]:
+    """Topics by role: the profile's, or those of a dVRK where it leaves one open."""
+    name = profile.instrument_name
+    defaults = {
+        "image": "/ECM/left/image",
+        "camera_info": "/ECM/left/camera_info",
+        "right_image": "/ECM/right/image",
+        "right_camera_info": "/ECM/right/camera_info",
+        "joints": f"/{name}/measured_js",
+        "pose": f"/{name}/measured_cp",
+        "tf": "/tf",
+        "ground_truth_tf": "/ground_truth/tf",
+        "ground_truth_distance": distance,
+    }
+    return {role: getattr(profile.topics, role) or topic for role, topic in defaults.items()}
 
 
 def between_topic(first: str, second: str) -> str:

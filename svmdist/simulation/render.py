@@ -98,8 +98,8 @@ class DrawnWorld(BulletWorld):
         self._turn = 0
         self._scene = scene = scenes[0]
         self._scenes = scenes if moving else []
-        self._parts: list[list[int]] = []
-        self._T_world_part: list[Array] = []
+        self._parts: list[int] = []
+        self._T_world_part: Array = np.zeros((0, 4, 4))
         self._tissue = self._tissue_texture = self._floor = self._retractor = -1
         self._dented: tuple[Organ, int] | None = None
         # From the ideal world's lamp to one beside the lens, and less light around.
@@ -113,7 +113,7 @@ class DrawnWorld(BulletWorld):
         try:
             # Where two surfaces are equally far, the body that came last is drawn: the order is a part of the content.
             if moving:
-                self._parts.append([self._add_part(part) for part in scene.parts])
+                self._parts += [self._add_part(part) for part in scene.parts]
             if still:
                 self._tissue = self._add_mesh(scene.organ.mesh)
                 self.place(self._tissue, scene.T_world_tissue)
@@ -122,26 +122,25 @@ class DrawnWorld(BulletWorld):
                 self._paint(self._floor, scene.floor_texture)
             if moving:
                 self._retractor = self._add_mesh(make_retractor(), (0.66, 0.67, 0.68, 1.0))
-                self._parts += [[self._add_part(part) for part in other.parts] for other in scenes[1:]]
+                self._parts += [self._add_part(part) for other in scenes[1:] for part in other.parts]
         except BaseException:
             self.close()
             raise
 
     def pose(self, state: SceneState, organ: Organ | None) -> None:
         """Place everything; an organ that is not at rest is drawn instead of the scene's."""
-        self._T_world_part = [scene.part_poses(q) for scene, q in zip(self._scenes, state.q, strict=False)]
-        for bodies, poses in zip(self._parts, self._T_world_part, strict=True):
-            for body, T_world_part in zip(bodies, poses, strict=True):
+        if self._parts:
+            poses = [scene.part_poses(q) for scene, q in zip(self._scenes, state.q, strict=True)]
+            self._T_world_part = np.concatenate(poses)
+            for body, T_world_part in zip(self._parts, self._T_world_part, strict=True):
                 self.place(body, T_world_part)
-        if self._retractor >= 0:
             self.place(self._retractor, _AWAY if state.T_world_retractor is None else state.T_world_retractor)
         if self._tissue >= 0 and (self._scene.moves_tissue or self._scene.perturbations["dent"]):
             T_raised = raised(state.offset_m)
             self._dent(organ)
-            shown, hidden = (self._dented[1], self._tissue) if self._dented else (self._tissue, -1)
-            self.place(shown, T_raised @ self._scene.T_world_tissue)
-            if hidden >= 0:
-                self.place(hidden, _AWAY)
+            self.place(self._tissue, _AWAY if self._dented else T_raised @ self._scene.T_world_tissue)
+            if self._dented:
+                self.place(self._dented[1], T_raised @ self._scene.T_world_tissue)
             self.place(self._floor, T_raised)
 
     def _dent(self, organ: Organ | None) -> None:
@@ -162,9 +161,9 @@ class DrawnWorld(BulletWorld):
     def parts(self, picture: Picture) -> tuple[NDArray[np.int16], Array]:
         """The instruments' part at each pixel, int16 (h, w): numbers of poses `T_world_part`, shape (n, 4, 4)."""
         part = np.full(picture.bodies.shape, NO_PART, np.int16)
-        for number, body in enumerate(body for bodies in self._parts for body in bodies):
+        for number, body in enumerate(self._parts):
             part[picture.bodies == body] = number
-        return part, np.concatenate(self._T_world_part)
+        return part, self._T_world_part
 
     def picture(self, view: list[float], projection: list[float], turn: int) -> Picture:
         """Take the picture that is number `turn` of a recording.

@@ -35,56 +35,48 @@ NoiseStates = tuple[dict[str, Any], ...]
 """The state of the random stream of each camera's noise, as NumPy gives and takes it."""
 
 
-class Sensor:
-    """One camera of the pair, 0 the left one and 1 the right one: noise, colour resolution and degradations by seed."""
+class Sensors:
+    """The left and the right camera: noise, colour resolution and degradations by seed.
 
-    def __init__(self, camera: int, seed: int, noise: float, options: Options) -> None:
-        self._camera, self._seed, self._noise = camera, seed, noise
+    Only the noise has an order: `noise_states` are the random streams' states before the next image.
+    """
+
+    def __init__(self, camera: Camera, seed: int, noise: float, options: Options) -> None:
+        self._shape, self._seed, self._noise = (camera.height_px, camera.width_px, 3), seed, noise
         self._degradations = tuple((Degradation(name), severity) for name, severity in options.degradations)
         self._chroma = options.perturbations["chroma"]
-        self.rng = np.random.default_rng([seed, _NOISE_STREAMS[camera]])
+        streams = _NOISE_STREAMS if options.stereo else _NOISE_STREAMS[:1]
+        self._generators = [np.random.default_rng([seed, stream]) for stream in streams]
 
-    def draw_noise(self, width_px: int, height_px: int) -> Array | None:
-        """Draw the next image's noise in 8-bit levels, shape (height, width, 3); None for a sensor without noise."""
+    def __len__(self) -> int:
+        return len(self._generators)
+
+    @property
+    def noise_states(self) -> NoiseStates:
+        """The state of each camera's random stream."""
+        return tuple(dict(generator.bit_generator.state) for generator in self._generators)
+
+    @noise_states.setter
+    def noise_states(self, states: NoiseStates) -> None:
+        for generator, state in zip(self._generators, states, strict=True):
+            generator.bit_generator.state = state
+
+    def draw_noise(self) -> Noise:
+        """Draw the noise of the next image of each camera."""
         if self._noise == 0.0:
-            return None
-        levels = self.rng.standard_normal((height_px, width_px, 3))
-        levels *= self._noise
-        return levels
+            return (None,) * len(self)
+        return tuple(each.standard_normal(self._shape) * self._noise for each in self._generators)
 
-    def expose(self, image: Image, noise: Array | None, frame: int) -> Image:
-        """What the camera reports of the image number `frame`, with the noise that was drawn for it."""
+    def expose(self, camera: int, image: Image, noise: Array | None, frame: int) -> Image:
+        """What a camera reports of the image number `frame`, with the noise that was drawn for it."""
         if noise is not None:  # OpenCV rounds to the nearest level and saturates, in one pass
             image = np.asarray(cv2.add(noise, image, dtype=cv2.CV_8U), np.uint8)
         if self._chroma:
             image = subsampled(image, self._chroma)
         for place, (name, severity) in enumerate(self._degradations):
-            seed = image_seed(name, self._camera, self._seed, _DEGRADATION_STREAM, place, frame)
+            seed = image_seed(name, camera, self._seed, _DEGRADATION_STREAM, place, frame)
             image = degrade(image, name, severity, seed)
         return image
-
-
-class Sensors:
-    """The cameras of a plan. Only their noise has an order: `noise_states` are the random streams' states before it."""
-
-    def __init__(self, plan: Plan) -> None:
-        self._camera = plan.scene.camera
-        cameras = range(2 if plan.options.stereo else 1)
-        self.each = tuple(Sensor(camera, plan.scene.seed, plan.noise, plan.options) for camera in cameras)
-
-    @property
-    def noise_states(self) -> NoiseStates:
-        """The state of each camera's random stream."""
-        return tuple(dict(sensor.rng.bit_generator.state) for sensor in self.each)
-
-    @noise_states.setter
-    def noise_states(self, states: NoiseStates) -> None:
-        for sensor, state in zip(self.each, states, strict=True):
-            sensor.rng.bit_generator.state = state
-
-    def draw_noise(self) -> Noise:
-        """Draw the noise of the next image of each camera."""
-        return tuple(sensor.draw_noise(self._camera.width_px, self._camera.height_px) for sensor in self.each)
 
 
 def simulate(
@@ -105,7 +97,7 @@ class Simulator:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self.sensors = Sensors(plan)
+        self.sensors = Sensors(plan.scene.camera, plan.scene.seed, plan.noise, plan.options)
         scene, *others = scenes = [arm.scene for arm in plan.arms]
         self._tissue = TissueClearance(scenes)
         with ExitStack() as stack:
@@ -120,15 +112,15 @@ class Simulator:
             stamp_ns = int(plan.stamps_ns[index])
             if plan.with_camera_info[index]:
                 left, right = self._stated_cameras
-                yield plan.topics.camera_info, CameraSample(stamp_ns, left)
+                yield plan.topics["camera_info"], CameraSample(stamp_ns, left)
                 if plan.options.stereo:
-                    yield plan.topics.right_camera_info, CameraSample(stamp_ns, right)
+                    yield plan.topics["right_camera_info"], CameraSample(stamp_ns, right)
             if plan.with_joints[index]:
                 for arm in plan.arms:
                     yield from arm.reports(stamp_ns, index)
             if plan.with_image[index]:
                 yield from self._truth(stamp_ns, index)
-                yield plan.topics.tf, self._nominal_transforms(stamp_ns, index)
+                yield plan.topics["tf"], self._nominal_transforms(stamp_ns, index)
                 yield from self._images(stamp_ns, index, block.frame, noise)
 
     @cached_property
@@ -158,11 +150,11 @@ class Simulator:
             T_camera_tissue = inverse(scene.T_world_camera) @ raised(state.offset_m) @ scene.T_world_tissue
         tools = [arm.true_tool(stamp_ns, index) for arm in plan.arms]
         tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, T_camera_tissue)
-        yield plan.topics.ground_truth_tf, TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
+        yield plan.topics["ground_truth_tf"], TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
         origins_m = [tool.T_parent_child[:3, 3] for tool in tools]
         to_tissue_m = self._tissue.clearances_m(state.q, state.offset_m)
         for arm, origin_m, clearance_m in zip(plan.arms, origins_m, to_tissue_m, strict=True):
-            topic = arm.topics.ground_truth_distance
+            topic = arm.topics["ground_truth_distance"]
             yield topic, distances(stamp_ns, origin_m - T_camera_tissue[:3, 3], clearance_m)
         for other, between, origin_m, q in zip(
             others, self._between, origins_m[1:], state.q[1:], strict=True
@@ -188,17 +180,16 @@ class Simulator:
             self._pictures(self._plan.state(index, after_ns), frame * len(delays_ns) + number)
             for number, after_ns in enumerate(delays_ns)
         ]
-        named = ((topics.image, scene.camera), (topics.right_image, scene.right_camera))
-        for sensor, (topic, camera), its, fields in zip(
-            self.sensors.each, named, noise, zip(*drawn, strict=True), strict=False
-        ):
-            image = sensor.expose(weave(fields), its, frame)
-            yield topic, ImageSample(stamp_ns, camera.frame_id, image)
+        named = ((topics["image"], scene.camera), (topics["right_image"], scene.right_camera))
+        for camera, fields in enumerate(zip(*drawn, strict=True)):
+            image = self.sensors.expose(camera, weave(fields), noise[camera], frame)
+            topic, seen_by = named[camera]
+            yield topic, ImageSample(stamp_ns, seen_by.frame_id, image)
 
     def _pictures(self, state: SceneState, number: int) -> list[Image]:
         """What each camera sees of a state, the picture number `number` of the recording."""
         self._view.pose(state, self._tissue.indented(state.q, state.offset_m))
-        count = len(self.sensors.each)
+        count = len(self.sensors)
         return [self._view.draw(camera, turn=number * count + camera) for camera in range(count)]
 
     def __enter__(self) -> Self:

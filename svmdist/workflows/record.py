@@ -16,8 +16,7 @@ from pathlib import Path
 
 from svmdist.errors import UsageError
 from svmdist.profile import Profile
-from svmdist.recording.encode import EncodedSample, encode_all
-from svmdist.recording.writer import RecordingWriter
+from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_all
 from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.plan import Block, Plan, make_plan
 from svmdist.simulation.scenarios import Scenario
@@ -85,7 +84,7 @@ def record(
                 for topic, sample in samples:
                     writer.write(topic, sample)
                     message_count += 1
-                    if topic == plan.topics.image:
+                    if topic == plan.topics["image"]:
                         frame_count += 1
                         if on_progress is not None:
                             on_progress(frame_count, scenario.frame_count)
@@ -148,7 +147,8 @@ def _tasks(plan: Plan) -> Iterator[Task]:
 
     A task has an even number of pictures, which spares the renderer a turn (see `DrawnWorld`).
     """
-    sensors, all_blocks = Sensors(plan), plan.blocks
+    sensors = Sensors(plan.scene.camera, plan.scene.seed, plan.noise, plan.options)
+    all_blocks = plan.blocks
     size = 1 if plan.options.stereo else 2
     for begin in range(0, len(all_blocks), size):
         blocks = tuple(all_blocks[begin : begin + size])

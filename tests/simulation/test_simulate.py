@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
-from svmdist.camera import stereo_transform
+from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import SimulationError, UsageError
 from svmdist.kinematics.dh import forward_kinematics
 from svmdist.perturbations.calibration import plane_tilt, stated_profile
@@ -45,7 +45,7 @@ from tests.simulation.conftest import chosen, perturbed
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.plan import Plan, make_plan
 from svmdist.simulation.render import Renderer
-from svmdist.simulation.simulate import Sensor, Simulator, simulate
+from svmdist.simulation.simulate import Sensors, Simulator, simulate
 from svmdist.workflows.record import record
 
 SHORT = Scenario("sweep", 2, 0.2, 10.0)
@@ -261,18 +261,22 @@ def test_a_second_arm_has_topics_frames_and_errors_of_its_own(full: Stream, prof
     assert between.spatial_m == pytest.approx(expected_m, rel=1e-12)
 
 
+def camera_of(width_px: int, height_px: int) -> Camera:
+    return Camera.from_horizontal_fov(width_px, height_px, 1.0)
+
+
 def test_sensors_add_noise_then_degrade() -> None:
     """NumPy's own noise, rounded and saturated; both cameras look through the same smoke, with noise of their own."""
-    generator, sensor = np.random.default_rng([5, 11]), Sensor(0, 5, 2.0, Options())
+    generator, sensors = np.random.default_rng([5, 11]), Sensors(camera_of(64, 48), 5, 2.0, Options())
     for frame, level in enumerate((0, 1, 127, 254, 255)):
         image = np.full((48, 64, 3), level, np.uint8)
         expected = np.clip(np.rint(image + generator.normal(0.0, 2.0, image.shape)), 0, 255).astype(np.uint8)
-        np.testing.assert_array_equal(sensor.expose(image, sensor.draw_noise(64, 48), frame), expected)
+        np.testing.assert_array_equal(sensors.expose(0, image, *sensors.draw_noise(), frame), expected)
     grey = np.full((120, 640, 3), 128, np.uint8)
 
     def frames(camera: int, *degradations: tuple[str, int], noise: float = 0.0) -> list[np.ndarray]:
-        sensor = Sensor(camera, 1, noise, Options(degradations=degradations))
-        return [sensor.expose(grey, sensor.draw_noise(640, 120), frame) for frame in range(2)]
+        sensors = Sensors(camera_of(640, 120), 1, noise, Options(stereo=True, degradations=degradations))
+        return [sensors.expose(camera, grey, sensors.draw_noise()[camera], frame) for frame in range(2)]
 
     left, right = (frames(camera, ("smoke", 3)) for camera in (0, 1))
     np.testing.assert_array_equal(left[0], right[0])
