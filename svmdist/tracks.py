@@ -144,8 +144,9 @@ class TransformTrack:
         left, right = (self.T_parent_child[side[between]] for side in (where.left, where.right))
         fraction = where.fraction[between]
         t_m = left[:, :3, 3] + fraction[:, None] * (right[:, :3, 3] - left[:, :3, 3])
-        ends = (quaternion_xyzw_from_rotation(T[:, :3, :3]) for T in (left, right))
-        values[between] = make_transform(rotation_from_quaternion_xyzw(slerp_xyzw(*ends, fraction)), t_m)
+        start, end = (quaternion_xyzw_from_rotation(T[:, :3, :3]) for T in (left, right))
+        R = rotation_from_quaternion_xyzw(slerp_xyzw(start, end, fraction))
+        values[between] = make_transform(R, t_m)
         return Sampled(values, where.valid)
 
 

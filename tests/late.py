@@ -6,10 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from svmdist.profile import Limits, load_profile
-from svmdist.recording.encode import EncodedSample
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import Decoder, EncodedImage, to_sample
-from svmdist.recording.writer import RecordingWriter
+from svmdist.recording.writer import EncodedSample, RecordingWriter
 from svmdist.samples import ImageSample, JointSample, PoseSample, Sample, TransformsSample
 
 ROBOT = (JointSample, PoseSample, TransformsSample)

@@ -16,10 +16,7 @@ MIN_CLOSING_M_S = 1e-3  # below a millimetre a second the time to contact is noi
 
 @dataclass(frozen=True, slots=True)
 class AlarmRules:
-    """An alarm is raised where P(clearance < below_m) >= confidence; speed comes from the last `window_s`.
-
-    The default alarms unless 95 % sure that the row is safe: a missed alarm costs more than a false one.
-    """
+    """Alarm where P(clearance < below_m) >= confidence; the default alarms unless 95 % sure that the row is safe."""
 
     below_m: float
     confidence: float = 0.05
@@ -28,10 +25,7 @@ class AlarmRules:
 
 @dataclass(frozen=True, slots=True)
 class AlarmState:
-    """Of one row: the alarm, the closing speed in m/s (positive: closer), the time to contact in s.
-
-    A field is None where the row cannot tell: no clearance, too few rows before, or a gap that does not close.
-    """
+    """Of one row: alarm, closing speed in m/s (positive: closer), time to contact in s; None where unknown."""
 
     alarm: bool | None = None
     closing_speed_m_s: float | None = None

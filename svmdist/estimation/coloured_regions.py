@@ -35,10 +35,7 @@ FRAGMENT_REACH = 2.5  # radii within which coloured fragments belong to an instr
 
 @dataclass(frozen=True)
 class ShaftAxis:
-    """Where a shaft runs in the image: from the pixel of the tool (2,), along a unit direction (2,) away from the tip.
-
-    `begin_px` from there wrist and jaws end and the shaft begins; `radius_px` is half of its width.
-    """
+    """A shaft in the image: the tool's pixel (2,), unit direction (2,) away from the tip, where it begins, radius."""
 
     tool_px: Array
     direction: Array
@@ -160,11 +157,7 @@ class NominalInstrument:
         return NominalPlace(place, self.pose.position_m, fx / z)
 
     def shaft_from(self, tool_px: Array, region_radius_px: float, camera: Camera) -> ShaftAxis | None:
-        """The shaft's axis in the image where the tool is at a pixel, shape (2,); None where it points at the camera.
-
-        The image of p + t b, with b towards the base, leaves p's pixel along b_xy - b_z p_xy / p_z: which way it runs
-        needs no depth, which is what the robot knows worst.
-        """
+        """The shaft's axis in the image from the tool's pixel (2,), which needs no depth; None towards the camera."""
         if self.instrument is None:
             return None
         fx, fy = float(camera.K[0, 0]), float(camera.K[1, 1])

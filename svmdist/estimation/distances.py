@@ -11,7 +11,7 @@ from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.tissue import TissuePose
 from svmdist.estimation.tissue_tracking import TissueTracker
-from svmdist.geometry.separation import Separation, capsule_separation, separation
+from svmdist.geometry.distance import Separation, capsule_separation, separation
 from svmdist.geometry.surfaces import Capsules
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_pixel, as_vector
 from svmdist.samples import Status
@@ -111,11 +111,7 @@ def _moves(direction: Array, point_m: Array, pose: ToolPose) -> Array:
 
 
 def _with_overlap(distance_m: float, std_m: float) -> float:
-    """The deviation of a clearance with what may be wrong where surfaces seem to overlap.
-
-    Bodies do not: soft tissue has given way, which its model does not know, and the clearance is 0; or tool or tissue
-    is elsewhere. How much of the overlap that explains is not known, so that all of it is a deviation.
-    """
+    """The deviation with all of an overlap in it: soft tissue has given way, or tool or tissue is elsewhere."""
     return float(np.hypot(std_m, max(-distance_m, 0.0)))
 
 

@@ -164,11 +164,7 @@ class Needs:
 
 @dataclass(frozen=True)
 class Frame:
-    """What an estimator may use of one instant; it has no field for ground truth.
-
-    `robot` holds joints and nominal poses, or says what of them the log lacks. `scene` and the views compute their
-    detections when they are first asked for; all methods share them.
-    """
+    """What an estimator may use of one instant, detections that all methods share; no field for ground truth."""
 
     scene: Scene
     arm: Arm

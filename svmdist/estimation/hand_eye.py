@@ -148,12 +148,6 @@ def _place_covariance(places: ToolPlaces, T: Array) -> Array:
     return np.asarray(places.covariance + R @ places.nominal_covariance @ R.T + floor)
 
 
-def _shared_covariance(places: ToolPlaces, T: Array) -> Array:
-    """Of each place by what all frames share, (n, 3, 3)."""
-    G = _shared(places, T)[:, :3]
-    return np.asarray(G @ G.swapaxes(1, 2))
-
-
 def _shared(places: ToolPlaces, T: Array) -> Array:
     """What shared errors do to place and direction in the camera's frame, (n, 6, m)."""
     turned = np.concatenate([T[:3, :3] @ places.robot_shared[:, k : k + 3] for k in (0, 3)], axis=1)
@@ -162,7 +156,8 @@ def _shared(places: ToolPlaces, T: Array) -> Array:
 
 def _normalised(places: ToolPlaces, T: Array) -> Array:
     """Squared residuals of places over their covariance, shared errors included, (n,)."""
-    S = _place_covariance(places, T) + _shared_covariance(places, T)
+    G = _shared(places, T)[:, :3]
+    S = _place_covariance(places, T) + G @ G.swapaxes(1, 2)
     r = _residuals(places, T)
     return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(S, r[..., None])[..., 0]))
 

@@ -228,11 +228,7 @@ class CalibrationSamples:
 def fit_calibration(
     samples: CalibrationSamples, camera: Camera, method: str, created_by: str, sources: tuple[SourceFile, ...]
 ) -> Calibration:
-    """Fit eqs. (5) and (6) by least squares, one quadratic per axis.
-
-    Raises CalibrationError for too few samples, for samples that span too little of the image to carry a
-    quadratic, and for a camera without focal length, as logs of uncalibrated cameras have it.
-    """
+    """Fit eqs. (5) and (6) by least squares; CalibrationError for few samples, a small span, no focal length."""
     if not (np.all(np.isfinite(camera.K)) and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
         raise CalibrationError(
             "expected a camera with intrinsics to calibrate: found"

@@ -192,11 +192,9 @@ class _Track:
         return steady if nominal is None else nominal
 
     def update(self, blob: Blob) -> None:
-        std_px = _centroid_std_px(blob)
+        std_px = max(MIN_STD_PX, SPREAD_FRACTION * blob.radius_px)
         if self.area_px is not None and blob.area_px < 0.7 * self.area_px:
-            std_px += 0.5 * float(
-                np.sqrt(self.area_px / np.pi)
-            )  # half of it is hidden: its middle is elsewhere
+            std_px += 0.5 * float(np.sqrt(self.area_px / np.pi))  # half is hidden: its middle is elsewhere
         else:
             self.area_px = blob.area_px if self.area_px is None else 0.8 * self.area_px + 0.2 * blob.area_px
         self.steady.update(blob.centre_px, std_px)
@@ -268,11 +266,8 @@ class RegionTracker:
             if where is None:
                 continue
             for a, blob in enumerate(blobs):
-                S = (
-                    where.covariance
-                    + (SPREAD_FRACTION * blob.radius_px) ** 2 * np.eye(2)
-                    + MIN_STD_PX**2 * np.eye(2)
-                )
+                spread_px2 = (SPREAD_FRACTION * blob.radius_px) ** 2
+                S = where.covariance + spread_px2 * np.eye(2) + MIN_STD_PX**2 * np.eye(2)
                 offset = blob.centre_px - where.mean
                 d2 = float(offset @ np.linalg.solve(S, offset))
                 if self._is_uncertain(where):
@@ -330,10 +325,6 @@ class RegionTracker:
 
     def _is_uncertain(self, where: Gaussian | None) -> bool:
         return where is None or where.std_px > UNCERTAIN_FRACTION * self._width_px
-
-
-def _centroid_std_px(blob: Blob) -> float:
-    return max(MIN_STD_PX, SPREAD_FRACTION * blob.radius_px)
 
 
 def assignments(track_count: int, blob_count: int) -> Iterator[tuple[int | None, ...]]:

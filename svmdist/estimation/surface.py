@@ -131,11 +131,7 @@ def _align(
     centre_px: Array,
     coefficients: Array,
 ) -> tuple[Array, float]:
-    """Gauss–Newton on right(u - d(u, v), v) - left(u, v), with a free, smooth field of brightness between the images.
-
-    `columns`, `rows` and `is_used`, shape (h, w), make the grid of the left image's pixels that are aligned. Gives the
-    coefficients and the mismatch that they leave, in px.
-    """
+    """Gauss–Newton on right(u - d(u, v), v) - left(u, v) on a grid, brightness free: coefficients, mismatch in px."""
     left, slope = _smoothed_with_slope(left_grey, columns, rows, SMOOTHING_PX)
     right, first_row = _smoothed_where_seen(right_grey, right_region, rows)
     u, v = (

@@ -1,5 +1,5 @@
-"""Reading and writing recordings; the sole importer of mcap and protobuf.
+"""Reading and writing recordings; the sole importer of mcap, rosbags and protobuf.
 
-`mcap_file/` and `rosbag/` read files: bytes on disk to raw messages. `messages/` reads and writes what the
-messages hold: bytes of a message to samples and back. The modules beside them are what the rest of svmdist uses.
+`log` opens them for everything else. `mcap` and `rosbag` read files: bytes on disk to raw messages; `messages` and
+`images` what these hold; `contents` and `observations` put it together over time.
 """

@@ -11,6 +11,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError, did_you_mean
+from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Limits
 from svmdist.recording.messages import (
     DecodeError,
@@ -29,8 +30,6 @@ from svmdist.tracks import MAX_GAP_NS, Sampled, Stamps, TransformTrack, sort_sta
 from svmdist.transforms import Array, inverse
 
 OTHER_JOINTS = "its joints are others than those of the first message"
-MAX_EDGES = 10_000
-"""Pairs of frames in one log; more than any robot has."""
 Edge = tuple[str, str]
 """Names of the parent and the child frame."""
 
@@ -84,8 +83,6 @@ class Contents:
                 for one in transforms:
                     edge = _frame(one.parent), _frame(one.child)
                     self._of(topic, edge).add(one.stamp_ns, one.values)
-                if len(self.rows.get(topic, ())) > MAX_EDGES:
-                    raise RecordingError(f"more than {MAX_EDGES} pairs of frames in the transforms")
             case _:
                 pass
         return None
@@ -275,3 +272,16 @@ def _logged_image(decoder: Decoder, raw: RawMessage) -> LoggedImage:
     if not isinstance(image, EncodedImage):
         image = broken_image(raw.log_time_ns, "no image")
     return LoggedImage(image, raw.topic, raw.log_time_ns, len(raw.data), raw.offset)
+
+
+def replayed_rows(world: ReplayedWorld, arm: str, names: tuple[str, ...], rows: Rows) -> Rows:
+    """Joint states as they would be reported in a perturbed world."""
+    joints = world.joints_of(arm)
+    if joints is None:
+        return rows
+    found = Rows()
+    values: Array = np.frombuffer(rows.values, np.float64).reshape(len(rows.stamps_ns), -1)
+    for stamp_ns, positions in zip(rows.stamps_ns, values, strict=True):
+        for sample in joints.replayed(JointSample(stamp_ns, names, positions)):
+            found.add(sample.stamp_ns, sample.positions)
+    return found

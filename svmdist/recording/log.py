@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, did_you_mean
-from svmdist.input_file import LogPath, content_sha256, files_of, open_regular, why
+from svmdist.input_file import LogPath, content_sha256, files_of
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Limits, Profile
-from svmdist.recording.contents import LogFile, Rows, TransformTree
-from svmdist.recording.mcap import MAGIC as MCAP_MAGIC
-from svmdist.recording.mcap import McapSource
+from svmdist.recording.contents import LogFile, Rows, TransformTree, replayed_rows
 from svmdist.recording.messages import matrices
 from svmdist.recording.observations import (
     EVERYTHING,
@@ -33,43 +30,31 @@ from svmdist.recording.observations import (
     Reading,
     RightCamera,
     Window,
+    joints_at,
 )
 from svmdist.recording.source import (
-    METADATA_FILE,
     Health,
     Loss,
     LossKind,
     RawMessage,
-    Source,
     TopicInfo,
-    is_message_compressed,
     sanitize,
     sanitize_list,
 )
-from svmdist.recording.topics import FixedTransform, LoggedArm, Role, find_arms
+from svmdist.recording.topics import (
+    FixedTransform,
+    LoggedArm,
+    Role,
+    find_arms,
+    open_source,
+    topics_beside_images,
+)
 from svmdist.remote_file import RemoteFile, is_url
-from svmdist.samples import ImageSample, JointSample, Observation, Rejection
+from svmdist.samples import ImageSample, Observation, Rejection
 from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack
-from svmdist.transforms import Array, inverse
+from svmdist.transforms import inverse
 
 AS_IT_IS = Reading()
-JOINT_TRACK_NS = 200_000_000
-"""Joints so long before and after an image go with it: by as much the clocks may differ for a method that finds it."""
-IMAGES = frozenset({Role.IMAGE, Role.RIGHT_IMAGE})
-LOOKS_LIKE = {
-    b"#ROSBAG V1": "a ROS bag of version 1, from before 2010",
-    b"\x1f\x8b": "gzip-compressed",
-    b"\x28\xb5\x2f\xfd": "zstd-compressed",
-    b"\x04\x22\x4d\x18": "lz4-compressed",
-    b"BZh": "bzip2-compressed",
-    b"\xfd7zXZ": "xz-compressed",
-    b"PK\x03\x04": "a zip archive",
-    b"\x89HDF": "an HDF5 file",
-    b"\x89PNG": "a PNG image",
-    b"\xff\xd8\xff": "a JPEG image",
-    b"version https://git-lfs": "a Git LFS pointer, whose file has not been fetched",
-}
-WHAT_IS_EXPECTED = "an MCAP file, a ROS 1 bag or a rosbag2 folder"
 
 
 def open_recording(
@@ -88,9 +73,9 @@ def open_recording(
     if isinstance(path, str):
         path = RemoteFile(path) if is_url(path) else Path(path)
     origin = Origin(path, profile, limits or profile.limits, dict(topics or {}))
-    source = _open_source(path, origin.limits)
+    source = open_source(path, origin.limits)
     arms = find_arms(source, profile, origin.topics)
-    return Recording(LogFile(source, origin.limits, _topics_beside_images(arms)), arms, origin)
+    return Recording(LogFile(source, origin.limits, topics_beside_images(arms)), arms, origin)
 
 
 class Origin(NamedTuple):
@@ -133,7 +118,8 @@ class Recording:
 
     def __reduce__(self) -> tuple[Callable[..., Recording], tuple[object, ...]]:
         """Another process opens the same file anew."""
-        return _reopened, (self.origin, self.arms, self.world, self.lag, self.how)
+        view = {"arms": self.arms, "world": self.world, "lag": self.lag, "how": self.how}
+        return _reopened, (self.origin, view)
 
     # Views of the same log
 
@@ -165,9 +151,8 @@ class Recording:
 
     def with_bases(self, fixed: Mapping[str, FixedTransform]) -> Recording:
         """The same log with the camera-to-base transforms of some instruments, by name, in place of its own."""
-        return replace(
-            self, arms=tuple(replace(arm, fixed=fixed.get(arm.name, arm.fixed)) for arm in self.arms)
-        )
+        arms = (replace(arm, fixed=fixed.get(arm.name, arm.fixed)) for arm in self.arms)
+        return replace(self, arms=tuple(arms))
 
     # What the log says of itself
 
@@ -336,8 +321,7 @@ class Recording:
             if tree is not None:
                 found = tree.at(frames.camera, frames.base, np.array([stamp_ns], np.int64))
                 T_camera_base = found.values[0] if found.valid[0] else None
-            at_stamp, around = (None, None) if joints is None else _joints_at(joints, stamp_ns)
-            return ArmState(at_stamp, around, T_camera_base)
+            return ArmState(*joints_at(joints, stamp_ns), T_camera_base)
 
         return at
 
@@ -378,7 +362,9 @@ class Recording:
         for names, rows in self.file.contents.rows.get(topic or "", {}).items():
             assert isinstance(names, tuple)
             is_perturbed = self.world is not None and self.world.perturbations != UNPERTURBED
-            reported = _replayed(self.world, arm.name, names, rows) if self.world and is_perturbed else rows
+            reported = (
+                replayed_rows(self.world, arm.name, names, rows) if self.world and is_perturbed else rows
+            )
             stamps_ns, positions = reported.sorted(0 if is_perturbed else self._lag_ns)
             if repeated := len(reported.stamps_ns) - len(stamps_ns):
                 detail = f"{repeated} joint states repeat a stamp; the last one counts"
@@ -418,10 +404,7 @@ class Recording:
         known = self.file.contents.rows.get(self._require(Role.POSE), {})
         frames = sorted(map(str, known))
         if len(frames) > 1:
-            topic = sanitize(self._require(Role.POSE))
-            raise RecordingError(
-                f"{self.path.name}: poses in several frames: {sanitize_list(frames)} on {topic}"
-            )
+            raise self._unusable(f"poses, in several frames ({sanitize_list(frames)}),", Role.POSE)
         for rows in known.values():
             stamps_ns, values = rows.sorted(self._lag_ns)
             return PoseTrack(frames[0], stamps_ns, matrices(values))
@@ -455,95 +438,6 @@ class Recording:
         return RecordingError(f"{self.path.name}: no usable {what} on {sanitize(self._require(role))}")
 
 
-def _reopened(
-    origin: Origin,
-    arms: tuple[LoggedArm, ...],
-    world: ReplayedWorld | None,
-    lag: KnownLag | None,
-    how: Reading,
-) -> Recording:
+def _reopened(origin: Origin, view: dict[str, Any]) -> Recording:
     path, profile, limits, topics = origin
-    opened = open_recording(path, profile, limits=limits, topics=topics)
-    return replace(opened, arms=arms, world=world, lag=lag, how=how)
-
-
-def _topics_beside_images(arms: Iterable[LoggedArm]) -> frozenset[str]:
-    """The topics that play a role for one of the arms, but for images."""
-    topics: set[str | None] = set()
-    for arm in arms:
-        topics.update(arm.choice.static_transforms())
-        for role in set(Role) - IMAGES:
-            with suppress(
-                RecordingError
-            ):  # a topic that was chosen and is not there: told where it is needed
-                topics.add(arm.choice.find(role))
-    return frozenset(topic for topic in topics if topic is not None)
-
-
-def _joints_at(track: JointTrack, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:
-    """Joints interpolated to a stamp, and those around it; None where there are none within 0.1 s."""
-    sampled = track.at(np.array([stamp_ns], np.int64))
-    if not sampled.valid[0]:
-        return None, None
-    first, last = np.searchsorted(track.stamps_ns, [stamp_ns - JOINT_TRACK_NS, stamp_ns + JOINT_TRACK_NS + 1])
-    around = JointTrack(track.stamps_ns[first:last], track.names, track.positions[first:last])
-    return JointSample(stamp_ns, track.names, sampled.values[0]), around
-
-
-def _replayed(world: ReplayedWorld, arm: str, names: tuple[str, ...], rows: Rows) -> Rows:
-    """Joint states as they would be reported in a perturbed world."""
-    joints = world.joints_of(arm)
-    if joints is None:
-        return rows
-    found = Rows()
-    values: Array = np.frombuffer(rows.values, np.float64).reshape(len(rows.stamps_ns), -1)
-    for stamp_ns, positions in zip(rows.stamps_ns, values, strict=True):
-        for sample in joints.replayed(JointSample(stamp_ns, names, positions)):
-            found.add(sample.stamp_ns, sample.positions)
-    return found
-
-
-def _open_source(path: LogPath, limits: Limits) -> Source:
-    """Find out what a path is, and open it; RecordingError says in one line why it cannot be a recording.
-
-    The modules of other formats are imported when a file of theirs is opened: MCAP starts sooner without them.
-    """
-    try:
-        if not isinstance(path, RemoteFile) and path.is_dir():
-            if not (path / METADATA_FILE).is_file():
-                detail = f"a directory without {METADATA_FILE}"
-                raise RecordingError(f"{path}: is {detail}; expected {WHAT_IS_EXPECTED}")
-            from svmdist.recording.rosbag import FolderSource
-
-            return FolderSource(path, limits)
-        with open_regular(path) as file:
-            start = file.read(64)
-    except FileNotFoundError:
-        raise RecordingError(f"{path}: no such file") from None
-    except (OSError, ValueError) as problem:
-        raise RecordingError(f"{path}: cannot read: {why(problem)}") from None
-    return _open_file(path, start, limits)
-
-
-def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
-    if start.startswith(MCAP_MAGIC):
-        source: Source = McapSource(path, limits)
-    elif start.startswith((b"#ROSBAG V2.0\n", b"SQLite format 3\x00")):
-        from svmdist.recording.rosbag import BagSource
-
-        source = BagSource(path, "ros1" if start.startswith(b"#") else "cdr")
-    elif not start:
-        raise RecordingError(f"{path}: is empty; expected {WHAT_IS_EXPECTED}")
-    elif MCAP_MAGIC.startswith(start):
-        raise RecordingError(
-            f"{path}: truncated at byte {len(start)}, inside the first bytes of an MCAP file"
-        )
-    else:
-        found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), None)
-        raise RecordingError(f"{path}: is {found or 'not a recording'}; expected {WHAT_IS_EXPECTED}")
-    if is_message_compressed(source):
-        raise RecordingError(
-            f"{path}: a rosbag2 file whose messages are compressed one by one;"
-            f" open the folder that holds it and its {METADATA_FILE}"
-        )
-    return source
+    return replace(open_recording(path, profile, limits=limits, topics=topics), **view)

@@ -43,7 +43,6 @@ MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 TAIL = struct.Struct("<BQQQI8s")
 """The footer record and the magic, with which every complete file ends."""
-IN_CHUNKS = (Schema, Channel, Message)
 PARSED = frozenset(Opcode) - {Opcode.MESSAGE_INDEX}
 
 
@@ -53,7 +52,7 @@ class McapSource:
     def __init__(self, path: LogPath, limits: Limits) -> None:
         self.path = path
         self.health = Health()
-        self._limits = limits
+        self.limits = limits
         self._metadata: dict[str, str] | None = None
 
     def topics(self) -> tuple[TopicInfo, ...]:
@@ -63,7 +62,7 @@ class McapSource:
     def metadata(self) -> dict[str, str]:
         """Read the record `svmdist`, unless the CRC of the data section is wrong."""
         if self._metadata is None:
-            one_pass = _Pass(self, self._summary)
+            one_pass = _Pass(self)
             for _ in one_pass.frames(frozenset()):
                 pass
             self._metadata = one_pass.metadata
@@ -71,65 +70,78 @@ class McapSource:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield the messages of some topics, or of all, in file order."""
-        one_pass = _Pass(self, self._summary)
+        one_pass = _Pass(self)
         for offset, record in one_pass.records(topics):
-            if isinstance(record, Message):
-                channel = one_pass.channels[record.channel_id]
-                if topics is None or channel.topic in topics:
-                    yield RawMessage(
-                        channel.topic,
-                        one_pass.schema_name(channel),
-                        channel.message_encoding,
-                        record.log_time,
-                        record.data,
-                        offset,
-                        one_pass.loss_count,
-                    )
+            if not isinstance(record, Message):
+                continue
+            channel = one_pass.channels[record.channel_id]
+            if topics is None or channel.topic in topics:
+                schema = one_pass.schemas.get(channel.schema_id)
+                yield RawMessage(
+                    channel.topic,
+                    schema.name if schema else "",
+                    channel.message_encoding,
+                    record.log_time,
+                    record.data,
+                    offset,
+                    one_pass.loss_count,
+                )
         self._metadata = one_pass.metadata if self._metadata is None else self._metadata
 
     def records(self) -> Iterator[McapRecord]:
         """Yield every record in file order but message indexes, chunks unpacked."""
-        return (record for _, record in _Pass(self, self._summary).records(None))
+        return (record for _, record in _Pass(self).records(None))
 
     @cached_property
-    def _summary(self) -> Summary | None:
+    def summary(self) -> Summary | None:
         """The summary section where its CRC covers every byte of it and is right."""
         try:
             with open_regular(self.path) as file:
-                return read_summary(file)
+                size_bytes = file.seek(0, 2)
+                tail = _tail(file, size_bytes)
+                start, crc = (tail[2], tail[4]) if tail else (0, 0)
+                if not 0 < start < size_bytes or not crc:
+                    return None
+                file.seek(start)
+                if zlib.crc32(file.read(size_bytes - len(MAGIC) - 4 - start)) != crc:
+                    return None
+                file.seek(0)
+                try:
+                    return SeekingReader(file).get_summary()
+                except Exception:  # right by its CRC, and still not MCAP
+                    return None
         except OSError as problem:
             raise RecordingError(f"{self.path}: cannot read: {why(problem)}") from None
 
     @cached_property
     def _topics(self) -> tuple[TopicInfo, ...]:
-        summary = self._summary
-        statistics = summary.statistics if summary else None
-        if summary and statistics and statistics.channel_count == len(summary.channels):
-            schemas, channels = summary.schemas, summary.channels
-            counts: Any = statistics.channel_message_counts
-            is_counted = sum(counts.values()) == statistics.message_count
+        one_pass, counts = _Pass(self), Counter[int]()
+        statistics = self.summary.statistics if self.summary else None
+        is_counted = True
+        if statistics and statistics.channel_count == len(one_pass.channels):
+            counts.update(statistics.channel_message_counts)
+            is_counted = counts.total() == statistics.message_count
         else:
-            one_pass, counts, is_counted = _Pass(self, summary), Counter[int](), True
             for _, record in one_pass.records(None):
                 counts.update([record.channel_id] if isinstance(record, Message) else [])
-            schemas, channels = one_pass.schemas, one_pass.channels
+        none = Schema(0, b"", "", "")
         return merge_topics(
             TopicInfo(
                 channel.topic,
-                schemas[channel.schema_id].name if channel.schema_id in schemas else "",
+                one_pass.schemas.get(channel.schema_id, none).name,
                 channel.message_encoding,
-                counts.get(key, 0) if is_counted else None,
+                counts[key] if is_counted else None,
             )
-            for key, channel in channels.items()
+            for key, channel in one_pass.channels.items()
         )
 
 
 class _Pass:
     """One pass over a file: the definitions so far, the metadata record, and the losses of this pass."""
 
-    def __init__(self, source: McapSource, summary: Summary | None) -> None:
-        self._path, self._health, self._limits = source.path, source.health, source._limits
-        self._summary = summary
+    def __init__(self, source: McapSource) -> None:
+        self._path, self._health, self._limits = source.path, source.health, source.limits
+        self._summary = summary = source.summary
         # From the summary, so that the loss of a chunk does not take the definitions in it along.
         self.schemas: dict[int, Schema] = dict(summary.schemas) if summary else {}
         self.channels: dict[int, Channel] = dict(summary.channels) if summary else {}
@@ -138,15 +150,13 @@ class _Pass:
         self._statistics = summary.statistics if summary else None
         self._counts: Counter[int] = Counter()
         self._undefined_count = 0
-
-    def schema_name(self, channel: Channel) -> str:
-        """Name of a channel's schema; empty where it has none."""
-        return self.schemas[channel.schema_id].name if channel.schema_id in self.schemas else ""
+        self._has_data_ended = self._is_cut = False
 
     def records(self, topics: Collection[str] | None) -> Iterator[tuple[int, McapRecord]]:
         """Yield the records with their offsets, chunks unpacked; of messages those with a known channel."""
         is_chunked = False
         for offset, record in self.frames(topics):
+            inner: list[McapRecord] = [record]
             if isinstance(record, Chunk):
                 is_chunked = True
                 try:
@@ -154,20 +164,14 @@ class _Pass:
                 except Exception as problem:  # mcap raises a dozen kinds
                     self._lose(LossKind.CHUNK, f"dropped: {problem or type(problem).__name__}", offset)
                     continue
-            elif is_chunked and isinstance(record, IN_CHUNKS) and self._is_misplaced(record):
-                # Writers of chunks put everything into chunks: this is another record with a broken opcode.
+            elif is_chunked and self._is_misplaced(record):
                 self._lose(LossKind.RECORD, f"{type(record).__name__} outside of chunks dropped", offset)
                 continue
-            else:
-                inner = [record]
-            for one in inner:
-                if self._is_known(one, offset):
-                    yield offset, one
+            yield from ((offset, one) for one in inner if self._is_usable(one, offset))
         self._check_counts(topics)
 
     def frames(self, topics: Collection[str] | None) -> Iterator[tuple[int, McapRecord]]:
         """Yield the records as they stand in the file; of a remote file with an index, only chunks with some topics."""
-        self._summary_began = self._is_cut = False
         try:
             with open_regular(self._path) as file:
                 size_bytes = file.seek(0, 2)
@@ -193,7 +197,7 @@ class _Pass:
                 detail = f"{length} bytes; the limit is {self._limits.record_bytes}"
                 self._lose(LossKind.RECORD, detail, offset)
                 file.seek(end)
-                crc = None  # so that a running CRC means nothing
+                crc = None  # as bytes were left out, it says nothing any more
             else:
                 body = file.read(length)
                 record = self._parsed(head + body, offset)
@@ -203,12 +207,11 @@ class _Pass:
                     crc = zlib.crc32(body, zlib.crc32(head, crc))
                 if record is not None:
                     yield offset, record
-                if opcode == Opcode.FOOTER and end + len(MAGIC) == size_bytes:
-                    self._end_file(file, offset)
+                if opcode == Opcode.FOOTER and length == 20 and end + len(MAGIC) == size_bytes:
+                    self._end_file(body, offset)
                     return
             offset = end
-        file.seek(max(size_bytes - TAIL.size, 0))
-        self._is_cut = not _is_tail(file.read())
+        self._is_cut = _tail(file, size_bytes) is None
         if self._is_cut and head[:1] == bytes([Opcode.CHUNK]):
             file.seek(offset + HEAD.size)
             body = file.read(self._limits.record_bytes)
@@ -239,7 +242,7 @@ class _Pass:
 
     def _parsed(self, frame: bytes, offset: int) -> McapRecord | None:
         """Parse one record, head included; None for a message index, an unknown record, and one that is broken."""
-        if frame[:1] not in (bytes([opcode]) for opcode in PARSED):
+        if frame[0] not in PARSED:
             return None
         try:
             record = next(StreamReader(BytesIO(frame), skip_magic=True, emit_chunks=True).records)
@@ -251,11 +254,13 @@ class _Pass:
         return record
 
     def _is_misplaced(self, record: McapRecord) -> bool:
-        """Whether a schema, channel or message outside of chunks, where others stand in chunks, is out of place."""
-        return not self._is_cut and (not self._summary_began or isinstance(record, Message))
+        """Whether a record outside of chunks belongs into one, as all others do: its opcode is broken."""
+        if self._is_cut:
+            return False
+        return isinstance(record, Message | Schema | Channel if not self._has_data_ended else Message)
 
-    def _is_known(self, record: McapRecord, offset: int) -> bool:
-        """Take note of definitions and messages; whether the record may be delivered."""
+    def _is_usable(self, record: McapRecord, offset: int) -> bool:
+        """Take note of definitions and counts; false for a message whose channel is not known."""
         if isinstance(record, Schema | Channel):
             known: Any = self.schemas if isinstance(record, Schema) else self.channels
             if known.setdefault(record.id, record) != record:
@@ -271,18 +276,17 @@ class _Pass:
         return True
 
     def _end_data(self, declared_crc: int, crc: int | None, offset: int) -> None:
-        self._summary_began = True
+        self._has_data_ended = True
         if declared_crc and crc is not None and declared_crc != crc:
             self._lose(LossKind.DATA_CRC, "the CRC of the data section is wrong", offset)
             if self.metadata:
                 self.metadata = {}
-                self._lose(LossKind.RECORD, "metadata dropped: no CRC vouches for it", offset)
+                self._lose(LossKind.RECORD, "metadata dropped: no other CRC covers it", offset)
 
-    def _end_file(self, file: BinaryIO, offset: int) -> None:
-        if not self._summary_began:
+    def _end_file(self, footer: bytes, offset: int) -> None:
+        if not self._has_data_ended:
             self._lose(LossKind.STRUCTURE, "the end of the data is missing", offset)
-        file.seek(-TAIL.size, 2)
-        _, _, start, _, crc, _ = TAIL.unpack(file.read())
+        start, _, crc = struct.unpack("<QQI", footer)
         if start and crc and self._summary is None:
             self._lose(LossKind.SUMMARY, "its CRC is wrong, or it cannot be read", offset)
 
@@ -291,20 +295,21 @@ class _Pass:
         if self._undefined_count:
             detail = f"{self._undefined_count} messages of a channel that is not defined"
             self._lose(LossKind.MESSAGE, detail)
-        statistics = self._statistics
-        if statistics is None:
+        if self._statistics is None:
             return
-        declared, found = Counter(statistics.channel_message_counts), self._counts
+        declared, found = Counter(self._statistics.channel_message_counts), self._counts
+        total = self._statistics.message_count
         if isinstance(self._path, RemoteFile) and topics is not None:
             wanted = {key for key, one in self.channels.items() if one.topic in topics}
             declared, found = (
                 Counter({k: n for k, n in c.items() if k in wanted}) for c in (declared, found)
             )
-        if declared != found and (declared or statistics.message_count != found.total()):
-            total = declared.total() or statistics.message_count
+            total = declared.total()
+        if total != found.total():
             detail = f"the statistics declare {total} messages, {found.total()} were read"
-            if total == found.total():
-                detail = "the statistics declare other counts of messages by channel than were read"
+            self._lose(LossKind.STATISTICS, detail)
+        elif declared and declared != found:
+            detail = "the statistics declare other counts of messages by channel than were read"
             self._lose(LossKind.STATISTICS, detail)
 
     def _lose(self, kind: LossKind, detail: str, offset: int | None = None) -> None:
@@ -312,28 +317,13 @@ class _Pass:
         self._health.add(Loss(kind, detail, offset))
 
 
-def read_summary(file: BinaryIO) -> Summary | None:
-    """Read the summary section; None where there is none, or its CRC is missing or wrong."""
-    size_bytes = file.seek(0, 2)
+def _tail(file: BinaryIO, size_bytes: int) -> tuple[Any, ...] | None:
+    """The fields of the footer and the magic behind it; None where the file does not end with them."""
     file.seek(max(size_bytes - TAIL.size, 0))
     tail = file.read()
-    if not _is_tail(tail):
+    if len(tail) != TAIL.size or tail[: HEAD.size] != HEAD.pack(Opcode.FOOTER, 20) or tail[-8:] != MAGIC:
         return None
-    _, _, start, _, crc, _ = TAIL.unpack(tail)
-    if not start or not crc or start > size_bytes - TAIL.size:
-        return None
-    file.seek(start)
-    if zlib.crc32(file.read(size_bytes - len(MAGIC) - 4 - start)) != crc:
-        return None
-    file.seek(0)
-    try:
-        return SeekingReader(file).get_summary()
-    except Exception:  # right by its CRC, and still not MCAP
-        return None
-
-
-def _is_tail(tail: bytes) -> bool:
-    return len(tail) == TAIL.size and tail[:9] == HEAD.pack(Opcode.FOOTER, 20) and tail.endswith(MAGIC)
+    return TAIL.unpack(tail)
 
 
 def _expanded(chunk: Chunk, limits: Limits, *, is_whole: bool = True) -> Chunk:

@@ -19,6 +19,8 @@ from svmdist.samples import Image, ImageSample, JointSample, Observation, Reject
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array
 
+JOINT_TRACK_NS = 200_000_000
+"""Joints so long before and after an image go with it: by as much the clocks may differ for a method that finds it."""
 LOOK_AHEAD_NS = 3_000_000_000
 """How long, in log time, an image waits for the right image at its stamp."""
 MAX_WAITING_BYTES = 64 << 20
@@ -286,3 +288,13 @@ def _stamp(image: LoggedImage) -> int:
 
 def _size(images: list[LoggedImage]) -> int:
     return sum(image.size_bytes for image in images)
+
+
+def joints_at(track: JointTrack | None, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:
+    """Joints interpolated to a stamp, and those around it; None where there are none within 0.1 s."""
+    sampled = None if track is None else track.at(np.array([stamp_ns], np.int64))
+    if track is None or sampled is None or not sampled.valid[0]:
+        return None, None
+    first, last = np.searchsorted(track.stamps_ns, [stamp_ns - JOINT_TRACK_NS, stamp_ns + JOINT_TRACK_NS + 1])
+    around = JointTrack(track.stamps_ns[first:last], track.names, track.positions[first:last])
+    return JointSample(stamp_ns, track.names, sampled.values[0]), around

@@ -7,15 +7,12 @@ from functools import cache
 from typing import Any
 
 from svmdist.recording.messages import (
-    MAX_JOINTS,
-    MAX_TRANSFORMS,
     NS,
     DecodeError,
     Message,
     Pixels,
     RawTransform,
     RawTransforms,
-    check_count,
     checked_camera,
     checked_joints,
     checked_stamp,
@@ -72,14 +69,11 @@ def _compressed_image(message: Any, log_time_ns: int) -> Pixels:
 def _camera(message: Any, log_time_ns: int) -> CameraSample:
     stamp_ns, frame_id = _header(message, log_time_ns)
     # ROS 1 writes these names large, ROS 2 small.
-    numbers = [getattr(message, name, None) for name in "KDRP"]
-    if numbers[0] is None:
-        numbers = [getattr(message, name) for name in "kdrp"]
+    numbers = [getattr(message, name) for name in ("KDRP" if hasattr(message, "K") else "kdrp")]
     return CameraSample(stamp_ns, checked_camera(message, frame_id, [one.tolist() for one in numbers]))
 
 
 def _joints(message: Any, log_time_ns: int) -> JointSample:
-    check_count(message.name, MAX_JOINTS)
     return checked_joints(_header(message, log_time_ns)[0], message.name, message.position.tolist())
 
 
@@ -98,7 +92,6 @@ def _pose(message: Any, log_time_ns: int) -> RawTransform:
 
 
 def _transforms(message: Any, log_time_ns: int) -> RawTransforms:
-    check_count(message.transforms, MAX_TRANSFORMS)
     return transforms_of([_stamped(one, log_time_ns) for one in message.transforms], log_time_ns)
 
 

@@ -5,7 +5,6 @@ Neither bags nor databases have checksums: flipped bits in their values cannot b
 
 from __future__ import annotations
 
-import re
 import struct
 from collections import Counter
 from collections.abc import Collection, Iterator
@@ -31,7 +30,6 @@ from svmdist.recording.source import (
     RawMessage,
     Source,
     TopicInfo,
-    is_message_compressed,
     merge_topics,
     sanitize,
 )
@@ -102,7 +100,7 @@ class BagSource:
         reader: Any
         try:
             if self._encoding == "ros1":
-                reader = Bag1Reader(self.path)
+                reader = Bag1Reader(self.path)  # type: ignore[arg-type]  # a RemoteFile has what it needs
             else:
                 reader = Sqlite3Reader(Path(quote(str(Path(str(self.path)).resolve()))))
             reader.open()
@@ -119,58 +117,33 @@ class BagSource:
 
 
 class FolderSource:
-    """A rosbag2 folder: its storage files one after another, messages expanded where they are compressed.
-
-    What `metadata.yaml` says of files and counts is only compared with what is there.
-    """
+    """A rosbag2 folder: its storage files one after another, messages expanded where they are compressed."""
 
     def __init__(self, path: Path, limits: Limits) -> None:
-        self.path = path
+        self.path: LogPath = path
         self.health = Health()
         self._message_bytes = 4 * limits.image_pixels + limits.message_bytes
-        information = self._read_metadata()
-        packed = sorted(
-            file.name for file in path.iterdir() if file.name.endswith((".mcap.zstd", ".db3.zstd"))
-        )
+        names, self._declared, self._is_compressed, storage = _read_metadata(path)
+        packed = [name for name in names if name.endswith(".zstd")]
         if packed:
             raise RecordingError(
                 f"{path}: its files are compressed as a whole; expand them first: zstd -d {sanitize(packed[0])}"
             )
-        files = sorted((file for file in path.iterdir() if file.suffix in {".mcap", ".db3"}), key=_order)
-        if not files:
-            storage = information.get("storage_identifier")
-            found = f"; its storage is {sanitize(str(storage))}" if storage else ""
-            raise RecordingError(f"{path}: a rosbag2 folder without any .mcap or .db3 file{found}")
-        named = {Path(str(name)).name for name in information.get("relative_file_paths") or ()}
-        if missing := sorted(named - {file.name for file in files}):
-            detail = f"{', '.join(missing[:3])} named in {METADATA_FILE} but not there"
-            self.health.add(Loss(LossKind.STRUCTURE, detail))
-        self._declared: dict[str, int] = {
-            one["topic_metadata"]["name"]: one["message_count"]
-            for one in information.get("topics_with_message_count") or ()
-        }
-        self._parts: list[Source] = [
-            McapSource(file, limits) if file.suffix == ".mcap" else BagSource(file, "cdr") for file in files
-        ]
+        self._parts: list[Source] = []
+        for file in (path / name for name in names):
+            if not file.is_file():
+                detail = f"{file.name} named in {METADATA_FILE} but not there"
+                self.health.add(Loss(LossKind.STRUCTURE, detail))
+            elif file.suffix in {".mcap", ".db3"}:
+                mcap = file.suffix == ".mcap"
+                self._parts.append(McapSource(file, limits) if mcap else BagSource(file, "cdr"))
+        if not self._parts:
+            raise RecordingError(
+                f"{path}: a rosbag2 folder without any .mcap or .db3 file; its storage is {sanitize(storage)}"
+            )
         for part in self._parts:
             self.health.join(part.health)
             part.health = self.health
-        self._is_compressed = str(information.get("compression_mode", "")).upper() == "MESSAGE"
-        if not information:
-            self._is_compressed = is_message_compressed(self._parts[0])
-
-    def _read_metadata(self) -> dict[str, Any]:
-        """What the folder declares; where that cannot be read, nothing, and a loss: the messages are not in it."""
-        try:
-            document = yaml.safe_load(read_regular(self.path / METADATA_FILE, METADATA_BYTES))
-            information: dict[str, Any] = document["rosbag2_bagfile_information"]
-            for one in information.get("topics_with_message_count") or ():
-                int(one["message_count"]), str(one["topic_metadata"]["name"])
-            list(information.get("relative_file_paths") or ())
-        except Exception as problem:  # as the file is somebody else's, anything can be missing
-            self.health.add(Loss(LossKind.STRUCTURE, f"{METADATA_FILE} is not usable: {_line(problem)}"))
-            return {}
-        return information
 
     def topics(self) -> tuple[TopicInfo, ...]:
         """List the topics of all files."""
@@ -185,11 +158,10 @@ class FolderSource:
         losses = 0
         counts: Counter[str] = Counter()
         for part in self._parts:
-            part_losses = 0
+            before = losses
             for raw in part.messages(topics):
                 counts[raw.topic] += 1
-                part_losses = raw.losses_before
-                message = replace(raw, losses_before=losses + part_losses)
+                message = replace(raw, losses_before=losses + raw.losses_before)
                 if self._is_compressed:
                     try:
                         message = replace(message, data=_expanded(raw.data, self._message_bytes))
@@ -197,13 +169,29 @@ class FolderSource:
                         losses += 1
                         self.health.add(Loss(LossKind.MESSAGE, str(problem), raw.offset, raw.topic))
                         continue
+                before = message.losses_before
                 yield message
-            losses += part_losses + 1  # what the end of a file lost shows in no message of it
-        if self.health.is_clean:
-            for topic, declared in self._declared.items():
-                if (topics is None or topic in topics) and declared != counts[topic]:
-                    detail = f"{METADATA_FILE} declares {declared} messages, {counts[topic]} were read"
-                    self.health.add(Loss(LossKind.STATISTICS, detail, None, topic))
+            losses = max(losses, before) + 1  # what the end of a file lost shows in no message of it
+        for topic, declared in self._declared.items() if self.health.is_clean else ():
+            if (topics is None or topic in topics) and declared != counts[topic]:
+                detail = f"{METADATA_FILE} declares {declared} messages, {counts[topic]} were read"
+                self.health.add(Loss(LossKind.STATISTICS, detail, None, topic))
+
+
+def _read_metadata(folder: Path) -> tuple[list[str], dict[str, int], bool, str]:
+    """Storage files in order, counts of messages by topic, whether these are compressed, and the storage's name."""
+    try:
+        document = yaml.safe_load(read_regular(folder / METADATA_FILE, METADATA_BYTES))
+        known = document["rosbag2_bagfile_information"]
+        counts = known.get("topics_with_message_count") or []
+        return (
+            [Path(name).name for name in known["relative_file_paths"]],
+            {str(one["topic_metadata"]["name"]): int(one["message_count"]) for one in counts},
+            str(known.get("compression_mode")).upper() == "MESSAGE",
+            str(known.get("storage_identifier")),
+        )
+    except Exception as problem:  # somebody else's file: anything can be missing, or of another type
+        raise RecordingError(f"{folder}: {METADATA_FILE} is not usable: {_line(problem)}") from None
 
 
 def _expanded(data: bytes, limit_bytes: int) -> bytes:
@@ -212,11 +200,6 @@ def _expanded(data: bytes, limit_bytes: int) -> bytes:
     if not 0 <= size_bytes <= limit_bytes:
         raise ValueError(f"a message of {size_bytes} bytes declared, the limit is {limit_bytes}")
     return zstandard.ZstdDecompressor().decompress(data)
-
-
-def _order(path: Path) -> list[tuple[int, str]]:
-    """The order in which files were written: `_2` before `_10`."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
 
 def _line(problem: Exception) -> str:

@@ -12,8 +12,6 @@ from svmdist.input_file import LogPath
 
 MAX_NAME_LENGTH = 300
 MAX_LISTED_NAMES = 40
-MAX_NAME_BYTES = 4096
-"""Of a topic, a frame, a joint, a schema: anything longer is not a name."""
 MAX_LISTED_LOSSES = 1000
 """Reports about a file with a million broken chunks must not fill the memory."""
 METADATA_FILE = "metadata.yaml"
@@ -70,12 +68,6 @@ class Loss:
     detail: str
     byte_offset: int | None = None
     topic: str | None = None
-
-    def __post_init__(self) -> None:
-        """Keep no more of a text than is shown: it may come from the file."""
-        object.__setattr__(self, "detail", cut(self.detail))
-        if self.topic is not None:
-            object.__setattr__(self, "topic", cut(self.topic))
 
     def __str__(self) -> str:
         place = "" if self.byte_offset is None else f" at byte {self.byte_offset}"

@@ -11,7 +11,6 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.input_file import LogPath
 from svmdist.profile import Limits, Profile
-from svmdist.recording.encode import EncodedSample
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.messages import (
@@ -25,6 +24,7 @@ from svmdist.recording.messages import (
 )
 from svmdist.recording.source import Health, TopicInfo
 from svmdist.recording.topics import Role
+from svmdist.recording.writer import EncodedSample
 from svmdist.samples import CameraSample, JointSample, Sample, TransformsSample
 
 GAP_FACTOR = 3.0

@@ -1,17 +1,44 @@
-"""Which topic plays which role, and which of a profile's instruments a recording has."""
+"""Opening a log: its format, which topic plays which role, and which of a profile's instruments it has."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
-from svmdist.profile import Frames, Profile, Topics
+from svmdist.input_file import LogPath, open_regular, why
+from svmdist.profile import Frames, Limits, Profile, Topics
 from svmdist.profile.robot import ARM_TOPICS
+from svmdist.recording.mcap import MAGIC as MCAP_MAGIC
+from svmdist.recording.mcap import McapSource
 from svmdist.recording.messages import Kind, kind_of
-from svmdist.recording.source import Source, TopicInfo, sanitize, sanitize_list
+from svmdist.recording.source import (
+    METADATA_FILE,
+    Source,
+    TopicInfo,
+    is_message_compressed,
+    sanitize,
+    sanitize_list,
+)
+from svmdist.remote_file import RemoteFile
 from svmdist.transforms import Array
+
+LOOKS_LIKE = {
+    b"#ROSBAG V1": "a ROS bag of version 1, from before 2010",
+    b"\x1f\x8b": "gzip-compressed",
+    b"\x28\xb5\x2f\xfd": "zstd-compressed",
+    b"\x04\x22\x4d\x18": "lz4-compressed",
+    b"BZh": "bzip2-compressed",
+    b"\xfd7zXZ": "xz-compressed",
+    b"PK\x03\x04": "a zip archive",
+    b"\x89HDF": "an HDF5 file",
+    b"\x89PNG": "a PNG image",
+    b"\xff\xd8\xff": "a JPEG image",
+    b"version https://git-lfs": "a Git LFS pointer, whose file has not been fetched",
+}
+WHAT_IS_EXPECTED = "an MCAP file, a ROS 1 bag or a rosbag2 folder"
 
 
 class Role(StrEnum):
@@ -173,3 +200,62 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
         fixed = None if found is None else FixedTransform(found.T_camera_base)
         arms.append(LoggedArm(name, choice, view.frames, fixed))
     return tuple(arms)
+
+
+def open_source(path: LogPath, limits: Limits) -> Source:
+    """Find out what a path is, and open it; RecordingError says in one line why it cannot be a recording.
+
+    The modules of other formats are imported when a file of theirs is opened: MCAP starts sooner without them.
+    """
+    try:
+        if not isinstance(path, RemoteFile) and path.is_dir():
+            if not (path / METADATA_FILE).is_file():
+                detail = f"a directory without {METADATA_FILE}"
+                raise RecordingError(f"{path}: is {detail}; expected {WHAT_IS_EXPECTED}")
+            from svmdist.recording.rosbag import FolderSource
+
+            return FolderSource(path, limits)
+        with open_regular(path) as file:
+            start = file.read(64)
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: no such file") from None
+    except (OSError, ValueError) as problem:
+        raise RecordingError(f"{path}: cannot read: {why(problem)}") from None
+    return _open_file(path, start, limits)
+
+
+def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
+    if start.startswith(MCAP_MAGIC):
+        source: Source = McapSource(path, limits)
+    elif start.startswith((b"#ROSBAG V2.0\n", b"SQLite format 3\x00")):
+        from svmdist.recording.rosbag import BagSource
+
+        source = BagSource(path, "ros1" if start.startswith(b"#") else "cdr")
+    elif not start:
+        raise RecordingError(f"{path}: is empty; expected {WHAT_IS_EXPECTED}")
+    elif MCAP_MAGIC.startswith(start):
+        raise RecordingError(
+            f"{path}: truncated at byte {len(start)}, inside the first bytes of an MCAP file"
+        )
+    else:
+        found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), None)
+        raise RecordingError(f"{path}: is {found or 'not a recording'}; expected {WHAT_IS_EXPECTED}")
+    if is_message_compressed(source):
+        raise RecordingError(
+            f"{path}: a rosbag2 file whose messages are compressed one by one;"
+            f" open the folder that holds it and its {METADATA_FILE}"
+        )
+    return source
+
+
+def topics_beside_images(arms: Iterable[LoggedArm]) -> frozenset[str]:
+    """The topics that play a role for one of the arms, but for images."""
+    topics: set[str | None] = set()
+    for arm in arms:
+        topics.update(arm.choice.static_transforms())
+        for role in set(Role) - {Role.IMAGE, Role.RIGHT_IMAGE}:
+            with suppress(
+                RecordingError
+            ):  # a topic that was chosen and is not there: told where it is needed
+                topics.add(arm.choice.find(role))
+    return frozenset(topic for topic in topics if topic is not None)

@@ -29,7 +29,7 @@ from svmdist.drawing import (
     Shape,
 )
 from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
-from svmdist.recording.encode import EncodedSample, encode, serialised, set_stamp
+from svmdist.recording.writer import EncodedSample, encode, serialised, set_stamp
 from svmdist.samples import TransformSample, TransformsSample
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from svmdist.errors import OutputError, optional_package
 from svmdist.files import atomic_file
-from svmdist.recording.encode import EncodedSample
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.summary import copied_messages
 from svmdist.recording.topics import Role
@@ -23,7 +22,7 @@ from svmdist.recording.viewer_messages import (
     scene_update,
     tool_transforms,
 )
-from svmdist.recording.writer import RecordingWriter
+from svmdist.recording.writer import EncodedSample, RecordingWriter
 from svmdist.report.panels import draw_on
 from svmdist.report.rows import estimate_values
 from svmdist.samples import Image

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from svmdist.metrics import interval_coverage
 from svmdist.transforms import Array
@@ -183,9 +184,8 @@ def error_over_image(group: Sequence[Series]) -> Chart:
     error_mm = np.abs(np.concatenate([one.error_m for one in group])) * 1e3
     kept = np.isfinite(error_mm) & np.isfinite(places).all(1)
     hover = "(%{x:.0f}, %{y:.0f}) px<br>|error| %{marker.color:.2f} mm<extra></extra>"
-    dots = Curve(
-        Form.DOTS, Role.ERROR, "|error| [mm]", *places[kept].T, colour_by=error_mm[kept], hover=hover
-    )
+    x, y = places[kept].T
+    dots = Curve(Form.DOTS, Role.ERROR, "|error| [mm]", x, y, colour_by=error_mm[kept], hover=hover)
     text = "Where the tool was in the image, coloured by the size of the error."
     return Chart("error over image position", text, "tool x [px]", "tool y [px]", [dots], is_image=True)
 
@@ -250,7 +250,7 @@ def rejected_spans(series: Series) -> list[tuple[float, float]]:
     ]
 
 
-def runs(chosen: Array) -> list[tuple[int, int]]:
+def runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """First index, and index after the last one, of each run of true values, shape (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -192,7 +192,7 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
     large = cv2.resize(tinted, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)
 
     def enlarged(points_px: Array) -> Array:
-        return (points_px + 0.5) * times - 0.5
+        return np.asarray((points_px + 0.5) * times - 0.5)
 
     drawing = replace(
         frame.drawing,

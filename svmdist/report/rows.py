@@ -47,7 +47,7 @@ def _at(path: str) -> Callable[[Any], Cell]:
             if value is None:
                 return None
             value = value[int(step)] if step.isdecimal() else getattr(value, step)
-        return float(value) if isinstance(value, float) else value  # type: ignore[no-any-return]
+        return float(value) if isinstance(value, float) else value
 
     return read
 

@@ -53,7 +53,7 @@ class Column:
 
     def value(self, source: Any) -> Cell:
         """The value of a row's source."""
-        return getattr(source, self.key) if self.of is None else self.of(source)  # type: ignore[no-any-return]
+        return getattr(source, self.key) if self.of is None else self.of(source)
 
     def show(self, value: Cell) -> str:
         """The value for a person; a number that does not exist is a dash."""

@@ -37,10 +37,7 @@ FAINT = 0.3  # the slope of a point of an edge over that of most of them, below 
 
 @dataclass(frozen=True, slots=True)
 class Profiles:
-    """Slopes of three channels across a segment, shape (3, n, k), at `offsets`, shape (k,) in px, and what is seen.
-
-    `seen`, shape (n, k), says which samples are in the picture; `sigma_px` is the scale of the slopes.
-    """
+    """Slopes of three channels across a segment (3, n, k) at `offsets` (k,) px, what is seen (n, k), their scale."""
 
     slopes: Array
     offsets: Array
@@ -95,11 +92,7 @@ def profiles_across(
 
 
 def straightest(profiles: Profiles, where: Array, reach_px: float, turn_px: float) -> LineAcross | None:
-    """The most distinct line within a reach of the segment, turned by so much at its ends; None without any.
-
-    `where`, shape (n,), says how far along the segment each profile is, from 0 to 1. Neighbouring profiles vote as one,
-    by their common change of colour: an edge goes on, texture does not.
-    """
+    """The most distinct line near a segment, by the common change of colour of neighbouring profiles; or None."""
     slopes, offsets, seen, sigma_px = profiles.slopes, profiles.offsets, profiles.seen, profiles.sigma_px
     count = len(where) // BLOCK
     if count < 2:

@@ -192,7 +192,10 @@ def with_missed_parts(
     rest = np.asarray(((ratio > RATIO_SURE) & image.inner & ~mask).astype(np.uint8))
     rest = np.asarray(cv2.morphologyEx(rest, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(rest)
-    touching = [np.bincount(labels[_grown(one)], minlength=count) > 0 for one in masks]
+    touching = [
+        np.bincount(labels[cv2.dilate(one.astype(np.uint8), SQUARE_5) > 0], minlength=count) > 0
+        for one in masks
+    ]
     size = stats[:, cv2.CC_STAT_AREA]
     parts = range(1, count)
     apart = sum(int(size[part]) for part in parts if not any(near[part] for near in touching))
@@ -251,7 +254,3 @@ def _without_holes(mask: NDArray[np.bool_], most_px: float) -> NDArray[np.bool_]
     count, labels, stats, _ = cv2.connectedComponentsWithStats(cv2.subtract(whole, solid))
     small = [label for label in range(1, count) if stats[label, cv2.CC_STAT_AREA] < most_px]
     return np.asarray(mask | np.isin(labels, small))
-
-
-def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    return np.asarray(cv2.dilate(mask.astype(np.uint8), SQUARE_5) > 0)

@@ -59,12 +59,6 @@ def marker_pattern(size_px: int) -> Image:
     return pattern
 
 
-@lru_cache(maxsize=8)
-def _marker_bgr(size_px: int) -> Image:
-    """The marker with three channels alike: pasting it is a plain copy."""
-    return np.asarray(cv2.cvtColor(marker_pattern(size_px), cv2.COLOR_GRAY2BGR), np.uint8)
-
-
 def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: int) -> MarkedWindow:
     """A window with the marker about `centre_px` (x, y, rounded); the image's edge is repeated beyond it."""
     height, width = image_bgr.shape[:2]
@@ -74,7 +68,7 @@ def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: in
     window = image_bgr[max(y0, 0) : y1, max(x0, 0) : x1]
     top, bottom, left, right = max(-y0, 0), max(y1 - height, 0), max(-x0, 0), max(x1 - width, 0)
     window = np.asarray(cv2.copyMakeBorder(window, top, bottom, left, right, cv2.BORDER_REPLICATE), np.uint8)
-    window[margin_px:-margin_px, margin_px:-margin_px] = _marker_bgr(size_px)
+    window[margin_px:-margin_px, margin_px:-margin_px] = marker_pattern(size_px)[..., None]
     return MarkedWindow(window, (x0, y0))
 
 
@@ -143,11 +137,7 @@ def detect_orb(image_grey: Image, feature_count: int, mask: Image | None = None)
 
 
 def match_features(template: Features, frame: Features, ratio: float) -> Matches:
-    """Match each template feature to the nearest frame feature, if it is clearly nearer than the second.
-
-    Brute-force Hamming distance with k = 2 and the ratio test (Lowe 2004, sec. 7.1); matches are sorted
-    by distance. A feature with a single neighbour has nothing to be compared with and is dropped.
-    """
+    """Nearest neighbours by Hamming distance that pass the ratio test (Lowe 2004, sec. 7.1), best first."""
     if len(template) == 0 or len(frame) < 2:
         return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
     # What cv2.BFMatcher.knnMatch does, without an object for every match.
@@ -180,11 +170,7 @@ class Homography:
 
 
 def fit_homography(matches: Matches, reprojection_px: float) -> Homography | None:
-    """Fit a homography robustly (MAGSAC, Barath 2019); None where the points allow none.
-
-    Inliers are counted here by eq. (18), not taken from OpenCV, so that the number means what the paper
-    says. Fewer than four inliers cannot carry a homography.
-    """
+    """Fit a homography robustly (MAGSAC, Barath 2019), inliers by eq. (18); None for fewer than four."""
     if len(matches) < 4:
         return None
     parameters = cv2.UsacParams()

@@ -96,11 +96,7 @@ class ClassMasks(Masks):
 
 
 class OnnxSegmenter:
-    """`method = "onnx"`: the class of every pixel by a network.
-
-    Raises ProfileError where the file cannot be used: it is read and tried on a black image at once, so that a
-    fault of the profile shows before the first frame.
-    """
+    """`method = "onnx"`: the class of every pixel by a network; ProfileError at once where it cannot run."""
 
     uses_colours = False
 

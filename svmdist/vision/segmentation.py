@@ -102,11 +102,7 @@ class AutoMasks:
 
 
 class AutoSegmenter:
-    """Finds instruments by their straight edges, and tells them from tissue by colours that it learns.
-
-    The network that ships is a second witness (decision 33). By itself it learns from each image alone; `adapted_to`
-    makes one that has learnt from the images of a log.
-    """
+    """Finds instruments by straight edges, tells them from tissue by learnt colours and the network that ships."""
 
     uses_colours = False
 

@@ -73,11 +73,7 @@ class ShaftRegion:
 def find_shaft(
     shaft: Image, rule: AreaGate, covered: Image | None = None, black: Image | None = None
 ) -> ShaftRegion | None:
-    """Find the shaft in its mask, shape (h, w); None where none comes in from the border.
-
-    `covered`, shape (h, w), marks what is mounted on the shaft and must not be taken for it; `black` what may be the
-    image's border, where the shaft's mask does not hold that too.
-    """
+    """Find the shaft in its mask (h, w), less `covered`; `black` may be border; None where none comes in."""
     height, width = shaft.shape
     dark = np.asarray(cv2.medianBlur(shaft, 3), np.uint8)
     view = field_of_view(dark if black is None else np.asarray(dark | black))

@@ -282,11 +282,7 @@ class StereoPlane:
 
 
 def fit_plane(left_bgr: Image, right_bgr: Image, K: Array, baseline_m: float) -> StereoPlane | None:
-    """The plane of a rectified pair of images, both with K; None where too little matches, or lies on no one plane.
-
-    1 / depth is linear in the pixel on a plane, and so is the disparity f b / depth: three numbers are fitted robustly
-    (RANSAC, then Geman and McClure's loss) to the disparities of semi-global matching.
-    """
+    """The plane of a rectified pair, by RANSAC and Geman and McClure's loss on disparities; None where none fits."""
     step = max(1, round(left_bgr.shape[1] / WIDTH_PX))
     left, right = (_small_grey(image, step) for image in (left_bgr, right_bgr))
     fb_px_m = float(K[0, 0]) / step * baseline_m

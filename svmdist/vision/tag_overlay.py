@@ -43,10 +43,7 @@ class TagPattern:
         self._texture = lru_cache(KEPT_TEXTURES)(self._make_texture)
 
     def sample(self, xy_cells: Array, blur_cells: float) -> Array:
-        """Brightness and its derivatives by x, y and blur, shape (4, n), under a Gaussian blur in cells.
-
-        The points, shape (2, n), are in cells about the tag's middle: x to the right and y up as one reads the tag.
-        """
+        """Brightness and derivatives by x, y, blur, (4, n), under a blur in cells, at points (2, n) in cells, y up."""
         blur_cells = max(blur_cells, SMALLEST_BLUR_CELLS)
         level = round(math.log(blur_cells) / math.log(BLUR_RATIO))
         # OpenCV remaps images of at most 32767 columns: the points go in as rows of a sheet.
@@ -187,11 +184,7 @@ class LaidPattern(NormalEquations):
         return float((self.weight * self.residual) @ self.residual) / max(len(self.residual) - 9, 1)
 
     def covariance(self, cluster_inflation: float) -> Array:
-        """Covariance of the parameters, shape (9, 9), by clusters (White 1980; Liang and Zeger 1986).
-
-        What is left over lies along the edges and is alike along each of them, for sampling and printing err
-        together there: pixels of one cell count as one observation, and what they say is taken as it is.
-        """
+        """Covariance of the parameters (9, 9), by clusters of pixels (White 1980; Liang and Zeger 1986)."""
         inverse = np.linalg.inv(self.information)
         weighted = self.weight * self.residual
         cell = self.cell

@@ -30,10 +30,7 @@ SQUARE_5 = np.ones((5, 5), np.uint8)
 
 @dataclass(frozen=True)
 class WorkingImage:
-    """A small image, shape (h, w, 3) in BGR, and the mask, shape (h, w), of what of it is picture.
-
-    `scale` is its size over that of the image that it was made of; `hinting` gives log odds of instrument for pixels.
-    """
+    """A small BGR image (h, w, 3), the mask of what is picture, its scale, and log odds of instrument on demand."""
 
     bgr: Image
     picture: Image

@@ -237,13 +237,13 @@ def _contours(mask: Image, region: Region, part: Part, name: str = "") -> Iterat
     inside = np.zeros((height, width), np.uint8)
     cv2.fillConvexPoly(inside, region.hull - np.array([x, y], np.int32), 255)
     window = np.ascontiguousarray(mask[y : y + height, x : x + width])
-    yield from contours_of(cv2.bitwise_and(window, inside), part, name, (x, y))
+    yield from contours_of(np.asarray(cv2.bitwise_and(window, inside), np.uint8), part, name, (x, y))
 
 
 def contours_of(mask: Image, part: Part, name: str = "", offset: tuple[int, int] = (0, 0)) -> Iterator[Shape]:
     """The outer contours of a mask, shape (h, w), whose first pixel is at an offset (x, y)."""
     contours, _ = cv2.findContours(
-        np.asarray(mask, np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=offset
+        np.ascontiguousarray(mask), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=offset
     )
     for contour in contours:
         if cv2.arcLength(contour, closed=True) >= MIN_CONTOUR_PX:

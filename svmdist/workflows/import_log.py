@@ -28,9 +28,8 @@ from svmdist.importing.tables import (
     stamps_from_names,
 )
 from svmdist.profile import Limits
-from svmdist.recording.encode import EncodedSample, encode_still
 from svmdist.recording.images import ImageError, decode_file, read_file, still_size
-from svmdist.recording.writer import RecordingWriter
+from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_still
 from svmdist.samples import CameraSample, Image, ImageSample, JointSample, PoseSample, Sample
 
 SIDES = ("left", "right")

@@ -16,8 +16,7 @@ from pathlib import Path
 
 from svmdist.errors import UsageError
 from svmdist.profile import Profile
-from svmdist.recording.encode import EncodedSample, encode_all
-from svmdist.recording.writer import RecordingWriter
+from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_all
 from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.plan import Block, Plan, make_plan
 from svmdist.simulation.scenarios import Scenario

@@ -15,10 +15,10 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
 from svmdist.camera import Camera
 from svmdist.profile import Profile
-from svmdist.recording.encode import encode
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import LEFT_IMAGES, Needs
 from svmdist.recording.source import LossKind
+from svmdist.recording.writer import encode
 from svmdist.samples import CameraSample, ImageSample, Observation, Rejection
 
 from .builders import CAMERA, scene, write_messages, write_scene

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from svmdist.recording.encode import EncodedSample, encode, encode_all
+from svmdist.recording.writer import EncodedSample, encode, encode_all
 from tests.synthetic import make_scene, samples
 
 

@@ -34,7 +34,7 @@ def test_each_format_has_its_reader_whatever_its_name(
     assert isinstance(open_recording(mcap, PROFILE).file.source, McapSource)
     assert isinstance(open_recording(bag, PROFILE).file.source, BagSource)
     assert isinstance(open_recording(database, PROFILE).file.source, BagSource)
-    database.rename(folder / "b.db3")
+    database.rename(folder / "folder.db3")
     assert isinstance(open_recording(folder, PROFILE).file.source, FolderSource)
 
 

@@ -119,7 +119,7 @@ def test_a_cut_ros1_bag_names_the_command_that_repairs_it(tmp_path: Path, profil
 def test_a_missing_part_of_a_folder_is_a_loss(tmp_path: Path, entries: list[Entry], profile: Profile) -> None:
     folder = write_rosbag2(tmp_path / "a", ros_messages(entries), StoragePlugin.SQLITE3)
     metadata = folder / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace("- a.db3", "- a.db3\n    - a_1.db3"))
+    metadata.write_text(metadata.read_text().replace("- a.db3", "- a.db3\n  - a_1.db3"))
     recording = open_recording(folder, profile)
     assert "a_1.db3" in recording.health.describe()[0]
 
@@ -154,10 +154,13 @@ def test_an_unsupported_rosbag2_says_what_it_is(
     tmp_path: Path, entries: list[Entry], profile: Profile
 ) -> None:
     folder = write_rosbag2(tmp_path / "a", ros_messages(entries), StoragePlugin.SQLITE3)
-    (file,) = folder.glob("*.db3")
-    file.rename(folder / "a.db3.zstd")
-    with pytest.raises(RecordingError, match=r"zstd -d a\.db3\.zstd"):
-        open_recording(folder, profile)
-    (folder / "a.db3.zstd").rename(folder / "a.other")
-    with pytest.raises(RecordingError, match="its storage is sqlite3"):
-        open_recording(folder, profile)
+    metadata = folder / "metadata.yaml"
+    text = metadata.read_text()
+    for changed, reason in (
+        (text.replace("a.db3", "a.db3.zstd"), r"zstd -d a\.db3\.zstd"),
+        (text.replace("a.db3", "a.other"), "its storage is sqlite3"),
+        ("a: [", "metadata.yaml is not usable"),
+    ):
+        metadata.write_text(changed)
+        with pytest.raises(RecordingError, match=reason):
+            open_recording(folder, profile)

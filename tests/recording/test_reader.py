@@ -11,10 +11,10 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.profile import Profile
-from svmdist.recording.encode import encode
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import LossKind
 from svmdist.recording.summary import inspect_recording
+from svmdist.recording.writer import encode
 from svmdist.samples import (
     CameraSample,
     ImageSample,

@@ -16,7 +16,7 @@ from fsspec.spec import AbstractBufferedFile, AbstractFileSystem
 from svmdist.errors import RecordingError
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.log import open_recording
-from svmdist.recording.mcap import McapSource, read_summary
+from svmdist.recording.mcap import McapSource
 from svmdist.remote_file import RemoteFile
 from tests.recording.builders import rewrite
 from tests.synthetic import make_scene, write_log
@@ -144,8 +144,7 @@ def write_apart(log: Path, path: Path) -> None:
 
 def test_a_chunk_that_is_damaged_is_a_loss(log: Path) -> None:
     """As it is on a disk, at the same place."""
-    with log.open("rb") as file:
-        summary = read_summary(file)
+    summary = McapSource(log, Limits()).summary
     assert summary is not None
     chunk = summary.chunk_indexes[1]
     data = bytearray(log.read_bytes())

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from svmdist.profile import Limits, Profile
-from svmdist.recording.encode import encode, message_type
 from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthDistance
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import Decoder, EncodedImage, to_sample
 from svmdist.recording.source import RawMessage
+from svmdist.recording.writer import encode, message_type
 from svmdist.samples import (
     CameraSample,
     ImageSample,

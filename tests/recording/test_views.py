@@ -15,8 +15,7 @@ from svmdist.recording import mcap
 from svmdist.recording.log import KnownLag, Recording, open_recording
 from svmdist.recording.observations import LEFT_IMAGES, Reading, Window
 from svmdist.samples import Observation
-from svmdist.workflows.request import prepare
-from svmdist.workflows.scoring.truth import TruthRules
+from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.validate import validate
 from tests.synthetic import make_scene, write_log
 
@@ -89,5 +88,5 @@ def test_validate_reads_a_log_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(mcap, "_expanded", counted)
     path = write_log(tmp_path / "a.mcap", make_scene(), 20)
     setup = prepare()
-    validate([open_recording(path, setup.profile)], setup, TruthRules(), jobs=1)
+    validate([open_recording(path, setup.profile)], Request(setup), jobs=1)
     assert max(list(expanded.values())[1:]) == 1

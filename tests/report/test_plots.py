@@ -168,7 +168,7 @@ def figures(error_mm: float, measured: int = 20, std_mm: float = np.nan, *, in_3
     truth_m = np.linspace(0.01, 0.05, 20)
     one = score_pairs(Pairs(np.arange(20), truth_m + error_mm * 1e-3, truth_m, np.full(20, std_mm * 1e-3)))
     assert isinstance(one, DistanceScore)
-    return Figures(20, measured, one, one if in_3d else None, one if in_3d else None, 5.0)
+    return Figures(20, measured, one, one if in_3d else None, one if in_3d else None, 0.1)
 
 
 def dots(axes: Axes) -> dict[tuple[str, str], float]:
@@ -212,7 +212,7 @@ def test_methods_stand_side_by_side_with_their_figures() -> None:
 
 
 def test_commands_draw_what_they_print(cli: Cli, tmp_path: Path, golden: Path) -> None:
-    """The SVG's methods, and the PNG's size, of a real log; a plot of another command is refused before the work."""
+    """The SVG's methods, and the PNG's size, of a real log; another ending is refused before the work."""
     log = golden / "sweep.mcap"
     outcome = cli(
         "compare", log, "--method", "overlay", "--method", "kinematic", "--every", 20, "-f", "json", "--jobs", 1,
@@ -226,11 +226,5 @@ def test_commands_draw_what_they_print(cli: Cli, tmp_path: Path, golden: Path) -
         picture = cv2.imread(str(tmp_path / name))
         assert picture is not None
         assert picture.shape[1] == pytest.approx(PAGE_IN * 300, abs=2)
-    for arguments, code, said in (
-        (("validate", "--plot", "compare", "--save-plot", "a.png"), 2, "is drawn by svmdist compare"),
-        (("compare", "--plot", "time", "--save-plot", "a.png"), 2, "svmdist compare draws compare"),
-        (("compare", "--plot", "compare"), 2, "--save-plot FILE"),
-        (("estimate", "none.mcap", "--save-plot", "a.jpeg"), 1, "cannot draw a .jpeg"),
-    ):
-        refused = cli(*arguments)
-        assert (refused.code, said in refused.err, refused.err.count("\n")) == (code, True, 1)
+    refused = cli("estimate", "none.mcap", "--save-plot", "a.jpeg")
+    assert (refused.code, "cannot draw a .jpeg" in refused.err, refused.err.count("\n")) == (1, True, 1)

@@ -33,10 +33,7 @@ GATE_Z = FilterSettings().gate_z
 
 @dataclass(frozen=True, slots=True)
 class GatingResult:
-    """A measurement at the gate: its normalised innovation squared, of so many degrees of freedom.
-
-    `source` is the detection that it was made of: what misleads one measurement of a source misleads the others too.
-    """
+    """A measurement at the gate: normalised innovation squared, degrees of freedom, the detection it is made of."""
 
     name: str
     nis: float

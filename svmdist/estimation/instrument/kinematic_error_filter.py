@@ -88,11 +88,7 @@ def _descend(
     x: Array,
     parts: Sequence[Linearised] | None = None,
 ) -> MostProbable | None:
-    """x ← K (r + H x) until x rests; None where a measurement's link leaves the view.
-
-    In this form neither P nor the information has to be inverted: P is nearly singular where a joint's error is
-    as good as known. `parts` are the measurements about the state after x, where they are known.
-    """
+    """x ← K (r + H x) until x rests; None where a link leaves the view. P may be nearly singular."""
     P, size = state.P, state.model.size
     R = block_diagonal([measurement.covariance for measurement in measurements])
     deviations = np.sqrt(np.diag(P) + 1e-18)
@@ -256,11 +252,7 @@ class KinematicErrorFilter:
         self.consistency.clear()
 
     def _gate(self, measurement: LinkMeasurement, part: Linearised) -> GatingResult:
-        """Whether some state near the present one explains a measurement.
-
-        Centimetres off, a camera is far from linear, and a derivative taken there belittles what a state can explain:
-        what fails is judged again at the state that it makes the most probable.
-        """
+        """Whether a state near the present one explains a measurement, judged at the most probable one if need be."""
         size, nis = len(part.residual), np.inf
         if part.is_finite:
             innovation, S, _ = self._state.innovation(part)
@@ -282,11 +274,7 @@ class KinematicErrorFilter:
         return True
 
     def _keep_in_window(self, measurements: Sequence[LinkMeasurement]) -> None:
-        """While the filter is young, keep what it was given, and solve for all of it anew at growing intervals.
-
-        The first frames are linearised tens of millimetres off, where a camera is far from linear; a Kalman
-        filter can never take back a linearisation, a batch can.
-        """
+        """While the filter is young, keep what it was given, and solve it anew as a batch at growing intervals."""
         solves = WINDOW_SOLVES
         if len(self._window) < max(solves):
             self._window.add(MeasurementsAt(self._state.robot, tuple(measurements)))

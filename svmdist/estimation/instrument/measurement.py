@@ -153,11 +153,7 @@ EXACT = Deviations(
 
 @dataclass(frozen=True, slots=True)
 class PoseResidual:
-    """Measured minus predicted, shape (..., m), and its derivative by (δp, δθ) of the link's pose, shape (..., m, 6).
-
-    δp in m and δθ in rad are in the camera frame, p + δp and exp([δθ]) R. The residual is inf and the derivative NaN
-    where the link cannot be seen.
-    """
+    """Measured minus predicted (..., m), derivative by (δp, δθ) in the camera frame; inf and NaN where unseen."""
 
     residual: Array
     derivative: Array

@@ -176,10 +176,7 @@ class DisparityMeasurement(_PointBias):
 
 @dataclass(frozen=True)
 class SizeMeasurement(ConstantBias):
-    """The radius in px of the disc that a sphere of `radius_m` about a link's origin shows.
-
-    The covariance has shape (1, 1) in px²; `bias_std_px` is how far the radius is off for good, by what is hidden.
-    """
+    """The radius in px of the disc that a sphere about a link's origin shows; `bias_std_px` lasts."""
 
     STACKED: ClassVar[tuple[str, ...]] = ("radius_m", "radius_px", "covariance", "bias_std_px")
     source: ClassVar[str] = MARKER
@@ -200,7 +197,7 @@ class SizeMeasurement(ConstantBias):
         visible = p_m[..., 2] >= MIN_DEPTH_M
         if not visible.all():
             p_m = np.where(visible[..., None], p_m, AHEAD_M)
-        predicted_px = self._predicted_px(p_m)
+        predicted_px = apparent_radius_px(p_m, 1.0, self.camera) * self.radius_m
         derivative = np.zeros((*predicted_px.shape, 1, 6))
         # Of f r |p|^½ z^(-3/2), by its logarithm.
         slope = 0.5 * p_m / np.sum(p_m * p_m, -1, keepdims=True)
@@ -215,9 +212,6 @@ class SizeMeasurement(ConstantBias):
     def shared_biases(self, _T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length and the sphere's radius."""
         return self.deviations.of_radius(np.asarray(self.radius_px, np.float64))
-
-    def _predicted_px(self, p_m: Array) -> Array:
-        return apparent_radius_px(p_m, 1.0, self.camera) * self.radius_m
 
 
 EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s

@@ -74,11 +74,7 @@ class DistalMarker:
 def detect_distal_marker(
     image_hsv: Image, mask: Image, region: Region | None, settings: DistalMarkerSettings = DEFAULT
 ) -> DistalMarker | None:
-    """The region of the instrument's mask, shape (h, w), as a disc, sized where the colour has half its strength.
-
-    A grey region is bare steel, of a tip without a coloured marker: it is no disc about the tool's origin and gives
-    None. `image_hsv` has shape (h, w, 3), at normalised exposure.
-    """
+    """The region of the mask (h, w) as a disc, sized where the colour has half its strength; None of bare steel."""
     if region is None or _median_saturation(image_hsv, mask) < settings.min_saturation:
         return None
     disc = marker_disc(image_hsv, mask, region)
@@ -108,11 +104,7 @@ def marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
 def marker_centre(
     region: Region, disc: Disc | None, camera: Camera, depth_m: float, radius_m: float
 ) -> tuple[Array, float]:
-    """The pixel (2,) of the middle of a sphere of `radius_m` at `depth_m`, and the blur of its border in px.
-
-    Blur moves a threshold's border to the side of what the colour mixes with, the place of half its strength hardly.
-    Without a circle, or for a tip that is no sphere (`radius_m` 0), it is the region's centroid, of blur 0.
-    """
+    """The pixel (2,) of a sphere's middle, and its border's blur in px; without a circle the centroid, blur 0."""
     if disc is None or radius_m <= 0.0:
         return region.centroid_px, 0.0
     return without_perspective(disc.centre_px, camera, depth_m, radius_m), disc.blur_px
@@ -134,10 +126,7 @@ MIN_LINE_POINTS, MIN_END_POINTS = 5, 4
 
 @dataclass(frozen=True, slots=True)
 class Contour:
-    """One side of the silhouette: the plane that touches the shaft there, and where it is.
-
-    `side` is +1 to the right of the axis as it runs to the tip, y being down, and -1 to the left.
-    """
+    """One side of the silhouette: the plane that touches the shaft there; `side` is +1 to the right of the axis."""
 
     plane: TangentPlane
     side: int
@@ -265,7 +254,9 @@ def _contour(
     # A threshold may cut a blurred edge two of its deviations off its middle.
     reach_px = max(MIN_EDGE_REACH_PX, EDGE_REACH_FRACTION * width_px) + 2.0 * blur_px
     points_px = edge_points(brightness, start_px, end_px, outward, reach_px, settings, blur_px)
-    points_px = _inside_view(points_px, region.field_of_view)
+    # Around a point the endoscope shows something.
+    column, row = np.round(points_px).astype(np.intp).T
+    points_px = points_px[region.field_of_view[row, column] > 0]
     if len(points_px) == 0:
         return None
     across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
@@ -304,9 +295,3 @@ def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: S
     middle_px = median(ahead_px)
     std_px = max(MIN_END_STD_PX, scale_of(ahead_px - middle_px))
     return Rim(region.end_px + middle_px * towards_tip, towards_tip, std_px)
-
-
-def _inside_view(points_px: Array, view: Image) -> Array:
-    """The points, shape (n, 2), around which the endoscope shows something."""
-    column, row = np.round(points_px).astype(np.intp).T
-    return np.asarray(points_px[view[row, column] > 0])

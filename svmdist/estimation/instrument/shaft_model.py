@@ -313,10 +313,7 @@ def prior_residual(state: ShaftState, start: Array, model: ShaftModel) -> Residu
 
 
 def left_jacobian(vector_rad: Array) -> Array:
-    """J, shape (3, 3), with exp([v + δ]) = exp([J δ]) exp([v]) to first order, for a rotation vector v, (3,).
-
-    I + (1 - cos θ) / θ² [v] + (θ - sin θ) / θ³ [v]² (Solà 2018, "A micro Lie theory", eq. 145).
-    """
+    """J (3, 3) with exp([v + δ]) = exp([J δ]) exp([v]) to first order (Solà 2018, eq. 145)."""
     K = skew(vector_rad)
     angle = float(np.linalg.norm(vector_rad))
     if angle < 1e-4:  # the next terms of the series are below 1e-13

@@ -117,12 +117,11 @@ def fit_two_views(
             alone = _solve(start, only, model)
             if alone is not None and max(alone.excess(GATE_CHI2).values()) <= 1.0:
                 return _fitted(alone, measured, seen, model)
-        failure = found if isinstance(found, Failure) else Failure(_uncertain(found.fit.pose))
+        if isinstance(found, StereoFit):
+            std_m = found.fit.pose.position_std_m
+            found = Failure(f"the position is uncertain by {std_m * 1e3:.1f} mm")
+        failure = found
     return failure
-
-
-def _uncertain(pose: ToolPose) -> str:
-    return f"the position is uncertain by {pose.position_std_m * 1e3:.1f} mm"
 
 
 def _is_disc_in_both(seen: TwoViews) -> bool:

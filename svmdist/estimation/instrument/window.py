@@ -118,11 +118,7 @@ class _Weighed:
 
 
 class Window:
-    """The first frames of a filter that starts at `anchor_m`, shape (3,), with a prior covariance (n, n).
-
-    `with_constants` is the prior's covariance with constants, shape (n, k) each: the batch takes what they do for
-    noise, but the filter that follows does not.
-    """
+    """The first frames of a filter from `anchor_m` (3,), prior covariance (n, n), and that with constants (n, k)."""
 
     def __init__(
         self,

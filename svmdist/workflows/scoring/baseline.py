@@ -57,7 +57,7 @@ class StoredScore(_Stored, extra="allow"):
 
 
 class StoredAlarmRules(_Stored):
-    """What the stored alarms were raised by."""
+    """The rules of the stored alarms."""
 
     below_m: float
     confidence: float

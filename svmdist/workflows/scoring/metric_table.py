@@ -5,7 +5,7 @@ A new metric is one entry in one of the tuples below. Give it `is_late=True`: co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import Flag, StrEnum, auto
 from functools import partial
@@ -26,20 +26,14 @@ class Better(StrEnum):
 
 
 class Output(Flag):
-    """Where a metric stands."""
+    """Where a metric stands: in CSV and JSON (SCORES, FIGURES) or in a table for a person."""
 
-    SCORES = auto()
-    """A column of CSV and JSON of `validate`."""
+    SCORES = auto()  # of `validate`
     SCORE_TABLE = auto()
-    """A column of the first table of `validate`."""
     DISTANCE_TABLE = auto()
-    """A column of its table of the three distances."""
     ALARM_TABLE = auto()
-    """A column of its table of alarms."""
-    FIGURES = auto()
-    """A column of CSV and JSON of `compare` and `blur-bench --grid`."""
+    FIGURES = auto()  # of `compare` and `blur-bench`
     FIGURE_TABLE = auto()
-    """A column of their tables."""
 
 
 NOWHERE = Output(0)
@@ -99,12 +93,9 @@ def of_distance(metrics: Iterable[Metric], distance: str) -> list[Metric]:
     if distance != "planar":
         named = [
             replace(
-                metric,
-                key=f"{distance}_{metric.key}",
-                outputs=metric.outputs_in_3d,
-                tolerance=metric.tolerance_in_3d,
+                one, key=f"{distance}_{one.key}", outputs=one.outputs_in_3d, tolerance=one.tolerance_in_3d
             )
-            for metric in named
+            for one in named
         ]
     return of_part(named, distance)
 
@@ -112,13 +103,6 @@ def of_distance(metrics: Iterable[Metric], distance: str) -> list[Metric]:
 def within(metrics: Iterable[Metric], output: Output) -> list[Metric]:
     """The metrics that stand in an output."""
     return [metric for metric in metrics if output & metric.outputs]
-
-
-def row_keys(before: Sequence[str], metrics: Sequence[Metric], after: Sequence[str] = ()) -> tuple[str, ...]:
-    """The columns of a row: labels, metrics, labels, and metrics that came later."""
-    early = [metric.key for metric in metrics if not metric.is_late]
-    late = [metric.key for metric in metrics if metric.is_late]
-    return (*before, *early, *after, *late)
 
 
 def cells(metrics: Iterable[Metric], of: object) -> dict[str, Value]:
