@@ -27,9 +27,6 @@ from svmdist.samples import Image
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC = b"\xff\xd8\xff"
 JPEG_END = b"\xff\xd9"
-JPEG_SCAN = b"\xff\xda"
-MAX_JPEG_SCANS = 100
-"""A progressive JPEG has about ten; each costs a pass over the whole image, whatever few bytes it takes."""
 JPEG_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 JPEG_BARE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
 
@@ -140,9 +137,6 @@ def _check_jpeg(data: bytes) -> tuple[int, int]:
     """Read the dimensions from the frame header, and see that the end marker is there."""
     if JPEG_END not in data[-64:]:  # some cameras pad with zeros behind it
         raise ImageError(f"a JPEG that ends early, after {len(data)} bytes")
-    # Inside a scan a byte 0xFF is followed by 0, so that these two bytes begin one, here or in a thumbnail.
-    if data.count(JPEG_SCAN) > MAX_JPEG_SCANS:
-        raise ImageError(f"a JPEG of more than {MAX_JPEG_SCANS} scans")
     position = 2
     while position + 4 <= len(data):
         if data[position] != 0xFF:

@@ -7,15 +7,12 @@ from functools import cache
 from typing import Any
 
 from svmdist.recording.messages import (
-    MAX_JOINTS,
-    MAX_TRANSFORMS,
     NS,
     DecodeError,
     Message,
     Pixels,
     RawTransform,
     RawTransforms,
-    check_count,
     checked_camera,
     checked_joints,
     checked_stamp,
@@ -77,7 +74,6 @@ def _camera(message: Any, log_time_ns: int) -> CameraSample:
 
 
 def _joints(message: Any, log_time_ns: int) -> JointSample:
-    check_count(message.name, MAX_JOINTS)
     return checked_joints(_header(message, log_time_ns)[0], message.name, message.position.tolist())
 
 
@@ -96,7 +92,6 @@ def _pose(message: Any, log_time_ns: int) -> RawTransform:
 
 
 def _transforms(message: Any, log_time_ns: int) -> RawTransforms:
-    check_count(message.transforms, MAX_TRANSFORMS)
     return transforms_of([_stamped(one, log_time_ns) for one in message.transforms], log_time_ns)
 
 

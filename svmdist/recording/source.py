@@ -12,8 +12,6 @@ from svmdist.input_file import LogPath
 
 MAX_NAME_LENGTH = 300
 MAX_LISTED_NAMES = 40
-MAX_NAME_BYTES = 4096
-"""Of a topic, a frame, a joint, a schema: anything longer is not a name."""
 MAX_LISTED_LOSSES = 1000
 """Reports about a file with a million broken chunks must not fill the memory."""
 METADATA_FILE = "metadata.yaml"
