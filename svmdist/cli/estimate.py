@@ -53,14 +53,13 @@ class EstimateOptions(LogOptions, MeasureOptions, GroupOption):
     form: str | None = format_option(Holds.ROWS)
     output: Path | None = output_option()
     force: bool = option(
-        False, "--force", None, "Replace a recording that exists. Other files are replaced anyway."
+        False, "--force", "Replace a recording that exists. Other files are replaced anyway."
     )
     report: Path | None = REPORT
     save_plot: Path | None = PLOT
     summary: Path | None = option(
         None,
-        "--summary",
-        "FILE",
+        "--summary FILE",
         "Write the figures of each log, sorted by severity, worst first, of groups and of all logs to this file"
         " (csv, json, parquet, md, tex, or text).",
     )

@@ -17,7 +17,7 @@ from svmdist.samples import Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, rotation_z
 from svmdist.workflows.calibrate import collect_part, fit_parts
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.request import Setup, prepare
+from svmdist.workflows.request import Request, Setup, prepare
 from svmdist.workflows.scoring.truth import Reference, truth_rules
 from svmdist.workflows.validate import Validation, validate
 from tests.measuring import flat
@@ -93,7 +93,7 @@ def measured(path: Path, setup: Setup) -> tuple[list[FrameResult], Validation]:
     rules = truth_rules(RULES, setup.profile, (Reference.TF, Reference.KINEMATICS))
     recording = open_recording(path, setup.profile)
     rows = list(estimate(recording, setup))
-    validation = validate([recording], setup, rules)
+    validation = validate([recording], Request(setup, rules=rules))
     assert recording.health.is_clean
     return rows, validation
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.errors import KinematicsError
-from svmdist.geometry.closest import cross
+from svmdist.geometry.distance import cross
 from svmdist.geometry.surfaces import Capsules, join
 from svmdist.kinematics.dh import (
     DHChain,

@@ -10,8 +10,8 @@ import pytest
 import trimesh
 
 from svmdist.errors import ProfileError
-from svmdist.geometry.mesh_files import MAX_TRIANGLES, read_closed_mesh
-from svmdist.geometry.separation import separation
+from svmdist.geometry.distance import separation
+from svmdist.geometry.mesh import MAX_TRIANGLES, read_closed_mesh
 from svmdist.geometry.surfaces import Capsules
 
 
