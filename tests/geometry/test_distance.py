@@ -16,7 +16,7 @@ from svmdist.geometry.distance import (
     separation,
     signed_distances,
 )
-from svmdist.geometry.surfaces import Capsules, Cloud, Mesh, Plane, Surface
+from svmdist.geometry.surfaces import Capsules, Cloud, Mesh, Plane, Surface, join
 from svmdist.transforms import Array, make_transform, rotation_x, rotation_z, transform_points
 
 EXACT = 1e-9
