@@ -29,12 +29,16 @@ def run() -> None:
         from svmdist.cli.main import run as run_commands
 
         run_commands()
-    except Terminated as problem:
-        print("svmdist: terminated", file=sys.stderr)
-        sys.exit(128 + problem.signal_number)
-    except KeyboardInterrupt:
-        print("svmdist: interrupted", file=sys.stderr)
-        sys.exit(130)
+    except (KeyboardInterrupt, RuntimeError) as problem:
+        # Python 3.11 wraps what is raised while it creates a class into a RuntimeError.
+        ending = problem.__cause__ if isinstance(problem, RuntimeError) else problem
+        if isinstance(ending, Terminated):
+            print("svmdist: terminated", file=sys.stderr)
+            sys.exit(128 + ending.signal_number)
+        if isinstance(ending, KeyboardInterrupt):
+            print("svmdist: interrupted", file=sys.stderr)
+            sys.exit(130)
+        raise
     finally:
         # What is left is Python's own clean-up: an interrupt there shall end it, not print where it was.
         signal.signal(signal.SIGINT, signal.SIG_DFL)

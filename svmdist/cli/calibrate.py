@@ -29,9 +29,7 @@ class CalibrateOptions(LogOptions, ReadOptions, WindowOptions):
     """What `calibrate` takes."""
 
     output: Path = output_option("FILE.toml", "Calibration file to write.", ...)
-    method: PlanarMethod = option(
-        PlanarMethod.OVERLAY, "--method", None, "The planar method that will use the mapping."
-    )
+    method: PlanarMethod = option("overlay", "--method", "The planar method that will use the mapping.")
     force: bool = FORCE
 
 
@@ -57,7 +55,7 @@ def calibrate_command(given: CalibrateOptions) -> None:
     logs = Logs(given)
     require_output(given.output, logs.paths)
     require_new(given.output, force=given.force)
-    setup = Setup(load_profile(given.profile, given.hand_eye), given.method.value, "corrected", None)
+    setup = Setup(load_profile(given.profile, given.hand_eye), given.method, "corrected", None)
     request = Request(setup, given.topics, given.window)
     run = logs.run(Job(collect_log, request, CalibrationPart), "measuring")
     calibration = fit_parts(run.results, setup.method)

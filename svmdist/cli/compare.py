@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -18,7 +18,6 @@ from svmdist.cli.options import (
     GoldenLogOptions,
     GroupOption,
     LagOption,
-    Method,
     ReadOptions,
     WindowOptions,
     format_option,
@@ -28,12 +27,7 @@ from svmdist.cli.options import (
     parse_degradations,
     parse_perturbations,
 )
-from svmdist.cli.output import (
-    progress_bar,
-    require_output,
-    require_plot,
-    write_results,
-)
+from svmdist.cli.output import progress_bar, require_output, require_plot, write_results
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.report.writers import Holds, choose_writer
 
@@ -46,36 +40,33 @@ if TYPE_CHECKING:
     from svmdist.workflows.request import Request, Setup
 
 
-class ComparePlot(StrEnum):
-    """`--plot`: the only one that there is."""
-
-    COMPARE = "compare"
+MethodChoice = StrEnum("MethodChoice", "overlay centroid fiducial shaft stereo kinematic fused")
+ComparePlot = Literal["compare"]
+"""`--plot`: the only one that there is."""
 
 
 class CompareOptions(GoldenLogOptions, CalibrationOption, ReadOptions, LagOption, WindowOptions, GroupOption):
     """What `compare` takes."""
 
-    method: list[Method] | None = option(
-        None, "--method", "|".join(Method), "A method to compare; may be repeated. Default: all."
+    method: list[MethodChoice] | None = option(
+        None, f"--method {'|'.join(MethodChoice)}", "A method to compare; may be repeated. Default: all."
     )
     degrade: list[str] | None = option(
         None,
-        "--degrade",
-        "NAME=SEVERITY|all",
+        "--degrade NAME=SEVERITY|all",
         "Also measure with the images degraded, as in smoke=3; all stands for every degradation at every severity."
         " May be repeated; each is applied alone.",
     )
     perturb: list[str] | None = option(
         None,
-        "--perturb",
-        "NAME=STRENGTH",
+        "--perturb NAME=STRENGTH",
         "Also measure in a world that is not as log and profile say, as in focal=1 or lag=30. May be "
         "repeated; each is applied alone, NAME=STRENGTH,NAME=STRENGTH together. Names: docs/simulation.md.",
     )
     form: str | None = format_option(Holds.FIGURES)
     output: Path | None = output_option()
     save_plot: Path | None = PLOT
-    plot: ComparePlot | None = option(None, "--plot", None, "What --save-plot draws.", hidden=True)
+    plot: ComparePlot | None = option(None, "--plot", "What --save-plot draws.", hidden=True)
 
     @property
     def conditions(self) -> list[LogCondition]:
@@ -123,12 +114,12 @@ def compare_command(given: CompareOptions) -> None:
     writer = choose_writer(given.form, given.output, Holds.FIGURES)
     keys, lag = given.group_keys, given.given_lag
     conditions = given.conditions
-    planar = (Method.OVERLAY, Method.CENTROID)
-    methods = list(dict.fromkeys(given.method or Method))
+    planar = ("overlay", "centroid")
+    methods = list(dict.fromkeys(map(str, given.method or MethodChoice)))
     setups = tuple(
         prepare(
             given.profile,
-            method.value,
+            method,
             "corrected",
             given.calibration if method in planar else None,
             given.hand_eye,
@@ -173,7 +164,7 @@ class BlurOptions(GoldenLogOptions, CalibrationOption, ReadOptions, WindowOption
     """What `blur-bench` takes."""
 
     kernel: list[str] | None = option(
-        None, "--kernel", "BLUR=PX", "Kernel size of one blur, an odd number; may be repeated."
+        None, "--kernel BLUR=PX", "Kernel size of one blur, an odd number; may be repeated."
     )
     form: str | None = format_option(Holds.FIGURES)
     output: Path | None = output_option()

@@ -53,14 +53,13 @@ class EstimateOptions(LogOptions, MeasureOptions, GroupOption):
     form: str | None = format_option(Holds.ROWS)
     output: Path | None = output_option()
     force: bool = option(
-        False, "--force", None, "Replace a recording that exists. Other files are replaced anyway."
+        False, "--force", "Replace a recording that exists. Other files are replaced anyway."
     )
     report: Path | None = REPORT
     save_plot: Path | None = PLOT
     summary: Path | None = option(
         None,
-        "--summary",
-        "FILE",
+        "--summary FILE",
         "Write the figures of each log, sorted by severity, worst first, of groups and of all logs to this file"
         " (csv, json, parquet, md, tex, or text).",
     )
@@ -239,22 +238,15 @@ def _write_pictures(
 ) -> None:
     if plot:
         from svmdist.report.plots import SeriesPlot, save_series_plot
-        from svmdist.workflows.series import make_series
+        from svmdist.workflows.series import series_of
 
-        series = [
-            made
-            for one in measured
-            for made in make_series(one.rows, one.recording, request.setup, lag=one.lag)
-        ]
         below_m = request.alarms.below_m if request.alarms else None
-        save_series_plot(series, SeriesPlot.TIME, plot, below_m)
+        save_series_plot(series_of(measured, request), SeriesPlot.TIME, plot, below_m)
     if report:
         from svmdist.report.html import estimate_report, write_report
 
         with progress_bar("drawing the worst frames", "images") as advance:
-            page = estimate_report(
-                measured, request.setup, command_line(), request.alarms, jobs, logs, advance
-            )
+            page = estimate_report(measured, request, command_line(), jobs, logs, advance)
         write_report(page, report)
 
 

@@ -35,19 +35,17 @@ if TYPE_CHECKING:
 class FkOptions(LogOptions, ReadOptions, WindowOptions):
     """What `fk` takes."""
 
-    joints: str | None = option(None, "--joints", "TOPIC", "Topic of the joint states.")
+    joints: str | None = option(None, "--joints TOPIC", "Topic of the joint states.")
     in_camera: bool = option(
-        False, "--in-camera", None, "In the camera's frame, by the transform of hand-eye or of the log."
+        False, "--in-camera", "In the camera's frame, by the transform of hand-eye or of the log."
     )
     form: str | None = format_option(Holds.POSES, "; tum is the format of evo")
     output: Path | None = output_option()
-    start: float = option(
-        0.0, "--start", "SECONDS", "Seconds after the first joint state to begin at.", min=0.0
-    )
+    start: float = option(0.0, "--start SECONDS", "Seconds after the first joint state to begin at.", min=0.0)
     end: float | None = option(
-        None, "--end", "SECONDS", "Seconds after the first joint state to end at.", min=0.0
+        None, "--end SECONDS", "Seconds after the first joint state to end at.", min=0.0
     )
-    every: int = option(1, "--every", "N", "Take every N-th joint state only.", min=1)
+    every: int = option(1, "--every N", "Take every N-th joint state only.", min=1)
 
 
 def fk_command(given: FkOptions) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -30,19 +29,12 @@ if TYPE_CHECKING:
     from svmdist.profile import Profile
 
 
-class SeeingMethod(StrEnum):
-    """`--method` of hand-eye: what finds the tool in the images alone."""
-
-    FIDUCIAL = "fiducial"
-    STEREO = "stereo"
-    SHAFT = "shaft"
+SeeingMethod = Literal["fiducial", "stereo", "shaft"]
+"""`--method` of hand-eye: what finds the tool in the images alone."""
 
 
-class Against(StrEnum):
-    """`--against`: what the robot reports."""
-
-    KINEMATICS = "kinematics"
-    POSE = "pose"
+Against = Literal["kinematics", "pose"]
+"""`--against`: what the robot reports."""
 
 
 class HandEyeOptions(ProfileOptions, InstrumentOption, LagOption, WindowOptions):
@@ -52,13 +44,11 @@ class HandEyeOptions(ProfileOptions, InstrumentOption, LagOption, WindowOptions)
     method: SeeingMethod | None = option(
         None,
         "--method",
-        None,
         "What finds the tool: fiducial, stereo or shaft. Default: the first of these that finds it.",
     )
     against: Against | None = option(
         None,
         "--against",
-        None,
         "What the robot reports: kinematics of its joints, or the poses of measured_cp. Default: the joints"
         " where log and profile have them.",
     )
@@ -94,8 +84,8 @@ def hand_eye_command(given: HandEyeOptions) -> None:
     require_new(output, force=given.force)
     writer = choose_writer(given.form, None, Holds.TABLES)
     lag, window, topics = given.given_lag, given.window, given.topics
-    methods = [given.method.value] if given.method else _served(file, load_profile(given.profile), topics)
-    against = None if given.against is None else given.against.value
+    methods = [given.method] if given.method else _served(file, load_profile(given.profile), topics)
+    against = None if given.against is None else given.against
     failures: list[str] = []
     for method in methods:
         setup = prepare(given.profile, method)

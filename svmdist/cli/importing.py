@@ -20,69 +20,57 @@ class ImportCommandOptions(Options):
     source: Path = argument(..., "SOURCE", "Folder of images, or a video.")
     right: Path | None = argument(None, "RIGHT", "The right view: a folder or a video.")
     output: Path | None = output_option("FILE.mcap", "Log to write. Default: SOURCE.mcap.")
-    pattern: str | None = option(None, "--pattern", "GLOB", "Which images of the folder, as in '*_L.jpg'.")
+    pattern: str | None = option(None, "--pattern GLOB", "Which images of the folder, as in '*_L.jpg'.")
     right_pattern: str | None = option(
         None,
-        "--right-pattern",
-        "GLOB",
+        "--right-pattern GLOB",
         "Which images are the right view, as in '*_R.jpg'; without RIGHT, of the same folder.",
     )
     side_by_side: bool = option(
-        False,
-        "--side-by-side",
-        None,
-        "Each picture has the left view on its left half, the right one beside.",
+        False, "--side-by-side", "Each picture has the left view on its left half, the right one beside."
     )
     calibration: Path | None = option(
         None,
-        "--calibration",
-        "FILE.yaml",
+        "--calibration FILE.yaml",
         "camera_info of ROS, OpenCV's or Kalibr's calibration, of one camera or a pair.",
     )
     right_calibration: Path | None = option(
-        None, "--right-calibration", "FILE.yaml", "The right camera's, in a file of its own."
+        None, "--right-calibration FILE.yaml", "The right camera's, in a file of its own."
     )
-    camera: str | None = option(None, "--camera", "FX,FY,CX,CY", "The camera in px, in place of a file.")
+    camera: str | None = option(None, "--camera FX,FY,CX,CY", "The camera in px, in place of a file.")
     right_camera: str | None = option(
-        None, "--right-camera", "FX,FY,CX,CY", "The right one. Default: as the left one."
+        None, "--right-camera FX,FY,CX,CY", "The right one. Default: as the left one."
     )
-    distortion: str | None = option(
-        None, "--distortion", "K1,K2,P1,P2[,K3…]", "With --camera. Default: none."
-    )
+    distortion: str | None = option(None, "--distortion K1,K2,P1,P2[,K3…]", "With --camera. Default: none.")
     distortion_model: str = option(
-        "plumb_bob", "--distortion-model", "NAME", "plumb_bob, rational_polynomial or fisheye."
+        "plumb_bob", "--distortion-model NAME", "plumb_bob, rational_polynomial or fisheye."
     )
     baseline: str | None = option(
         None,
-        "--baseline",
-        "LENGTH",
+        "--baseline LENGTH",
         "Distance of the cameras of a rectified pair, as in 5.2mm; in place of what a file says.",
     )
-    unit: str = option("m", "--unit", "UNIT", "Unit of lengths in calibration and poses: m, cm or mm.")
+    unit: str = option("m", "--unit UNIT", "Unit of lengths in calibration and poses: m, cm or mm.")
     rate: float | None = option(
-        None, "--rate", "HZ", "Images per second, where neither names nor video tell the time."
+        None, "--rate HZ", "Images per second, where neither names nor video tell the time."
     )
-    start: str = option("0", "--start", "SECONDS", "Time of the first image, with --rate or a video.")
+    start: str = option("0", "--start SECONDS", "Time of the first image, with --rate or a video.")
     times: Path | None = option(
-        None, "--times", "FILE.csv", "Times of the images: a column of times, or of names and times."
+        None, "--times FILE.csv", "Times of the images: a column of times, or of names and times."
     )
     poses: list[str] | None = option(
         None,
-        "--poses",
-        "[NAME=]FILE.csv",
+        "--poses [NAME=]FILE.csv",
         "Poses of the tool in the robot's base, of instrument NAME (PSM1); may be repeated.",
     )
-    joints: list[str] | None = option(
-        None, "--joints", "[NAME=]FILE.csv", "Joint positions; may be repeated."
-    )
+    joints: list[str] | None = option(None, "--joints [NAME=]FILE.csv", "Joint positions; may be repeated.")
     joint_names: str | None = option(
-        None, "--joint-names", "NAME,…", "Of the columns of --joints that have none."
+        None, "--joint-names NAME,…", "Of the columns of --joints that have none."
     )
-    every: int = option(1, "--every", "N", "Take each Nth image only.", min=1)
+    every: int = option(1, "--every N", "Take each Nth image only.", min=1)
     jpeg: int | None = option(
         None,
-        "--jpeg",
-        "QUALITY",
+        "--jpeg QUALITY",
         "Store what has to be decoded (video, side by side) as JPEG. Default: PNG, without loss.",
         min=1,
         max=100,

@@ -10,9 +10,8 @@ import logging
 import math
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
@@ -34,9 +33,12 @@ class Options:
         self.__dict__.update(values)
 
 
-def option(default: Any, names: str, metavar: str | None, text: str, **more: Any) -> Any:
-    """Declare an option: its default, its names between spaces, what stands for its value in the help, and the help."""
-    return typer.Option(default, *names.split(), metavar=metavar, help=text, **more)
+def option(default: Any, names: str, text: str, **more: Any) -> Any:
+    """Declare an option: its default, its names and what stands for its value, as in `--jobs -j N`, and the help."""
+    words = names.split()
+    named = [word for word in words if word.startswith("-")]
+    metavar = next((word for word in words if not word.startswith("-")), None)
+    return typer.Option(default, *named, metavar=metavar, help=text, **more)
 
 
 def argument(default: Any, metavar: str, text: str) -> Any:
@@ -73,8 +75,8 @@ def _names(group: type) -> list[str]:
     return list(dict.fromkeys([*inherited, *own]))
 
 
-QUIET = option(False, "--quiet -q", None, "Print only data and errors.")
-VERBOSE = option(False, "--verbose -v", None, "Also print which topics are read, and the time taken.")
+QUIET = option(False, "--quiet -q", "Print only data and errors.")
+VERBOSE = option(False, "--verbose -v", "Also print which topics are read, and the time taken.")
 
 
 def choose_verbosity(*, quiet: bool, verbose: bool) -> None:
@@ -83,30 +85,16 @@ def choose_verbosity(*, quiet: bool, verbose: bool) -> None:
         logging.getLogger("svmdist").setLevel(logging.ERROR if quiet else logging.DEBUG)
 
 
-class Method(StrEnum):
-    """`--method`: the paper's, its ablation, and those in 3D."""
-
-    OVERLAY = "overlay"
-    CENTROID = "centroid"
-    FIDUCIAL = "fiducial"
-    SHAFT = "shaft"
-    STEREO = "stereo"
-    KINEMATIC = "kinematic"
-    FUSED = "fused"
+Method = Literal["overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"]
+"""`--method`: the paper's, its ablation, and those in 3D."""
 
 
-class PlanarMethod(StrEnum):
-    """`--method` where only the paper's and its ablation make sense."""
-
-    OVERLAY = "overlay"
-    CENTROID = "centroid"
+PlanarMethod = Literal["overlay", "centroid"]
+"""`--method` where only the paper's and its ablation make sense."""
 
 
-class EquationsChoice(StrEnum):
-    """`--equations`: the readings of the paper's formulas."""
-
-    CORRECTED = "corrected"
-    PRINTED = "printed"
+EquationsChoice = Literal["corrected", "printed"]
+"""`--equations`: the readings of the paper's formulas."""
 
 
 def format_option(holds: Holds, more: str = "") -> Any:
@@ -114,8 +102,7 @@ def format_option(holds: Holds, more: str = "") -> Any:
     names = names_of(holds)
     return option(
         None,
-        "--format -f",
-        "|".join(names),
+        f"--format -f {'|'.join(names)}",
         f"Format of the data{more}. Default: by the ending of the output file, else {names[0]}.",
         autocompletion=lambda incomplete: [name for name in names if name.startswith(incomplete)],
     )
@@ -129,14 +116,13 @@ def output_option(metavar: str = "FILE", text: str = "", default: Any = None) ->
     """Declare `--output`; without a text of its own it is data that goes to stdout by default."""
     to_file = "Write the data to this file instead of stdout, in the format of its ending; - is stdout."
     callback = None if text else _stdout_for_dash
-    return option(default, "--output -o", metavar, text or to_file, callback=callback)
+    return option(default, f"--output -o {metavar}", text or to_file, callback=callback)
 
 
-FORCE = option(False, "--force", None, "Replace the file if it exists.")
+FORCE = option(False, "--force", "Replace the file if it exists.")
 JOBS = option(
     None,
-    "--jobs -j",
-    "N",
+    "--jobs -j N",
     "Logs, frames or conditions to work on at a time. The results are the same. Default: the usable cores.",
     min=1,
     max=256,
@@ -152,14 +138,12 @@ class LogOptions(Options):
     jobs: int | None = JOBS
     scheduler: str | None = option(
         None,
-        "--scheduler",
-        "tcp://HOST:PORT",
+        "--scheduler tcp://HOST:PORT",
         "Measure on this Dask cluster, one task per log; its workers read the same paths or URLs.",
     )
     resume: Path | None = option(
         None,
-        "--resume",
-        "FOLDER",
+        "--resume FOLDER",
         "Keep each log's result in this folder, and reuse those of the same log, request and version.",
     )
 
@@ -177,8 +161,7 @@ class TopicOption(Options):
 
     topic: list[str] | None = option(
         None,
-        "--topic",
-        "ROLE=TOPIC",
+        "--topic ROLE=TOPIC",
         "Topic for a role, instead of the profile's; may be repeated. Roles: image, camera_info, right_image,"
         " right_camera_info, joints, pose, tf, ground_truth_tf, ground_truth_distance.",
     )
@@ -199,7 +182,7 @@ class ProfileOptions(TopicOption):
     """How a log is read."""
 
     profile: str = option(
-        "psm13", "--profile", "NAME|FILE", "Scene profile: the name of one that ships, or a TOML file."
+        "psm13", "--profile NAME|FILE", "Scene profile: the name of one that ships, or a TOML file."
     )
 
 
@@ -208,8 +191,7 @@ class ReadOptions(ProfileOptions):
 
     hand_eye: Path | None = option(
         None,
-        "--hand-eye",
-        "FILE",
+        "--hand-eye FILE",
         "Camera-to-base transforms of `svmdist hand-eye`, in place of the profile's and the log's.",
     )
 
@@ -217,9 +199,9 @@ class ReadOptions(ProfileOptions):
 class WindowOptions(Options):
     """Which images are read."""
 
-    start: float = option(0.0, "--start", "SECONDS", "Seconds after the first image to begin at.", min=0.0)
-    end: float | None = option(None, "--end", "SECONDS", "Seconds after the first image to end at.", min=0.0)
-    every: int = option(1, "--every", "N", "Take every N-th image only.", min=1)
+    start: float = option(0.0, "--start SECONDS", "Seconds after the first image to begin at.", min=0.0)
+    end: float | None = option(None, "--end SECONDS", "Seconds after the first image to end at.", min=0.0)
+    every: int = option(1, "--every N", "Take every N-th image only.", min=1)
 
     @property
     def window(self) -> Window | None:
@@ -237,7 +219,7 @@ class CalibrationOption(Options):
     """The planar methods' mapping."""
 
     calibration: Path | None = option(
-        None, "--calibration", "FILE", "Calibration file. Default: the one that ships with the profile."
+        None, "--calibration FILE", "Calibration file. Default: the one that ships with the profile."
     )
 
 
@@ -245,9 +227,8 @@ class MethodOptions(CalibrationOption):
     """What measures."""
 
     method: Method = option(
-        Method.OVERLAY,
+        "overlay",
         "--method",
-        None,
         "Planar: overlay (the paper's virtual marker) and centroid (the same without the marker)."
         " In 3D: fiducial (tag), shaft, stereo (two cameras), kinematic, and fused (all of them).",
     )
@@ -257,9 +238,8 @@ class EquationsOption(Options):
     """Which reading of the paper's equations is used."""
 
     equations: EquationsChoice = option(
-        EquationsChoice.CORRECTED,
+        "corrected",
         "--equations",
-        None,
         "Reading of the paper's formulas: corrected, or printed, that is as published.",
     )
 
@@ -269,8 +249,7 @@ class InstrumentOption(Options):
 
     instrument: list[str] | None = option(
         None,
-        "--instrument",
-        "NAME",
+        "--instrument NAME",
         "Measure only this instrument of a log with several; may be repeated. Default: all.",
     )
 
@@ -290,8 +269,7 @@ class LagOption(Options):
 
     lag: str | None = option(
         None,
-        "--lag",
-        "auto|SECONDS",
+        "--lag auto|SECONDS",
         "Lag of the image stamps, positive where they are late; auto estimates it. Joints are looked up there."
         " Default: no correction.",
     )
@@ -318,14 +296,12 @@ class AlarmOptions(Options):
 
     alarm_below: str | None = option(
         None,
-        "--alarm-below",
-        "LENGTH",
+        "--alarm-below LENGTH",
         "Raise an alarm where the clearance is below this, as in 5mm. For methods that estimate a clearance.",
     )
     alarm_confidence: float | None = option(
         None,
-        "--alarm-confidence",
-        "P",
+        "--alarm-confidence P",
         "Alarm where the clearance is below the threshold with at least this probability."
         " Default 0.05: alarm unless the frame is safe with 95 % probability.",
         min=0.0,
@@ -355,8 +331,7 @@ class GroupOption(Options):
 
     group: str | None = option(
         None,
-        "--group",
-        "KEY,...",
+        "--group KEY,...",
         "Also give figures for each group of logs, by their metadata, as in scenario,world.",
     )
 
@@ -386,21 +361,18 @@ class MeasureOptions(
         from svmdist.workflows.request import Request, prepare
         from svmdist.workflows.scoring.score import require_clearance
 
-        lag, alarms, window = self.given_lag, self.rules(self.method.value), self.window
-        setup = prepare(
-            self.profile, self.method.value, self.equations.value, self.calibration, self.hand_eye
-        )
+        lag, alarms, window = self.given_lag, self.rules(self.method), self.window
+        setup = prepare(self.profile, self.method, self.equations, self.calibration, self.hand_eye)
         if alarms:
             require_clearance(setup.method, setup.profile)
         wanted = self.instruments(setup.profile)
         return Request(setup, self.topics, window, wanted, lag, alarms)
 
 
-PLOT = option(None, "--save-plot", "FIG", "Plot to this file (png, svg, pdf).")
+PLOT = option(None, "--save-plot FIG", "Plot to this file (png, svg, pdf).")
 REPORT = option(
     None,
-    "--report",
-    "FILE.html",
+    "--report FILE.html",
     "Write a report with interactive plots and the worst frames to this file; it needs no network.",
 )
 LENGTH_UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}

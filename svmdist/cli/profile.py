@@ -13,7 +13,7 @@ class NewOptions(TopicOption):
     """What `profile new` takes."""
 
     file: Path = argument(..., "FILE", "Log to look at.")
-    name: str | None = option(None, "--name", "NAME", "Name of the profile. Default: that of the log.")
+    name: str | None = option(None, "--name NAME", "Name of the profile. Default: that of the log.")
     output: Path | None = output_option()
     force: bool = FORCE
 

@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from svmdist.cli.options import (
-    FORCE,
-    Options,
-    option,
-    output_option,
-    parse_degradations,
-    parse_perturbations,
-)
+from svmdist.cli.options import FORCE, Options, option, output_option, parse_degradations, parse_perturbations
 from svmdist.cli.output import LOG, ExitCode, progress_bar, require_output
 from svmdist.errors import UsageError
 
@@ -24,57 +16,38 @@ if TYPE_CHECKING:
     from svmdist.workflows.episodes import Episodes
 
 
-class ScenarioName(StrEnum):
-    """`--scenario`."""
-
-    CALIBRATION = "calibration"
-    SWEEP = "sweep"
-    APPROACH = "approach"
-    CONTACT = "contact"
-    OCCLUSION = "occlusion"
-    RANDOM = "random"
+ScenarioName = Literal["calibration", "sweep", "approach", "contact", "occlusion", "random"]
+"""`--scenario`."""
 
 
-class WorldName(StrEnum):
-    """`--world`."""
-
-    IDEAL = "ideal"
-    REAL = "real"
+WorldName = Literal["ideal", "real"]
+"""`--world`."""
 
 
 class RecordOptions(Options):
     """What `record` takes."""
 
-    scenario: ScenarioName = option(ScenarioName.SWEEP, "--scenario", None, "Motion of the instrument.")
+    scenario: ScenarioName = option("sweep", "--scenario", "Motion of the instrument.")
     seed: int = option(
-        1, "--seed", "N", "Seed of everything random; the same seed gives the same content.", min=0
+        1, "--seed N", "Seed of everything random; the same seed gives the same content.", min=0
     )
-    duration: float = option(8.0, "--duration", "SECONDS", "Duration of the recording.", min=0.2, max=3600.0)
-    rate: float = option(10.0, "--rate", "HZ", "Images per second.", min=0.5, max=60.0)
+    duration: float = option(8.0, "--duration SECONDS", "Duration of the recording.", min=0.2, max=3600.0)
+    rate: float = option(10.0, "--rate HZ", "Images per second.", min=0.5, max=60.0)
     noise: float = option(
-        0.0,
-        "--noise",
-        "LEVELS",
-        "Standard deviation of the sensor noise, in 8-bit levels.",
-        min=0.0,
-        max=50.0,
+        0.0, "--noise LEVELS", "Standard deviation of the sensor noise, in 8-bit levels.", min=0.0, max=50.0
     )
-    stereo: bool = option(
-        False, "--stereo", None, "Add the right camera: /ECM/right/image and its camera_info."
-    )
-    tag: bool = option(False, "--tag", None, "Mount the profile's AprilTag plate on the instrument.")
+    stereo: bool = option(False, "--stereo", "Add the right camera: /ECM/right/image and its camera_info.")
+    tag: bool = option(False, "--tag", "Mount the profile's AprilTag plate on the instrument.")
     arms: int = option(
         1,
-        "--arms",
-        "N",
+        "--arms N",
         "Number of instruments. 2 adds the profile's second one, which crosses the first one in the image.",
         min=1,
         max=2,
     )
     kinematic_error: float = option(
         0.0,
-        "--kinematic-error",
-        "SCALE",
+        "--kinematic-error SCALE",
         "Error of the robot's nominal kinematics, drawn by seed: 1 is 1° and 1 mm in the joints, "
         "2° and 5 mm from camera to base.",
         min=0.0,
@@ -82,59 +55,50 @@ class RecordOptions(Options):
     )
     degrade: list[str] | None = option(
         None,
-        "--degrade",
-        "NAME=SEVERITY",
+        "--degrade NAME=SEVERITY",
         "Degrade the images, severity 1 to 5: defocus, motion_blur, noise, low_light, specular, smoke, "
         "jpeg; may be repeated.",
     )
     perturb: list[str] | None = option(
         None,
-        "--perturb",
-        "NAME=STRENGTH",
+        "--perturb NAME=STRENGTH",
         "Make something other than log and profile say, as in focal=1 or backlash=0.5; may be repeated. "
         "Names and units: docs/simulation.md.",
     )
     world: WorldName = option(
-        WorldName.IDEAL,
+        "ideal",
         "--world",
-        None,
         "ideal: log and profile are exact; real: everything is off as on real robots, drawn by seed.",
     )
     jpeg: int | None = option(
         None,
-        "--jpeg",
-        "QUALITY",
+        "--jpeg QUALITY",
         "Store images as JPEG, as the recorders of endoscopes do. Default: PNG, without loss.",
         min=1,
         max=100,
     )
-    renderer: str = option("tiny", "--renderer", None, "The only renderer.", hidden=True)
+    renderer: str = option("tiny", "--renderer", "The only renderer.", hidden=True)
     jobs: int | None = option(
         None,
-        "--jobs -j",
-        "N",
+        "--jobs -j N",
         "Number of processes that render. The file is the same for any number. Default: all usable cores.",
         min=1,
     )
     output: Path | None = output_option("FILE.mcap", "Recording to write. Default: SCENARIO-SEED.mcap.")
     force: bool = FORCE
     profile: str = option(
-        "psm13", "--profile", "NAME|FILE", "Scene profile: the name of one that ships, or a TOML file."
+        "psm13", "--profile NAME|FILE", "Scene profile: the name of one that ships, or a TOML file."
     )
     episodes: int | None = option(
         None,
-        "--episodes",
-        "N",
+        "--episodes N",
         "Record N seeds, from --seed on, in --jobs processes. --output is then a folder, or a name with"
         " {seed} or {episode}.",
         min=1,
         max=100_000,
     )
     skip_existing: bool = option(
-        False,
-        "--skip-existing",
-        None,
-        "With --episodes: leave those that are there, to go on with the others.",
+        False, "--skip-existing", "With --episodes: leave those that are there, to go on with the others."
     )
 
     @property
@@ -174,12 +138,12 @@ def record_command(given: RecordOptions) -> None:
     path = (
         given.output or Path()
         if given.episodes
-        else given.output or Path(f"{given.scenario.value}-{given.seed}.mcap")
+        else given.output or Path(f"{given.scenario}-{given.seed}.mcap")
     )
     if given.episodes is None:
         require_output(path)
-    scenario = Scenario(given.scenario.value, given.seed, given.duration, given.rate)
-    profile, world = load_profile(given.profile), World(given.world.value)
+    scenario = Scenario(given.scenario, given.seed, given.duration, given.rate)
+    profile, world = load_profile(given.profile), World(given.world)
     options = scene.Options(
         given.stereo,
         given.tag,

@@ -40,15 +40,12 @@ class ShowOptions(MethodOptions, ReadOptions, InstrumentOption, LagOption):
     """What `show` takes."""
 
     file: Path = argument(..., "FILE", "Recording to look at.")
-    masks: bool = option(
-        False, "--masks", None, "Draw what is segmented as tissue, shaft, distal part and border."
-    )
-    frame: int | None = option(None, "--frame", "N", "Only the image of this number, from 0.", min=0)
-    at: float | None = option(None, "--at", "S", "Only the image nearest to so many seconds.", min=0.0)
+    masks: bool = option(False, "--masks", "Draw what is segmented as tissue, shaft, distal part and border.")
+    frame: int | None = option(None, "--frame N", "Only the image of this number, from 0.", min=0)
+    at: float | None = option(None, "--at S", "Only the image nearest to so many seconds.", min=0.0)
     worst: int | None = option(
         None,
-        "--worst",
-        "N",
+        "--worst N",
         "The N worst frames: by error where the log has ground truth, else by the interval's width.",
         min=1,
     )
@@ -86,7 +83,7 @@ def show_command(given: ShowOptions) -> None:
             "--worst needs what a method measured, and --masks shows what was segmented before it"
         )
     lag, output = given.given_lag, given.output
-    method = Segmented() if given.masks else given.method.value
+    method = Segmented() if given.masks else given.method
     setup = prepare(given.profile, method, "corrected", given.calibration, given.hand_eye)
     request = Request(setup, given.topics, None, given.instruments(setup.profile), lag)
     recording = request.open(given.file, given.file.stem)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 import typer
 
@@ -41,23 +41,12 @@ if TYPE_CHECKING:
     from svmdist.workflows.validate import Scored, Validation
 
 
-class TruthChoice(StrEnum):
-    """`--truth`."""
-
-    GROUND_TRUTH = "ground_truth"
-    TF = "tf"
-    POSE = "pose"
-    KINEMATICS = "kinematics"
+TruthChoice = StrEnum("TruthChoice", "ground_truth tf pose kinematics")
+"""`--truth`."""
 
 
-class PlotKind(StrEnum):
-    """`--plot`."""
-
-    FIG6 = "fig6"
-    TIME = "time"
-    RESIDUALS = "residuals"
-    BLAND_ALTMAN = "bland-altman"
-    CALIBRATION = "calibration"
+PlotKind = Literal["fig6", "time", "residuals", "bland-altman", "calibration"]
+"""`--plot`."""
 
 
 class ValidateOptions(GoldenLogOptions, MeasureOptions, GroupOption):
@@ -67,29 +56,26 @@ class ValidateOptions(GoldenLogOptions, MeasureOptions, GroupOption):
     output: Path | None = output_option()
     truth: list[TruthChoice] | None = option(
         None,
-        "--truth",
-        "|".join(TruthChoice),
+        f"--truth {'|'.join(TruthChoice)}",
         "Reference to compare with; may be repeated. Default: every reference that the log has.",
     )
     truth_tf: list[str] | None = option(
         None,
-        "--truth-tf",
-        "PARENT:CHILD",
+        "--truth-tf PARENT:CHILD",
         "Transform that is the truth of the tool or the tissue, as in camera:tool; may be given twice.",
     )
     max_gap: float = option(
-        0.1, "--max-gap", "SECONDS", "Longest gap in the truth to interpolate across.", min=0.0, max=60.0
+        0.1, "--max-gap SECONDS", "Longest gap in the truth to interpolate across.", min=0.0, max=60.0
     )
     baseline: Path | None = option(
-        None, "--baseline", "FILE", "Exit with code 4 if a metric is worse than in this file."
+        None, "--baseline FILE", "Exit with code 4 if a metric is worse than in this file."
     )
-    write_baseline: Path | None = option(None, "--write-baseline", "FILE", "Store the metrics in this file.")
+    write_baseline: Path | None = option(None, "--write-baseline FILE", "Store the metrics in this file.")
     report: Path | None = REPORT
     save_plot: Path | None = PLOT
     plot: PlotKind | None = option(
         None,
-        "--plot",
-        "|".join(PlotKind),
+        f"--plot {'|'.join(get_args(PlotKind))}",
         "What --save-plot draws: fig6, truth, estimate and error over time as in the paper's figure; time, the distance"
         " with its interval; residuals over time and distance; bland-altman; calibration of the interval. Default:"
         " fig6.",
@@ -135,11 +121,11 @@ def validate_command(given: ValidateOptions) -> None:
     writer = choose_writer(given.form, given.output, Holds.FIGURES)
     stored = load_baseline(given.baseline) if given.baseline else None
     if stored:
-        require_same_alarms(stored, given.rules(given.method.value))
+        require_same_alarms(stored, given.rules(given.method))
     request = _request(given)
     require_truth_for_alarms(request)
     measured: list[Measured] = []
-    draws_series = given.save_plot is not None and given.plot not in (None, PlotKind.FIG6)
+    draws_series = given.save_plot is not None and given.plot not in (None, "fig6")
     keep = measured.append if given.report or draws_series else None
     run = Run(logs, Job(score_log, request, Scored), "validating")
     run.finish(keep)
@@ -150,7 +136,7 @@ def validate_command(given: ValidateOptions) -> None:
         LOG.info("note: %s", note)
     write_results(validation_results(result), writer, given.output)
     if given.save_plot:
-        _save_plot(result, measured, request, given.plot or PlotKind.FIG6, given.save_plot)
+        _save_plot(result, measured, request, given.plot or "fig6", given.save_plot)
     if given.report:
         _write_report(result, measured, request, logs, run, keys, given.report)
     code = run.exit_code()
@@ -165,7 +151,7 @@ def _request(given: ValidateOptions) -> Request:
     from svmdist.workflows.scoring.truth import Reference, truth_rules
 
     request = given.request()
-    references = tuple(Reference(choice.value) for choice in dict.fromkeys(given.truth or [])) or None
+    references = tuple(Reference(str(choice)) for choice in dict.fromkeys(given.truth or [])) or None
     pairs = tuple(given.truth_tf or ())
     return replace(
         request, rules=truth_rules(pairs, request.setup.profile, references, round(given.max_gap * 1e9))
@@ -186,18 +172,13 @@ def _save_plot(
     result: Validation, measured: list[Measured], request: Request, kind: PlotKind, path: Path
 ) -> None:
     from svmdist.report.plots import SeriesPlot, save_plot, save_series_plot
-    from svmdist.workflows.series import make_series
+    from svmdist.workflows.series import series_of
 
-    if kind is PlotKind.FIG6:
+    if kind == "fig6":
         save_plot(result, path)
         return
-    reference = result.primary.reference if result.primary else result.scores[0].reference
-    series = [
-        made
-        for one in measured
-        for made in make_series(one.rows, one.recording, request.setup, request.rules, reference, one.lag)
-    ]
-    save_series_plot(series, SeriesPlot(kind.value), path, request.alarms.below_m if request.alarms else None)
+    series = series_of(measured, request, result.reference)
+    save_series_plot(series, SeriesPlot(kind), path, request.alarms.below_m if request.alarms else None)
 
 
 def _write_report(
@@ -215,9 +196,7 @@ def _write_report(
     each = run.figures(keys)
     ranking = None if logs.is_one else log_results(ranked(each), pooled_log_figures(each))
     with progress_bar("drawing the worst frames", "images") as advance:
-        page = validation_report(
-            result, measured, request.setup, request.rules, command_line(), logs.jobs, ranking, advance
-        )
+        page = validation_report(result, measured, request, command_line(), logs.jobs, ranking, advance)
     write_report(page, path)
 
 

@@ -6,9 +6,8 @@ import base64
 import hashlib
 import platform
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
@@ -21,7 +20,6 @@ from jinja2 import Environment
 from plotly.offline import get_plotlyjs
 
 from svmdist.errors import printable
-from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import write_atomically
 from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit
 from svmdist.recording.log import Recording
@@ -34,17 +32,15 @@ from svmdist.report.writers import Results
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
-from svmdist.workflows.frame_drawing import DrawnFrame, drawn_frames
+from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.parallel import Progress, Steps
-from svmdist.workflows.request import Setup
-from svmdist.workflows.scoring.truth import TruthRules
-from svmdist.workflows.series import Series, WorstFrame, make_series, worst_frames
+from svmdist.workflows.request import Request, Setup
+from svmdist.workflows.series import Series, WorstFrame, series_of, worst_frames
 from svmdist.workflows.validate import Validation
 
 WORST_COUNT = 10
 JPEG_QUALITY, MAX_WIDTH_PX = 80, 960
 PACKAGES = ("svmdist", "numpy", "opencv-python-headless", "mcap", "protobuf", "plotly")
-Drawing = Callable[..., Iterable[DrawnFrame]]
 MAX_MARKERS = 2000
 """More points than these are drawn as a line, or thinned out evenly where they are no line."""
 COLOURS: dict[Role, tuple[str, str]] = {
@@ -77,21 +73,13 @@ class Report:
 def validation_report(
     validation: Validation,
     measured: Sequence[Measured],
-    setup: Setup,
-    rules: TruthRules,
+    request: Request,
     command: str,
     jobs: int | None = None,
     logs: Results | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
     """The report of a validation; `logs` has a table of all logs, of which `measured` are some."""
-    primary = validation.primary
-    reference = primary.reference if primary else validation.scores[0].reference
-    series = [
-        (one, made)
-        for one in measured
-        for made in make_series(one.rows, one.recording, setup, rules, reference, one.lag)
-    ]
     tables = [*(logs.tables if logs else ()), *validation_tables(validation)]
     shifted = [
         one for one in validation.scores if one.lag and one.lag.lag_s and one.uncorrected and one.statistics
@@ -99,52 +87,35 @@ def validation_report(
     if shifted:
         rows = [row_of(LAG_COLUMNS, score) for score in shifted]
         tables.append(Table.of("Lag before and after: planar distance", LAG_COLUMNS, rows))
-    notes = [*validation.notes, *remarks(validation), f"Errors are against {reference}."]
-    drawing = partial(drawn_frames, setup=setup, rules=validation.alarm_rules, jobs=jobs)
-    return _report(
-        "validate", series, setup, command, tables, notes, validation.alarm_rules, drawing, on_progress
+    return Report(
+        f"svmdist validate: {request.setup.method}",
+        series := series_of(measured, request, validation.reference),
+        tables,
+        _worst(measured, series, request, jobs, on_progress),
+        facts(request.setup, [one.recording for one in measured], command),
+        [*validation.notes, *remarks(validation), f"Errors are against {validation.reference}."],
+        request.alarms.below_m if request.alarms else None,
     )
 
 
 def estimate_report(
     measured: Sequence[Measured],
-    setup: Setup,
+    request: Request,
     command: str,
-    alarms: AlarmRules | None = None,
     jobs: int | None = None,
     logs: Results | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
     """The report of estimates, for logs with or without a truth; where there is ground truth, it is shown."""
-    series = [
-        (one, made) for one in measured for made in make_series(one.rows, one.recording, setup, lag=one.lag)
-    ]
-    frames = Table.of("Frames", SERIES_COLUMNS, [row_of(SERIES_COLUMNS, made) for _, made in series])
-    tables = [*(logs.tables if logs else ()), frames]
-    drawing = partial(drawn_frames, setup=setup, rules=alarms, jobs=jobs)
-    return _report("estimate", series, setup, command, tables, [], alarms, drawing, on_progress)
-
-
-def _report(
-    name: str,
-    series: Sequence[tuple[Measured, Series]],
-    setup: Setup,
-    command: str,
-    tables: Sequence[Table],
-    notes: Sequence[str],
-    alarms: AlarmRules | None,
-    drawing: Drawing,
-    on_progress: Progress | None,
-) -> Report:
-    recordings = list({id(one): one.recording for one, _ in series}.values())
+    series = series_of(measured, request)
+    frames = Table.of("Frames", SERIES_COLUMNS, [row_of(SERIES_COLUMNS, one) for one in series])
     return Report(
-        f"svmdist {name}: {setup.method}",
-        [made for _, made in series],
-        tables,
-        _worst(series, drawing, on_progress),
-        facts(setup, recordings, command),
-        notes,
-        alarms.below_m if alarms else None,
+        f"svmdist estimate: {request.setup.method}",
+        series,
+        [*(logs.tables if logs else ()), frames],
+        _worst(measured, series, request, jobs, on_progress),
+        facts(request.setup, [one.recording for one in measured], command),
+        alarm_below_m=request.alarms.below_m if request.alarms else None,
     )
 
 
@@ -177,29 +148,34 @@ def _version(package: str) -> str:
 
 
 def _worst(
-    series: Sequence[tuple[Measured, Series]], drawing: Drawing, on_progress: Progress | None
+    measured: Sequence[Measured],
+    series: Sequence[Series],
+    request: Request,
+    jobs: int | None,
+    on_progress: Progress | None,
 ) -> list[tuple[str, bytes]]:
     """The worst frames of all logs with their captions, worst first; they are measured once more, to draw them."""
-    logs = {id(one): one for one, _ in series}
-    found: list[tuple[int, WorstFrame]] = []
-    for key in logs:
-        found += [
-            (key, one) for one in worst_frames([made for log, made in series if id(log) == key], WORST_COUNT)
-        ]
-    chosen = sorted(found, key=lambda pair: -pair[1].badness_m)[:WORST_COUNT]
-    wanted = defaultdict[int, set[int]](set)
-    for key, frame in chosen:
-        wanted[key].add(frame.number)
-    pictures = {}
+    found: list[WorstFrame] = []
+    for log in measured:
+        found += worst_frames([one for one in series if one.recording == log.recording.name], WORST_COUNT)
+    chosen = sorted(found, key=lambda frame: -frame.badness_m)[:WORST_COUNT]
+    wanted = defaultdict[str, set[int]](set)
+    for frame in chosen:
+        wanted[frame.series.recording].add(frame.number)
     steps = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values()))
-    for key, numbers in wanted.items():
-        for drawn in drawing(logs[key].read, numbers=numbers, on_image=steps.advance):
+    pictures = {}
+    for log in (one for one in measured if one.recording.name in wanted):
+        numbers = wanted[log.recording.name]
+        for drawn in drawn_frames(
+            log.read, request.setup, request.alarms, jobs=jobs, numbers=numbers, on_image=steps.advance
+        ):
             if drawn.replayed.image_bgr is not None:
-                pictures[key, drawn.number] = _jpeg(draw_on(drawn.replayed.image_bgr, drawn.drawing))
+                picture = _jpeg(draw_on(drawn.replayed.image_bgr, drawn.drawing))
+                pictures[log.recording.name, drawn.number] = picture
     return [
-        (f"{logs[key].recording.name}, {frame.in_words}", pictures[key, frame.number])
-        for key, frame in chosen
-        if (key, frame.number) in pictures
+        (f"{frame.series.recording}, {frame.in_words}", pictures[key])
+        for frame in chosen
+        if (key := (frame.series.recording, frame.number)) in pictures
     ]
 
 

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
+from functools import partial
 from itertools import product
 from operator import attrgetter
 from pathlib import Path
@@ -181,9 +182,7 @@ def save_plot(validation: Validation, path: Path, reference: Reference | None = 
     a reference, by default the strongest. Raises OutputError for another ending than png, svg or pdf, for a reference
     that no recording has, and where writing fails.
     """
-    if reference is None:
-        primary = validation.primary
-        reference = primary.reference if primary else validation.scores[0].reference
+    reference = reference or validation.reference
     scores = [score for score in validation.scores if score.reference is reference]
     if not scores:
         raise OutputError(f"{path}: nothing to draw: no recording was compared with {reference}")
@@ -253,9 +252,8 @@ def _name(score: Score) -> str:
     return f"{plain_name(score.recording)}: {plain_name(score.method)}"
 
 
-OF: dict[str, Callable[[Figures], DistanceScore | None]] = {
-    name: attrgetter(name) for name in ("planar", "spatial", "clearance")
-}
+OfDistance = Callable[[Figures], DistanceScore | None]
+OF: dict[str, OfDistance] = {name: attrgetter(name) for name in ("planar", "spatial", "clearance")}
 NAMES = {"planar": "planar distance", "spatial": "spatial distance", "clearance": "clearance"}
 LINE_IN, HEAD_IN = 0.19, 0.75
 """Height of a method's line, and of what a row of panels needs besides, in inches."""
@@ -306,19 +304,25 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
             shown.append(found)
         return shown
 
-    dots(axes[0, 0], lambda figures: 100.0 * figures.coverage)
-    axes[0, 0].set(xlabel="frames measured [%]", xlim=(0, 100))
-    _decades(axes[1, 0], dots(axes[1, 0], lambda figures: figures.ms_per_frame))
-    axes[1, 0].set_xlabel("time per frame [ms]")
+    panels: list[tuple[Axes, str, Callable[[Figures], float | None], bool]] = [
+        (axes[0, 0], "frames measured [%]", lambda figures: 100.0 * figures.coverage, True),
+        (axes[1, 0], "time per frame [ms]", attrgetter("ms_per_frame"), False),
+    ]
     for column, name in enumerate(told, 1):
-        of, above, below = OF[name], axes[0, column], axes[1, column]
-        _decades(above, dots(above, lambda figures, of=of: _rmse_mm(of(figures))))  # type: ignore[misc]
-        above.set_xlabel(f"RMSE [mm]\n{NAMES[name]}")
-        if not dots(below, lambda figures, of=of: _held(of(figures))):  # type: ignore[misc]
-            below.set_visible(False)  # planar methods state no interval
-            continue
-        below.axvline(NOMINAL, color="0.0", linewidth=0.8, linestyle="--")
-        below.set(xlabel=f"truths in 95 % interval [%]\n{NAMES[name]}", xlim=(0, 100))
+        panels += [
+            (axes[0, column], f"RMSE [mm]\n{NAMES[name]}", partial(_rmse_mm, OF[name]), False),
+            (axes[1, column], f"truths in 95 % interval [%]\n{NAMES[name]}", partial(_held, OF[name]), True),
+        ]
+    for panel, label, value, is_share in panels:
+        shown = dots(panel, value)
+        panel.set_xlabel(label)
+        panel.set_visible(bool(shown) or not label.startswith("truths"))  # planar methods state no interval
+        if is_share:
+            panel.set_xlim(0, 100)
+        else:
+            _decades(panel, shown)
+        if label.startswith("truths"):
+            panel.axvline(NOMINAL, color="0.0", linewidth=0.8, linestyle="--")
     for panel in axes.flat:
         panel.set_ylim(len(methods) - 0.5, -0.5)
         panel.set_yticks(range(len(methods)), [plain_name(method) for method in methods])
@@ -348,11 +352,13 @@ def _group_name(group: Group) -> str:
     return plain_name(str(group)) or ALL
 
 
-def _rmse_mm(score: DistanceScore | None) -> float | None:
+def _rmse_mm(of: OfDistance, figures: Figures) -> float | None:
+    score = of(figures)
     return None if score is None else score.statistics.rmse * 1e3
 
 
-def _held(score: DistanceScore | None) -> float | None:
+def _held(of: OfDistance, figures: Figures) -> float | None:
+    score = of(figures)
     return None if score is None or score.interval_coverage is None else 100.0 * score.interval_coverage
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
+import pickle
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from functools import partial
 from importlib.metadata import version
 from typing import Any, TypeVar
 
@@ -33,10 +33,13 @@ def measured_on_cluster(
     from distributed import KilledWorker, as_completed
 
     try:
-        work = partial(measure_on_worker, measure, version("svmdist"))
-        futures = client.map(work, logs, pure=False, retries=RETRIES)
+        # Packed, so that the scheduler need not know what is measured.
+        packed = [pickle.dumps((measure, log)) for log in logs]
+        futures = client.map(
+            measure_on_worker, packed, expected=version("svmdist"), pure=False, retries=RETRIES
+        )
         places = {future.key: place for place, future in enumerate(futures)}
-        for future in as_completed(futures, raise_errors=False):
+        for future in as_completed(futures, loop=client.loop, raise_errors=False):
             if future.status == "finished":
                 yield places[future.key], future.result()
             elif future.status != "error":  # cancelled: its scheduler is gone
@@ -52,14 +55,13 @@ def measured_on_cluster(
             client.close(timeout=2)
 
 
-def measure_on_worker(
-    measure: Callable[[LogFile], Outcome[Result]], expected: str, log: LogFile
-) -> Outcome[Result]:
+def measure_on_worker(packed: bytes, expected: str) -> Any:
     """Run on a worker: measure a log."""
     if version("svmdist") != expected:
         raise SvmdistError(
             f"a worker has svmdist {version('svmdist')}, here it is {expected}; install the same on both"
         )
+    measure, log = pickle.loads(packed)
     return measure(log)
 
 

@@ -162,13 +162,7 @@ def measure_runs(
         whole = _Part(recording, truths, dict(enumerate(conditions)), dict(enumerate(setups)), jobs)
         found = whole.measure(advance)
     return [
-        Run(
-            group_of(recording, conditions[at], name, by),
-            setups[of].method,
-            name,
-            figures,
-            dict(statuses),
-        )
+        Run(group_of(recording, conditions[at], name, by), setups[of].method, name, figures, dict(statuses))
         for at, of in sorted(found)
         for name, (figures, statuses) in found[at, of].items()
     ]
@@ -279,10 +273,7 @@ def _parts(
 
 
 def group_of(
-    recording: Recording,
-    condition: LogCondition = CLEAN,
-    instrument: str = "",
-    by: GroupBy | None = None,
+    recording: Recording, condition: LogCondition = CLEAN, instrument: str = "", by: GroupBy | None = None
 ) -> Group:
     """What a recording is compared as: its scenario, or its name where it names none, and its degradations.
 

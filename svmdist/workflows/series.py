@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +15,9 @@ from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array
+from svmdist.workflows.estimate import Measured
 from svmdist.workflows.frame_drawing import LEVEL
-from svmdist.workflows.request import Setup
+from svmdist.workflows.request import Request, Setup
 from svmdist.workflows.scoring.score import CLEARANCE, PLANAR, SPATIAL, Distance, truth_lag_ns
 from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth
 
@@ -119,6 +120,18 @@ def worst_frames(series: Sequence[Series], count: int) -> list[WorstFrame]:
             known = found.get(worse.number, worse)
             found[worse.number] = max(known, worse, key=lambda frame: frame.badness_m)
     return sorted(found.values(), key=lambda frame: -frame.badness_m)[:count]
+
+
+def series_of(
+    measured: Iterable[Measured], request: Request, reference: Reference | None = None
+) -> list[Series]:
+    """The series of several recordings."""
+    setup, rules = request.setup, request.rules
+    return [
+        made
+        for one in measured
+        for made in make_series(one.rows, one.recording, setup, rules, reference, one.lag)
+    ]
 
 
 def make_series(

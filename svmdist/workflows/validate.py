@@ -63,6 +63,11 @@ class Validation:
         by_reference = {score.reference: score for score in reversed(self.overall)}
         return next((by_reference[reference] for reference in Reference if reference in by_reference), None)
 
+    @property
+    def reference(self) -> Reference:
+        """The reference that plots and reports show: the strongest one."""
+        return (self.primary or self.scores[0]).reference
+
 
 def validate(
     recordings: Sequence[Recording],

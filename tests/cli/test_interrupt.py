@@ -197,18 +197,25 @@ def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "code", "said"), [("SIGINT", 130, INTERRUPTED), ("SIGTERM", 143, TERMINATED)]
 )
-def test_where_python_ignores_exceptions(name: str, code: int, said: str) -> None:
-    """A signal that comes while an object is taken away, or an import is put away, ends the command all the same."""
+@pytest.mark.parametrize(
+    ("method", "use"),
+    [("__del__(self)", "del late"), ("__set_name__(self, owner, name)", 'type("C", (), {"late": late})')],
+    ids=["deleted", "created"],
+)
+def test_where_python_ignores_or_wraps_exceptions(
+    name: str, code: int, said: str, method: str, use: str
+) -> None:
+    """A signal that comes while an object is deleted, or a class is created, ends the command all the same."""
     script = f"""
 import os, signal, time
 import svmdist.__main__ as entry, svmdist.cli.main as main
-class Gone:
-    def __del__(self):
+class Late:
+    def {method}:
         os.kill(os.getpid(), signal.{name})
         time.sleep(0.05)
 def command():
-    gone = Gone()
-    del gone
+    late = Late()
+    {use}
     time.sleep(60)
 main.run = command
 entry.run()

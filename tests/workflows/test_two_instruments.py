@@ -17,7 +17,7 @@ from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.workflows.compare import compare
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.request import prepare
+from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.validate import validate
 from tests.cli.conftest import Cli, cli  # noqa: F401  (the fixture)
@@ -99,7 +99,7 @@ def test_scores_are_per_instrument(two: Path) -> None:
     setup = prepare(method="kinematic")
     recording = open_recording(two, setup.profile)
     rules = TruthRules(references=(Reference.GROUND_TRUTH,))
-    validation = validate([recording], setup, rules)
+    validation = validate([recording], Request(setup, rules=rules))
     assert [(s.recording, s.instrument) for s in validation.scores] == [("two", "PSM1"), ("two PSM2", "PSM2")]
     assert [(s.recording, s.instrument) for s in validation.overall] == [
         ("overall", "PSM1"),
@@ -107,7 +107,7 @@ def test_scores_are_per_instrument(two: Path) -> None:
     ]
     assert validation.primary is not None
     assert validation.primary.instrument == "PSM1"
-    only = validate([recording], setup, rules, wanted=["PSM2"])
+    only = validate([recording], Request(setup, instruments=("PSM2",), rules=rules))
     assert [s.instrument for s in only.scores] == ["PSM2"]
     compared = compare([recording], [setup])
     assert [(str(s.group), s.instrument) for s in compared] == [("sweep", "PSM1"), ("sweep PSM2", "PSM2")]

@@ -16,7 +16,7 @@ from svmdist.report.scores import score_columns, validation_document, validation
 from svmdist.report.tables import render, row_of
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import DistanceSample, Sample, Status
-from svmdist.workflows.request import prepare
+from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.scoring.baseline import find_regressions, make_baseline, require_same_alarms
 from svmdist.workflows.scoring.score import Score, pool_scores, score_rows
 from svmdist.workflows.scoring.truth import Reference, TruthRules
@@ -167,13 +167,13 @@ def test_alarms_need_a_true_clearance(recording: Recording, tmp_path: Path) -> N
     """Without ground truth among the references, or in the log, alarms cannot be scored."""
     rules = AlarmRules(BELOW_M)
     with pytest.raises(UsageError, match="ground_truth"):
-        validate([recording], SETUP, TruthRules((Reference.KINEMATICS,)), alarms=rules)
+        validate([recording], Request(SETUP, alarms=rules, rules=TruthRules((Reference.KINEMATICS,))))
     with pytest.raises(UsageError, match="overlay measures in the plane"):
-        validate([recording], prepare(method="overlay"), alarms=rules)
+        validate([recording], Request(prepare(method="overlay"), alarms=rules))
 
     def without_distance(topic: str, sample: Sample) -> Sample | None:
         return None if isinstance(sample, DistanceSample) else sample
 
     blind = write_log(tmp_path / "blind.mcap", frame_count=3, change=without_distance)
     with pytest.raises(RecordingError, match="no ground_truth to compare with"):
-        validate([open_recording(blind, SETUP.profile)], SETUP, alarms=rules)
+        validate([open_recording(blind, SETUP.profile)], Request(SETUP, alarms=rules))

@@ -1,0 +1,157 @@
+"""Many logs: outcomes do not depend on where they are measured, a bad one stops nothing, and results can stay."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from svmdist.errors import SvmdistError, UsageError
+from svmdist.recording.observations import Window
+from svmdist.workflows import batch
+from svmdist.workflows.batch import ATTEMPTS, Job, LogFile, Outcome, collected_notes, log_notes, measure_logs
+from svmdist.workflows.request import LOG, Request, Setup
+from tests.synthetic import write_log
+from tests.workflows.dask_cluster import DaskCluster, wait_until
+from tests.workflows.jobs import Counted, count_images
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> list[LogFile]:
+    paths = [write_log(tmp_path / f"log{number}.mcap", frame_count=2 + number) for number in range(4)]
+    return [LogFile(path, path.stem) for path in paths]
+
+
+def job_in(folder: Path, **fates: str) -> Job[Counted]:
+    folder.mkdir(exist_ok=True)
+    for name, fate in fates.items():
+        (folder / f"{name}.fate").write_text(fate)
+    return Job(count_images, Request(Setup.reading("psm13")), Counted, (str(folder),))
+
+
+def attempts(folder: Path, name: str) -> int:
+    path = folder / f"{name}.attempts"
+    return len(path.read_text().splitlines()) if path.exists() else 0
+
+
+def seen(outcomes: list[Outcome[Counted]]) -> list[Any]:
+    return [
+        (
+            one.failure,
+            one.result and (one.result.images, one.result.values.tobytes(), one.result.names),
+            list(one.rows()) if one.result else [],
+            one.notes,
+            one.metadata,
+        )
+        for one in outcomes
+    ]
+
+
+def test_outcomes_are_the_same_for_any_number_of_jobs(logs: list[LogFile], tmp_path: Path) -> None:
+    """In the order of the logs, with rows and remarks; what breaks is told by its reason, a fault by its place."""
+    job = job_in(tmp_path / "fates", log1="broken", log2="fault")
+    alone = seen(measure_logs(job, logs, jobs=1))
+    assert seen(measure_logs(job, logs, jobs=3)) == alone
+    assert [one[0] is None for one in alone] == [True, False, False, True]
+    assert alone[1][0] == "log1 is broken"
+    assert "please report this: ZeroDivisionError: a fault (jobs.py:" in alone[2][0]
+    assert [len(one[2]) for one in alone] == [2, 0, 0, 5]
+    assert alone[0][2][1] == {"recording": "log0", "number": 1}
+    assert [text for _, text in alone[0][3]][-1] == "only of log0"
+
+
+def test_what_every_log_would_meet_ends_the_work(logs: list[LogFile], tmp_path: Path) -> None:
+    for jobs in (1, 2):
+        with pytest.raises(UsageError, match="wrong for all"):
+            measure_logs(job_in(tmp_path / "fates", log1="usage"), logs, jobs=jobs)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills processes as POSIX does")
+def test_a_process_that_is_killed_costs_only_its_log(logs: list[LogFile], tmp_path: Path) -> None:
+    """That is tried once more, and then left out; the others come as they do alone."""
+    job = job_in(tmp_path / "fates", log2="killed")
+    outcomes = measure_logs(job, logs, jobs=2)
+    assert [one.failure is None for one in outcomes] == [True, True, False, True]
+    assert "killed" in str(outcomes[2].failure)
+    assert attempts(tmp_path / "fates", "log2") == ATTEMPTS
+
+
+def test_results_stay_in_a_folder(logs: list[LogFile], tmp_path: Path) -> None:
+    """They are reused for the same log, request and version; failures, changed logs and broken files are not."""
+    fates, results = tmp_path / "fates", tmp_path / "results"
+    first = measure_logs(job_in(fates, log1="broken"), logs, jobs=1, folder=results)
+    again = measure_logs(job_in(fates), logs, jobs=1, folder=results)
+    assert seen(again) == seen(first)
+    assert [attempts(fates, log.name) for log in logs] == [1, 2, 1, 1]
+    (fates / "log1.fate").unlink()
+    (tmp_path / "log0.mcap").unlink()
+    write_log(tmp_path / "log0.mcap", frame_count=3)
+    broken = next(results.glob("log2-*.json"))
+    broken.write_text(broken.read_text()[:-100])
+    last = measure_logs(job_in(fates), logs, jobs=2, folder=results)
+    assert [one.result and one.result.images for one in last] == [3, 3, 4, 5]
+    assert [attempts(fates, log.name) for log in logs] == [2, 3, 2, 1]
+    other = Job(count_images, Request(Setup.reading("psm13"), window=Window(every=2)), Counted, (str(fates),))
+    measure_logs(other, logs, jobs=1, folder=results)
+    assert attempts(fates, "log3") == 2
+
+
+def test_remarks_are_collected_and_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    """What many logs share is said once with their number; levels are kept."""
+    with collected_notes() as notes:
+        LOG.info("shared")
+        LOG.debug("own")
+    assert notes == [(20, "shared"), (10, "own")]
+    assert not caplog.records
+    outcomes = [Outcome(None, notes=((20, "shared"), (20, f"of {at}"))) for at in range(4)]
+    with caplog.at_level("INFO", "svmdist"):
+        log_notes(outcomes)
+    assert caplog.messages == ["shared (so in 4 logs)", "of 0", "of 1", "of 2", "of 3"]
+
+
+def test_what_a_profile_names_counts(tmp_path: Path) -> None:
+    """A file that a request names is part of it, by its size and time."""
+    job = job_in(tmp_path / "fates")
+    assert batch._fingerprint(job) == batch._fingerprint(job_in(tmp_path / "fates"))
+    assert len(list(batch._paths_in({"a": [Path("x"), {"b": Path("y")}], "c": 1}))) == 2
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[DaskCluster]:
+    pytest.importorskip("distributed", reason="the extra cluster is not installed")
+    made = DaskCluster(tmp_path)
+    made.start_scheduler()
+    made.start_worker()
+    made.start_worker()
+    yield made
+    made.close()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="kills processes as POSIX does")
+@pytest.mark.filterwarnings("default")  # of Dask's own
+def test_a_cluster_gives_the_same(cluster: DaskCluster, logs: list[LogFile], tmp_path: Path) -> None:
+    """Also where a worker is killed on the way; a scheduler that is lost is one line, and results stay."""
+    from threading import Thread
+
+    calm = seen(measure_logs(job_in(tmp_path / "calm", log1="broken"), logs, jobs=1))
+    fates = tmp_path / "fates"
+    job = job_in(fates, log1="broken", log3="held")
+    found: list[Any] = []
+    run = Thread(target=lambda: found.extend(measure_logs(job, logs, scheduler=cluster.address)), daemon=True)
+    run.start()
+    wait_until(lambda: attempts(fates, "log3") == 1, "no worker began the log")
+    pid = int((fates / "log3.attempts").read_text())
+    next(worker for worker in cluster.workers if worker.pid == pid).kill()
+    (fates / "open").touch()
+    run.join(120)
+    assert seen(found) == calm
+    assert attempts(fates, "log3") == 2
+    cluster.kill_scheduler()
+    with pytest.raises(SvmdistError, match="cannot connect"):
+        measure_logs(job, logs, scheduler=cluster.address)
+    with pytest.raises(UsageError, match="expected an address as in tcp://host:8786"):
+        measure_logs(job, logs, scheduler="nonsense://x")
