@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from svmdist.cli.options import EquationsChoice, Method, PlanarMethod
-from svmdist.cli.record import ScenarioName
 from svmdist.report.rows import ESTIMATE_KEYS
 from tests.cli.conftest import Cli
 from tests.synthetic import write_log
@@ -53,15 +51,6 @@ def test_estimate_forms_agree(
     assert [tuple(row) for row in from_json] == [ESTIMATE_KEYS] * 40
     for text, value in zip(from_csv, from_json, strict=True):
         assert {key: "" if item is None else str(item) for key, item in value.items()} == text
-
-
-def test_estimate_table_is_for_people(cli: Cli, synthetic_log: Path, synthetic_calibration: Path) -> None:
-    """The table shows mm, a line a frame, and no escape code in a pipe; the summary is on stderr."""
-    outcome = cli("estimate", synthetic_log, "--calibration", synthetic_calibration)
-    assert "distance [mm]" in outcome.out
-    assert len(outcome.out.splitlines()) == 42
-    assert "\x1b" not in outcome.out
-    assert "of 40 frames measured" in outcome.err
 
 
 def test_centroid_needs_no_marker(cli: Cli, synthetic_log: Path, synthetic_calibration: Path) -> None:
@@ -184,17 +173,6 @@ def test_blur_bench_rows(cli: Cli, tmp_path: Path, synthetic_calibration: Path) 
         assert row["marker_keypoint_count"] > 20 * row["keypoint_count"]
         assert row["inlier_count"] <= row["match_count"]
         assert row["rmse_m"] < 5e-4
-
-
-def test_choices_on_the_command_line_are_the_choices_there_are() -> None:
-    """The light enumerations of the command line agree with the heavy modules they stand for."""
-    from svmdist.estimation.methods import METHODS, PLANAR_METHODS
-    from svmdist.simulation.scenarios import SCENARIOS
-
-    assert [method.value for method in Method] == list(METHODS)
-    assert [method.value for method in PlanarMethod] == list(PLANAR_METHODS)
-    assert [choice.value for choice in EquationsChoice] == ["corrected", "printed"]
-    assert {name.value for name in ScenarioName} == set(SCENARIOS)
 
 
 def test_help_loads_nothing_heavy() -> None:
