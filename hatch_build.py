@@ -49,9 +49,9 @@ class RepositoryAddress(MetadataHookInterface):
 
     def update(self, metadata: dict[str, Any]) -> None:
         """Set `readme` and `urls`, which pyproject.toml declares as dynamic; an sdist has them already."""
-        told = Path(self.root) / "PKG-INFO"
-        if told.exists():
-            page = email.message_from_string(told.read_text("utf-8"))
+        built = Path(self.root) / "PKG-INFO"
+        if built.exists():
+            page = email.message_from_string(built.read_text("utf-8"))
             metadata["readme"] = {"content-type": "text/markdown", "text": page.get_payload()}
             metadata["urls"] = dict(line.split(", ", 1) for line in page.get_all("Project-URL") or [])
             return

@@ -27,7 +27,7 @@ LOGS = {
     "short.mcap": "--scenario random --seed 7 --rate 5 --duration 0.8 --jpeg 92",
 }
 COMPARISONS = {
-    "overlay : plain loop": ("svmdist estimate mono.mcap -o a.csv -j 1", "plain mono.mcap"),
+    "overlay : plain loop": ("svmdist estimate mono.mcap -o a.csv", "plain mono.mcap"),
     "overlay : reading and decoding": ("svmdist estimate mono.mcap -o a.csv", "plain mono.mcap decode"),
     "fused : decoding both views": (
         "svmdist estimate stereo.mcap --method fused -o a.csv",

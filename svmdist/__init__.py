@@ -6,8 +6,7 @@
     estimates = svmdist.estimate(recording, method="overlay")
     table = estimates.to_dataframe()
 
-The functions here are those of `svmdist.api`, imported when first asked for. What they are made of is in
-`svmdist.workflows`; the command line is `svmdist.cli`.
+The functions are those of `svmdist.api`, imported on first use.
 """
 
 from __future__ import annotations

@@ -60,13 +60,6 @@ class Camera:
 
         Raises ValueError for shapes, sizes and coefficients that no camera has.
         """
-        self._require_sound()
-        count = len(self.D)
-        whole = next((size for size in (0, 4, 5, 8, 12, 14) if size >= count), count)
-        if whole != count:
-            object.__setattr__(self, "D", np.pad(self.D, (0, whole - count)))
-
-    def _require_sound(self) -> None:
         shapes = {"K": (self.K, (3, 3)), "R": (self.R_rectified_camera, (3, 3)), "P": (self.P, (3, 4))}
         for name, (matrix, shape) in shapes.items():
             if matrix is not None and matrix.shape != shape:
@@ -84,6 +77,8 @@ class Camera:
             raise ValueError(f"D has a coefficient beyond ±{MAX_COEFFICIENT:g}")
         if min(self.width_px, self.height_px) < 1:
             raise ValueError(f"the camera is not calibrated: {self.width_px}x{self.height_px} px")
+        whole = next(size for size in (0, 4, 5, 8, 12, 14) if size >= len(self.D))
+        object.__setattr__(self, "D", np.pad(self.D, (0, whole - len(self.D))))
 
     @property
     def has_distortion(self) -> bool:

@@ -25,11 +25,16 @@ __all__ = ["cli"]
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/quick-start.md", "docs/extend.md"])
+PAGES = ["README.md", *sorted(f"docs/{path.name}" for path in (REPOSITORY / "docs").glob("*.md"))]
+EXAMPLES = {
+    page: re.findall(r"```python\n(.*?)```", (REPOSITORY / page).read_text("utf-8"), re.DOTALL)
+    for page in PAGES
+}
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if EXAMPLES[page]])
 def test_examples_run_as_they_are_printed(page: str) -> None:
-    examples = re.findall(r"```python\n(.*?)```", (REPOSITORY / page).read_text("utf-8"), re.DOTALL)
-    assert examples
-    for example in examples:
+    for example in EXAMPLES[page]:
         done = subprocess.run(
             [sys.executable, "-c", example],
             cwd=REPOSITORY,

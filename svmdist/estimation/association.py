@@ -224,10 +224,6 @@ class Association:
             doubts.append(named.doubt)
         return masks, doubts
 
-    def identities(self, camera: str = "left") -> tuple[Identity, ...]:
-        """Which region was which instrument's in the latest image of a camera, `left` or `right`."""
-        return self._trackers[camera].identities
-
     def _others(self, scene: Scene, nominal: Sequence[NominalInstrument | None]) -> list[OtherMasks]:
         seen = scene.observation
         left = self._other_masks("left", seen.stamp_ns, scene.left, seen.camera, nominal)

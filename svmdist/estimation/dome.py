@@ -188,7 +188,7 @@ class DomeModel:
     def _mesh(self) -> Mesh:
         corners = np.linspace(0, len(self.outline_m), SIDES, endpoint=False).astype(int)
         vertices_m = _dome_vertices(self.outline_m[corners], self.shape, self._profile(_ring_radii()))
-        return _unit_dome().with_vertices(vertices_m).transformed(self.T_camera_tissue)
+        return Mesh(vertices_m, _unit_dome().faces).transformed(self.T_camera_tissue)
 
     def _profile(self, radius: Array) -> Array:
         a, b = self.shape[3:]

@@ -20,23 +20,14 @@ Predict = Callable[[NDArray[np.int64]], tuple[Array, NDArray[np.bool_]]]
 """Stamps, shape (n,), to the tool's predicted pixels, shape (n, 2), and which of them are known, (n,)."""
 
 
-@dataclass(frozen=True, slots=True)
-class LagRules:
-    """How a lag is searched for, and when it is accepted."""
-
-    max_lag_s: float = 3.0
-    coarse_step_s: float = 0.01
-    """The track of a hand-held tool hardly turns within 10 ms, so that no minimum is stepped over."""
-    min_pairs: int = 12
-    min_motion_px: float = (
-        4.0  # standard deviation of the predicted track below which noise could pass for motion
-    )
-    map_std: float = 0.2
-    """Prior of the affine map's four factors about the identity: a turn or scale of some 10°, or 20 %."""
-    pixel_std: float = 1.0  # what segmentation leaves of noise in a position; weighs the prior
-    max_std_s: float = 0.02  # A lag less certain than this is not told
-    rival_distance_s: float = 0.15  # minima further away than this are other answers, not the same one
-    min_confidence: float = 0.5
+MAX_LAG_S, COARSE_STEP_S = 3.0, 0.01  # a hand-held tool hardly turns within 10 ms: no minimum is stepped over
+MIN_PAIRS = 12
+MIN_MOTION_PX = 4.0  # deviation of the predicted track below which noise could pass for motion
+MAP_STD = 0.2  # prior of the affine map's factors about the identity: a turn or scale of some 10°, or 20 %
+PIXEL_STD = 1.0  # what segmentation leaves of noise in a position; weighs the prior
+MAX_STD_S = 0.02  # of a lag that is accepted
+RIVAL_DISTANCE_S = 0.15  # minima further away than this are other answers, not the same one
+MIN_CONFIDENCE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,33 +49,28 @@ class LagEstimate:
         return not self.reason
 
 
-def estimate_lag(
-    stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict, rules: LagRules | None = None
-) -> LagEstimate:
+def estimate_lag(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict) -> LagEstimate:
     """Estimate the lag from where the tool was seen, shape (n, 2) in px, at image stamps, shape (n,)."""
-    rules = rules or LagRules()
-    if len(stamps_ns) < rules.min_pairs:
-        return _untold(f"{len(stamps_ns)} measured frames; {rules.min_pairs} are needed")
+    if len(stamps_ns) < MIN_PAIRS:
+        return _untold(f"{len(stamps_ns)} measured frames; {MIN_PAIRS} are needed")
     motion_px = float(np.sqrt(np.mean(np.var(seen_px, axis=0))))
-    if motion_px < rules.min_motion_px:
-        return _untold(
-            f"the tool moves by {motion_px:.1f} px in the image; {rules.min_motion_px:g} px are needed"
-        )
-    objective = _Objective(stamps_ns, seen_px, predict, rules)
-    lags_s = np.arange(-rules.max_lag_s, rules.max_lag_s + rules.coarse_step_s / 2, rules.coarse_step_s)
+    if motion_px < MIN_MOTION_PX:
+        return _untold(f"the tool moves by {motion_px:.1f} px in the image; {MIN_MOTION_PX:g} px are needed")
+    objective = _Objective(stamps_ns, seen_px, predict)
+    lags_s = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)
     costs = np.array([objective(lag_s) for lag_s in lags_s])
     if not np.isfinite(costs).any():
         return _untold("images and kinematics do not overlap in time")
     best = int(np.nanargmin(np.where(np.isfinite(costs), costs, np.nan)))
-    lag_s = _refine(objective, float(lags_s[best]), rules.coarse_step_s)
+    lag_s = _refine(objective, float(lags_s[best]), COARSE_STEP_S)
     cost = objective(lag_s)
-    rivals = costs[np.abs(lags_s - lag_s) > rules.rival_distance_s]
+    rivals = costs[np.abs(lags_s - lag_s) > RIVAL_DISTANCE_S]
     rival = float(np.min(rivals, initial=np.inf))
     confidence = 1.0 - cost / rival if np.isfinite(rival) and rival > 0 else 0.0
     std_s = objective.std_s(lag_s)
-    if std_s is None or std_s > rules.max_std_s:
+    if std_s is None or std_s > MAX_STD_S:
         return _untold("the motion is too slow to tell the lag")
-    if confidence < rules.min_confidence:
+    if confidence < MIN_CONFIDENCE:
         return _untold(f"another lag explains the images nearly as well (confidence {confidence:.2f})")
     return LagEstimate(lag_s, std_s, confidence)
 
@@ -92,11 +78,9 @@ def estimate_lag(
 class _Objective:
     """Mean squared error in px² per measured coordinate of the best map at a lag, prior included."""
 
-    def __init__(
-        self, stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict, rules: LagRules
-    ) -> None:
-        self._stamps_ns, self._seen_px, self._predict, self._rules = stamps_ns, seen_px, predict, rules
-        self._min_pairs = max(rules.min_pairs, len(stamps_ns) // 4)
+    def __init__(self, stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict) -> None:
+        self._stamps_ns, self._seen_px, self._predict = stamps_ns, seen_px, predict
+        self._min_pairs = max(MIN_PAIRS, len(stamps_ns) // 4)
 
     def __call__(self, lag_s: float) -> float:
         fit = self._fit(lag_s)
@@ -121,9 +105,9 @@ class _Objective:
         p, s = p - p.mean(0), s - s.mean(0)
         count = len(p)
         motion = float(np.sqrt(np.mean(p**2)))
-        if motion < self._rules.min_motion_px:
+        if motion < MIN_MOTION_PX:
             return None
-        weight = (self._rules.pixel_std / self._rules.map_std) ** 2
+        weight = (PIXEL_STD / MAP_STD) ** 2
         change = np.linalg.solve(p.T @ p + weight * np.eye(2), p.T @ (s - p))
         residual = s - p - p @ change
         cost = float(np.sum(residual**2) + weight * np.sum(change**2)) / (2 * count)

@@ -19,10 +19,7 @@ from svmdist.transforms import Array
 Equations = Literal["corrected", "printed"]
 
 CM_PER_PIXEL = 0.0254  # one pixel at 100 dpi: 2.54 cm / 100, which eqs. (3) and (4) give as 0.0245 cm
-PUBLISHED_TISSUE_M = (
-    0.099,
-    0.043,
-)  # the numbers of eqs. (33) and (34): they can only be the tissue's x and y in m
+PUBLISHED_TISSUE_M = (0.099, 0.043)  # of eqs. (33) and (34): they can only be the tissue's x and y in m
 
 
 @dataclass(frozen=True, slots=True)

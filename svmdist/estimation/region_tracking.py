@@ -224,8 +224,6 @@ class RegionTracker:
         self._width_px = width_px
         self._settings = settings
         self._extra_region_cost = float(np.log(width_px * height_px / CLUTTER_COUNT))
-        self.identities: tuple[Identity, ...] = ()
-        """Of the latest image."""
         self._tracks = [
             _Track(SteadyMotion(width_px, settings), NominalMotion(width_px)) for _ in range(count)
         ]
@@ -256,8 +254,7 @@ class RegionTracker:
             else:
                 track.update(seen[at])
             identities.append(Identity(None if at is None else order[at], where, track.radius_px))
-        self.identities = tuple(identities)
-        return self.identities
+        return tuple(identities)
 
     def _costs(self, expected: Sequence[Gaussian | None], blobs: Sequence[Blob]) -> Array:
         """-log likelihood of each region under each track, shape (n_tracks, n_blobs); inf outside of the gate."""

@@ -29,9 +29,8 @@ TERMS = tuple(
 )  # the powers of u and v in each term
 BRIGHTNESS_TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 """Powers of u and v by which the views may differ in brightness."""
-MAX_SAMPLES = (
-    15_000  # pixels used in the alignment: beyond some ten thousand, noise is no longer what limits it
-)
+# Pixels used in the alignment: beyond some ten thousand, noise is no longer what limits it
+MAX_SAMPLES = 15_000
 MAX_START_SAMPLES = 1000  # matches that the alignment starts from: it must begin within a pixel, no better
 START_STEPS, ALIGN_STEPS = 6, 12
 SETTLED_PX = 0.005  # A step that moves no pixel by more ends the alignment
@@ -53,9 +52,8 @@ class DisparitySurface:
     centre_px: Array
     mismatch_px: float
     matched_fraction: float
-    agreeing_fraction: float = (
-        1.0  # the share of the matches that lie within two of matching's pixels of the surface
-    )
+    # The share of the matches that lie within two of matching's pixels of the surface
+    agreeing_fraction: float = 1.0
 
     def at(self, points_px: Array) -> Array:
         """Disparity in px, shape (n,), at pixels of the left image, shape (n, 2)."""

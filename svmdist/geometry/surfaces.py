@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from svmdist.geometry.patches import Bounds, Patches, is_closed
+from svmdist.camera import Camera, fisheye_coefficients
 from svmdist.transforms import Array, transform_points
 
 
@@ -28,11 +29,8 @@ class Capsules:
 
     def transformed(self, T_other_this: Array) -> Capsules:
         """The same capsules in another frame, by a transform of shape (4, 4)."""
-        return Capsules(
-            transform_points(T_other_this, self.start_m),
-            transform_points(T_other_this, self.end_m),
-            self.radius_m,
-        )
+        start_m, end_m = (transform_points(T_other_this, points) for points in (self.start_m, self.end_m))
+        return Capsules(start_m, end_m, self.radius_m)
 
 
 def join(*groups: Capsules) -> Capsules:
@@ -56,9 +54,7 @@ class Plane:
 class Mesh:
     """Triangles: `vertices_m` of shape (v, 3) and `faces` (f, 3), counter-clockwise seen from outside.
 
-    A closed mesh has an inside; of an open one, what its faces' normals point away from counts as inside
-    as far as the winding number exceeds a half. What is derived from both is computed when first asked for; what
-    tells only how the faces hang together is shared with the meshes that are made by moving the vertices.
+    What has an inside is closed: every edge is run once in each direction.
     """
 
     vertices_m: Array
@@ -70,40 +66,20 @@ class Mesh:
         return np.asarray(self.vertices_m[self.faces])
 
     @cached_property
-    def patches(self) -> Patches:
-        """Compact groups of the faces."""
-        return Patches.of(self.vertices_m, self.faces)
+    def middles_m(self) -> Array:
+        """Centroid of every face, shape (f, 3)."""
+        a, b, c = (self.vertices_m[corner] for corner in self.faces.T)
+        return np.asarray((a + b + c) / 3.0)
 
     @cached_property
-    def bounds(self) -> Bounds:
-        """Boxes and balls about the patches."""
-        return self.patches.bounds(self.vertices_m)
-
-    @cached_property
-    def is_closed(self) -> bool:
-        """Whether every edge is run once in each direction."""
-        return is_closed(self.faces)
-
-    def with_vertices(self, vertices_m: Array) -> Mesh:
-        """The same faces over vertices that stand elsewhere, shape (v, 3): moved, or bent a little."""
-        other = Mesh(vertices_m, self.faces)
-        vars(other).update(patches=self.patches, is_closed=self.is_closed)
-        return other
+    def reach_m(self) -> Array:
+        """Largest distance of a point of each face from its centroid, shape (f,)."""
+        away = self.triangles_m - self.middles_m[:, None]
+        return np.asarray(np.sqrt(np.einsum("fki,fki->kf", away, away).max(0)))
 
     def transformed(self, T_other_this: Array) -> Mesh:
         """The same mesh in another frame, by a transform of shape (4, 4)."""
-        return PosedMesh(transform_points(T_other_this, self.vertices_m), self.faces, self, T_other_this)
-
-
-@dataclass(frozen=True)
-class PosedMesh(Mesh):
-    """A mesh that stands as another one, `shape`, by the transform `T_here_shape`, shape (4, 4).
-
-    What is near it can be asked in the shape's frame, where bounds are known already if it was asked before.
-    """
-
-    shape: Mesh
-    T_here_shape: Array
+        return Mesh(transform_points(T_other_this, self.vertices_m), self.faces)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,3 +90,24 @@ class Cloud:
 
 
 Surface = Plane | Mesh | Cloud
+
+
+def pixel_rays(camera: Camera, points_px: ArrayLike) -> Array:
+    """Directions in the camera frame, shape (n, 3) with z = 1, of pixels, shape (n, 2); undistorted."""
+    points = np.atleast_2d(np.asarray(points_px, np.float64))
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
+    if camera.distortion_model == "fisheye":
+        straight = cv2.fisheye.undistortPoints(points[:, None], camera.K, fisheye_coefficients(camera.D))
+    else:
+        straight = cv2.undistortPoints(
+            points[:, None], camera.K, camera.D if len(camera.D) else None, None, None, None, criteria
+        )
+    return np.column_stack([np.asarray(straight).reshape(-1, 2), np.ones(len(points))])
+
+
+def meet_plane(rays: Array, plane: Plane) -> Array:
+    """Points, shape (n, 3), where rays from the origin, shape (n, 3), meet a plane; NaN where they do not."""
+    slope = rays @ plane.normal
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(np.abs(slope) > 1e-9, plane.offset_m / slope, np.nan)
+    return np.where(depth > 0.0, depth, np.nan)[:, None] * rays

@@ -135,9 +135,8 @@ def _mask(channels: _Channels, region: ColourRegion) -> Image:
     return np.asarray(mask, np.uint8)
 
 
-BRIGHT_PART_FRACTION = (
-    0.005  # bright parts below this fraction of the image are letters on a black border, not scene
-)
+# Bright parts below this fraction of the image are letters on a black border, not scene
+BRIGHT_PART_FRACTION = 0.005
 
 
 def field_of_view(dark: Image) -> Image:

@@ -91,13 +91,8 @@ SMOKE_DENSITY = (0.15, 0.3, 0.45, 0.6, 0.75)
 of a fifth of the image and finer (image formation of haze, Koschmieder 1924)."""
 SMOKE_BGR = (208.0, 204.0, 200.0)
 
-JPEG_QUALITY = (
-    60,
-    40,
-    25,
-    14,
-    7,
-)  # OpenCV's scale to 100: recorders use 80 and more, streams fall to 25 and below
+# OpenCV's scale to 100: recorders use 80 and more, streams fall to 25 and below
+JPEG_QUALITY = (60, 40, 25, 14, 7)
 
 
 def require_degradation(name: str, severity: int) -> Degradation:

@@ -160,9 +160,8 @@ REFINED_PER_SCALE = 1.5  # how far from the rough line the fine one is sought, o
 MIN_POINTS = 8
 START_PART = 0.8  # of an edge that was found roughly, what is surely shaft: the rest may be wrist already
 END_STEPS = 3
-UNSEEN_SHARE = (
-    0.15  # against a line by a profile that shows no edge, where one beside the line counts `end_share`
-)
+# Against a line by a profile that shows no edge, where one beside the line counts `end_share`
+UNSEEN_SHARE = 0.15
 
 
 @dataclass(frozen=True, slots=True)

@@ -163,9 +163,8 @@ def slope_filter(count: int, sigma_px: float) -> Array:
 
 SHADE_FROM_PX, SHADE_FROM_BLUR, SHADE_LENGTH_PX = 1.0, 2.0, 6.0
 """Shades beside an edge are read from so far off it, two deviations of its blur, over such a length."""
-MAX_SHIFT = (
-    0.25  # of the slope's scale: a larger shift by shading is no small one, and its first order is not enough
-)
+# Of the slope's scale: a larger shift by shading is no small one, and its first order is not enough
+MAX_SHIFT = 0.25
 
 
 def shading_shift_px(brightness: Image, points_px: Array, outward: Array, blur_px: float = 0.0) -> float:

@@ -135,9 +135,8 @@ def _trials(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return first, (first + rng.integers(1, count, TRIALS)) % count
 
 
-MIN_SINE = (
-    5e-3  # of the angle between the two planes: a radius below 0.25 % of the distance has no measurable width
-)
+# Of the angle between the two planes: a radius below 0.25 % of the distance has no measurable width
+MIN_SINE = 5e-3
 
 
 @dataclass(frozen=True, slots=True)

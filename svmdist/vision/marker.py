@@ -86,9 +86,8 @@ def padded_template(size_px: int, margin_px: int) -> Image:
 EDGE_MARGIN_PX = 31  # ORB finds no keypoint closer to the border of a pyramid level than its `edgeThreshold`
 
 SCALE_FACTOR = 1.2
-MAX_LEVELS = (
-    8  # ORB's pyramid as in Rublee 2011, sec. 6.1: eight levels, each 1.2 times as coarse as the one before
-)
+# ORB's pyramid as in Rublee 2011, sec. 6.1: eight levels, each 1.2 times as coarse as the one before
+MAX_LEVELS = 8
 
 DESCRIPTOR_BYTES = 32  # eqs. (13)–(16): n = 256 binary tests make 32 bytes, not "32 dimensions"
 

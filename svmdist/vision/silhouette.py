@@ -36,9 +36,8 @@ MAD = 1.4826
 MIN_CELLS = 12
 FROM_ONE_END = 1.0 / np.sqrt(3.0)
 """How far what may be anywhere in a range is from one end of it, root mean square, over its length."""
-FAR_PERCENTILE = (
-    99.0  # of the outline's distances from the shaft's end: its tip, without a speck that hangs on it
-)
+# Of the outline's distances from the shaft's end: its tip, without a speck that hangs on it
+FAR_PERCENTILE = 99.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,9 +138,8 @@ def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.b
     return np.asarray(labels == np.bincount(own).argmax())
 
 
-ENDS_APART = (
-    0.3  # deviation of an end over the distance of both ends: those of a uniform distribution between them
-)
+# Deviation of an end over the distance of both ends: those of a uniform distribution between them
+ENDS_APART = 0.3
 
 
 @dataclass(frozen=True, slots=True)

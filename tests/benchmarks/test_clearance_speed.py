@@ -12,8 +12,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from svmdist.estimation.dome import DomeModel
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.tissue import tissue_frame
-from svmdist.geometry.closest import segment_to_triangle
-from svmdist.geometry.separation import capsule_separation, separation
+from svmdist.geometry.distance import capsule_separation, segment_to_triangle, separation
 from svmdist.geometry.surfaces import Capsules, Cloud, Plane
 from svmdist.kinematics.dh import chain_of
 from svmdist.profile import Dome, load_profile

@@ -183,7 +183,7 @@ def test_numbers_of_a_profile_are_bounded(
 @pytest.mark.parametrize("number", ["1e308", "-1e200"])
 def test_coordinates_of_a_mesh_are_bounded(tmp_path: Path, number: str) -> None:
     from svmdist.errors import ProfileError
-    from svmdist.geometry.mesh_files import read_closed_mesh
+    from svmdist.geometry.mesh import read_closed_mesh
 
     path = tmp_path / "organ.obj"
     path.write_text(f"v 0 0 0\nv {number} 0 0\nv 0 30 0\nv 0 0 30\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")

@@ -12,7 +12,7 @@ from svmdist.estimation.instrument.model import InstrumentModel, wrist_in_tool
 from svmdist.estimation.instrument.tag_pose import nudged
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue import TissuePose
-from svmdist.geometry.separation import capsule_separation
+from svmdist.geometry.distance import capsule_separation
 from svmdist.geometry.surfaces import Plane
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Observation, Status

@@ -31,7 +31,6 @@ from svmdist.estimation.instrument.shaft_model import (
     rim_residual,
     tip_residual,
 )
-from svmdist.estimation.instrument.window import stack
 from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
@@ -102,22 +101,6 @@ def test_derivatives_are_those_of_the_residual(measurement: LinkMeasurement) -> 
     check_jacobian(
         lambda step: measurement.linearise(moved(T_LINK, step)).residual, found.derivative, relative=1e-7
     )
-
-
-@pytest.mark.parametrize("measurement", measurements()[:7], ids=lambda measurement: measurement.name)
-def test_what_cannot_be_seen_has_no_finite_residual(measurement: LinkMeasurement) -> None:
-    """Behind the camera, or with the camera inside of the shaft; a visible pose beside it in a stack stays as it is."""
-    hidden = make_transform(np.eye(3), [0.0, 0.0, -0.05])
-    if isinstance(measurement, ContourMeasurement):
-        hidden = make_transform(np.eye(3), -measurement.p_axis_m)
-    alone = measurement.linearise(hidden)
-    assert not np.isfinite(alone.residual).any()
-    assert not np.isfinite(alone.derivative).any()
-    [members] = stack([(measurement,), (measurement,)])
-    both = members.measurement.linearise(np.stack([hidden, T_LINK]))
-    assert not np.isfinite(both.residual[0]).any()
-    np.testing.assert_allclose(both.residual[1], measurement.linearise(T_LINK).residual, rtol=1e-12)
-    assert np.isfinite(both.derivative[1]).all()
 
 
 T_CAMERA_BASE = make_transform(rotation_of([2.0, 0.4, -0.3]), [0.1, -0.2, 0.9])

@@ -143,7 +143,7 @@ def measure_once(golden: Path, methods: tuple[str, ...]) -> tuple[Setup, int]:
     assert isinstance(found, tuple)
     frames = association.frames(Scene(found[0], setups[0].profile, setups[0].segmenter), found)
     for lane in lanes:
-        lane.estimate(frames)
+        lane.estimate(frames, {}, {})
     return setups[0], len(arms)
 
 

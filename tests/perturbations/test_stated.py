@@ -21,11 +21,11 @@ from svmdist.perturbations.calibration import (
     stated_right_camera,
     zoomed_camera,
 )
-from svmdist.perturbations.chosen import UNPERTURBED, parse_perturbations
+from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.perturbations.images import perturbed_image, perturbed_right_view, zoomed_image
 from svmdist.profile import Profile, load_profile
 from svmdist.samples import RightView
-from svmdist.transforms import rotation_angle, rotation_vector
+from svmdist.transforms import rotation_angle
 from tests.synthetic import make_scene
 
 PROFILE = load_profile()
@@ -60,17 +60,6 @@ def test_focal_length_and_principal_point_are_off_in_K_and_P_and_leave_the_pair(
     np.testing.assert_allclose(right.P[:, :3], expected)
     np.testing.assert_allclose(pair("focal=1,principal_point=5"), pair("lag=1"), atol=1e-12)
     assert stated_camera(LEFT, parse_perturbations("baseline=1")) is LEFT
-
-
-def test_the_right_camera_is_said_to_stand_elsewhere_and_not_to_be_turned() -> None:
-    np.testing.assert_allclose(pair("baseline=0.2")[:3, 3], [0.0052, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(pair("focal=3,baseline=0.2")[:3, 3], [0.0052, 0.0, 0.0], atol=1e-12)
-    for axis, name in enumerate(("right_pitch", "right_yaw", "right_roll")):
-        turn = right_turn(parse_perturbations(f"{name}=0.3"))
-        np.testing.assert_allclose(rotation_vector(turn), np.radians(0.3) * np.eye(3)[axis], atol=1e-12)
-        np.testing.assert_array_equal(pair(f"{name}=0.3"), pair("lag=1"))  # it is not said
-    alone = stated_right_camera(right_of(LEFT, 0.0), parse_perturbations("baseline=0.2"))
-    assert stereo_transform(LEFT, alone) is None  # two cameras that are no pair do not become one
 
 
 @pytest.mark.parametrize("zoom", [0.8, 1.1])
@@ -164,28 +153,11 @@ def test_each_name_changes_its_own_length() -> None:
     assert other.tissue.plane_normal != said.tissue.plane_normal
 
 
-def test_the_camera_is_built_as_far_from_the_floor_as_is_not_said() -> None:
-    built = built_profile(PROFILE, parse_perturbations("plane=1"), 1)
-    assert built.simulation is not None
-    assert built.simulation.camera_height_m == pytest.approx(0.111)
-
-
 def test_a_plane_stays_before_the_camera() -> None:
     assert PROFILE.tissue is not None
     near = PROFILE.model_copy(update={"tissue": PROFILE.tissue.model_copy(update={"plane_distance_m": 0.01})})
     with pytest.raises(UsageError, match="10 mm behind the camera"):
         stated_profile(near, parse_perturbations("plane=-20"), 1)
-
-
-def test_a_profile_without_these_parts_has_nothing_to_be_wrong_about() -> None:
-    bare = PROFILE.model_copy(update={"robot": None, "instrument": None, "fiducial": None, "tissue": None})
-    chosen = parse_perturbations(EVERYTHING.format(p=1, t=2, s=5, w=1, k=5, g=2, m=0.5))
-    assert stated_profile(bare, chosen, 1) == bare
-    assert stated_profile(PROFILE, UNPERTURBED, 1) == PROFILE
-    published = load_profile("dvrk-psm")
-    said = stated_profile(published, parse_perturbations("wrist_length=1"), 1)
-    assert said.robot is not None
-    assert [joint.a_m for joint in said.robot.joints][-1] == pytest.approx(0.0101)
 
 
 def test_other_instruments_are_built_alike() -> None:

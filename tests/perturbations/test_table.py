@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from benchmarks.generated_pages import DOCS
 from svmdist.errors import UsageError
-from svmdist.perturbations.calibration import TURN_DEG_PER_MM
 from svmdist.perturbations.chosen import (
     UNPERTURBED,
     Perturbations,
@@ -67,12 +66,6 @@ def test_what_is_not_chosen_is_neutral() -> None:
 def test_what_cannot_be_is_told(text: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         parse_perturbations(text)
-
-
-def test_an_ideal_world_has_what_is_given_and_no_more() -> None:
-    assert draw_world(World.IDEAL, 1) == UNPERTURBED
-    lag = parse_perturbations("lag=30")
-    assert draw_world(World.IDEAL, 1, lag) is lag
 
 
 def test_a_real_world_has_all_that_are_real_and_what_is_given() -> None:
@@ -165,17 +158,6 @@ def test_a_stated_deviation_is_that_of_real_worlds(name: str) -> None:
     """At least as large, at most three times."""
     said = stated(load_profile())[name]
     assert 0.999 * std_of(name) <= said <= 3.0 * std_of(name)
-
-
-def test_backlash_and_a_turned_tag_are_stated() -> None:
-    """Backlash has no deviation: what is stated of the joints' play lies within its range."""
-    profile = load_profile()
-    law = TABLE["backlash"].real
-    assert isinstance(law, Uniform)
-    assert law.low <= np.degrees(profile.kinematic_error.play_std_rad) <= law.high
-    assert profile.fiducial is not None
-    turn_deg = TURN_DEG_PER_MM * std_of("tag_mount")
-    assert np.degrees(profile.fiducial.rotation_std_rad) == pytest.approx(turn_deg, rel=0.25)
 
 
 def test_every_source_is_in_the_list_of_sources() -> None:

@@ -9,13 +9,9 @@ import pytest
 from pydantic import ValidationError
 
 from svmdist.errors import ProfileError
-from svmdist.profile.profile import Frames, Limits, Topics
-from svmdist.profile.robot import ARM_TOPICS, ArmTopics, OtherInstrument
+from svmdist.profile.profile import Limits
+from svmdist.profile.robot import ArmTopics
 from svmdist.profile.segmentation import (
-    AreaGate,
-    ClassRegion,
-    ColourRegion,
-    HsvSegmentation,
     OnnxSegmentation,
 )
 from svmdist.profile.toml import Angle, NeighbourFile, Size, StrictModel, parse_toml
@@ -52,10 +48,6 @@ def parsed(folder: Path, text: str) -> Document:
     return parse_toml(path, Document, ProfileError)
 
 
-def test_an_empty_file_is_the_defaults(tmp_path: Path) -> None:
-    assert parsed(tmp_path, "") == Document()
-
-
 def test_values_are_read_in_their_units(tmp_path: Path) -> None:
     """Bytes with a unit, an angle as a multiple of pi, and a file beside the document, wherever that is."""
     found = parsed(tmp_path, 'size = "2 MiB"\nangle = "-pi/2"\nfile = "a/b.stl"\n[inner]\nwidth_px = 4\n')
@@ -84,11 +76,6 @@ def test_a_mistake_names_file_and_key(tmp_path: Path, text: str, words: list[str
         assert word in str(caught.value)
 
 
-def test_models_are_frozen() -> None:
-    with pytest.raises(ValidationError, match="frozen"):
-        Document().size = MIB
-
-
 def test_an_instrument_is_known_by_its_topics() -> None:
     """Joints or pose, either is enough; a distance alone is nobody's."""
     for named in ({"joints": "/j"}, {"pose": "/p"}, {"joints": "/j", "pose": "/p"}):
@@ -101,40 +88,12 @@ def test_an_instrument_is_known_by_its_topics() -> None:
         ArmTopics(ground_truth_distance="/d")
 
 
-def test_an_instrument_s_topics_are_some_of_the_log_s() -> None:
-    """Of the same names, so that one instrument's take the place of the profile's."""
-    assert set(ARM_TOPICS) == set(ArmTopics.model_fields)
-    assert set(ARM_TOPICS) < set(Topics.model_fields)
-    frames = {"base": "b", "tool": "t"}
-    assert set(frames) < set(Frames.model_fields)
-    other = OtherInstrument(name="PSM2", topics={"joints": "/j"}, frames=frames)  # type: ignore[arg-type]
-    assert (other.robot, other.instrument, other.fiducial_id) == (None, None, None)
-    with pytest.raises(ValidationError, match="name"):
-        OtherInstrument(name="", topics={"joints": "/j"}, frames=frames)  # type: ignore[arg-type]
-
-
 def test_limits_are_bounded_themselves() -> None:
     """No profile can ask for an image that OpenCV refuses, or for a limit that lets nothing through."""
     assert Limits().image_pixels <= 1 << 26
     for wrong in ({"image_pixels": (1 << 26) + 1}, {"chunk_records": 0}, {"record_bytes": 1}):
         with pytest.raises(ValidationError):
             Limits(**wrong)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("name", ["saturation", "value"])
-def test_a_box_is_not_empty(name: str) -> None:
-    """A hue may wrap around, a saturation or value may not."""
-    assert ColourRegion(hue=(170, 8), min_area_px=1).hue == (170, 8)
-    with pytest.raises(ValidationError, match="empty"):
-        ColourRegion(hue=(0, 8), min_area_px=1, **{name: (9, 8)})  # type: ignore[arg-type]
-
-
-def test_the_gate_is_the_same_for_colours_and_classes() -> None:
-    """Every way to segment has all of the gate's fields."""
-    for rule in (ColourRegion, ClassRegion):
-        assert set(AreaGate.model_fields) < set(rule.model_fields)
-    with pytest.raises(ValidationError, match="min_area_px"):
-        AreaGate(min_area_px=0)
 
 
 def test_a_network_s_parts_and_scale() -> None:
@@ -158,12 +117,6 @@ def test_a_network_s_parts_and_scale() -> None:
 def test_a_network_that_cannot_work_is_refused(change: dict[str, Any], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         OnnxSegmentation.model_validate({**NETWORK, **change})
-
-
-def test_colours_are_the_default() -> None:
-    region = {"hue": (0, 8), "min_area_px": 5}
-    rules = HsvSegmentation.model_validate({"tissue": region, "instrument": region})
-    assert (rules.method, rules.shaft) == ("hsv", None)
 
 
 def test_a_file_of_another_kind_is_told_as_such(tmp_path: Path) -> None:

@@ -7,13 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from svmdist.errors import ProfileError, UsageError, did_you_mean
+from svmdist.errors import ProfileError, UsageError
 from svmdist.profile import (
     DEFAULT_PROFILE,
-    ColourRegion,
     Joint,
     Profile,
     load_profile,
@@ -247,13 +244,6 @@ def test_other_text_is_no_angle(text):
         Joint(name="j", type="revolute", alpha_rad=text)
 
 
-@settings(deadline=None, max_examples=40)
-@given(st.integers(0, 179), st.integers(0, 179))
-def test_a_hue_may_wrap_around(first, last):
-    """Every pair of hues is a range, since red lies on both sides of 0."""
-    assert ColourRegion(hue=(first, last), min_area_px=1).hue == (first, last)
-
-
 def test_a_rotation_of_the_tool_becomes_a_transform(tmp_path):
     """tool_rotation stands in the upper left of T_last_tool, and its absence is the identity."""
     text = TEXT.replace("[robot]", "[robot]\ntool_rotation = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]", 1)
@@ -296,18 +286,6 @@ def test_a_file_that_is_not_utf_8_says_at_which_byte(tmp_path):
     path.write_bytes('name = "Gerät"'.encode("latin-1"))
     with pytest.raises(ProfileError, match=r"latin\.toml: not a TOML file: byte 11 is not UTF-8"):
         load_profile(path)
-
-
-@pytest.mark.parametrize("name", ["ratoi", "rati", "ratioo"])
-def test_the_nearest_name_comes_first(name):
-    """A slip of the keyboard is answered with the word that was meant."""
-    assert did_you_mean(name, ["size_px", "ratio"]).startswith("did you mean ratio? ")
-
-
-def test_a_name_like_none_gets_the_choices_alone():
-    """Without a near name the choices are listed in order; without choices it says that."""
-    assert did_you_mean("xyz", ["b", "a"]) == "the choices are: a, b"
-    assert did_you_mean("xyz", []) == "there are none to choose from"
 
 
 def test_limits_are_numbers_of_bytes_or_text_with_a_unit(tmp_path):
@@ -359,18 +337,3 @@ def test_instruments_that_cannot_be_told_apart_are_refused(tmp_path, old, new, m
     assert old in TEXT
     with pytest.raises(ProfileError, match=message):
         load_text(tmp_path, TEXT.replace(old, new, 1))
-
-
-@pytest.mark.parametrize(
-    ("topics", "there"),
-    [
-        ({"/PSM2/measured_js"}, True),
-        ({"/PSM2/measured_cp", "/PSM1/measured_js"}, True),
-        ({"/ground_truth/PSM2/distance", "/PSM1/measured_js"}, False),
-        (set(), False),
-    ],
-)
-def test_a_log_has_an_instrument_by_its_joints_or_its_pose(topics: set[str], there: bool) -> None:
-    """Its true distance alone does not make an instrument that could be measured."""
-    (second,) = load_profile().other_instruments
-    assert second.topics.are_in(topics) is there

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError, SvmdistError
-from svmdist.geometry.mesh_files import read_closed_mesh
+from svmdist.geometry.mesh import read_closed_mesh
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.images import ImageError, decode_still
 from svmdist.recording.log import open_recording

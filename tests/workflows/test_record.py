@@ -25,7 +25,6 @@ from tests.cli.running import require_no_traceback, started
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.workflows import record as record_module
 from svmdist.workflows.compare import Group, group_of
-from svmdist.workflows.episodes import episode_paths
 from svmdist.workflows.record import record
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="needs signals as POSIX has them")
@@ -195,13 +194,3 @@ def test_whatever_ends_it_no_file_under_a_final_name_is_incomplete(tmp_path: Pat
         path.unlink(missing_ok=True)
     if count > 50:
         assert {"whole", "part"} <= found, "the signals did not meet the recorder at work"
-
-
-def test_names_of_episodes(tmp_path: Path) -> None:
-    paths = episode_paths(tmp_path / "out", "sweep", 7, 3)
-    assert [path.name for path in paths] == ["sweep-7.mcap", "sweep-8.mcap", "sweep-9.mcap"]
-    assert (tmp_path / "out").is_dir()
-    paths = episode_paths(tmp_path / "{seed}" / "run-{episode}.mcap", "sweep", 7, 10)
-    assert [str(path.relative_to(tmp_path)) for path in paths[::9]] == ["7/run-01.mcap", "16/run-10.mcap"]
-    with pytest.raises(UsageError, match="is one name for 3 episodes"):
-        episode_paths(tmp_path / "a.mcap", "sweep", 7, 3)

@@ -41,26 +41,6 @@ with RecordingWriter(target, {"scenario": "killed"}) as writer:
         writer.write(topic, sample)
         time.sleep(pause_s)
 """
-SIMULATED = """
-import os, sys
-from pathlib import Path
-from svmdist.profile import load_profile
-from svmdist.recording import writer as writer_module
-from svmdist.simulation.scenarios import Scenario
-target = Path(sys.argv[1])
-progress = os.open(target.with_suffix(".progress"), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-write, count = writer_module.RecordingWriter.write, 0
-def noted(self, topic, sample):
-    global count
-    os.write(progress, f"{count} {sample.stamp_ns}\\n".encode())
-    count += 1
-    write(self, topic, sample)
-writer_module.RecordingWriter.write = noted
-from svmdist.workflows.record import record
-profile = load_profile()
-small = profile.simulation.model_copy(update={"width_px": 64, "height_px": 48})
-record(Scenario("sweep", 3, 30.0, 20.0), profile.model_copy(update={"simulation": small}), target)
-"""
 
 
 @dataclass(frozen=True)
@@ -127,19 +107,6 @@ def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path, pause_s: float
     assert max(kill_many(SYNTHETIC, tmp_path, 2, 0.6, 1, pause_s)) <= CHUNK_LOSS_NS
 
 
-def test_a_killed_record_loses_less_than_a_second(tmp_path: Path) -> None:
-    pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-    assert max(kill_many(SIMULATED, tmp_path, 2, 1.0, 2)) <= CHUNK_LOSS_NS
-
-
 @pytest.mark.fault
 def test_fifty_kills_of_the_writer(tmp_path: Path) -> None:
     assert max(kill_many(SYNTHETIC, tmp_path, 50, 2.0, 3, 0.0)) <= CHUNK_LOSS_NS
-
-
-@pytest.mark.fault
-def test_a_hundred_kills_of_record(tmp_path: Path) -> None:
-    pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-    losses_ns = kill_many(SIMULATED, tmp_path, 100, 2.0, 4)
-    assert max(losses_ns) <= CHUNK_LOSS_NS
-    print(f"log time missing: at most {max(losses_ns) / 1e6:.0f} ms")

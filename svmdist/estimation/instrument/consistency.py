@@ -10,15 +10,8 @@ from functools import lru_cache
 
 from svmdist.profile.settings import FilterSettings
 
-WINDOW_SOLVES = (
-    1,
-    2,
-    3,
-    5,
-    8,
-    12,
-    20,
-)  # frames after which a young filter solves anew: linearisation is cm off at first
+# Frames after which a young filter solves anew: linearisation is cm off at first
+WINDOW_SOLVES = (1, 2, 3, 5, 8, 12, 20)
 CONSISTENCY_WINDOW_S = 1.5  # of averaged innovations: a hundred degrees of freedom at 10 Hz
 CONSISTENCY_MIN_DEGREES = 8  # fewer degrees of freedom in that window tell nothing of consistency
 MAX_REFUSED_FRAMES = 4  # in a row, all refused: what hides an instrument misleads two or three

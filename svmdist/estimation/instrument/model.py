@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.errors import KinematicsError
-from svmdist.geometry.closest import cross
+from svmdist.geometry.distance import cross
 from svmdist.geometry.surfaces import Capsules, join
 from svmdist.kinematics.dh import (
     DHChain,
@@ -138,9 +138,8 @@ def _turned(vector: Array, axis: Array, angle_rad: float) -> Array:
 WRIST_LENGTH_PER_RADIUS = 3.4
 """Distance from the wrist's hinge to the tool over the wrist's radius, where no chain tells: 9.1 / 2.7."""
 NECK_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
-TINE_RADIUS_M = (
-    0.0005  # of the fork's rods beside the distal marker, whose thickness does not follow its size
-)
+# Of the fork's rods beside the distal marker, whose thickness does not follow its size
+TINE_RADIUS_M = 0.0005
 FORK_BEGIN = 0.3  # where the fork's tines leave its bridges, over the way from the hinge to the tool
 BLADE_RODS = (
     (0.0, 0.62, 0.43, 0.50),
@@ -153,9 +152,8 @@ BLADE_RODS = (
 it lies and how thick it is, both over the jaw's radius. The last one ends with its cap."""
 PLATE_RADIUS_M, PLATE_RODS = 0.0003, 7
 """Half of the thickness of a printed plate; rods 1.4 mm apart stand in for one of 9 mm."""
-BLADE_OFFSET = (
-    0.55  # A blade's middle plane stands this many radii of the jaw outside the plane where the jaws meet
-)
+# A blade's middle plane stands this many radii of the jaw outside the plane where the jaws meet
+BLADE_OFFSET = 0.55
 
 
 class InstrumentModel:

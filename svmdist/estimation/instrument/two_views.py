@@ -41,9 +41,8 @@ WATCH_FRAMES = 20  # frames over which disparities are held against the instrume
 WATCH_BOUND_STDS = 2.5  # in the median; beyond, it widens the depth: one log in eighty by chance
 
 DEFAULT = StereoSettings()
-ASIDE_RAD = (
-    0.056  # the angle between the views for which the settings state the disparity's deviation: 5 mm at 90 mm
-)
+# The angle between the views for which the settings state the disparity's deviation: 5 mm at 90 mm
+ASIDE_RAD = 0.056
 
 
 @dataclass(frozen=True, slots=True)

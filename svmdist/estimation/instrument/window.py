@@ -82,9 +82,8 @@ def _join(members: list[tuple[LinkMeasurement, int, int]]) -> MeasurementStack:
 
 FIRST_DAMPING = 1e-4
 MAX_TIME_STEPS = 4
-TIME_SETTLED_S = (
-    1e-3  # A joint that turns at 1 rad/s with 10 rad/s² leaves its tangent by 5 µrad within as long
-)
+# A joint that turns at 1 rad/s with 10 rad/s² leaves its tangent by 5 µrad within as long
+TIME_SETTLED_S = 1e-3
 COST_SETTLED = 1e-3  # A step that lowers a sum of squares by less moves nothing that a deviation would notice
 
 

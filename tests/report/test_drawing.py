@@ -1,25 +1,105 @@
-"""Drawings say what the results say: lengths, places, counts; and they follow the lens."""
+"""Drawings say what the results say, follow the lens, and are the same in pictures, messages and panels."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist.camera import Camera
-from svmdist.drawing import Form, FrameDrawing, Part
+from svmdist.drawing import COLOURS, Body, Form, FrameDrawing, Label, Part, SceneDrawing, Shape, StatusLine
+from svmdist.errors import OutputError
+from svmdist.estimation.alarms import AlarmState
 from svmdist.recording.log import open_recording
-from svmdist.report.panels import draw_on
-from svmdist.results import FrameResult
+from svmdist.recording.viewer_messages import image_annotations, scene_update
+from svmdist.report.panels import bgr, draw_on, masks_picture, write_picture
+from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.vision.frame_context import seen_through
-from svmdist.workflows.frame_drawing import _through_lens, frame_drawing, virtual_marker
+from svmdist.workflows.frame_drawing import (
+    Segmented,
+    _through_lens,
+    distance_shapes,
+    drawn_frames,
+    frame_drawing,
+    image_stamps_ns,
+    in_words,
+    segments,
+    status_line,
+    virtual_marker,
+)
 from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import Setup, prepare
+from tests.conftest import REPOSITORY
+from tests.synthetic import write_log
 
-REPOSITORY = Path(__file__).resolve().parents[3]
+K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
+CAMERA = Camera(640, 480, K, np.zeros(5), frame_id="camera")
+CLEARANCE = Distance(0.01, 0.001, (1.0, 0.0, 0.0), (0.0, 0.0, 0.1))
+RESULT = FrameResult(
+    7,
+    Status.OK,
+    ImageFindings(tool_px=(320.0, 240.0), tissue_px=(400.0, 240.0)),
+    distances=Distances(planar=Distance(0.02), clearance=CLEARANCE),
+    instrument="PSM1",
+)
+
+
+def test_words_and_lines_of_a_distance() -> None:
+    """The clearance goes before the planar distance, and is drawn where the camera sees it, with its alarm."""
+    assert (in_words(CLEARANCE), in_words(Distance(0.02))) == ("10.00 mm [8.04, 11.96]", "20.00 mm")
+    alarmed = status_line(RESULT, "fused", AlarmState(alarm=True))
+    assert (alarmed.text, alarmed.alarm) == ("PSM1 fused: clearance 10.00 mm [8.04, 11.96]  ALARM", True)
+    line, label = distance_shapes(RESULT, CAMERA)
+    assert isinstance(line, Shape)
+    assert isinstance(label, Label)
+    np.testing.assert_allclose(line.points_px, [[320.0, 240.0], [370.0, 240.0]])
+    np.testing.assert_allclose(label.place_px, [345.0, 240.0])
+
+
+@pytest.mark.parametrize(("start_z_m", "end_z_m", "is_drawn"), [(0.1, 0.098, True), (-0.1, -0.102, False)])
+def test_a_penetration_runs_back_into_the_instrument(
+    start_z_m: float, end_z_m: float, is_drawn: bool
+) -> None:
+    """And what is behind the camera is not drawn."""
+    clearance = Distance(-0.002, None, (0.0, 0.0, 1.0), (0.0, 0.0, start_z_m))
+    deep = FrameResult(0, Status.OK, distances=Distances(clearance=clearance))
+    (segment,) = segments(deep)
+    assert segment.end_m[2] == pytest.approx(end_z_m)
+    assert bool(list(distance_shapes(deep, CAMERA))) is is_drawn
+
+
+def test_annotations_keep_forms_texts_and_stamps() -> None:
+    drawing = FrameDrawing(
+        1_500_000_000,
+        (Shape(Part.TAG, Form.LOOP, np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])),),
+        (Label(Part.DISTANCE, np.array([9.0, 8.0]), "10 mm"),),
+        (StatusLine("PSM1: ok", True),),
+    )
+    message = ImageAnnotations.FromString(image_annotations(drawing).data)
+    (shape,) = message.points
+    assert shape.type == PointsAnnotation.LINE_LOOP
+    assert [(point.x, point.y) for point in shape.points] == [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]
+    assert [text.text for text in message.texts] == ["10 mm", "PSM1: ok"]
+    assert (message.timestamp.seconds, message.timestamp.nanos) == (1, 500_000_000)
+
+
+def test_a_scene_holds_capsules_and_deletes_what_is_gone() -> None:
+    body = Body("PSM1", np.zeros((1, 3)), np.array([[0.0, 0.03, 0.04]]), np.array([0.002]))
+    message = SceneUpdate.FromString(scene_update(SceneDrawing((body,)), ["PSM1"], "camera", 3).data)
+    (entity,) = message.entities
+    (cylinder,) = entity.cylinders
+    assert cylinder.size.z == pytest.approx(0.05)
+    q = cylinder.pose.orientation
+    along = [2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), 1 - 2 * (q.x**2 + q.y**2)]
+    np.testing.assert_allclose(along, [0.0, 0.6, 0.8], atol=1e-12)  # the cylinder's own z axis
+    assert {deletion.id for deletion in message.deletions} == {"tissue", "PSM1 distance", "PSM1 between"}
 
 
 def first_frames(name: str, method: str, count: int) -> tuple[Setup, list[Replayed]]:
@@ -170,3 +250,25 @@ def test_a_picture_changes_where_the_drawing_is_and_nowhere_else(sweep: tuple[Se
     assert (columns <= high[0]).all()
     assert (rows >= low[1]).all()
     assert (rows <= high[1]).all()
+
+
+def test_masks_are_drawn_on_the_chosen_frames(tmp_path: Path) -> None:
+    """Each with its number and seconds, enlarged below a legend; the frame itself stays as it was."""
+    setup = prepare(method=Segmented())
+    recording = open_recording(write_log(tmp_path / "a.mcap", frame_count=6), setup.profile)
+    assert len(image_stamps_ns(recording)) == 6
+    shown = list(drawn_frames(recording, setup, numbers=(1, 4)))
+    assert [one.number for one in shown] == [1, 4]
+    assert 0.0 < shown[0].seconds < shown[1].seconds
+    image = shown[0].replayed.image_bgr
+    assert image is not None
+    before = image.copy()
+    picture = masks_picture(shown[0], "a")
+    assert np.array_equal(image, before)
+    assert picture.shape[1] >= 900
+    contour = (picture == np.array(bgr(COLOURS[Part.TISSUE]))).all(2)
+    assert contour.sum() > 500
+    write_picture(tmp_path / "a.png", picture)
+    assert np.array_equal(cv2.imread(str(tmp_path / "a.png")), picture)
+    with pytest.raises(OutputError):
+        write_picture(tmp_path / "none" / "a.png", picture)
