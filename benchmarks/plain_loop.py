@@ -76,7 +76,8 @@ def main(path: Path, *, only_decode: bool) -> None:
     """Run over a log."""
     cv2.setNumThreads(1)
     pattern = marker()
-    padded = cv2.copyMakeBorder(pattern, *(4 * [PAD_PX]), cv2.BORDER_CONSTANT, value=(120, 80, 40))
+    pads = (PAD_PX, PAD_PX, PAD_PX, PAD_PX)
+    padded = cv2.copyMakeBorder(pattern, *pads, cv2.BORDER_CONSTANT, value=(120, 80, 40))
     template = ORB.detectAndCompute(padded, None)
     frames = measured = 0
     with path.open("rb") as stream:

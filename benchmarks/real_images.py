@@ -131,6 +131,7 @@ def thrust(folder: Path, out: Path) -> Iterator[str]:
     robot.write_text(f'hand_eye = "{found.name}"\n' + robot.read_text("utf-8"), "utf-8")
     joint_px, joint_m = red_joints(images)
     middle_m, face_m, face_std_m = joint_middles(joint_m, poses)
+    columns: tuple[str, ...]
     columns = ("method", "rows", "px, median", "mm, median", "p95", "in 95%", "over 5 deviations")
     columns += (
         "mm to the joint's middle, median",

@@ -200,5 +200,5 @@ def film(rng: np.random.Generator, scene: Array, picture: Array) -> Array:
     image = np.clip(scene, 0, 255).astype(np.uint8)
     if rng.random() < 0.6:
         _, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(20, 96))])
-        image = cv2.imdecode(coded, cv2.IMREAD_COLOR)
+        image = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
     return image

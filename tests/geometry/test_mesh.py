@@ -69,12 +69,6 @@ def test_a_mesh_that_is_inside_out_is_turned(tmp_path: Path) -> None:
     assert trimesh.Trimesh(mesh.vertices_m, mesh.faces).volume > 0.0
 
 
-def test_faces_without_extent_are_dropped(tmp_path: Path) -> None:
-    path = write(organ(), tmp_path / "a.obj", "obj")
-    path.write_text(path.read_text() + "\nf 1 1 2\n")
-    assert len(read_closed_mesh(path, 1e-3).faces) == len(organ().faces)
-
-
 TETRAHEDRON = "v 0 0 0\nv 30 0 0\nv 0 30 0\nv 0 0 30\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 HUGE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n" + "f 1 2 3\n" * (MAX_TRIANGLES + 1)
 

@@ -104,10 +104,10 @@ def contour_m(centre_m: Array, radius_m: float) -> Array:
     return np.asarray(centre_m * shrink + radius_m * np.sqrt(shrink) * circle)
 
 
-@pytest.mark.parametrize(("text", "camera"), [("", 0), ("lens=1", 0), ("lens=1", 1)])
-def test_balls_are_seen_where_opencv_projects_them(profile: Profile, text: str, camera: int) -> None:
-    """All over the image, the corners among them, within 0.2 px of cv2.projectPoints, through the lens or without."""
-    scene = make_scene(profile, 1, perturbed(text))
+@pytest.mark.parametrize("camera", [0, 1])
+def test_balls_are_seen_where_opencv_projects_them(profile: Profile, camera: int) -> None:
+    """All over the image, the corners among them, through the lens: within 0.2 px of cv2.projectPoints."""
+    scene = make_scene(profile, 1, perturbed("lens=1"))
     T_world_eye = scene.T_world_camera @ (np.eye(4), scene.T_camera_right)[camera]
     radius_m, K, errors = 0.0014, scene.camera.K, []
     with Renderer([scene]) as renderer:
@@ -119,8 +119,8 @@ def test_balls_are_seen_where_opencv_projects_them(profile: Profile, text: str, 
             image = drawn(renderer, withdrawn(scene), camera=camera)
             blue, green, red = np.moveaxis(image.astype(int), -1, 0)
             rows, columns = np.nonzero((green > 70) & (green > 1.5 * np.maximum(blue, red)))
-            D = scene.camera.D if len(scene.camera.D) else np.zeros(5)
-            outline = cv2.projectPoints(contour_m(centre_m, radius_m), np.zeros(3), np.zeros(3), K, D)[0]
+            outline_m, D = contour_m(centre_m, radius_m), scene.camera.D
+            outline = cv2.projectPoints(outline_m, np.zeros(3), np.zeros(3), K, D)[0]
             moments = cv2.moments(outline[:, 0].astype(np.float32))
             expected = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
             errors.append(np.array([columns.mean(), rows.mean()]) - expected)

@@ -32,10 +32,7 @@ def test_a_blur_keeps_shape_and_type_and_its_input(blur):
 
 @pytest.mark.parametrize("kernel_px", [3, 5, 7, 9])
 def test_the_gaussian_has_the_stated_sigma(kernel_px):
-    """An impulse spreads with σ = 0.3 ((k - 1) / 2 - 1) + 0.8, within 1 grey level of 255.
-
-    Left to choose, OpenCV takes binomial kernels up to 7 px, which are narrower: 5 levels at 3 px.
-    """
+    """An impulse spreads with σ = 0.3 ((k - 1) / 2 - 1) + 0.8, not as OpenCV's binomial kernels, to 1 grey level."""
     impulse = np.zeros((31, 31, 3), np.uint8)
     impulse[15, 15] = 255
     sigma = 0.3 * ((kernel_px - 1) / 2 - 1) + 0.8

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.masks import instruments_of
 from svmdist.errors import ProfileError
-from svmdist.profile import ClassRegion, OnnxSegmentation, load_profile
+from svmdist.profile import ClassRegion, OnnxSegmentation, load_profile, profile_path
 from svmdist.vision.network import OnnxSegmenter
 from tests.onnx_file import node, tensor, value_info, write_classifier, write_model
 from tests.surgery_images import surgery_image
@@ -142,7 +142,7 @@ def segmenter() -> OnnxSegmenter:
 
 def profile_with(folder: Path, segmentation: str) -> Path:
     """The profile of the dVRK arm with another segmentation."""
-    text = load_text("dvrk-psm")
+    text = profile_path("dvrk-psm").read_text("utf-8")
     head, _, rest = text.partition("[segmentation")
     tail = rest[rest.index("\n[") + 1 :]
     while tail.startswith("[segmentation"):
@@ -150,12 +150,6 @@ def profile_with(folder: Path, segmentation: str) -> Path:
     path = folder / "mine.toml"
     path.write_text(head + segmentation + "\n" + tail, "utf-8")
     return path
-
-
-def load_text(name: str) -> str:
-    import svmdist.profiles
-
-    return (Path(svmdist.profiles.__file__).parent / f"{name}.toml").read_text("utf-8")
 
 
 def test_an_unknown_name_is_one_line_with_the_choices(tmp_path: Path) -> None:

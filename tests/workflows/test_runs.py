@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from svmdist.recording.encode import encode_all
 
 from svmdist.errors import RecordingError
 from svmdist.recording.log import Recording, open_recording
-from svmdist.recording.writer import RecordingWriter
+from svmdist.recording.writer import RecordingWriter, encode_all
 from svmdist.samples import CameraSample, DistanceSample, ImageSample, Sample
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import Run, measure_runs, pooled_figures
