@@ -73,24 +73,10 @@ def file_with_chunk(path: Path, compression: str, data: bytes, size_bytes: int, 
     path.write_bytes(MAGIC + join([(1, bytes(8)), (6, head + data), (15, bytes(4)), (2, bytes(20))]) + MAGIC)
 
 
-def zstd_false_size(path: Path) -> None:
-    """A chunk that declares 1 MiB and grows to 1 GiB."""
-    file_with_chunk(path, "zstd", zeros_zstd(GIB), 1 << 20)
-
-
-def zstd_true_size(path: Path) -> None:
-    """A chunk that declares what it grows to."""
-    file_with_chunk(path, "zstd", zeros_zstd(GIB), GIB)
-
-
-def lz4_false_size(path: Path) -> None:
-    """The same in LZ4."""
-    file_with_chunk(path, "lz4", zeros_lz4(GIB), 1 << 20)
-
-
-def lz4_true_size(path: Path) -> None:
-    """The same in LZ4, honestly declared."""
-    file_with_chunk(path, "lz4", zeros_lz4(GIB), GIB)
+def chunk_of(compression: str, declared_bytes: int) -> Callable[[Path], None]:
+    """A chunk that grows to 1 GiB, whatever it declares."""
+    pack = {"zstd": zeros_zstd, "lz4": zeros_lz4}[compression]
+    return lambda path: file_with_chunk(path, compression, pack(GIB), declared_bytes)
 
 
 def false_record_length(path: Path) -> None:
@@ -121,18 +107,20 @@ def endless_image_encoding(path: Path) -> None:
     write_messages(path, [("/image", "foxglove.RawImage", "protobuf", image, n) for n in range(10)])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads its peak memory from /proc")
 @pytest.mark.parametrize(
     "bomb",
     [
-        zstd_false_size,
-        zstd_true_size,
-        lz4_false_size,
-        lz4_true_size,
+        chunk_of("zstd", 1 << 20),
+        chunk_of("zstd", GIB),
+        chunk_of("lz4", 1 << 20),
+        chunk_of("lz4", GIB),
         false_record_length,
         png_bomb,
         endless_image_encoding,
     ],
+    ids=["zstd false", "zstd true", "lz4 false", "lz4 true", "length", "png", "encoding"],
 )
 def test_bombs_are_refused(tmp_path: Path, bomb: Callable[[Path], None]) -> None:
     path = tmp_path / "bomb.mcap"

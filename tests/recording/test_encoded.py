@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
-from svmdist.camera import Camera
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording, open_recording
-from svmdist.recording.observations import LEFT_IMAGES, Needs
+from svmdist.recording.observations import LEFT_IMAGES
 from svmdist.recording.source import LossKind
 from svmdist.recording.writer import encode
 from svmdist.samples import CameraSample, ImageSample, Observation, Rejection
 
 from .builders import CAMERA, scene, write_messages, write_scene
-from .test_stereo import right_camera, with_right
+from .test_stereo import with_right
 from .test_video import KEY_INTERVAL, frame_image, packets  # noqa: F401  (a fixture)
 
 CALIBRATION, IMAGE = "foxglove.CameraCalibration", "foxglove.CompressedImage"
@@ -110,68 +106,3 @@ def test_what_is_not_needed_is_checked_and_left_out(tmp_path: Path, profile: Pro
     assert len(found) == 60
     assert all(item[0].joints is None for item in found if not isinstance(item, Rejection))
     assert {loss.topic for loss in recording.health.losses} == {"/ECM/left/image", "/PSM1/measured_js"}
-
-
-@pytest.mark.parametrize("missing", ["joints", "transforms", "right"])
-def test_each_need_stands_for_itself(tmp_path: Path, profile: Profile, missing: str) -> None:
-    recording = open_recording(write_scene(tmp_path / "pair.mcap", with_right(scene(8))), profile)
-    full = [item for item in recording.observations() if isinstance(item, Observation)]
-    found = [
-        item[0]
-        for item in recording.observations_of(recording.instruments, Needs(**{missing: False}))
-        if not isinstance(item, Rejection)
-    ]
-    assert len(found) == len(full) == 8
-    for less, more in zip(found, full, strict=True):
-        np.testing.assert_array_equal(less.image_bgr, more.image_bgr)
-        assert (less.joints is None) == (missing == "joints")
-        assert (less.right is None) == (missing == "right")
-
-
-def test_frames_of_a_video_are_decoded_in_order_for_any_thread(
-    tmp_path: Path,
-    profile: Profile,
-    packets: list[bytes],  # noqa: F811
-) -> None:
-    """The right frames of which two have no left ones: the next ones refer to these, and are decoded right."""
-    size = {"width_px": 128, "height_px": 96}
-    rows = [
-        (
-            f"/ECM/{side}/camera_info",
-            CALIBRATION,
-            "protobuf",
-            encode(CameraSample(1, _resized(camera, **size))),
-            1,
-        )
-        for side, camera in (("left", CAMERA), ("right", right_camera()))
-    ]
-    alone = (KEY_INTERVAL + 2, KEY_INTERVAL + 3)
-    for number, data in enumerate(packets):
-        stamp_ns = 10**9 * (number + 1)
-        message = CompressedVideo(data=data, format="h264")
-        message.timestamp.seconds = number + 1
-        rows.append(
-            (
-                "/ECM/right/image",
-                "foxglove.CompressedVideo",
-                "protobuf",
-                message.SerializeToString(),
-                stamp_ns,
-            )
-        )
-        if number not in alone:
-            image = ImageSample(stamp_ns, "camera", frame_image(number))
-            rows.append(("/ECM/left/image", IMAGE, "protobuf", encode(image), stamp_ns))
-    recording = open_recording(write_messages(tmp_path / "a.mcap", rows), profile)
-    found = list(decoded_backwards(recording))
-    assert len(found) == len(packets) - len(alone)
-    for item in found:
-        assert not isinstance(item, Rejection)
-        assert item[0].right is not None
-        expected = frame_image(item[0].stamp_ns // 10**9 - 1).astype(int)
-        assert np.abs(item[0].right.image_bgr.astype(int) - expected).mean() < 4  # lossy, as in test_video
-    assert recording.health.is_clean
-
-
-def _resized(camera: Camera, width_px: int, height_px: int) -> Camera:
-    return replace(camera, width_px=width_px, height_px=height_px)

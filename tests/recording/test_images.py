@@ -32,13 +32,6 @@ def test_png_is_lossless_and_jpeg_near() -> None:
     np.testing.assert_array_equal(decode_still(padded, Limits()), decode_still(JPEG, Limits()))
 
 
-def test_grey_becomes_bgr_and_alpha_is_dropped() -> None:
-    grey = decode_still(encode(".png", IMAGE[:, :, 0]), Limits())
-    np.testing.assert_array_equal(grey, np.repeat(IMAGE[:, :, :1], 3, 2))
-    with_alpha = np.dstack([IMAGE, IMAGE[:, :, 0]])
-    np.testing.assert_array_equal(decode_still(encode(".png", with_alpha), Limits()), IMAGE)
-
-
 @pytest.mark.parametrize(
     ("data", "reason"),
     [

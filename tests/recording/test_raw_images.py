@@ -70,13 +70,6 @@ def test_yuv_is_that_of_bt601(encoding: str, bgr: tuple[int, ...], yuv: tuple[in
     np.testing.assert_allclose(image, np.broadcast_to(bgr, image.shape), atol=2)
 
 
-@pytest.mark.parametrize("encoding", ["mono16", "16UC1", "rgb16", "32FC1", "", "bayer_rggb16"])
-def test_other_encodings_are_refused_with_the_choices(encoding: str) -> None:
-    """16 bits would lose half of them, and float images are no pictures."""
-    with pytest.raises(ImageError, match="is not known; the choices are bgr8, "):
-        decode_raw(encoding, SIZE_PX, 2 * WIDTH_PX, bytes(2 * WIDTH_PX * HEIGHT_PX), LIMITS)
-
-
 @pytest.mark.parametrize("encoding", RAW_ENCODINGS)
 def test_sizes_that_contradict_each_other_are_refused(encoding: str) -> None:
     """A byte too few or too many, rows shorter than their pixels, or longer than the data."""

@@ -155,14 +155,6 @@ def _write_in_order(path: Path, entries: list[Entry]) -> Path:
     return write_messages(path, rows)
 
 
-def test_a_recording_without_joints_has_observations_without_joints(tmp_path: Path, profile: Profile) -> None:
-    entries = [entry for entry in scene(3) if not isinstance(entry.sample, JointSample)]
-    recording = open_recording(write_scene(tmp_path / "a.mcap", entries), profile)
-    observations = list(recording.observations())
-    assert len(observations) == 3
-    assert all(isinstance(item, Observation) and item.joints is None for item in observations)
-
-
 def test_transforms_are_composed_along_the_tree(tmp_path: Path, profile: Profile) -> None:
     entries = []
     for number in range(10):

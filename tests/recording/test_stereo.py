@@ -67,15 +67,6 @@ def test_a_right_image_off_by_more_is_none(tmp_path: Path, profile: Profile) -> 
     assert [item.right for item in observations(path, profile)] == [None] * 5
 
 
-def test_missing_right_images_leave_the_others(tmp_path: Path, profile: Profile) -> None:
-    entries = with_right(scene())
-    places = [index for index, entry in enumerate(entries) if entry.topic == RIGHT_IMAGE]
-    del entries[places[3]], entries[places[1]]
-    path = write_scene(tmp_path / "gaps.mcap", entries)
-    has_right = [item.right is not None for item in observations(path, profile)]
-    assert has_right == [True, False, True, False, True]
-
-
 def test_a_pair_without_baseline_is_no_pair(tmp_path: Path, profile: Profile) -> None:
     """Without a right calibration, or one whose P tells no baseline, there is no right view."""
     entries = with_right(scene())

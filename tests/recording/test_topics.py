@@ -47,13 +47,6 @@ def test_the_callers_topic_comes_before_the_profiles_and_that_before_any_other()
     assert choice(infos[0], wanted=wanted).require(Role.IMAGE) == "/a"
 
 
-def test_several_that_fit_are_listed_and_none_is_taken() -> None:
-    topics = choice(info("/b", IMAGE), info("/a", IMAGE), wanted=Topics(image="/left"))
-    assert topics.find(Role.IMAGE) is None
-    with pytest.raises(RecordingError, match=r"a.mcap: several .*expects /left\); choose one of /a, /b$"):
-        topics.require(Role.IMAGE)
-
-
 def test_where_none_fits_the_topics_are_listed() -> None:
     """Names are sanitized, for they come from the file."""
     with pytest.raises(
@@ -91,17 +84,3 @@ def test_a_topic_of_another_role_or_of_another_arm_stands_in_for_none() -> None:
     arms = (info("/PSM1/js", JOINTS), info("/PSM2/js", JOINTS))
     assert choice(*arms, claimed=frozenset({"/PSM2/js"})).find(Role.JOINTS) == "/PSM1/js"
     assert choice(arms[1], claimed=frozenset({"/PSM2/js"})).find(Role.JOINTS) is None
-
-
-def test_a_log_of_the_right_camera_alone_has_it_for_the_image() -> None:
-    wanted = Topics(image="/left", right_image="/right")
-    assert choice(info("/right", IMAGE), wanted=wanted).require(Role.IMAGE) == "/right"
-    both = choice(info("/right", IMAGE), info("/other", IMAGE), wanted=wanted)
-    assert both.require(Role.IMAGE) == "/other"
-
-
-def test_static_transforms_are_known_by_their_name_and_play_no_other_role() -> None:
-    infos = [info("/tf_static", TRANSFORMS), info("/b/tf_static", TRANSFORMS), info("/x_tf_static", JOINTS)]
-    assert choice(*infos).static_transforms() == ("/b/tf_static", "/tf_static")
-    assert choice(*infos).find(Role.TF) is None
-    assert choice(*infos, info("/tf", TRANSFORMS)).find(Role.TF) == "/tf"
