@@ -210,8 +210,8 @@ def draw(scores: Sequence[Score], alarms: AlarmRules | None = None) -> Figure:
 
 
 def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | None) -> None:
-    told = {"clearance": score.clearance, "spatial distance": score.spatial}
-    distance, in_3d = next(((name, found) for name, found in told.items() if found), ("distance", None))
+    known = {"clearance": score.clearance, "spatial distance": score.spatial}
+    distance, in_3d = next(((name, found) for name, found in known.items() if found), ("distance", None))
     pairs = in_3d.pairs if in_3d else score.pairs
     seconds = (pairs.stamps_ns - score.start_ns) / 1e9
     truth_mm, estimate_mm = pairs.truth_m * 1e3, pairs.estimate_m * 1e3
@@ -277,12 +277,12 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     """
     groups = list(dict.fromkeys(score.group for score in scores))
     methods = list(dict.fromkeys(score.method for score in scores))
-    told = [name for name, of in OF.items() if any(of(score.figures) for score in scores)]
+    distances = [name for name, of in OF.items() if any(of(score.figures) for score in scores)]
     looks = _group_looks(groups)
     legend_rows = -(-len(groups) // 4) if len(groups) > 1 else 0
     height_in = 2 * (LINE_IN * len(methods) + HEAD_IN) + 0.17 * legend_rows + 0.25
     figure = Figure(figsize=(PAGE_IN, height_in), layout="constrained")
-    axes = figure.subplots(2, 1 + len(told), squeeze=False, sharey=True)
+    axes = figure.subplots(2, 1 + len(distances), squeeze=False, sharey=True)
     frame_count = max(score.figures.frame_count for score in scores)
     figure.suptitle(
         f"{', '.join(map(plain_name, methods))}: {counted(frame_count, 'frame')}",
@@ -308,7 +308,7 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
         (axes[0, 0], "frames measured [%]", lambda figures: 100.0 * figures.coverage, True),
         (axes[1, 0], "time per frame [ms]", attrgetter("ms_per_frame"), False),
     ]
-    for column, name in enumerate(told, 1):
+    for column, name in enumerate(distances, 1):
         panels += [
             (axes[0, column], f"RMSE [mm]\n{NAMES[name]}", partial(_rmse_mm, OF[name]), False),
             (axes[1, column], f"truths in 95 % interval [%]\n{NAMES[name]}", partial(_held, OF[name]), True),

@@ -181,8 +181,12 @@ def remarks(validation: Validation) -> list[str]:
             found.append(f"without it against {score.reference}: R² {r2}, RMSE {before.rmse * 1e3:.2f} mm")
         known = lines.setdefault(score.recording, [])
         known += [remark for remark in found if remark not in known]
-    told = [printable(f"{name}: {'; '.join(found)}") for name, found in lines.items() if found]
-    return [*told, PAPER_NOTE] if any(score.method in PLANAR_METHODS for score in validation.scores) else told
+    remarked = [printable(f"{name}: {'; '.join(found)}") for name, found in lines.items() if found]
+    return (
+        [*remarked, PAPER_NOTE]
+        if any(score.method in PLANAR_METHODS for score in validation.scores)
+        else remarked
+    )
 
 
 def compare_columns() -> list[Column]:
