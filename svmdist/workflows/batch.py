@@ -265,9 +265,8 @@ def _identity(path: LogPath) -> list[list[Any]]:
     """Size and time of change of the files of a log; of one behind a URL what its store says of it."""
     if isinstance(path, RemoteFile):
         return [[path.size_bytes(), path.version()]]
-    return [
-        [file.name, (stat := file.stat()).st_size, stat.st_mtime_ns] for file in map(Path, files_of(path))
-    ]
+    files = [file for file in files_of(path) if isinstance(file, Path)]
+    return [[file.name, (stat := file.stat()).st_size, stat.st_mtime_ns] for file in files]
 
 
 def _fingerprint(job: Job[Any]) -> str:

@@ -10,7 +10,6 @@ import pytest
 from svmdist.cli.options import parse_length_m
 from svmdist.errors import UsageError
 from svmdist.profile import DEFAULT_PROFILE, profile_path
-from svmdist.report.rows import ESTIMATE_KEYS
 from tests.cli.conftest import Cli
 
 
@@ -25,11 +24,6 @@ def test_bad_lengths(text: str) -> None:
     """A length without unit, without number, or out of this world is told with an example."""
     with pytest.raises(UsageError, match="as in 5mm"):
         parse_length_m("--alarm-below", text)
-
-
-def test_alarm_columns_stand_at_the_end() -> None:
-    """Columns are added at the end, so that what reads rows by place goes on reading them."""
-    assert ESTIMATE_KEYS[29:32] == ("alarm", "closing_speed_m_s", "time_to_contact_s")
 
 
 @pytest.mark.parametrize("command", ["estimate", "validate"])

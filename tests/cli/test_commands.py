@@ -8,12 +8,9 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
-from svmdist.cli.options import EquationsChoice, Method, PlanarMethod
-from svmdist.cli.record import ScenarioName
 from svmdist.report.rows import ESTIMATE_KEYS
 from tests.cli.conftest import Cli
 from tests.synthetic import write_log
@@ -54,15 +51,6 @@ def test_estimate_forms_agree(
     assert [tuple(row) for row in from_json] == [ESTIMATE_KEYS] * 40
     for text, value in zip(from_csv, from_json, strict=True):
         assert {key: "" if item is None else str(item) for key, item in value.items()} == text
-
-
-def test_estimate_table_is_for_people(cli: Cli, synthetic_log: Path, synthetic_calibration: Path) -> None:
-    """The table shows mm, a line a frame, and no escape code in a pipe; the summary is on stderr."""
-    outcome = cli("estimate", synthetic_log, "--calibration", synthetic_calibration)
-    assert "distance [mm]" in outcome.out
-    assert len(outcome.out.splitlines()) == 42
-    assert "\x1b" not in outcome.out
-    assert "of 40 frames measured" in outcome.err
 
 
 def test_centroid_needs_no_marker(cli: Cli, synthetic_log: Path, synthetic_calibration: Path) -> None:
@@ -185,17 +173,6 @@ def test_blur_bench_rows(cli: Cli, tmp_path: Path, synthetic_calibration: Path) 
         assert row["marker_keypoint_count"] > 20 * row["keypoint_count"]
         assert row["inlier_count"] <= row["match_count"]
         assert row["rmse_m"] < 5e-4
-
-
-def test_choices_on_the_command_line_are_the_choices_there_are() -> None:
-    """The choices of options agree with the heavy modules they stand for."""
-    from svmdist.estimation.methods import METHODS, PLANAR_METHODS
-    from svmdist.simulation.scenarios import SCENARIOS
-
-    assert list(get_args(Method)) == list(METHODS)
-    assert list(get_args(PlanarMethod)) == list(PLANAR_METHODS)
-    assert list(get_args(EquationsChoice)) == ["corrected", "printed"]
-    assert set(get_args(ScenarioName)) == set(SCENARIOS)
 
 
 def test_help_loads_nothing_heavy() -> None:

@@ -30,11 +30,6 @@ def test_the_ending_chooses_the_format(cli: Cli, log: Path, tmp_path: Path) -> N
     assert lines == json.loads((tmp_path / "out.json").read_text())
 
 
-def test_a_format_that_is_given_goes_before_the_ending(cli: Cli, log: Path, tmp_path: Path) -> None:
-    assert cli("estimate", log, "-f", "csv", "-o", tmp_path / "out.json").code == 0
-    assert (tmp_path / "out.json").read_text().startswith("recording,")
-
-
 def test_a_dash_is_stdout(cli: Cli, log: Path) -> None:
     assert cli("estimate", log, "-f", "csv", "-o", "-").out == cli("estimate", log, "-f", "csv").out
 

@@ -33,14 +33,6 @@ def test_a_full_stdout(synthetic_log: Path, synthetic_calibration: Path, argumen
     assert one_line(done.stderr) == "svmdist: stdout: cannot write: No space left on device"
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["estimate", "--help"]], ids=" ".join)
-def test_a_full_stdout_of_help(arguments: list[str]) -> None:
-    with Path("/dev/full").open("w") as full:
-        done = ended(*arguments, stdout=full)
-    assert done.returncode == 1
-    assert "No space left on device" in one_line(done.stderr)
-
-
 @pytest.mark.parametrize("command", ["info", "estimate"])
 def test_a_closed_stdout(synthetic_log: Path, synthetic_calibration: Path, command: str) -> None:
     options = ["--calibration", synthetic_calibration] if command == "estimate" else []
@@ -155,10 +147,3 @@ def test_a_name_that_is_not_utf8(
                 assert "a\N{REPLACEMENT CHARACTER}\N{REPLACEMENT CHARACTER}" in json.dumps(
                     json.loads(text), ensure_ascii=False
                 )
-
-
-@pytest.mark.parametrize("command", ["record", "estimate", "validate"])
-def test_help_in_ascii(command: str) -> None:
-    done = ended(command, "--help", environment={"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"})
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "Options:" in done.stdout

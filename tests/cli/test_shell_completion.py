@@ -64,13 +64,3 @@ def test_a_shell_completes_with_the_script_that_is_shown(tmp_path: Path) -> None
         check=False,
     )
     assert done.stdout.split() == ["hand-eye"], done.stderr
-
-
-@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
-def test_completion_is_installed_for_a_shell(tmp_path: Path) -> None:
-    """The script goes to the home folder, and the shell's start-up file reads it."""
-    done = ended("--install-completion", "bash", environment={"HOME": str(tmp_path)} | NAMED_SHELL)
-    assert done.returncode == 0, done.stderr
-    (script,) = [path for path in tmp_path.rglob("*") if path.is_file() and path.name.startswith("svmdist")]
-    assert "complete_bash" in script.read_text("utf-8")
-    assert str(script) in (tmp_path / ".bashrc").read_text("utf-8")

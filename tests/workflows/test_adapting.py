@@ -11,7 +11,6 @@ from svmdist.profile import AutoSegmentation, load_profile
 from svmdist.recording.log import open_recording
 from svmdist.vision.segmentation import AutoSegmenter
 from svmdist.workflows.conditions import CLEAN, Condition
-from svmdist.workflows.frame_drawing import spread
 from svmdist.workflows.replay import adapted_segmenters, spread_observations
 from svmdist.workflows.request import prepare
 from tests.synthetic import write_log
@@ -43,13 +42,3 @@ def test_each_condition_has_its_own(log: Path) -> None:
     assert adapted[0] is not adapted[1]
     colours = prepare().segmenter
     assert adapted_segmenters(colours, recording, conditions) == [colours, colours]
-
-
-@pytest.mark.parametrize(("count", "wanted"), [(1, 6), (6, 6), (7, 6), (100, 6), (5, 1)])
-def test_pictures_are_spread_evenly(count: int, wanted: int) -> None:
-    """The first and the last are among them where more than one is wanted."""
-    numbers = list(spread(count, wanted))
-    assert numbers == sorted(set(numbers))
-    assert numbers[0] == 0
-    assert len(numbers) == min(count, wanted)
-    assert wanted == 1 or numbers[-1] == count - 1

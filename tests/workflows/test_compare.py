@@ -7,10 +7,8 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from svmdist.metrics import interval_coverage
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
@@ -111,11 +109,3 @@ def test_degrading_at_replay_stands_beside_what_was_recorded(tmp_path: Path) -> 
     recording = open_recording(noisy, profile)
     assert str(group_of(recording, CLEAN)) == "sweep noise=1,jpeg=2"
     assert str(group_of(recording, SMOKE)) == "sweep noise=1,jpeg=2,smoke=3"
-
-
-def test_interval_coverage_is_honest_for_normal_errors() -> None:
-    """Errors drawn with the stated deviation lie inside the 95 % interval 95 % of the time, half of it 67 %."""
-    error = np.random.default_rng(0).normal(0.0, 2.0, 20_000)
-    assert interval_coverage(error, np.zeros(20_000), np.full(20_000, 2.0)) == pytest.approx(0.95, abs=0.005)
-    assert interval_coverage(error, np.zeros(20_000), np.full(20_000, 1.0)) == pytest.approx(0.673, abs=0.01)
-    assert interval_coverage([], [], []) is None

@@ -78,12 +78,6 @@ def test_planar_methods_keep_their_calibration(log: Recording, setups: list[Setu
     assert planar[0].statistics == planar[1].statistics
 
 
-def test_processes_give_the_same(log: Recording, setups: list[Setup]) -> None:
-    conditions = [CLEAN, perturbed("joint_noise=1"), perturbed("backlash=2,wrist_length=1")]
-    one, two = (compare([log], setups[:1], conditions, jobs=jobs) for jobs in (1, 2))
-    assert rmse_m(one, "kinematic") == rmse_m(two, "kinematic")
-
-
 def test_a_log_says_what_world_it_was_recorded_in(tmp_path: Path) -> None:
     def group(**metadata: str) -> str:
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap"
