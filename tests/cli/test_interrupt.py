@@ -54,7 +54,7 @@ def running(*arguments: object, **streams: Any) -> Iterator[subprocess.Popen[str
 @pytest.mark.parametrize(
     ("arguments", "busy"),
     [
-        (["info", "x.mcap"], "svmdist.recording.summary.inspect_recording"),
+        (["info", "x.mcap"], "svmdist.workflows.request.open_recording"),
         (["estimate", "x.mcap"], "svmdist.workflows.request.open_recording"),
         (["validate", "x.mcap"], "svmdist.workflows.request.open_recording"),
         (["compare", "x.mcap"], "svmdist.workflows.request.open_recording"),
