@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +13,7 @@ import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, did_you_mean
-from svmdist.input_file import LogPath, content_sha256, files_of
+from svmdist.files import LogPath, RemoteFile, files_of, is_url, open_regular, why
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
 from svmdist.perturbations.joints import ReplayedWorld
@@ -49,7 +50,6 @@ from svmdist.recording.topics import (
     open_source,
     topics_beside_images,
 )
-from svmdist.remote_file import RemoteFile, is_url
 from svmdist.samples import ImageSample, Observation, Rejection
 from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack
 from svmdist.transforms import inverse
@@ -214,7 +214,15 @@ class Recording:
 
     def sha256(self) -> str:
         """Hash the file, or the files of a folder in the order of their names, as hexadecimal digits."""
-        return content_sha256(self.path)
+        digest = hashlib.sha256()
+        for path in files_of(self.path):
+            try:
+                with open_regular(path) as file:
+                    while piece := file.read(1 << 20):
+                        digest.update(piece)
+            except OSError as problem:
+                raise RecordingError(f"{path}: cannot read: {why(problem)}") from None
+        return digest.hexdigest()
 
     @cached_property
     def camera(self) -> Camera:

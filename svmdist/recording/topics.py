@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
-from svmdist.input_file import LogPath, open_regular, why
+from svmdist.files import LogPath, RemoteFile, open_regular, why
 from svmdist.profile import Frames, Limits, Profile, Topics
 from svmdist.profile.robot import ARM_TOPICS
 from svmdist.recording.mcap import MAGIC as MCAP_MAGIC
@@ -22,7 +22,6 @@ from svmdist.recording.source import (
     sanitize,
     sanitize_list,
 )
-from svmdist.remote_file import RemoteFile
 from svmdist.transforms import Array
 
 LOOKS_LIKE = {
