@@ -25,10 +25,8 @@ from typing import Any, Generic, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from svmdist.errors import OutputError, ProfileError, SvmdistError, UsageError
-from svmdist.files import write_atomically
-from svmdist.input_file import LogPath, files_of, why
+from svmdist.files import LogPath, RemoteFile, files_of, why, write_atomically
 from svmdist.recording.source import Health, Loss
-from svmdist.remote_file import RemoteFile
 from svmdist.workflows.parallel import Progress, each_in_processes, one_opencv_thread, usable_cores
 from svmdist.workflows.request import LOG, Request
 
