@@ -68,7 +68,7 @@ def load_pybullet() -> Any:
 def how_to_install(version: tuple[int, int], system: str, machine: str) -> str:
     """How to get PyBullet, which the extra `sim` installs only where there are wheels of it."""
     if version == WHEELS_UP_TO and system == "linux" and machine == "x86_64":
-        return "run pip install 'svmdist[sim]'"
+        return "run pip install 'svmdist[sim]', or in a clone uv run --extra sim svmdist"
     last, here = (".".join(map(str, numbers)) for numbers in (WHEELS_UP_TO, version))
     return (
         f"it has wheels for Linux x86_64 and CPython up to {last} only, so that svmdist[sim] installs nothing here"

@@ -28,7 +28,7 @@ SHORT = {
 }
 """What is added to a command about golden logs, and to `record`, where it is to be quick. Later options win."""
 NOT_RUN = {
-    "pytest": "it is this run",
+    "--group test pytest": "it is this run",
     "python -m benchmarks.speed logs": "compares programs for minutes",
     "python -m benchmarks.golden_tables": "measures all golden logs for minutes",
     "python -m benchmarks.robustness LOG.mcap --write": "measures a log in many worlds for minutes",
@@ -99,7 +99,7 @@ def run(document: str, clone: Path, cli: Cli, done: set[str], *, short: bool) ->
             assert call[0] == "run", f"{command.place}: uv {call}"
             if " ".join(call[1:]) in NOT_RUN:
                 continue
-            program, *arguments = call[1:]
+            program, *arguments = call[3:] if call[1] == "--extra" else call[1:]
             assert program == "svmdist", f"{command.place}: neither svmdist nor listed: {call}"
             if short and (arguments[0] == "record" or not made_here(clone, arguments[1:2])):
                 arguments += SHORT.get(arguments[0], [])
