@@ -183,8 +183,7 @@ def find_silhouette(
     bgr: Image, seen: SeenInstrument, picture: Image | None, wrist: WristShape
 ) -> Silhouette | None:
     """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges."""
-    found = [edge_line(bgr, side, seen.width_px, picture) for side in seen.sides]
-    first, second = found
+    first, second = (edge_line(bgr, side, seen.width_px, picture) for side in seen.sides)
     if first is None or second is None or not _are_a_pair(first, second):
         return None
     width_px = _width_px(first, second)
@@ -200,9 +199,7 @@ def find_silhouette(
     place = float(np.mean(places)) if agree else max(places)
     middle_px = 0.5 * (first.end_px + second.end_px)
     end_px = middle_px + (place - float(middle_px @ along)) * along
-    std_px = MIN_END_STD_WIDTHS * width_px + (
-        ENDS_APART * apart_px if len(places) == 2 else ENDS_APART * width_px
-    )
+    std_px = MIN_END_STD_WIDTHS * width_px + ENDS_APART * (apart_px if len(places) == 2 else width_px)
     point = wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
     return Silhouette((first, second), end_px, std_px, point)
 
@@ -219,6 +216,5 @@ def _are_a_pair(first: EdgeLine, second: EdgeLine) -> bool:
 def _width_px(first: EdgeLine, second: EdgeLine) -> float:
     along = first.direction + second.direction
     along /= np.linalg.norm(along)
-    return abs(
-        float(along[0] * (second.end_px - first.end_px)[1] - along[1] * (second.end_px - first.end_px)[0])
-    )
+    apart_px = second.end_px - first.end_px
+    return abs(float(along[0] * apart_px[1] - along[1] * apart_px[0]))
