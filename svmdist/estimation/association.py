@@ -276,7 +276,6 @@ class Association:
     def _axis(
         self, tool: NominalInstrument | None, identity: Identity, regions: ColouredRegions, camera: Camera
     ) -> ShaftAxis | None:
-        """Where the shaft of an instrument runs: from its region, or from where that is expected."""
         if tool is None:
             return None
         if identity.blob is not None:

@@ -153,7 +153,6 @@ class Needs:
     right_view: bool = False  # whether it uses the right image
 
     def __or__(self, other: Needs) -> Needs:
-        """What several methods take."""
         return Needs(
             tuple(dict.fromkeys(self.scene + other.scene)),
             tuple(dict.fromkeys(self.frame + other.frame)),

@@ -319,7 +319,6 @@ class FusedEstimator:
 
 
 def _detail(gating: Sequence[GatingResult], height: GatingResult | None) -> str:
-    """What was not taken for true, for a person."""
     refused = [judged.name for judged in gating if not judged.is_accepted]
     alone = len(refused) == len(gating)
     if height is not None and not height.is_accepted:

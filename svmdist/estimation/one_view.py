@@ -189,5 +189,4 @@ class ShaftEstimator:
 
 
 def _status(shaft: ShaftDetection) -> Status:
-    """Why there is no pose: both edges were found, and do not tell one; or there is no instrument with two of them."""
     return Status.UNCERTAIN if len(shaft.contours) == 2 else Status.NO_INSTRUMENT

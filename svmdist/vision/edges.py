@@ -113,7 +113,6 @@ def slope_sigma_px(blur_px: float) -> float:
 
 
 def _feet(start_px: Array, end_px: Array, outward: Array, at: Array) -> tuple[Array, Array]:
-    """Points on a segment at distances `at`, shape (n,), from its start, and the unit vector across it outward."""
     along = (end_px - start_px) / np.linalg.norm(end_px - start_px)
     across = np.array([-along[1], along[0]])
     return start_px + at[:, None] * along, across if across @ outward > 0 else -across

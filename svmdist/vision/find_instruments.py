@@ -252,14 +252,12 @@ def outline_geometry(mask: NDArray[np.bool_], sides: Array) -> tuple[Array, Arra
 
 
 def _offsets(side: Array, start: Array, axis: Array, normal: Array, steps: NDArray[np.int_]) -> Array:
-    """How far a line is to the side of the axis at each step along it."""
     along = side[1] - side[0]
     slope = float(along @ normal) / max(abs(float(along @ axis)), 1e-9)
     return np.asarray(float((side[0] - start) @ normal) + slope * (steps - float((side[0] - start) @ axis)))
 
 
 def _at(side: Array, start: Array, axis: Array, end: float) -> Array:
-    """The point of a line, shape (2,), that is `end` along the axis."""
     along = side[1] - side[0]
     return np.asarray(
         side[0] + along * ((end - float((side[0] - start) @ axis)) / max(float(along @ axis), 1e-9))

@@ -90,7 +90,6 @@ def as_pinholes(observation: Observation, row_offset_px: float = 0.0) -> Observa
 
 
 def _raised(image: Image, rows_px: float) -> Image:
-    """An image moved up by a number of rows, not a whole one in general."""
     height, width = image.shape[:2]
     moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -rows_px]])
     return np.asarray(
@@ -107,7 +106,6 @@ def seen_through(camera: Camera, pinhole_px: Array) -> Array:
 
 
 def _is_rectified(left: Camera, right: RightView) -> bool:
-    """Whether rows of both views correspond as they are."""
     same_K = np.allclose(np.delete(left.K - right.camera.K, 2, axis=1), 0.0, atol=1e-3)
     return (
         not left.has_distortion

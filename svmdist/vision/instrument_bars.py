@@ -204,7 +204,6 @@ def _chords(points: Array, free: NDArray[np.bool_]) -> tuple[Array, Array]:
 
 
 def _are_beside(first: Array, second: Array, axis: Array, width_px: int) -> bool:
-    """Whether points of two lines, shape (n, 2) each, lie side by side, as far apart as an instrument is wide."""
     a, b = first @ axis, second @ axis
     common = min(a.max(), b.max()) - max(a.min(), b.min())
     if common < 0.35 * max(np.ptp(a), np.ptp(b)):
@@ -215,7 +214,6 @@ def _are_beside(first: Array, second: Array, axis: Array, width_px: int) -> bool
 
 
 def _line_of(points: Array, axis: Array) -> Array:
-    """Both ends, shape (2, 2), of the line through points, shape (n, 2), in the direction of an axis."""
     middle = points.mean(axis=0)
     _, _, directions = np.linalg.svd(points - middle, full_matrices=False)
     along = directions[0] * np.sign(directions[0] @ axis)

@@ -104,7 +104,6 @@ def fit_line(
 
 
 def _main_direction(offsets: Array, weight: Array) -> Array:
-    """The unit vector (2,) along which weighted points about their centre, shape (n, 2), scatter most."""
     x, y = offsets.T
     twice = np.arctan2(2.0 * (weight * x) @ y, (weight * x) @ x - (weight * y) @ y)
     return np.array([np.cos(0.5 * twice), np.sin(0.5 * twice)])

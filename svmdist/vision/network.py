@@ -83,7 +83,6 @@ class ClassMasks(Masks):
 
     @cached_property
     def _from_border(self) -> Image | None:
-        """What of the instruments reaches the border of the picture; None where all of it counts."""
         if not self._rules.from_border:
             return None
         union = np.maximum(self._of(self._rules.instrument), self._of(self._rules.shaft))
@@ -258,7 +257,6 @@ def _why_not_run(problem: Exception, rules: OnnxSegmentation) -> str:
 
 
 def _first_words(problem: Exception) -> str:
-    """What OpenCV says, without the source line it says it from, in one line."""
     text = " ".join(str(getattr(problem, "err", "") or problem).replace(">", " ").split())
     return text if len(text) <= 160 else f"{text[:157]}..."
 

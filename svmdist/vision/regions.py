@@ -207,7 +207,6 @@ def _series(unit: NDArray[np.complex128], harmonics: int) -> Array:
 
 @lru_cache(maxsize=4)
 def _circle(harmonics: int) -> tuple[NDArray[np.complex128], Array]:
-    """All corners of the curve as a polygon: e^(iθ), shape (n,), from θ = -π on, and the terms of the series there."""
     unit = np.exp(1j * np.linspace(-np.pi, np.pi, CURVE_POINTS, endpoint=False))
     return unit, _series(unit, harmonics)
 

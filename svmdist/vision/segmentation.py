@@ -40,7 +40,6 @@ def network_hint(bgr: Image) -> Floats:
 
 @lru_cache(maxsize=1)
 def _network() -> OnnxSegmenter:
-    """Read when it is first asked for, once in a process."""
     return OnnxSegmenter(OnnxSegmentation.model_validate({"method": "onnx", "model": f"{PREFIX}instruments"}))
 
 

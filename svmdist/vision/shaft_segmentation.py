@@ -132,7 +132,6 @@ def _sides_of(
 
 
 def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> bool:
-    """Whether nothing mounted is within a half width of the distal end."""
     first, second, end_px = sides
     if end_px is None or covered is None:
         return True
@@ -174,7 +173,6 @@ def _split(arc: Array) -> tuple[Side, Side] | None:
 
 
 def _prefix_moments(points: Array) -> Array:
-    """The moments 1, x, y, x², y², xy of the first i points, shape (6, n + 1), of points of shape (n, 2)."""
     x, y = (points - points.mean(0)).T
     moments = np.stack([np.ones(len(points)), x, y, x * x, y * y, x * y])
     return np.hstack([np.zeros((6, 1)), np.cumsum(moments, axis=1)])
@@ -200,7 +198,6 @@ def _fitted_side(points: Array) -> Side:
 
 
 def _are_sides(first: Side, second: Side) -> bool:
-    """Whether two lines run alike and side by side."""
     lengths = [float(np.linalg.norm(side.end_px - side.start_px)) for side in (first, second)]
     if min(lengths) < MIN_SIDE_PX:
         return False
@@ -247,15 +244,12 @@ class _Box:
 
     @property
     def rectangle(self) -> tuple[int, int, int, int]:
-        """As OpenCV has it: x, y, width, height."""
         return self.left, self.top, self.right - self.left, self.bottom - self.top
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """The index of its pixels in the image."""
         return slice(self.top, self.bottom), slice(self.left, self.right)
 
     def inside(self, wide: _Box) -> tuple[slice, slice]:
-        """The index of its pixels in an array of a wider box."""
         top, left = self.top - wide.top, self.left - wide.left
         return slice(top, top + self.bottom - self.top), slice(left, left + self.right - self.left)

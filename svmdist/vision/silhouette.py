@@ -128,7 +128,6 @@ def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray
 
 
 def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The part of a body, shape (m, n), that hangs on the shaft, without specks."""
     opened = cv2.morphologyEx(np.asarray(body, np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     _, labels = cv2.connectedComponents(closed, connectivity=8)
@@ -205,7 +204,6 @@ def find_silhouette(
 
 
 def _are_a_pair(first: EdgeLine, second: EdgeLine) -> bool:
-    """Whether two edges run alike, side by side, and are long enough to tell where."""
     if first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
         return False
     width_px = _width_px(first, second)

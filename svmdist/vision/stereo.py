@@ -259,7 +259,6 @@ def _least_width_px(min_px: int, max_px: int, block_px: int) -> int:
 
 
 def _reduced(image: Image, step: int) -> Image:
-    """An image of which each pixel is the mean of `step` squared ones; its sides are multiples of that."""
     size = (image.shape[1] // step, image.shape[0] // step)
     return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 

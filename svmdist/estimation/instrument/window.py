@@ -174,7 +174,6 @@ class Window:
             yield robot, [part for part, _ in kept], [weight for _, weight in kept]
 
     def _descend(self, start: Correction, loss: Loss) -> Minimum[Correction] | None:
-        """The minimum from a start; None where something is not visible there."""
         steps = Steps(WINDOW_MAX_STEPS, damping=FIRST_DAMPING, cost_settled=COST_SETTLED)
         return minimise(start, lambda at: self._normal(at, loss), Correction.retract, steps)
 
