@@ -195,9 +195,8 @@ def _chords(points: Array, free: NDArray[np.bool_]) -> tuple[Array, Array]:
         end = (begin + length) % count
         chord = points[end] - points[begin]
         long = np.linalg.norm(chord, axis=1)
-        good = (
-            (long > 0.78 * length) & free[begin] & free[end]
-        )  # 8-connected steps along a line are 0.71 to 1 long
+        # 8-connected steps along a line are 0.71 to 1 long.
+        good = (long > 0.78 * length) & free[begin] & free[end]
         starts.append(points[begin][good])
         along.append(chord[good] / long[good, None])
     return np.vstack(starts), np.vstack(along)
@@ -252,10 +251,8 @@ def _sharpened_side(bar: Bar, side: int, reach_px: float, image: WorkingImage) -
     seen = height > 1.0
     if np.count_nonzero(seen) < LEAST_AGREEING * PLACES:
         return np.asarray(bar.sides[side])
-    vx, vy, x0, y0 = (
-        float(v)
-        for v in np.ravel(cv2.fitLine(points[seen].astype(np.float32), cv2.DIST_WELSCH, 0, 0.01, 0.01))
-    )
+    line = cv2.fitLine(points[seen].astype(np.float32), cv2.DIST_WELSCH, 0, 0.01, 0.01)
+    vx, vy, x0, y0 = (float(value) for value in np.ravel(line))
     direction, at = np.array([vx, vy]), np.array([x0, y0])
     off = np.abs((points[seen] - at) @ np.array([-vy, vx]))
     if np.mean(off < LINE_WITHIN_PX) < LEAST_AGREEING:

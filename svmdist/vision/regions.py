@@ -97,7 +97,7 @@ def _is_outline(
     shoulder = min(SHOULDER_SAMPLES, (len(hidden) - 1) // 2)
     outline = ~_any_of(hidden, shoulder, shoulder)
     outline &= (column >= BORDER_PX) & (column < width - BORDER_PX)
-    return outline & (row >= BORDER_PX) & (row < height - BORDER_PX)
+    return np.asarray(outline & (row >= BORDER_PX) & (row < height - BORDER_PX))
 
 
 @lru_cache(maxsize=4)

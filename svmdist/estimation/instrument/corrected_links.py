@@ -133,9 +133,8 @@ class Correction:
 
     def vector(self) -> Array:
         """All of it as an error state about no correction, shape (n,)."""
-        turn = rotation_vector(self.turn)
-        parts = [self.shift_m, turn, self.q_offset, self.play, [self.time_offset_s], self.length_m]
-        return np.concatenate(parts)
+        turn, late_s = rotation_vector(self.turn), np.array([self.time_offset_s])
+        return np.concatenate([self.shift_m, turn, self.q_offset, self.play, late_s, self.length_m])
 
 
 @dataclass(frozen=True, slots=True)
