@@ -16,7 +16,7 @@ from pathlib import Path
 
 from svmdist.errors import UsageError
 from svmdist.profile import Profile
-from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_all
+from svmdist.recording.writer import EncodedSample, RecordingWriter, encode
 from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.plan import Block, Plan, make_plan
 from svmdist.simulation.scenarios import Scenario
@@ -133,9 +133,8 @@ def encoded_samples(
         if workers <= 1:
             with Simulator(plan) as simulator:
                 for block in plan.blocks:
-                    yield from encode_all(
-                        simulator.samples(block, simulator.sensors.draw_noise()), jpeg_quality
-                    )
+                    for topic, sample in simulator.samples(block, simulator.sensors.draw_noise()):
+                        yield topic, encode(sample, jpeg_quality)
             return
         with process_pool(workers, _begin, (plan, jpeg_quality)) as pool:
             for samples in in_order(_work, _tasks(plan), workers, pool):
@@ -180,5 +179,6 @@ def _work(task: Task) -> Encoded:
     noises = [simulator.sensors.draw_noise() for _ in blocks]
     samples: Encoded = []
     for block, noise in zip(blocks, noises, strict=True):
-        samples += encode_all(simulator.samples(block, noise), _jpeg_quality)
+        for topic, sample in simulator.samples(block, noise):
+            samples.append((topic, encode(sample, _jpeg_quality)))
     return samples

@@ -68,8 +68,8 @@ def test_a_missing_topic_lists_the_topics_there_are(tmp_path: Path, profile: Pro
 
 
 def test_topics_are_found_by_role(tmp_path: Path, profile: Profile) -> None:
-    image = encode(ImageSample(1, "camera", np.zeros((24, 32, 3), np.uint8)))
-    camera = encode(CameraSample(1, CAMERA))
+    image = encode(ImageSample(1, "camera", np.zeros((24, 32, 3), np.uint8))).data
+    camera = encode(CameraSample(1, CAMERA)).data
     rows = [
         ("/left", IMAGE, "protobuf", image, 1),
         ("/info", "foxglove.CameraCalibration", "protobuf", camera, 1),
@@ -88,16 +88,16 @@ def test_topics_are_found_by_role(tmp_path: Path, profile: Profile) -> None:
 
 
 def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path: Path, profile: Profile) -> None:
-    good = encode(ImageSample(1, "camera", np.zeros((24, 32, 3), np.uint8)))
-    last = encode(ImageSample(5, "camera", np.zeros((24, 32, 3), np.uint8)))
-    small = encode(ImageSample(4, "camera", np.zeros((10, 10, 3), np.uint8)))
+    good = encode(ImageSample(1, "camera", np.zeros((24, 32, 3), np.uint8))).data
+    last = encode(ImageSample(5, "camera", np.zeros((24, 32, 3), np.uint8))).data
+    small = encode(ImageSample(4, "camera", np.zeros((10, 10, 3), np.uint8))).data
     broken = CompressedImage(data=CompressedImage.FromString(good).data[:-20]).SerializeToString()
     rows = [
         (
             "/ECM/left/camera_info",
             "foxglove.CameraCalibration",
             "protobuf",
-            encode(CameraSample(1, CAMERA)),
+            encode(CameraSample(1, CAMERA)).data,
             1,
         )
     ]
@@ -151,7 +151,9 @@ def _write_in_order(path: Path, entries: list[Entry]) -> Path:
     for entry in entries:
         if isinstance(entry.sample, JointSample):
             log_time_ns = entry.sample.stamp_ns
-        rows.append((entry.topic, names[type(entry.sample)], "protobuf", encode(entry.sample), log_time_ns))
+        rows.append(
+            (entry.topic, names[type(entry.sample)], "protobuf", encode(entry.sample).data, log_time_ns)
+        )
     return write_messages(path, rows)
 
 
