@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -212,7 +211,18 @@ def _fit(
     fit = fit_hand_eye(places, profile.settings.hand_eye)
     if isinstance(fit, Failure):
         return fit
-    return _Fitted(fit, seen_m[fit.agrees].mean(0), tuple(_effects(fit, reported, camera, profile)))
+    # The effect of each calibration parameter on the fit, for estimators that use it; without exact ones.
+    counts = dict.fromkeys(reported.names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
+    names = [name for name, count in counts.items() for _ in range(count)]
+    std = stated_deviations(profile)
+    effects = tuple(
+        ConstantEffect(
+            constant=name, deviation=std[name], effects=fit.effects[:, [n == name for n in names]].T.tolist()
+        )
+        for name in counts
+        if std.get(name, 0.0) > 0.0
+    )
+    return _Fitted(fit, seen_m[fit.agrees].mean(0), effects)
 
 
 def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> dict[str, Array]:
@@ -233,18 +243,6 @@ def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float
         name: np.stack([np.hstack([offset_m, np.zeros_like(offset_m)]) for offset_m in of_name], -1)
         for name, of_name in offsets.items()
     }
-
-
-def _effects(
-    fit: HandEyeFit, reported: ReportedTool, camera: Mapping[str, Array], profile: Profile
-) -> Iterator[ConstantEffect]:
-    """The effect of each calibration parameter on a fit, for estimators that use it; without exact ones."""
-    counts = dict.fromkeys(reported.names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
-    std, at = stated_deviations(profile), 0
-    for name, count in counts.items():
-        rows, at = fit.effects[:, at : at + count].T, at + count
-        if std.get(name, 0.0) > 0.0:
-            yield ConstantEffect(constant=name, deviation=std[name], effects=rows.tolist())
 
 
 def _result(

@@ -125,7 +125,7 @@ def test_numbers_with_a_baseline() -> None:
         ({"K": [0.0] * 9}, "not calibrated"),
         ({"K": K, "D": D, "distortion_model": "ftheta"}, "ftheta"),
         ({"K": K, "D": [0.1, 0.2, 0.3]}, "found 3"),
-        ({"K": K, "image_width": "wide", "image_height": 4}, "found wide"),
+        ({"K": K, "image_width": "wide", "image_height": 4}, "found 'wide'"),
         ({"cam0": {"camera_model": "omni"}}, "only pinhole"),
         ({"cam0": {"intrinsics": [1.0]}}, "fu, fv, pu, pv"),
         ({"M1": K, "M2": K}, "where the right camera stands"),
