@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from svmdist.errors import OutputError
-from svmdist.files import BusyError, atomic_file, lock, write_atomically
+from svmdist.files import BusyError, lock, write_atomically
 
 
 def _cut_short(error: BaseException) -> Iterator[str]:
@@ -57,16 +56,6 @@ def test_a_pipe_is_written_in_place(tmp_path: Path) -> None:
     assert pipe.is_fifo()
 
 
-def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
-    """The message has the path that was asked for, not that of the file beside it."""
-    path = tmp_path / "nowhere" / "rows.csv"
-    with (
-        pytest.raises(OutputError, match=r"nowhere/rows\.csv: cannot write: No such file"),
-        atomic_file(path) as target,
-    ):
-        target.write_text("x")
-
-
 def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     """Temporary files of this name that nobody holds go; those of another name, or of a process at work, stay."""
     path = tmp_path / "rows.csv"
@@ -96,19 +85,6 @@ def test_a_lock_is_held_by_one(tmp_path: Path) -> None:
     assert path.read_bytes() == b""
 
 
-def test_a_lock_is_that_of_the_file_under_the_name(tmp_path: Path) -> None:
-    """Opening a name anew after its file was renamed makes a new file and leaves the renamed one."""
-    path, final = tmp_path / "log.part", tmp_path / "log"
-    first = lock(path, "xb")
-    os.write(first, b"whole")
-    path.rename(final)
-    second = lock(path, "wb")
-    os.write(second, b"other")
-    os.close(first)
-    os.close(second)
-    assert (final.read_bytes(), path.read_bytes()) == (b"whole", b"other")
-
-
 @pytest.mark.parametrize("length", [8, 200, 250, 255])
 def test_the_name_appears_with_the_last_line(tmp_path: Path, length: int) -> None:
     """While lines come there is no file of that name; then it holds all of them, and nothing stands beside it."""
@@ -122,3 +98,16 @@ def test_the_name_appears_with_the_last_line(tmp_path: Path, length: int) -> Non
     write_atomically(path, lines())
     assert path.read_bytes() == "é\r\nlast\n".encode()
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_lock_is_that_of_the_file_under_the_name(tmp_path: Path) -> None:
+    """Opening a name anew after its file was renamed makes a new file and leaves the renamed one."""
+    path, final = tmp_path / "log.part", tmp_path / "log"
+    first = lock(path, "xb")
+    os.write(first, b"whole")
+    path.rename(final)
+    second = lock(path, "wb")
+    os.write(second, b"other")
+    os.close(first)
+    os.close(second)
+    assert (final.read_bytes(), path.read_bytes()) == (b"whole", b"other")

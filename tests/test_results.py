@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from svmdist.results import (
     Distance,
@@ -38,17 +37,6 @@ def test_a_rejection_keeps_all_but_status_and_detail() -> None:
     assert (rejected.status, rejected.detail, rejected.measured) == (Status.NO_STEREO, "why", False)
     assert replace(rejected, status=WHOLE.status, detail=WHOLE.detail) == WHOLE
     assert WHOLE.rejected(Status.NO_STEREO).detail == ""
-
-
-@pytest.mark.parametrize("name", [field.name for field in fields(ImageFindings)])
-def test_findings_are_added_one_by_one(name: str) -> None:
-    """A field that is named is new, all others stay; None takes one back."""
-    added = WHOLE.with_image(**{name: None})
-    assert getattr(added.image, name) is None
-    for field in fields(ImageFindings):
-        if field.name != name:
-            assert getattr(added.image, field.name) == getattr(WHOLE.image, field.name)
-    assert added.with_image(**{name: getattr(WHOLE.image, name)}) == WHOLE
 
 
 def test_a_lost_image_s_result_is_its_rejection() -> None:
