@@ -17,7 +17,7 @@ import yaml
 
 from svmdist.camera import KNOWN_DISTORTION, Camera, DistortionModel, stereo_transform
 from svmdist.errors import SourceError, UsageError, did_you_mean
-from svmdist.input_file import read_regular, why
+from svmdist.files import read_regular, why
 from svmdist.transforms import Array
 
 MAX_BYTES = 1 << 20

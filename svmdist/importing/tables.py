@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from svmdist.errors import SourceError
+from svmdist.files import read_regular, why
 from svmdist.importing.images import numbers_of
-from svmdist.input_file import read_regular, why
 from svmdist.tracks import JointTrack, PoseTrack, Stamps
 from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
 
