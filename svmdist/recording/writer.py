@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ from mcap.writer import CompressionType, Writer
 
 from svmdist.camera import Camera
 from svmdist.errors import OutputError, UsageError
-from svmdist.files import BusyError, is_held, lock
+from svmdist.files import why
 from svmdist.image_input import require_bgr
 from svmdist.profile import Limits
 from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
@@ -208,7 +207,6 @@ CHUNK_BYTES = 240 * 1024
 CHUNK_SPAN_NS = 250_000_000
 """A chunk spans at most a quarter of a second of log time: what a killed recorder loses. It is log time
 and not the wall clock that ends a chunk, for a rerun shall be byte-identical."""
-IS_HELD = "another process is recording to it; wait for its end, or give another name"
 RECORD_HEAD_BYTES = 9
 MESSAGE_HEAD_BYTES = 22
 
@@ -253,8 +251,9 @@ class RecordingWriter:
         self._refuse_to_replace(self.path)
         self._refuse_to_replace(self.part_path)
         try:
-            # One process at a time: two that write one file would leave what neither wrote.
-            self._file = os.fdopen(lock(self.part_path, "wb" if self._force else "xb"), "wb")
+            if self._force:
+                self.part_path.unlink(missing_ok=True)
+            self._file = self.part_path.open("xb")
             self._writer = Writer(
                 self._file,
                 chunk_size=1 << 40,  # this class ends the chunks, before they grow too large
@@ -264,11 +263,6 @@ class RecordingWriter:
             self._writer.start(library=f"svmdist {version('svmdist')}")
             self._writer.add_metadata(METADATA_NAME, dict(sorted(self._metadata.items())))
             self._file.flush()
-        except BusyError:
-            raise UsageError(f"{self.part_path}: {IS_HELD}") from None
-        except FileExistsError:  # it was made since we looked
-            self._refuse_to_replace(self.part_path)
-            raise
         except OSError as problem:
             raise self._failure(problem) from problem
         return self
@@ -319,11 +313,9 @@ class RecordingWriter:
             self._writer.finish()
             self._file.flush()
             os.fsync(self._file.fileno())  # a full disk may show only here
-            self._refuse_to_replace(self.path)
-            if sys.platform == "win32":  # an open file cannot be renamed there
-                self._file.close()
-            self.part_path.replace(self.path)  # before the lock is given up: until then the file is ours
             self._file.close()
+            self._refuse_to_replace(self.path)
+            self.part_path.replace(self.path)
         except OSError as problem:
             raise self._failure(problem) from problem
 
@@ -353,8 +345,6 @@ class RecordingWriter:
 
     def _refuse_to_replace(self, path: Path) -> None:
         if not self._force and os.path.lexists(path):
-            if path == self.part_path and is_held(path):
-                raise UsageError(f"{path}: {IS_HELD}")
             what = "is left from an interrupted recording" if path == self.part_path else "exists already"
             raise UsageError(f"{path}: {what}; give another name, or --force to replace it")
 
@@ -363,4 +353,4 @@ class RecordingWriter:
             # Closing tries to write the rest once more and fails in the same way.
             with suppress(OSError):
                 self._file.close()
-        return OutputError(f"{self.path}: cannot write: {problem.strerror or problem}")
+        return OutputError(f"{self.path}: cannot write: {why(problem)}")

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 
 from svmdist.errors import OutputError, RecordingError, SvmdistError, UsageError
-from svmdist.files import is_held
 from svmdist.perturbations.chosen import Perturbations, draw_world
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
@@ -89,7 +88,8 @@ def record_episodes(
     finally:
         for number, path in enumerate(paths):
             if number not in found or found[number].failure:  # its process was ended
-                _remove_part(path)
+                with suppress(OSError):
+                    _part(path).unlink(missing_ok=True)
     return [found[number] for number in range(len(paths))]
 
 
@@ -148,9 +148,3 @@ def _there(episodes: Episodes, scenario: Scenario, options: Options, path: Path)
 
 def _part(path: Path) -> Path:
     return path.with_name(path.name + ".part")
-
-
-def _remove_part(path: Path) -> None:
-    with suppress(OSError):
-        if _part(path).exists() and not is_held(_part(path)):
-            _part(path).unlink()

@@ -13,8 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.files import write_atomically
-from svmdist.input_file import read_regular, why
+from svmdist.files import read_regular, why, write_atomically
 from svmdist.workflows.scoring.metric_table import FIRST_KEYS, Better, Tolerance, cells, stored_metrics
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.validate import Validation
@@ -52,7 +51,7 @@ class StoredScore(_Stored, extra="allow"):
 
     @property
     def key(self) -> tuple[str, str, str, str]:
-        """What the figures are of."""
+        """Recording, method, equations and reference of the figures."""
         return self.recording, self.method, self.equations, self.reference
 
 
