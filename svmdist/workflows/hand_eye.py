@@ -58,11 +58,10 @@ class HandEyeResult:
 
 @dataclass(frozen=True)
 class ReportedTool:
-    """What the robot reports at stamps: poses in the base's frame (n, 4, 4), which are known, and their errors.
+    """Poses in the base's frame (n, 4, 4) as the robot reports them, which of them are known, and their errors.
 
     `axes` (n, 3) are the shaft's directions, NaN where not known; `noise` (n, 3, 3) the error that differs from frame
-    to frame; `shared` (n, 6, m) the effects of errors that all frames share, of the constants `names`, on position and
-    direction.
+    to frame; `shared` (n, 6, m) the effects of the errors `names`, the same in all frames, on position and direction.
     """
 
     T_base_tool: Array
