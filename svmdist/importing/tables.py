@@ -53,7 +53,7 @@ class ImageTimes:
 def parse_stamp_ns(text: str, unit: str | None = None) -> int:
     """A stamp in ns; without a unit (s, ms, us, ns) it follows from the size, for times since 1970.
 
-    Raises ValueError for text that is no number, and for a stamp that is negative or beyond 64 bits.
+    Raises ValueError for text that is not a number, and for a stamp that is negative or beyond 64 bits.
     """
     try:
         value = Decimal(text)

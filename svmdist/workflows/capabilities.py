@@ -180,7 +180,5 @@ def _missing_chain(summary: RecordingSummary, profile: Profile) -> tuple[str, ..
     topic = summary.roles.get("joints")
     if topic is None:
         return ()
-    there = set(summary.joint_names.get(topic, ()))
-    moving = [joint for joint in profile.robot.joints if joint.type != "fixed"]
-    missing = [joint.name for joint in moving if not there & {joint.name, *joint.aliases}]
+    missing = profile.robot.missing_joints(summary.joint_names.get(topic, ()))
     return (f"the joints {', '.join(missing)} of profile {profile.name}",) if missing else ()

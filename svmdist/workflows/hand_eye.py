@@ -114,11 +114,9 @@ def hand_eye(
 
 def default_reference(recording: Recording, profile: Profile) -> Against:
     """The joints where log and profile have them, else the poses; raises RecordingError where the log lacks both."""
-    if profile.robot is not None and recording.topic_of("joints") is not None:
-        there = set(recording.joint_track().names)
-        moving = [joint for joint in profile.robot.joints if joint.type != "fixed"]
-        if all(there & {joint.name, *joint.aliases} for joint in moving):
-            return "kinematics"
+    robot, has_joints = profile.robot, recording.topic_of("joints") is not None
+    if robot is not None and has_joints and not robot.missing_joints(recording.joint_track().names):
+        return "kinematics"
     if recording.topic_of("pose") is not None:
         return "pose"
     raise RecordingError(

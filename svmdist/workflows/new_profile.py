@@ -298,13 +298,9 @@ def _instrument(
 
 def _chain_of(joint_names: Sequence[str]) -> str | None:
     """The shipped profile with the longest chain whose joints are all among the log's."""
-    there = set(joint_names)
-    lengths = {
-        name: len(joints)
-        for name, joints in ((name, shipped_robot(name).joints) for name in CHAIN_PROFILES)
-        if all(there & {joint.name, *joint.aliases} for joint in joints)
-    }
-    return max(lengths, key=lambda name: lengths[name], default=None)
+    robots = {name: shipped_robot(name) for name in CHAIN_PROFILES}
+    fitting = [name for name, robot in robots.items() if not robot.missing_joints(joint_names)]
+    return max(fitting, key=lambda name: len(robots[name].joints), default=None)
 
 
 def shipped_robot(name: str) -> Robot:
