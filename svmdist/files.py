@@ -128,8 +128,7 @@ class RemoteFile:
         with plain_errors():
             # Of servers only the web's may give a file whole, whatever part is asked for.
             if self.url.lower().startswith(("http:", "https:")) and not filesystem.info(path).get("partial"):
-                copy = _copy_of(self.url, os.getpid())
-                return open(f"/proc/self/fd/{copy.fileno()}" if sys.platform == "linux" else copy.name, "rb")
+                return open(_copy_of(self.url, os.getpid())[1], "rb")
             file = filesystem.open(path, mode, block_size=BLOCK_BYTES, cache_type="blockcache")
             if isinstance(file, io.BytesIO):  # of a store in memory, which has one position for all readers
                 return io.BytesIO(file.getvalue())
@@ -169,16 +168,19 @@ def _fetched(fetch: Any, start: int, end: int) -> bytes:
 
 
 @lru_cache(FILES_KEPT)
-def _copy_of(url: str, process: int) -> Any:  # noqa: ARG001  (a forked process makes its own connections)
-    """A copy, in the temporary folder, of a file that its server gives whole only."""
+def _copy_of(url: str, process: int) -> tuple[Any, str]:  # noqa: ARG001  (each process has its own connections)
+    """A copy of a file that its server gives whole only: what keeps it, and the path to open it by."""
     filesystem, path = filesystem_of(url)
-    # On Linux it has no name: nothing is left of it when the process is killed.
-    kind: Any = tempfile.TemporaryFile if sys.platform == "linux" else tempfile.NamedTemporaryFile
-    copy = kind()
-    with filesystem.open(path, "rb", block_size=0) as file:
+    kept: Any
+    if sys.platform == "linux":  # without a name: nothing is left of it when the process is killed
+        kept = tempfile.TemporaryFile()  # noqa: SIM115
+        name = f"/proc/self/fd/{kept.fileno()}"
+    else:
+        kept = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        name = os.path.join(kept.name, "copy")
+    with filesystem.open(path, "rb", block_size=0) as file, open(name, "wb") as copy:
         shutil.copyfileobj(file, copy, BLOCK_BYTES)
-    copy.flush()
-    return copy
+    return kept, name
 
 
 def listed_urls(url: str, endings: tuple[str, ...], *, is_glob: bool) -> list[RemoteFile]:

@@ -112,27 +112,23 @@ def complete(
         R = np.eye(3) if camera.R is None else camera.R
         model = cast(DistortionModel, camera.model)
         cameras.append(Camera(width_px, height_px, camera.K, camera.D, R, P, frame_id, model))
-    if len(cameras) == 2:
-        _check_pair(stereo_transform(cameras[0], cameras[1]))
-    return cameras
-
-
-def _check_pair(T_left_right: Array | None) -> None:
-    """SourceError where the right camera is not to the right, or further away than any pair is."""
+    T_left_right = stereo_transform(cameras[0], cameras[1]) if len(cameras) == 2 else None
     if T_left_right is None:
-        return  # no baseline is known: the caller says so
+        return cameras  # of a pair, no baseline is known: the caller says so
+    x_m, y_m, _ = T_left_right[:3, 3]
     baseline_m = float(np.linalg.norm(T_left_right[:3, 3]))
     if not PLAUSIBLE_BASELINE_M[0] <= baseline_m <= PLAUSIBLE_BASELINE_M[1]:
         raise SourceError(
             f"the cameras are {baseline_m:g} m apart: if the calibration is in mm, say --unit mm"
         )
-    if abs(T_left_right[1, 3]) > abs(T_left_right[0, 3]):
+    if abs(y_m) > abs(x_m):
         raise SourceError("one camera stands above the other one; a pair is expected to stand side by side")
-    if T_left_right[0, 3] <= 0:
+    if x_m <= 0:
         raise SourceError(
-            f"the right camera stands {-T_left_right[0, 3] * 1e3:.3g} mm to the left of the left one:"
-            " exchange the views and their calibrations"
+            f"the right camera stands {-x_m * 1e3:.3g} mm to the left of the left one: exchange the views and their"
+            " calibrations"
         )
+    return cameras
 
 
 def _from_numbers(K: tuple[float, ...], options: CalibrationOptions) -> StatedCamera:
@@ -141,18 +137,6 @@ def _from_numbers(K: tuple[float, ...], options: CalibrationOptions) -> StatedCa
         return StatedCamera(_intrinsic_matrix(*K), D, _model_of(options.distortion_model, D.size))
     except ValueError as problem:
         raise UsageError(f"--distortion: {problem}") from None
-
-
-def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...]:
-    """The cameras of a file: one, or the left and the right one of a pair.
-
-    `unit_m` is the unit of its lengths. Raises SourceError in one line for a file of another form.
-    """
-    document = read_yaml(path)
-    try:
-        return _cameras_in(document, unit_m)
-    except ValueError as problem:
-        raise SourceError(f"{path}: {problem}") from None
 
 
 class _Loader(yaml.SafeLoader):
@@ -170,8 +154,11 @@ _Loader.add_constructor(
 )
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
-    """The first document of a YAML file, which must be a mapping; SourceError in one line for anything else."""
+def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...]:
+    """The cameras in the first document of a YAML file: one, or the left and the right one of a pair.
+
+    `unit_m` is the unit of its lengths. Raises SourceError in one line for a file of another form.
+    """
     try:
         text = OPENCV_HEADER.sub("", read_regular(path, MAX_BYTES).decode("utf-8"))
         document = next(iter(yaml.load_all(text, _Loader)), None)
@@ -183,7 +170,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise SourceError(
             f"{path}: expected a YAML mapping of a calibration, found {type(document).__name__}"
         )
-    return {str(key): value for key, value in document.items()}
+    try:
+        return _cameras_in({str(key): value for key, value in document.items()}, unit_m)
+    except ValueError as problem:
+        raise SourceError(f"{path}: {problem}") from None
 
 
 def _cameras_in(document: dict[str, Any], unit_m: float) -> tuple[StatedCamera, ...]:
@@ -244,7 +234,6 @@ def _camera(
     model: str = "",
     size_px: tuple[int, int] | None = None,
 ) -> StatedCamera:
-    """A camera by the keys of its matrix and its distortion."""
     K, D = _numbers(document, K_keys, (3, 3)), _numbers(document, D_keys, None)
     D = np.zeros(0) if D is None else D
     if K is None or not (K[0, 0] > 0 and K[1, 1] > 0):
@@ -311,13 +300,6 @@ def _numbers(document: dict[str, Any], keys: Sequence[str], shape: tuple[int, in
 
 def _size(document: dict[str, Any]) -> tuple[int, int] | None:
     """Width and height in px; None where there are none, or zeros."""
-    width, height = (
-        next((document[key] for key in keys if key in document), None) for keys in (WIDTH_KEYS, HEIGHT_KEYS)
-    )
-    if width is None or height is None:
-        return None
-    try:
-        width_px, height_px = int(str(width)), int(str(height))
-    except ValueError:
-        raise ValueError(f"expected a width and a height in px, found {width} and {height}") from None
+    size = [_numbers(document, keys, None) for keys in (WIDTH_KEYS, HEIGHT_KEYS)]
+    width_px, height_px = (0 if number is None or number.size != 1 else int(number[0]) for number in size)
     return (width_px, height_px) if width_px > 0 and height_px > 0 else None

@@ -253,8 +253,7 @@ def topics_beside_images(arms: Iterable[LoggedArm]) -> frozenset[str]:
     for arm in arms:
         topics.update(arm.choice.static_transforms())
         for role in set(Role) - {Role.IMAGE, Role.RIGHT_IMAGE}:
-            with suppress(
-                RecordingError
-            ):  # a topic that was chosen and is not there: told where it is needed
+            # A topic that was chosen and is not there is told where it is needed.
+            with suppress(RecordingError):
                 topics.add(arm.choice.find(role))
     return frozenset(topic for topic in topics if topic is not None)

@@ -41,28 +41,21 @@ def with_lag(
     """
     if lag is None:
         return recording, LagEstimate(0.0, None, 1.0)
-    found = (
-        find_lag(recording, profile, wanted, jobs, rules, on_image)
-        if lag == "auto"
-        else LagEstimate(float(lag), None, 1.0)
-    )
-    return (recording.with_lag(known_lag(found), profile) if found.told else recording), found
+    found = LagEstimate(float(lag), None, 1.0) if lag != "auto" else None
+    found = found or _find_lag(recording, profile, wanted, jobs, rules, on_image)
+    if not found.told:
+        return recording, found
+    std_s = 0.0 if found.std_s is None else float(np.hypot(found.std_s, FOUND_LAG_STD_S))
+    return recording.with_lag(KnownLag(found.lag_s, std_s), profile), found
 
 
-def known_lag(found: LagEstimate) -> KnownLag:
-    """What is known of a lag that was given or found."""
-    return KnownLag(
-        found.lag_s, 0.0 if found.std_s is None else float(np.hypot(found.std_s, FOUND_LAG_STD_S))
-    )
-
-
-def find_lag(
+def _find_lag(
     recording: Recording,
     profile: Profile,
-    wanted: Sequence[str] | None = None,
-    jobs: int | None = None,
-    rules: TruthRules | None = None,
-    on_image: Callable[[], None] | None = None,
+    wanted: Sequence[str] | None,
+    jobs: int | None,
+    rules: TruthRules | None,
+    on_image: Callable[[], None] | None,
 ) -> LagEstimate:
     """Estimate the lag of a recording for any method: from where the middle of each instrument is seen.
 
@@ -78,7 +71,7 @@ def find_lag(
         if on_image is not None:
             on_image()
     found = [
-        lag_of_readings(
+        recording_lag(
             readings[name],
             recording.for_instrument(name),
             profile.for_instrument(name),
@@ -90,19 +83,13 @@ def find_lag(
 
 
 def recording_lag(
-    rows: Iterable[FrameResult], recording: Recording, profile: Profile, rules: TruthRules
+    rows: Iterable[FrameResult] | Readings, recording: Recording, profile: Profile, rules: TruthRules
 ) -> LagEstimate:
-    """Estimate the lag of a recording from where its measured rows saw the tool."""
-    return lag_of_readings(Readings(rows), recording, profile, rules)
-
-
-def lag_of_readings(
-    readings: Readings, recording: Recording, profile: Profile, rules: TruthRules
-) -> LagEstimate:
-    """Estimate the lag of a recording from where the tool was seen.
+    """Estimate the lag of a recording from where its measured rows saw the tool.
 
     The tool's motion is taken from kinematics, else from the strongest other reference that the log has.
     """
+    readings = rows if isinstance(rows, Readings) else Readings(rows)
     seen = np.isfinite(readings.tool_px).all(axis=1)
     problems = []
     for reference in (Reference.KINEMATICS, Reference.POSE, Reference.TF, Reference.GROUND_TRUTH):

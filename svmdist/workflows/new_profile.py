@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -110,7 +111,7 @@ def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDr
     instruments = tuple(
         _instrument(name, own, summary, path, blank, len(roles.instruments))
         for name, own in roles.instruments.items()
-    ) or _by_sides(_entry_sides(images))
+    ) or _instruments_by_sides(images)
     return ProfileDraft(
         name,
         path.name,
@@ -164,10 +165,10 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
     if given.get("tf") or len(moving) == 1:
         topics["tf"] = given.get("tf") or moving[0]
     instruments: dict[str, dict[str, str]] = {}
-    for role, kind, preferred in (
+    for role, kind, preferred in [
         ("joints", "joint states", "measured_js"),
         ("pose", "poses", "measured_cp"),
-    ):
+    ]:
         tools = [topic for topic in carrying(kind, "jaw", "ground_truth") if not OTHER_ARMS.search(topic)]
         named = [topic for topic in tools if topic.rpartition("/")[2] == preferred]
         for topic in [given[role]] if role in given else named or tools:
@@ -184,18 +185,17 @@ def _left_image(images: Sequence[str], summary: RecordingSummary) -> str:
         lambda topic: "left" in topic.lower(),
         lambda topic: "rect" in topic.lower(),
     )
-    lefts = list(images)
-    for preferred in preferences:
-        lefts = [topic for topic in lefts if preferred(topic)] or lefts
-    if len(lefts) == 1:
-        return lefts[0]
-    name = summary.path.name
+    name, lefts = summary.path.name, list(images)
     if not lefts:
         there = sanitize_list(topic.topic for topic in summary.topics)
         raise RecordingError(f"{name}: no topic with images; the topics are {there or 'none'}")
-    raise RecordingError(
-        f"{name}: several topics carry images: choose one with --topic image=TOPIC: {sanitize_list(lefts)}"
-    )
+    for preferred in preferences:
+        lefts = [topic for topic in lefts if preferred(topic)] or lefts
+    if len(lefts) > 1:
+        raise RecordingError(
+            f"{name}: several topics carry images: choose one with --topic image=TOPIC: {sanitize_list(lefts)}"
+        )
+    return lefts[0]
 
 
 def _right_of(left: str, images: Sequence[str]) -> str | None:
@@ -231,13 +231,9 @@ def _instrument_name(topic: str) -> str:
 
 
 def _blank(topics: Mapping[str, str]) -> Profile:
-    """A profile that knows nothing but topics."""
     any_pixel = ColourRegion(hue=(0, 179), min_area_px=1)
-    return Profile(
-        name="blank",
-        topics=Topics(**topics),
-        segmentation=HsvSegmentation(tissue=any_pixel, instrument=any_pixel),
-    )
+    segmentation = HsvSegmentation(tissue=any_pixel, instrument=any_pixel)
+    return Profile(name="blank", topics=Topics(**topics), segmentation=segmentation)
 
 
 def _look(recording: Recording, stride: int) -> tuple[list[Image], list[StereoPlane]]:
@@ -254,8 +250,8 @@ def _look(recording: Recording, stride: int) -> tuple[list[Image], list[StereoPl
     return images, planes
 
 
-def _entry_sides(images: Sequence[Image]) -> list[str]:
-    """The sides of the picture that instruments come in from in most images, from right to left."""
+def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...]:
+    """Instruments by the sides of the picture that they come in from in most images; one where no two are seen."""
     segmenter = AutoSegmenter().adapted_to(images)
     sides: Counter[str] = Counter()
     for image in images:
@@ -266,12 +262,8 @@ def _entry_sides(images: Sequence[Image]) -> list[str]:
             here.add(("left" if x < 0 else "right") if abs(x) > abs(y) else ("above" if y < 0 else "below"))
         sides.update(here)
     order = ("right", "left", "above", "below")
-    return [side for side in order if sides[side] and sides[side] >= MOST_IMAGES * len(images)]
-
-
-def _by_sides(sides: Sequence[str]) -> tuple[InstrumentDraft, ...]:
-    """Instruments that only images show; one where no image shows several."""
-    entries: Sequence[str | None] = sides if len(sides) > 1 else [None]
+    found = [side for side in order if sides[side] and sides[side] >= MOST_IMAGES * len(images)]
+    entries: Sequence[str | None] = found if len(found) > 1 else [None]
     return tuple(
         InstrumentDraft(f"PSM{number}", None, None, f"PSM{number}_base", f"PSM{number}", None, entry=entry)
         for number, entry in enumerate(entries, 1)
@@ -290,13 +282,13 @@ def _plane(planes: Sequence[StereoPlane]) -> PlaneDraft | None:
         return None
     tilts_rad = np.arccos(np.clip(normals @ normal, -1.0, 1.0))
     distance_m = float(np.median(distances_m))
-    surface_std_m = float(np.median([plane.surface_std_m for plane in planes]))
+    x, y, z = normal.tolist()
     return PlaneDraft(
-        (float(normal[0]), float(normal[1]), float(normal[2])),
+        (x, y, z),
         distance_m,
         max(scale_of(distances_m - distance_m), LEAST_PLANE_STD_M),
         max(scale_of(tilts_rad), LEAST_TILT_STD_RAD),
-        max(surface_std_m, LEAST_SURFACE_STD_M),
+        max(float(np.median([plane.surface_std_m for plane in planes])), LEAST_SURFACE_STD_M),
     )
 
 
@@ -304,35 +296,28 @@ def _instrument(
     name: str, topics: Mapping[str, str], summary: RecordingSummary, path: Path, blank: Profile, count: int
 ) -> InstrumentDraft:
     joints, pose = topics.get("joints"), topics.get("pose")
-    joint_names = summary.joint_names.get(joints or "", ())
-    frames = set(summary.frames)
-    base = _pose_frame(pose, path, blank) if pose else None
+    joint_names = tuple(summary.joint_names.get(joints or "", ()))
+    base, frames = None, set(summary.frames)
+    if pose:
+        with suppress(RecordingError):  # poses in several frames, or in one without a name
+            base = open_recording(path, blank, topics={"pose": pose}).pose_track().frame_id or None
     if base is None:
         own = f"{name}_base"
         base = "base" if count == 1 and own not in frames and "base" in frames else own
     tools = (f"{name}_tool", f"{name}_ee", name, "tool")
     tool = next((frame for frame in tools if frame in frames and frame != base), name)
-    return InstrumentDraft(name, joints, pose, base, tool, _chain_of(joint_names), tuple(joint_names))
-
-
-def _pose_frame(topic: str, path: Path, blank: Profile) -> str | None:
-    """The frame that poses are in; None where they are in several, or in one without a name."""
-    try:
-        return open_recording(path, blank, topics={"pose": topic}).pose_track().frame_id or None
-    except RecordingError:
-        return None
+    return InstrumentDraft(name, joints, pose, base, tool, _chain_of(joint_names), joint_names)
 
 
 def _chain_of(joint_names: Sequence[str]) -> str | None:
     """The shipped profile with the longest chain whose joints are all among the log's."""
     there = set(joint_names)
-    robots = {name: shipped_robot(name) for name in CHAIN_PROFILES}
-    fitting = [
-        name
-        for name, robot in robots.items()
-        if all(there & {joint.name, *joint.aliases} for joint in robot.joints)
-    ]
-    return max(fitting, key=lambda name: len(robots[name].joints), default=None)
+    lengths = {
+        name: len(joints)
+        for name, joints in ((name, shipped_robot(name).joints) for name in CHAIN_PROFILES)
+        if all(there & {joint.name, *joint.aliases} for joint in joints)
+    }
+    return max(lengths, key=lambda name: lengths[name], default=None)
 
 
 def shipped_robot(name: str) -> Robot:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorProto
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,7 +18,7 @@ from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthD
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import Decoder, EncodedImage, to_sample
 from svmdist.recording.source import RawMessage
-from svmdist.recording.writer import encode, message_type
+from svmdist.recording.writer import EncodedSample, encode, encode_all, message_type
 from svmdist.samples import (
     CameraSample,
     ImageSample,
@@ -29,6 +30,7 @@ from svmdist.samples import (
     TransformsSample,
 )
 from svmdist.transforms import make_transform, rotation_from_quaternion_xyzw
+from tests.synthetic import make_scene, samples
 
 from .builders import CAMERA, Entry
 
@@ -129,3 +131,15 @@ def test_the_proto_and_its_python_agree() -> None:
     assert file.package == "svmdist"
     assert message.name == GroundTruthDistance.DESCRIPTOR.name
     assert declared == [(types[f.type], f.name, str(f.number)) for f in message.field]
+
+
+@pytest.mark.parametrize("jpeg_quality", [None, 80])
+def test_together_as_alone(jpeg_quality: int | None) -> None:
+    """Bit by bit, quaternions included, although those of all samples are computed at once."""
+    stream = list(samples(make_scene(64, 48), 12))
+    assert {type(sample).__name__ for _, sample in stream} >= {"TransformsSample", "ImageSample"}
+    expected = [
+        (topic, EncodedSample(sample.stamp_ns, type(sample), encode(sample, jpeg_quality)))
+        for topic, sample in stream
+    ]
+    assert encode_all(stream, jpeg_quality) == expected

@@ -51,7 +51,7 @@ class StoredScore(_Stored, extra="allow"):
 
     @property
     def key(self) -> tuple[str, str, str, str]:
-        """What the figures are of."""
+        """Recording, method, equations and reference of the figures."""
         return self.recording, self.method, self.equations, self.reference
 
 
