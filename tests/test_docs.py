@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-import svmdist
 from benchmarks.generated_pages import PAGES, table_in
 from benchmarks.pictures import IMAGES, make_picture, printed_pictures
-from benchmarks.site_pages import OUTSIDE, site_links
+from benchmarks.site_pages import OUTSIDE
 from tests.conftest import REPOSITORY
 
 DOCS = REPOSITORY / "docs"
@@ -43,17 +42,6 @@ def _share(cell: str) -> float:
     """What `43 / 96` says."""
     part, _, whole = cell.partition("/")
     return int(part) / int(whole)
-
-
-def test_readme_example_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """The lines of Python in the README run as they stand, and end with the statistics."""
-    monkeypatch.chdir(REPOSITORY)
-    (code,) = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text("utf-8"), re.DOTALL)
-    exec(compile(code, "README.md", "exec"), {})
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 81
-    assert " ok 0.0" in lines[0]
-    assert lines[-1].startswith("ErrorStatistics(count=80")
 
 
 def test_planar_figures_are_those_of_the_baseline() -> None:
@@ -131,27 +119,6 @@ def test_documentation_stays_short_and_every_page_is_in_the_navigation() -> None
     assert listed == [(title, Path(page).name) for title, page in zip(titles, decisions, strict=True)]
 
 
-def test_links_of_the_site_lead_to_its_pages() -> None:
-    """Links between documents follow them to their places on the site; a file that is no page stays as text."""
-    pages = {"index.md", "guide.md", "recordings.md", "decisions/README.md", "images/scene.jpg"}
-    for place, markdown, expected in (
-        (
-            "index.md",
-            "![a](docs/images/scene.jpg) [b](docs/guide.md#x)",
-            "![a](images/scene.jpg) [b](guide.md#x)",
-        ),
-        (
-            "guide.md",
-            "[c](../recordings/README.md) [g](decisions/)",
-            "[c](recordings.md) [g](decisions/README.md)",
-        ),
-        ("decisions/0001.md", "[e](../guide.md) [f](../../README.md)", "[e](../guide.md) [f](../index.md)"),
-        ("guide.md", "[h](../pyproject.toml) [i](nowhere.md) [k](#here)", "h [i](nowhere.md) [k](#here)"),
-        ("guide.md", "```\n[l](../README.md)\n```\n", "```\n[l](../README.md)\n```\n"),
-    ):
-        assert site_links(markdown, place, pages) == expected
-
-
 def test_every_picture_stands_above_the_commands_that_make_it() -> None:
     """No picture is left over, none is shown twice, and none without commands."""
     shown = [
@@ -221,21 +188,3 @@ def test_every_status_and_profile_key_is_explained() -> None:
     )
     for table in (*tables, p.Fiducial, p.CameraError, p.Tissue, p.Dome, p.OtherInstrument, p.Placement):
         assert set(table.model_fields) - _named_in("profile.md") == set(), table.__name__
-
-
-def test_robustness_is_measured_in_worlds_that_a_replay_can_make(tmp_path: Path) -> None:
-    """Cells of a table of one drawn log: RMSE and interval coverage, or a dash where no frame was measured."""
-    from benchmarks import robustness
-    from svmdist.recording.writer import RecordingWriter
-    from tests.synthetic import make_scene, samples
-
-    shown = table_in((DOCS / "results.md").read_text("utf-8"), "robustness")
-    assert set(robustness.WORLDS) <= set(re.findall(r"^\| `([^`]+)` \|", shown, re.MULTILINE))
-    with RecordingWriter(tmp_path / "log.mcap", {"scenario": "sweep", "seed": "1"}) as writer:
-        for topic, sample in samples(make_scene(), 4):
-            writer.write(topic, sample)
-    runs = robustness.measure([svmdist.open_recording(tmp_path / "log.mcap")], ("kinematic", "fiducial"))
-    rows = [line.split(" | ") for line in robustness.robustness_table(runs).splitlines()]
-    assert [row[0].strip("| `") for row in rows[2:]] == ["nothing", *robustness.WORLDS]
-    assert re.fullmatch(r"\d+\.\d\d \(\d+\)", rows[2][1])
-    assert rows[2][2].startswith("–")  # no tag was mounted

@@ -1,4 +1,4 @@
-"""A file that a command writes is whole, or what it was before."""
+"""A file that a command writes is whole, or what it was before; a file to read is a regular one within its limit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.errors import OutputError
-from svmdist.files import BusyError, atomic_file, lock, write_atomically
+from svmdist.files import atomic_file, read_regular, why, write_atomically
 
 
 def _cut_short(error: BaseException) -> Iterator[str]:
@@ -67,46 +67,11 @@ def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
         target.write_text("x")
 
 
-def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
-    """Temporary files of this name that nobody holds go; those of another name, or of a process at work, stay."""
+def test_what_a_killed_process_left_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / ".rows.csv.part").write_text("half")
     path = tmp_path / "rows.csv"
-    names = (".rows.csv.77.part", ".rows.csv.x.part", ".rows.csv.78.part")
-    stale, other, at_work = (tmp_path / name for name in names)
-    for left in (stale, other, at_work):
-        left.write_text("half")
-    held = lock(at_work, "wb")
     write_atomically(path, ["whole\n"])
-    os.close(held)
-    assert not stale.exists()
-    assert sorted(tmp_path.iterdir()) == sorted([path, other, at_work])
-
-
-def test_a_lock_is_held_by_one(tmp_path: Path) -> None:
-    """A second one is refused until the first has ended; then the file is emptied for it."""
-    path = tmp_path / "log.part"
-    number = lock(path, "xb")
-    os.write(number, b"half")
-    with pytest.raises(BusyError):
-        lock(path, "wb")
-    assert path.read_bytes() == b"half"
-    os.close(number)
-    with pytest.raises(FileExistsError):
-        lock(path, "xb")
-    os.close(lock(path, "wb"))
-    assert path.read_bytes() == b""
-
-
-def test_a_lock_is_that_of_the_file_under_the_name(tmp_path: Path) -> None:
-    """Opening a name anew after its file was renamed makes a new file and leaves the renamed one."""
-    path, final = tmp_path / "log.part", tmp_path / "log"
-    first = lock(path, "xb")
-    os.write(first, b"whole")
-    path.rename(final)
-    second = lock(path, "wb")
-    os.write(second, b"other")
-    os.close(first)
-    os.close(second)
-    assert (final.read_bytes(), path.read_bytes()) == (b"whole", b"other")
+    assert (path.read_text(), list(tmp_path.iterdir())) == ("whole\n", [path])
 
 
 @pytest.mark.parametrize("length", [8, 200, 250, 255])
@@ -122,3 +87,26 @@ def test_the_name_appears_with_the_last_line(tmp_path: Path, length: int) -> Non
     write_atomically(path, lines())
     assert path.read_bytes() == "é\r\nlast\n".encode()
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_within_its_limit_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"12345")
+    assert read_regular(path, 5) == b"12345"
+    with pytest.raises(OSError, match="more than 4 bytes"):
+        read_regular(path, 4)
+
+
+@pytest.mark.parametrize("name", ["folder", "pipe", "missing", "nul\0"])
+def test_anything_else_says_why_at_once(tmp_path: Path, name: str) -> None:
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError) as caught:  # noqa: PT011  (the reason is looked at below)
+        read_regular(tmp_path / name, 10)
+    expected = {
+        "folder": "directory",
+        "pipe": "no regular file",
+        "missing": "No such file",
+        "nul\0": "character",
+    }
+    assert expected[name] in why(caught.value)

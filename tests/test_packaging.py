@@ -97,15 +97,6 @@ def test_the_wheel_of_an_sdist_is_the_wheel_of_the_tree(sdist: Path, tmp_path: P
     assert any(name.startswith("svmdist/schemas/") for name in names[0])
 
 
-def test_metadata(sdist: Path) -> None:
-    """Authors, a classifier for each Python version that is supported, and every extra."""
-    told = page(sdist)
-    assert told["Author"]
-    versions = re.findall(r"Python :: (3\.\d+)$", "\n".join(told.get_all("Classifier") or []), re.MULTILINE)
-    assert versions[0] == str(PROJECT["requires-python"]).removeprefix(">=")
-    assert set(told.get_all("Provides-Extra") or []) == set(PROJECT["optional-dependencies"])
-
-
 def test_the_package_page_has_no_relative_link(sdist: Path, tmp_path: Path) -> None:
     """Without the repository's address the page is text alone; with it, every link and picture is absolute."""
     readme = (REPOSITORY / "README.md").read_text("utf-8")

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from svmdist.cli.options import GoldenLogOptions, LogOptions, group_name
 from svmdist.cli.output import LOG, ExitCode, progress_bar
 from svmdist.errors import RecordingError, UsageError
-from svmdist.input_file import LogPath, why
-from svmdist.remote_file import RemoteFile, is_url
+from svmdist.files import LogPath, RemoteFile, is_url, listed_urls, why
 
 if TYPE_CHECKING:
     from svmdist.recording.source import Health
@@ -193,7 +192,6 @@ def named_logs(files: Sequence[str | Path]) -> list[LogFile]:
 
     Raises UsageError for a glob that nothing matches, and RecordingError where a store cannot be asked.
     """
-    from svmdist.input_file import unique_names
     from svmdist.workflows.batch import LogFile
 
     found: dict[object, LogPath] = {}
@@ -201,7 +199,23 @@ def named_logs(files: Sequence[str | Path]) -> list[LogFile]:
         for path in _paths_of(os.fspath(text)):
             found.setdefault(path if isinstance(path, RemoteFile) else os.path.realpath(path), path)
     paths = list(found.values())
-    return [LogFile(path, name) for path, name in zip(paths, unique_names(paths), strict=True)]
+    return [LogFile(path, name) for path, name in zip(paths, _unique_names(paths), strict=True)]
+
+
+def _unique_names(paths: Sequence[LogPath]) -> list[str]:
+    """A name for each log: the file's without its ending, with as many folders before it as tell it from others."""
+    parts: list[tuple[str, ...]] = []
+    for path in paths:
+        folders = path.folders if isinstance(path, RemoteFile) else Path(os.path.abspath(path)).parts[1:-1]
+        parts.append((*folders, path.stem))
+    depths = dict.fromkeys(parts, 1)
+    while True:
+        shown = Counter(part[-depths[part] :] for part in depths)
+        longer = [part for part, depth in depths.items() if shown[part[-depth:]] > 1 and depth < len(part)]
+        if not longer:
+            return ["/".join(part[-depths[part] :]) for part in parts]
+        for part in longer:
+            depths[part] += 1
 
 
 def _paths_of(text: str) -> Sequence[LogPath]:
@@ -227,8 +241,6 @@ def _paths_of(text: str) -> Sequence[LogPath]:
 
 def _urls_of(url: str) -> list[RemoteFile]:
     """The logs of a URL: of a folder or a glob all those in it, by name; a file stands for itself."""
-    from svmdist.remote_file import listed_urls
-
     is_glob = GLOB.search(url.partition("://")[2].partition("?")[0]) is not None
     try:
         found = listed_urls(url, LOG_ENDINGS, is_glob=is_glob)

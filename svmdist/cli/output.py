@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, TypeVar
 
 from svmdist.errors import OutputError, UsageError, printable
-from svmdist.files import FALLBACK, write_atomically
-from svmdist.input_file import LogPath, why
+from svmdist.files import FALLBACK, LogPath, why, write_atomically
 from svmdist.report.writers import plot_format
 from svmdist.report.writers import require_report as require_report_packages
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import ProfileError
+from svmdist.files import read_regular, why
 from svmdist.geometry.surfaces import Mesh
-from svmdist.input_file import read_regular, why
 from svmdist.transforms import Array
 
 Indices = NDArray[np.int64]

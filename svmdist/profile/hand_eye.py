@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from svmdist.errors import ProfileError
 from svmdist.files import write_atomically
-from svmdist.profile.robot import KinematicError, Rotation, Vector, require_rotation
+from svmdist.profile.robot import KinematicError, Rotation, Vector
 from svmdist.profile.toml import StrictModel, parse_toml
 from svmdist.transforms import Array, make_transform, skew
 
@@ -68,7 +68,6 @@ class HandEye(StrictModel):
 
     @model_validator(mode="after")
     def _sound(self) -> HandEye:
-        require_rotation("rotation", self.rotation)
         C = np.array(self.covariance)
         if not np.allclose(C, C.T, rtol=1e-6, atol=1e-15) or np.linalg.eigvalsh(C)[0] < -1e-12:
             raise ValueError("covariance must be symmetric and have no negative eigenvalue")

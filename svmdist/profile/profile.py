@@ -40,11 +40,7 @@ from svmdist.profile.robot import (
     Tissue,
     require_tag,
 )
-from svmdist.profile.segmentation import (
-    AnySegmentation,
-    AutoSegmentation,
-    ColourRegion,
-)
+from svmdist.profile.segmentation import AnySegmentation, AutoSegmentation, ColourRegion
 from svmdist.profile.settings import Settings, StereoSettings
 from svmdist.profile.toml import Byte, Size, StrictModel, parse_toml
 
@@ -214,8 +210,7 @@ class Profile(StrictModel):
 
     def _with_hand_eye(self) -> Profile:
         """With the kinematic error of an instrument whose base is known by hand-eye; the same of any other."""
-        found = self.camera_to_base
-        if found is None:
+        if (found := self.camera_to_base) is None:
             return self
         error = with_hand_eye(self.kinematic_error, found, stated_deviations(self))
         return self.model_copy(update={"kinematic_error": error})
@@ -275,20 +270,19 @@ class Profile(StrictModel):
 
     @model_validator(mode="after")
     def _names_joints_that_are_there(self) -> Profile:
-        robots = [self.robot, *(other.robot for other in self.other_instruments)]
-        for robot in (robot for robot in robots if robot is not None):
-            if self.fiducial is not None:
-                _require_joint("fiducial.link", self.fiducial.link, [joint.name for joint in robot.joints])
-            first = self.kinematic_error.first_moving_joint
-            if first is not None:
-                moving = [joint.name for joint in robot.joints if joint.type != "fixed"]
-                _require_joint("kinematic_error.first_moving_joint", first, moving)
+        link = None if self.fiducial is None else self.fiducial.link
+        first = self.kinematic_error.first_moving_joint
+        for robot in (self.robot, *(other.robot for other in self.other_instruments)):
+            joints = () if robot is None else robot.joints
+            names = [joint.name for joint in joints]
+            moving = [joint.name for joint in joints if joint.type != "fixed"]
+            for key, name, known in (
+                ("fiducial.link", link, names),
+                ("kinematic_error.first_moving_joint", first, moving),
+            ):
+                if joints and name is not None and name not in known:
+                    raise ValueError(f"{key}: no joint named {name}: {did_you_mean(name, known)}")
         return self
-
-
-def _require_joint(key: str, name: str, names: list[str]) -> None:
-    if name not in names:
-        raise ValueError(f"{key}: no joint named {name}: {did_you_mean(name, names)}")
 
 
 def shipped_profiles() -> tuple[str, ...]:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
-from typing import Literal
+from collections.abc import Iterable, Set
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from svmdist.profile.toml import Angle, Length, NeighbourFile, SmallLength, StrictModel
 from svmdist.transforms import Array, make_transform, rotation_z
 
 Vector = tuple[float, float, float]
-Rotation = tuple[Vector, Vector, Vector]
 EntrySide = Literal["left", "right", "above", "below"]
 """The side of the picture that an instrument comes in from."""
 ARM_TOPICS = ("joints", "pose", "ground_truth_distance")
@@ -25,11 +24,14 @@ TAG_COUNTS = {"16h5": 30, "25h9": 35, "36h10": 2320, "36h11": 587}
 """Number of tags of each AprilTag family; they are numbered from 0."""
 
 
-def require_rotation(name: str, rotation: Rotation) -> None:
-    """Raise ValueError where a matrix is no rotation."""
+def _require_rotation(rotation: tuple[Vector, Vector, Vector]) -> tuple[Vector, Vector, Vector]:
     R = np.array(rotation)
     if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
-        raise ValueError(f"{name} is not a rotation: R R^T = I and det R = 1 are expected")
+        raise ValueError("it is not a rotation: R R^T = I and det R = 1 are expected")
+    return rotation
+
+
+Rotation = Annotated[tuple[Vector, Vector, Vector], AfterValidator(_require_rotation)]
 
 
 def require_tag(family: str, tag_id: int) -> None:
@@ -78,14 +80,17 @@ class Robot(StrictModel):
         doubles = sorted({name for name in names if names.count(name) > 1})
         if doubles:
             raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")
-        if self.tool_rotation is not None:
-            require_rotation("tool_rotation", self.tool_rotation)
         return self
 
     @property
     def T_last_tool(self) -> Array:
         """The constant transform behind the last row, shape (4, 4)."""
         return np.eye(4) if self.tool_rotation is None else make_transform(self.tool_rotation, np.zeros(3))
+
+    def missing_joints(self, names: Iterable[str]) -> list[str]:
+        """The moving joints that are not among the names of a log, not by an alias either."""
+        there, moving = set(names), (joint for joint in self.joints if joint.type != "fixed")
+        return [joint.name for joint in moving if not there & {joint.name, *joint.aliases}]
 
 
 class KinematicError(StrictModel):
@@ -183,7 +188,6 @@ class Fiducial(StrictModel):
     @model_validator(mode="after")
     def _sound(self) -> Fiducial:
         require_tag(self.family, self.id)
-        require_rotation("rotation", self.rotation)
         return self
 
     @property
@@ -251,19 +255,14 @@ class Tissue(StrictModel):
     def _unit(cls, normal: Vector) -> Vector:
         length = float(np.linalg.norm(normal))
         if abs(length - 1.0) > ROUNDED:
-            return normal
+            raise ValueError(f"it must have length 1, found {length:.7g}")
+        if normal[2] > AWAY * length:
+            raise ValueError("it points away from the camera: towards it z is negative, as in [0, 0, -1]")
         x, y, z = normal
         return normal if abs(length - 1.0) <= 1e-12 else (x / length, y / length, z / length)
 
     @model_validator(mode="after")
     def _sound(self) -> Tissue:
-        length = float(np.linalg.norm(self.plane_normal))
-        if abs(length - 1.0) > 1e-6:
-            raise ValueError(f"plane_normal must have length 1, found {length:.7g}")
-        if self.plane_normal[2] > AWAY:
-            raise ValueError(
-                "plane_normal points away from the camera: towards it z is negative, as in [0, 0, -1]"
-            )
         if self.mesh is not None and self.dome is not None:
             raise ValueError("a dome and a mesh exclude each other: which of them is the tissue's shape?")
         lost = sorted(self.model_fields_set & {"mesh_unit", "mesh_position_m", "mesh_yaw_rad"})
@@ -284,7 +283,7 @@ class Placement(StrictModel):
     base_yaw_rad: Angle = 0.0
 
 
-class Simulation(StrictModel):
+class Simulation(Placement):
     """What `svmdist record` needs beside the chain: where things stand, and the encoders' errors."""
 
     camera_height_m: Length
@@ -293,8 +292,6 @@ class Simulation(StrictModel):
     height_px: int = Field(default=480, ge=16, le=4096)
     working_height_m: Length
     """Height of the tool origin above the floor in the plane in which distances are measured."""
-    base_position_m: Vector
-    base_yaw_rad: Angle = 0.0
     posture: dict[str, Angle]
     """Value of every joint in the middle of the work space; the scenarios start their search here."""
     joint_rate_hz: float = Field(default=100.0, ge=1.0)
@@ -316,10 +313,6 @@ class ArmTopics(StrictModel):
         if self.joints is None and self.pose is None:
             raise ValueError("an instrument is known by its topics: name joints or pose")
         return self
-
-    def are_in(self, topics: Set[str]) -> bool:
-        """Whether a log with these topics has the instrument."""
-        return bool(topics & {self.joints, self.pose})
 
 
 class ArmFrames(StrictModel):
@@ -359,4 +352,4 @@ class OtherInstrument(StrictModel):
 
     def is_in(self, topics: Set[str]) -> bool:
         """Whether a log with these topics has the instrument."""
-        return self.topics is None or self.topics.are_in(topics)
+        return self.topics is None or bool(topics & {self.topics.joints, self.topics.pose})

@@ -6,15 +6,24 @@ The suffix of a name is its unit; what has none is a ratio or a count. Every oth
 from __future__ import annotations
 
 import logging
+import tomllib
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
 from svmdist.profile.toml import StrictModel
 
+LOG = logging.getLogger(__name__)
 Positive = Annotated[float, Field(gt=0.0)]
 Share = Annotated[float, Field(gt=0.0, lt=1.0)]
 Count = Annotated[int, Field(ge=1)]
+
+
+def former_keys() -> dict[str, set[str]]:
+    """The keys of older profiles that are no settings any more, by table."""
+    text = Path(__file__).with_name("former_settings.toml").read_text("utf-8")
+    return {table: set(keys.split()) for table, keys in tomllib.loads(text).items()}
 
 
 class InterlaceSettings(StrictModel):
@@ -210,89 +219,14 @@ class Settings(StrictModel):
     @classmethod
     def _without_former_keys(cls, data: Any) -> Any:
         """Drop the keys of older profiles that are constants now, with a warning for each."""
-        if not isinstance(data, dict):
+        if not isinstance(data, dict) or not data:
             return data
-        kept = {}
+        kept, all_former = {}, former_keys()
         for table, given in data.items():
-            former = set(FORMER.get(table, "").split()) & set(given) if isinstance(given, dict) else set()
+            former = all_former.get(table, set()) & set(given) if isinstance(given, dict) else set()
             for key in sorted(former):
                 LOG.warning("settings.%s.%s is no longer a setting; ignored", table, key)
             rest = {key: value for key, value in given.items() if key not in former} if former else given
             if rest or table in cls.model_fields:
                 kept[table] = rest
         return kept
-
-
-LOG = logging.getLogger(__name__)
-FORMER = {
-    "interlace": "comb_ratio block_px min_fraction colour_delay_std_s min_pixels",
-    "exposure": """
-        sampling_px border_fraction black_percentile middle_percentile distinct_fraction noisy_gain
-        noise_sigma_px
-    """,
-    "auto": """
-        border_levels border_floor_level border_fraction level_offset most_area line_within_px least_side_px
-        most_taper_cos usual_taper_rad least_width_fraction most_width_fraction least_length_widths
-        least_length_px reach_px colour_step brightness_step least_step_fraction least_ratio_step least_cooler
-        least_darker most_warmer grey_chroma most_yellower yellow_from least_evidence teaching_evidence
-        sure_evidence beside_widths distal_widths distal_half_widths
-    """,
-    "outline": """
-        speck_fraction blood_fraction blood_ring_fraction sample_step_px max_sample_count gap_reach_px
-        straight_length_per_root_px straight_within_px shoulder_samples harmonics hidden_std max_iterations
-        correlation_samples mask_std_px outside_deviations inside_deviations
-    """,
-    "marker": "refit_thresholds_px refit_min_count",
-    "shaft": """
-        view_border_fraction glare_width_fraction speck_width_fraction min_side_px max_taper_rad
-        max_printed_fraction edge_reach_fraction min_edge_reach_px side_trim_fraction slope_sigma_px
-        slope_sigma_per_blur blur_reach_fraction penumbra_ratio penumbra_blur_px point_correlation_px
-        min_point_std_px line_inlier_px line_inlier_per_blur line_inlier_per_width shading_std_px
-        shading_std_per_blur outline_shading_std_px end_strip_fraction end_reach_half_widths min_end_std_px
-        outline_end_std_radii unknown_outline_end_std_radii jaw_tip_std gate_chi2 doubt_square near_m
-    """,
-    "silhouette": """
-        min_side_per_width max_taper_rad edge_reach_fraction edge_reach_widths edge_turn_widths
-        search_scale_widths texture_factor full_contrast_levels min_contrast_levels min_found min_seen
-        min_support straight_px straight_widths end_share end_reach_widths ends_agree_widths min_end_std_widths
-        wrist_reach wrist_std min_wrist_widths min_wrist_share flank_stds flank_light_levels flank_colour_levels
-        max_flank_outliers
-    """,
-    "distal_marker": """
-        min_chroma min_agreeing_fraction max_log_ratio border_points border_std_per_blur centroid_std
-        visible_middle shading_bias centre_noise unknown_shape_std_px min_visible_fraction whole_area_spread
-        min_relative_depth_std
-    """,
-    "stereo": """
-        min_agreeing_matches matched_disparities margin_px smoothing_px surface_std_px clean_mismatch_px
-        inner_radius smooth_fraction max_spread tool_speed_m_s row_stride min_row_offset_px min_row_points
-        row_tolerance_px marker_disparity_std marker_disparity_noise_px tracked_disparity_noise
-        interlaced_disparity_noise lasting_disparity even_area_fraction size_tolerance hidden_disparity_std
-        other_part_place part_disparity_std mistaken_edge mistaken_stub mistaken_rim mistaken_marker
-        mistaken_size mistaken_disparity max_refused watch_frames watch_bound_stds kept_doubt_stds
-        depth_gate_stds
-    """,
-    "tag": """
-        cell_samples cell_margin corner_window_cells min_edge_reach_px edge_steps window_margin margin_cells
-        blur_starts_px blur_min_px blur_max_px coarse_pixels coarse_steps coarsely_settled coarse_bound
-        fine_steps settled outlier_bound edge_slope min_pixels min_contrast cluster_inflation decided_ratio
-        near_rad sure_rad predicted_within_rad
-    """,
-    "filter": """
-        pose_correlation_time_s max_iterations depth_unknown_std_m max_rejections max_contradictions
-        window_solves window_depth_offsets_m window_depth_offset_frames window_max_steps window_max_deviation
-        consistency_window_s consistency_min_degrees max_refused_frames max_refused_share
-        max_young_refused_share usual_constant_deviations max_time_offset_deviations probation_s
-    """,
-    "fused": "depth_known_fraction",
-    "hand_eye": """
-        min_fraction gate huber trials axis_floor_rad axis_tilt_floor_rad position_floor_m correlation_time_s
-    """,
-    "association": """
-        placed_fraction min_depth_m gate_d2 clutter_count margin contest uncertain_fraction merged_area
-        max_regions spread_fraction min_std_px first_speed_widths linear_std drift_widths linear_drift ray_count
-        ray_span likely_dark unlikely_dark min_ray_fraction shaft_reach grown_px fragment_reach side_std
-        entry_std entry_speed end_std end_speed unseen_cost unnamed_cost
-    """,
-    "tissue": "min_scatter_count shape_count gate_z lasting_height_share height_correlation_time_s",
-}

@@ -23,7 +23,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from svmdist.errors import SvmdistError, did_you_mean
-from svmdist.input_file import read_regular, why
+from svmdist.files import read_regular, why
 
 MAX_FAULTS = 5
 """More faults of a file than these are counted, not listed."""

@@ -19,7 +19,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from svmdist.errors import RecordingError, SourceError, optional_package
-from svmdist.input_file import read_regular, why
+from svmdist.files import read_regular, why
 from svmdist.profile import Limits
 from svmdist.recording.source import cut
 from svmdist.samples import Image

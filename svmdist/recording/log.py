@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +13,7 @@ import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, did_you_mean
-from svmdist.input_file import LogPath, content_sha256, files_of
+from svmdist.files import LogPath, RemoteFile, files_of, is_url, open_regular, why
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
 from svmdist.perturbations.joints import ReplayedWorld
@@ -49,7 +50,6 @@ from svmdist.recording.topics import (
     open_source,
     topics_beside_images,
 )
-from svmdist.remote_file import RemoteFile, is_url
 from svmdist.samples import ImageSample, Observation, Rejection
 from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack
 from svmdist.transforms import inverse
@@ -214,7 +214,15 @@ class Recording:
 
     def sha256(self) -> str:
         """Hash the file, or the files of a folder in the order of their names, as hexadecimal digits."""
-        return content_sha256(self.path)
+        digest = hashlib.sha256()
+        for path in files_of(self.path):
+            try:
+                with open_regular(path) as file:
+                    while piece := file.read(1 << 20):
+                        digest.update(piece)
+            except OSError as problem:
+                raise RecordingError(f"{path}: cannot read: {why(problem)}") from None
+        return digest.hexdigest()
 
     @cached_property
     def camera(self) -> Camera:
@@ -283,7 +291,8 @@ class Recording:
     ) -> Iterator[tuple[int, int, EncodedObservation]]:
         """Yield the same, each with its image's number in the log and its time since the log's first image in ns."""
         arms, topic, camera = [self._arm(name) for name in names], self._require(Role.IMAGE), self.camera
-        images = self._observations(arms, topic, camera, self._right_camera() if needs.right else None, needs)
+        right = self._right_camera() if needs.right else None
+        images = self._observations([self._arm_states(arm, needs) for arm in arms], topic, camera, right)
         return (self.how.window or Window()).numbered(images)
 
     def record_losses(self, decoded: Decoded) -> tuple[Observation, ...] | Rejection:
@@ -294,13 +303,11 @@ class Recording:
 
     def _observations(
         self,
-        arms: Sequence[LoggedArm],
+        states: Sequence[Callable[[int], ArmState]],
         topic: str,
         camera: Camera,
         right: RightCamera | None,
-        needs: Needs,
     ) -> Iterator[EncodedObservation]:
-        states = [self._arm_states(arm, needs) for arm in arms]
         tolerance_ns = round(self.limits.pair_tolerance_s * 1e9)
         pairs = Pairs(None if right is None else right.topic, tolerance_ns, self._repeated)
         images = self.file.images({topic} if right is None else {topic, right.topic})
@@ -313,12 +320,10 @@ class Recording:
         joints = self._joints(arm) if needs.joints else None
         fixed, frames = arm.fixed, arm.frames
         tree = self._nominal_tree if needs.transforms and fixed is None else None
-        if tree is not None and not tree.links(frames.camera, frames.base):
-            tree = None
 
         def at(stamp_ns: int) -> ArmState:
             T_camera_base = None if fixed is None else fixed.T_camera_base
-            if tree is not None:
+            if tree is not None and tree.links(frames.camera, frames.base):
                 found = tree.at(frames.camera, frames.base, np.array([stamp_ns], np.int64))
                 T_camera_base = found.values[0] if found.valid[0] else None
             return ArmState(*joints_at(joints, stamp_ns), T_camera_base)
@@ -359,14 +364,13 @@ class Recording:
     def _joints(self, arm: LoggedArm) -> JointTrack | None:
         """The joint states of an arm, as a perturbed world has them, at the stamps of the images' clock."""
         topic = arm.choice.find(Role.JOINTS)
-        for names, rows in self.file.contents.rows.get(topic or "", {}).items():
+        for names, logged in self.file.contents.rows.get(topic or "", {}).items():
             assert isinstance(names, tuple)
-            is_perturbed = self.world is not None and self.world.perturbations != UNPERTURBED
-            reported = (
-                replayed_rows(self.world, arm.name, names, rows) if self.world and is_perturbed else rows
-            )
-            stamps_ns, positions = reported.sorted(0 if is_perturbed else self._lag_ns)
-            if repeated := len(reported.stamps_ns) - len(stamps_ns):
+            rows, late_ns = logged, self._lag_ns
+            if self.world is not None and self.world.perturbations != UNPERTURBED:
+                rows, late_ns = replayed_rows(self.world, arm.name, names, logged), 0
+            stamps_ns, positions = rows.sorted(late_ns)
+            if repeated := len(rows.stamps_ns) - len(stamps_ns):
                 detail = f"{repeated} joint states repeat a stamp; the last one counts"
                 self.health.add(Loss(LossKind.MESSAGE, detail, None, topic))
             return JointTrack(stamps_ns, names, positions) if len(stamps_ns) else None
@@ -382,15 +386,12 @@ class Recording:
             if T is not None and {parent, child} == {arm.frames.camera, arm.frames.base}:
                 T = (T if parent == arm.frames.camera else inverse(T))[None]
                 return TransformTrack(parent, child, np.zeros(1, np.int64), T, is_static=True)
-        return self.transform_tree(ground_truth=ground_truth).track(parent, child)
-
-    def transform_tree(self, *, ground_truth: bool = False) -> TransformTree:
-        """All transforms, the nominal ones or the true ones; RecordingError where the log has none."""
         if ground_truth:
-            return self.file.contents.tree({self._require(Role.GROUND_TRUTH_TF): False})
+            truth = self.file.contents.tree({self._require(Role.GROUND_TRUTH_TF): False})
+            return truth.track(parent, child)
         if not self.arms[0].choice.static_transforms():
             self._require(Role.TF)
-        return self._nominal_tree
+        return self._nominal_tree.track(parent, child)
 
     @cached_property
     def _nominal_tree(self) -> TransformTree:

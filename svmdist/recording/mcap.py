@@ -26,7 +26,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 
 from svmdist.errors import RecordingError
-from svmdist.input_file import LogPath, open_regular, why
+from svmdist.files import LogPath, RemoteFile, open_regular, why
 from svmdist.profile import Limits
 from svmdist.recording.source import (
     METADATA_NAME,
@@ -37,7 +37,6 @@ from svmdist.recording.source import (
     TopicInfo,
     merge_topics,
 )
-from svmdist.remote_file import RemoteFile
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")

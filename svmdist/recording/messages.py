@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import Any
 
@@ -67,7 +67,10 @@ class EncodedImage:
 
     stamp_ns: int
     frame_id: str
-    decode: Callable[[], Image]
+    decode: Callable[..., Image]
+    """From a `Decoder` it takes nothing; from a converter, the limits."""
+    video: tuple[str, bytes] | None = None
+    """Format and data of a frame that is not decoded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,16 +137,20 @@ class Decoder:
         except DecodeError:
             self._failure_count += 1
             raise
-        if isinstance(found, Pixels):
-            if found.video_format is None:
-                return EncodedImage(found.stamp_ns, found.frame_id, lambda: found.decode(self._limits))
-            video = self._videos.setdefault(raw.topic, VideoDecoder(self._limits))
-            losses = raw.losses_before + self._failure_count
-            decode = _decoded(video, found, losses) if with_video else _no_pixels
-            return EncodedImage(found.stamp_ns, found.frame_id, decode)
-        return found
+        if not isinstance(found, EncodedImage):
+            return found
+        if found.video is None:
+            return replace(found, decode=partial(found.decode, self._limits))
+        if not with_video:
+            return found
+        video = self._videos.setdefault(raw.topic, VideoDecoder(self._limits))
+        try:
+            pixels = video.decode(*found.video, raw.losses_before + self._failure_count)
+        except ImageError as problem:
+            return broken_image(found.stamp_ns, str(problem))
+        return EncodedImage(found.stamp_ns, found.frame_id, lambda: pixels)
 
-    def _converted(self, raw: RawMessage) -> Message | Pixels:
+    def _converted(self, raw: RawMessage) -> Message:
         checked_stamp(raw.log_time_ns)
         schema = _short(raw.schema)
         kind = KINDS.get(raw.message_encoding, {}).get(schema)
@@ -196,41 +203,6 @@ def _short(schema: str) -> str:
     return schema.replace("/msg/", "/", 1)
 
 
-# Pixels
-
-
-@dataclass(frozen=True, slots=True)
-class Pixels:
-    """An image message: a raw one where `step_bytes` is given, a frame of a video where `video_format` is."""
-
-    stamp_ns: int
-    frame_id: str
-    data: Any
-    encoding: str = ""
-    size_px: tuple[int, int] = (0, 0)
-    step_bytes: int | None = None
-    video_format: str | None = None
-
-    def decode(self, limits: Limits) -> Image:
-        """Decode a still or raw image to BGR; raises ImageError."""
-        if self.step_bytes is None:
-            return decode_still(bytes(self.data), limits)
-        return decode_raw(self.encoding, self.size_px, self.step_bytes, self.data, limits)
-
-
-def _decoded(video: VideoDecoder, frame: Pixels, loss_count: int) -> Callable[[], Image]:
-    """Decode a frame of a video now, and give its pixels, or the reason why there are none, whenever asked."""
-    try:
-        pixels = video.decode(frame.video_format or "", frame.data, loss_count)
-    except ImageError as problem:
-        return broken_image(0, str(problem)).decode
-    return lambda: pixels
-
-
-def _no_pixels() -> Image:
-    raise ImageError("a frame of a video that was not decoded")
-
-
 # Foxglove's messages, and svmdist's own
 
 
@@ -241,19 +213,29 @@ def _stamp_of(message: Any, log_time_ns: int) -> int:
     return checked_stamp(message.timestamp.seconds * NS + message.timestamp.nanos)
 
 
-def _foxglove_image(message: Any, log_time_ns: int) -> Pixels:
-    """The `format` of a compressed image is ignored, for its data say what they are."""
-    return Pixels(_stamp_of(message, log_time_ns), message.frame_id, message.data)
-
-
-def _foxglove_raw_image(message: Any, log_time_ns: int) -> Pixels:
+def raw_image(stamp_ns: int, frame_id: str, message: Any) -> EncodedImage:
+    """An uncompressed image, whose fields Foxglove and ROS name alike."""
     size_px = (message.width, message.height)
-    image = _foxglove_image(message, log_time_ns)
-    return replace(image, encoding=message.encoding, size_px=size_px, step_bytes=message.step)
+    decode = partial(decode_raw, message.encoding, size_px, message.step, message.data)
+    return EncodedImage(stamp_ns, frame_id, decode)
 
 
-def _foxglove_video(message: Any, log_time_ns: int) -> Pixels:
-    return replace(_foxglove_image(message, log_time_ns), video_format=message.format)
+def still_image(stamp_ns: int, frame_id: str, message: Any) -> EncodedImage:
+    """A compressed image; its `format` is ignored, for its data say what they are."""
+    return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data))
+
+
+def _foxglove_image(message: Any, log_time_ns: int) -> EncodedImage:
+    return still_image(_stamp_of(message, log_time_ns), message.frame_id, message)
+
+
+def _foxglove_raw_image(message: Any, log_time_ns: int) -> EncodedImage:
+    return raw_image(_stamp_of(message, log_time_ns), message.frame_id, message)
+
+
+def _foxglove_video(message: Any, log_time_ns: int) -> EncodedImage:
+    image = broken_image(_stamp_of(message, log_time_ns), "a frame of a video that was not decoded")
+    return replace(image, frame_id=message.frame_id, video=(message.format, message.data))
 
 
 def _foxglove_camera(message: Any, log_time_ns: int) -> CameraSample:
@@ -372,7 +354,7 @@ def checked_camera(message: Any, frame_id: str, numbers: Sequence[Sequence[float
         raise DecodeError(str(problem)) from None
 
 
-Converter = Callable[[Any, int], Message | Pixels]
+Converter = Callable[[Any, int], Message]
 """From a parsed message and its log time in ns."""
 FOXGLOVE: dict[str, tuple[Kind, Converter]] = {
     "foxglove.CompressedImage": (Kind.IMAGE, _foxglove_image),

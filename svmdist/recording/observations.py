@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from bisect import insort
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,15 +28,6 @@ MAX_SWAPPED_IMAGES = 4
 """As many images wait for one that is stamped before them: two chunks of a log that changed places hold no more."""
 
 
-class HasStamp(Protocol):
-    """An image, in whatever form."""
-
-    @property
-    def stamp_ns(self) -> int:
-        """Its stamp."""
-
-
-Stamped = TypeVar("Stamped", bound=HasStamp)
 OUT_OF_ORDER_S = 1.0
 """Images may stand so much out of order in a file: reading goes on this long after the end of a window."""
 
@@ -49,11 +40,7 @@ class Window:
     end_s: float = math.inf
     every: int = 1
 
-    def of(self, images: Iterable[Stamped]) -> Iterator[Stamped]:
-        """The images inside."""
-        return (image for _, _, image in self.numbered(images))
-
-    def numbered(self, images: Iterable[Stamped]) -> Iterator[tuple[int, int, Stamped]]:
+    def numbered(self, images: Iterable[EncodedObservation]) -> Iterator[tuple[int, int, EncodedObservation]]:
         """The images inside, each with its number among all and its time since the first one in ns."""
         first_ns: int | None = None
         count = 0
@@ -94,10 +81,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What a method uses of a log beside the left images; what it does not use is not given.
-
-    Images of the right camera are read only where they are needed.
-    """
+    """What a method uses of a log beside the left images; what it does not use is neither read nor given."""
 
     joints: bool = True
     transforms: bool = True
@@ -144,8 +128,7 @@ class LoggedImage:
         return sample
 
 
-@dataclass(frozen=True, slots=True)
-class ArmState:
+class ArmState(NamedTuple):
     """What one arm reported at an image's stamp: joints, those around it, and `T_camera_base`, shape (4, 4)."""
 
     joints: JointSample | None = None
@@ -155,10 +138,7 @@ class ArmState:
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """An observation of each instrument, or why there is none, and what was lost of the images.
-
-    `place` orders the losses among those of the whole recording.
-    """
+    """An observation of each instrument, or why there is none; `place` orders the losses among all others."""
 
     found: tuple[Observation, ...] | Rejection
     losses: tuple[Loss, ...] = ()
@@ -197,19 +177,8 @@ class EncodedObservation:
         if isinstance(image, Rejection):
             return Decoded(image, tuple(losses), self.place)
         view = self._right_view(losses)
-        found = tuple(
-            Observation(
-                image.stamp_ns,
-                image.image_bgr,
-                self.camera,
-                arm.joints,
-                view,
-                arm.T_camera_base,
-                arm.joint_track,
-            )
-            for arm in self.arms
-        )
-        return Decoded(found, tuple(losses), self.place)
+        seen = Observation(image.stamp_ns, image.image_bgr, self.camera, right=view)
+        return Decoded(tuple(replace(seen, **arm._asdict()) for arm in self.arms), tuple(losses), self.place)
 
     def _right_view(self, losses: list[Loss]) -> RightView | None:
         if self.right is None or self.right_camera is None:

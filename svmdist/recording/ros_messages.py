@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 from svmdist.recording.messages import (
     NS,
+    Converter,
     DecodeError,
+    EncodedImage,
     Message,
-    Pixels,
     RawTransform,
     RawTransforms,
     checked_camera,
     checked_joints,
     checked_stamp,
     checked_transform,
+    raw_image,
+    still_image,
     transforms_of,
 )
 from svmdist.samples import CameraSample, JointSample
@@ -36,7 +38,7 @@ def _types(encoding: str) -> Any:
     return store
 
 
-def decode_ros(encoding: str, schema: str, data: bytes, log_time_ns: int) -> Message | Pixels:
+def decode_ros(encoding: str, schema: str, data: bytes, log_time_ns: int) -> Message:
     """Decode a message of ROS 1 (`ros1`) or ROS 2 (`cdr`), whose schema is named without `/msg/`."""
     package, _, name = ("tf2_msgs/TFMessage" if schema == "tf/tfMessage" else schema).partition("/")
     types = _types(encoding)
@@ -56,14 +58,12 @@ def _header(message: Any, log_time_ns: int) -> tuple[int, str]:
     return checked_stamp(header.stamp.sec * NS + header.stamp.nanosec or log_time_ns), header.frame_id
 
 
-def _image(message: Any, log_time_ns: int) -> Pixels:
-    size_px = (message.width, message.height)
-    head = _header(message, log_time_ns)
-    return Pixels(*head, message.data, message.encoding, size_px, message.step)
+def _image(message: Any, log_time_ns: int) -> EncodedImage:
+    return raw_image(*_header(message, log_time_ns), message)
 
 
-def _compressed_image(message: Any, log_time_ns: int) -> Pixels:
-    return Pixels(*_header(message, log_time_ns), message.data)
+def _compressed_image(message: Any, log_time_ns: int) -> EncodedImage:
+    return still_image(*_header(message, log_time_ns), message)
 
 
 def _camera(message: Any, log_time_ns: int) -> CameraSample:
@@ -95,7 +95,7 @@ def _transforms(message: Any, log_time_ns: int) -> RawTransforms:
     return transforms_of([_stamped(one, log_time_ns) for one in message.transforms], log_time_ns)
 
 
-CONVERTERS: dict[str, Callable[[Any, int], Message | Pixels]] = {
+CONVERTERS: dict[str, Converter] = {
     "Image": _image,
     "CompressedImage": _compressed_image,
     "CameraInfo": _camera,

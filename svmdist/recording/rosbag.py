@@ -19,7 +19,7 @@ from rosbags.rosbag1 import Reader as Bag1Reader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from svmdist.errors import RecordingError
-from svmdist.input_file import LogPath, open_regular, read_regular, why
+from svmdist.files import LogPath, open_regular, read_regular, why
 from svmdist.profile import Limits
 from svmdist.recording.mcap import McapSource
 from svmdist.recording.source import (

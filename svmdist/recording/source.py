@@ -8,7 +8,7 @@ from enum import StrEnum
 from itertools import count
 from typing import Protocol
 
-from svmdist.input_file import LogPath
+from svmdist.files import LogPath
 
 MAX_NAME_LENGTH = 300
 MAX_LISTED_NAMES = 40

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.input_file import LogPath
+from svmdist.files import LogPath
 from svmdist.profile import Limits, Profile
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import Recording, open_recording

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
-from svmdist.input_file import LogPath, open_regular, why
+from svmdist.files import LogPath, RemoteFile, open_regular, why
 from svmdist.profile import Frames, Limits, Profile, Topics
 from svmdist.profile.robot import ARM_TOPICS
 from svmdist.recording.mcap import MAGIC as MCAP_MAGIC
@@ -22,7 +22,6 @@ from svmdist.recording.source import (
     sanitize,
     sanitize_list,
 )
-from svmdist.remote_file import RemoteFile
 from svmdist.transforms import Array
 
 LOOKS_LIKE = {
@@ -254,8 +253,7 @@ def topics_beside_images(arms: Iterable[LoggedArm]) -> frozenset[str]:
     for arm in arms:
         topics.update(arm.choice.static_transforms())
         for role in set(Role) - {Role.IMAGE, Role.RIGHT_IMAGE}:
-            with suppress(
-                RecordingError
-            ):  # a topic that was chosen and is not there: told where it is needed
+            # A topic that was chosen and is not there is told where it is needed.
+            with suppress(RecordingError):
                 topics.add(arm.choice.find(role))
     return frozenset(topic for topic in topics if topic is not None)

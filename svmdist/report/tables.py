@@ -27,6 +27,7 @@ Row = Mapping[str, Cell]
 
 SURROGATES = re.compile("[\ud800-\udfff]")
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
+"""What a spreadsheet takes for the beginning of a formula."""
 PARQUET_ROWS = 1 << 14
 """Rows that are held at once."""
 
@@ -124,14 +125,8 @@ def render(table: Table, *, width: int | None = None, colour: bool = False) -> s
     from rich.console import Console
 
     buffer = io.StringIO()
-    console = Console(
-        file=buffer,
-        width=width or 1000,
-        force_terminal=colour,
-        no_color=not colour,
-        emoji=False,
-        highlight=False,
-    )
+    console = Console(file=buffer, width=width or 1000, force_terminal=colour, no_color=not colour, emoji=False,
+                      highlight=False)  # fmt: skip
     for at, indices in enumerate(_parts(table, width) if width else [range(len(table.headings))]):
         console.print(_rich(table, indices, table.title if at == 0 else ""))
     return "\n".join(line.rstrip() for line in buffer.getvalue().splitlines()) + "\n"
@@ -172,14 +167,8 @@ def _rich(table: Table, indices: Sequence[int], title: str) -> RichTable:
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    made = RichTable(
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        collapse_padding=True,
-        title=Text(title) if title else None,
-        title_justify="left",
-        title_style="bold",
-    )
+    made = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left",
+                     title=Text(title) if title else None, title_style="bold")  # fmt: skip
     for index in indices:
         justify = "left" if table.is_text[index] else "right"
         made.add_column(Text(table.headings[index]), justify=justify, overflow="fold")  # type: ignore[arg-type]
@@ -263,9 +252,7 @@ def _csv_cell(value: Cell) -> str:
     value = finite(value)
     if isinstance(value, str):
         text = printable(value)
-        return (
-            f"'{text}" if text.startswith(FORMULA_STARTS) else text
-        )  # no spreadsheet takes it for a formula
+        return f"'{text}" if text.startswith(FORMULA_STARTS) else text
     # A NumPy float writes its type into its repr.
     return "" if value is None else repr(float(value)) if isinstance(value, float) else repr(value)
 

@@ -59,7 +59,7 @@ class Results:
     @property
     def keys(self) -> tuple[str, ...]:
         """The columns for machines."""
-        return tuple(column.key for column in self.columns if column.stored)
+        return tuple(_tables().keys_of(self.columns))
 
     def table_lines(self, width: int | None, colour: bool) -> Iterator[str]:
         """The text for a person."""

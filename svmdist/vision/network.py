@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import ProfileError, did_you_mean
-from svmdist.input_file import open_regular, why
+from svmdist.files import open_regular, why
 from svmdist.profile import ClassRegion, OnnxSegmentation
 from svmdist.samples import Image
 from svmdist.vision.colour import Masks, field_of_view

@@ -25,10 +25,8 @@ from typing import Any, Generic, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from svmdist.errors import OutputError, ProfileError, SvmdistError, UsageError
-from svmdist.files import write_atomically
-from svmdist.input_file import LogPath, files_of, why
+from svmdist.files import LogPath, RemoteFile, files_of, why, write_atomically
 from svmdist.recording.source import Health, Loss
-from svmdist.remote_file import RemoteFile
 from svmdist.workflows.parallel import Progress, each_in_processes, one_opencv_thread, usable_cores
 from svmdist.workflows.request import LOG, Request
 
@@ -267,9 +265,8 @@ def _identity(path: LogPath) -> list[list[Any]]:
     """Size and time of change of the files of a log; of one behind a URL what its store says of it."""
     if isinstance(path, RemoteFile):
         return [[path.size_bytes(), path.version()]]
-    return [
-        [file.name, (stat := file.stat()).st_size, stat.st_mtime_ns] for file in map(Path, files_of(path))
-    ]
+    files = [file for file in files_of(path) if isinstance(file, Path)]
+    return [[file.name, (stat := file.stat()).st_size, stat.st_mtime_ns] for file in files]
 
 
 def _fingerprint(job: Job[Any]) -> str:

@@ -80,11 +80,9 @@ def _connected(address: str) -> Any:
     ):  # they print tracebacks of what is handled here
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        client = Client(address, timeout=f"{CONNECT_S}s", set_as_default=False)  # type: ignore[no-untyped-call]
+        client: Any = Client(address, timeout=f"{CONNECT_S}s", set_as_default=False)
     except ValueError as problem:
-        raise UsageError(
-            f"--scheduler {address}: {problem}; expected an address as in tcp://host:8786"
-        ) from None
+        raise UsageError(f"--scheduler {address}: {problem}; expected one as in tcp://host:8786") from None
     except (OSError, TimeoutError) as problem:
         reason = " ".join(str(problem).split())
         raise SvmdistError(f"--scheduler {address}: cannot connect: {reason}") from None

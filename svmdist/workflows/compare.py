@@ -237,8 +237,9 @@ class _Tally:
 
     def figures(self, truth: DistanceTrack, late_ns: int) -> tuple[Figures, Counter[str]]:
         sampled = truth.at(self.readings.stamps_ns - late_ns)
-        scores = (score_pairs(self.readings.pairs(distance, sampled)) for distance in DISTANCES)
-        return Figures(self.statuses.total(), len(self.readings), *scores, self.seconds), self.statuses
+        planar, spatial, clearance = (score_pairs(self.readings.pairs(one, sampled)) for one in DISTANCES)
+        count, measured_count = self.statuses.total(), len(self.readings)
+        return Figures(count, measured_count, planar, spatial, clearance, self.seconds), self.statuses
 
 
 def _parts(
@@ -291,10 +292,15 @@ def group_of(
 
 def pooled_figures(figures: Sequence[Figures]) -> Figures:
     """Several figures as one."""
+    planar, spatial, clearance = (
+        pooled_score([getattr(one, of.name) for one in figures]) for of in DISTANCES
+    )
     return Figures(
         sum(one.frame_count for one in figures),
         sum(one.measured_count for one in figures),
-        *(pooled_score([getattr(one, of.name) for one in figures]) for of in DISTANCES),
+        planar,
+        spatial,
+        clearance,
         sum(one.seconds for one in figures),
     )
 

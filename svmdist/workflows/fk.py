@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,8 +36,8 @@ class PoseErrors:
 
 
 @dataclass(frozen=True)
-class ForwardKinematics:
-    """Poses of the tool, (n, 4, 4) in the base's frame or the camera's, at the stamps of the joint states.
+class PoseBlock:
+    """Some thousand poses of the tool, (n, 4, 4) in the base's frame or the camera's, at the joint states' stamps.
 
     `errors` are those against a pose topic, in the base's frame; None where the log has none.
     """
@@ -45,57 +45,6 @@ class ForwardKinematics:
     stamps_ns: NDArray[np.int64]
     poses: Array
     errors: PoseErrors | None
-
-
-@dataclass(frozen=True)
-class PoseBlock:
-    """Some thousand poses of a log, one block after the other; `errors` are those of the block.
-
-    `joint_count` is the number of joint states of all blocks.
-    """
-
-    stamps_ns: NDArray[np.int64]
-    poses: Array
-    errors: PoseErrors | None
-    joint_count: int
-
-
-def fk(
-    recording: Recording,
-    profile: Profile,
-    max_gap_ns: int = MAX_GAP_NS,
-    *,
-    in_camera: bool = False,
-    window: Window | None = None,
-    on_progress: Progress | None = None,
-) -> ForwardKinematics:
-    """Compute the tool's pose for every joint state of a recording, or those in a window, by the profile's chain.
-
-    With `in_camera` in the camera's frame, by the transform of a hand-eye file or of the log; joint states without a
-    transform at their stamp are left out. `on_progress` hears when the joint states are read. Raises
-    RecordingError where there are no joint states, no transform, or the profile has no chain, and KinematicsError where
-    the chain's joints are not in them.
-    """
-    blocks = list(
-        fk_blocks(recording, profile, max_gap_ns, in_camera=in_camera, window=window, on_progress=on_progress)
-    )
-    errors = [block.errors for block in blocks if block.errors is not None]
-    return ForwardKinematics(
-        np.concatenate([block.stamps_ns for block in blocks]),
-        np.concatenate([block.poses for block in blocks]),
-        joined(errors) if errors else None,
-    )
-
-
-def joined(errors: Sequence[PoseErrors]) -> PoseErrors:
-    """The errors of several blocks as one."""
-    return PoseErrors(
-        np.concatenate([one.stamps_ns for one in errors]),
-        np.concatenate([one.position_m for one in errors]),
-        np.concatenate([one.angle_rad for one in errors]),
-        errors[0].frame_id,
-        sum(one.unpaired_count for one in errors),
-    )
 
 
 def fk_blocks(
@@ -107,9 +56,12 @@ def fk_blocks(
     window: Window | None = None,
     on_progress: Progress | None = None,
 ) -> Generator[PoseBlock]:
-    """Yield the same as `fk` block by block, so that poses do not fill the memory as joint states may.
+    """Yield the tool's pose for every joint state of a recording, or those in a window, by the profile's chain.
 
-    What `fk` raises is raised before the first block.
+    With `in_camera` in the camera's frame, by the transform of a hand-eye file or of the log; joint states without a
+    transform at their stamp are left out. `on_progress` hears when the joint states are read. Raises, before the first
+    block, RecordingError where there are no joint states, no transform, or the profile has no chain, and
+    KinematicsError where the chain's joints are not in them.
     """
     if profile.robot is None:
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
@@ -133,7 +85,7 @@ def fk_blocks(
         if base is not None:
             T_camera_base = base.at(at_ns, max_gap_ns)
             at_ns, T = at_ns[T_camera_base.valid], (T_camera_base.values @ T)[T_camera_base.valid]
-        yield PoseBlock(at_ns, T, errors, len(q))
+        yield PoseBlock(at_ns, T, errors)
 
 
 def _errors(

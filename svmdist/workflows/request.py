@@ -26,7 +26,7 @@ from svmdist.estimation.plane_mapping import (
 )
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue import require_tissue
-from svmdist.input_file import LogPath
+from svmdist.files import LogPath
 from svmdist.perturbations.calibration import stated_profile
 from svmdist.perturbations.chosen import Perturbations
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path

@@ -54,7 +54,7 @@ def running(*arguments: object, **streams: Any) -> Iterator[subprocess.Popen[str
 @pytest.mark.parametrize(
     ("arguments", "busy"),
     [
-        (["info", "x.mcap"], "svmdist.recording.summary.inspect_recording"),
+        (["info", "x.mcap"], "svmdist.workflows.request.open_recording"),
         (["estimate", "x.mcap"], "svmdist.workflows.request.open_recording"),
         (["validate", "x.mcap"], "svmdist.workflows.request.open_recording"),
         (["compare", "x.mcap"], "svmdist.workflows.request.open_recording"),
@@ -81,49 +81,6 @@ def test_every_command(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_while_rows_are_written(golden: Path) -> None:
-    """A real signal between two rows, of more than a pipe holds: they cannot come to their end before it."""
-    logs = [golden / "sweep.mcap"] * 8
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with running("estimate", *logs, "-f", "csv", **streams) as process:
-        assert process.stdout is not None
-        rows = [process.stdout.readline() for _ in range(3)]
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate()
-    assert rows[2].startswith("sweep,")
-    assert process.returncode == 130
-    assert err.splitlines() == [INTERRUPTED]
-
-
-@pytest.mark.parametrize("before", [None, "rows of yesterday"])
-def test_while_rows_are_written_to_a_file(
-    cli: Cli,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    synthetic_log: Path,
-    synthetic_calibration: Path,
-    before: str | None,
-) -> None:
-    """The file is what it was before, or is not there; no part of one is left."""
-    from svmdist.report import rows as estimates
-
-    output = tmp_path / "rows.csv"
-    if before is not None:
-        output.write_text(before)
-    whole, made = estimates.estimate_row, []
-
-    def interrupted(*arguments: Any) -> Any:
-        made.append(arguments)
-        if len(made) == 3:
-            raise KeyboardInterrupt
-        return whole(*arguments)
-
-    monkeypatch.setattr(estimates, "estimate_row", interrupted)
-    outcome = cli("estimate", synthetic_log, "--calibration", synthetic_calibration, "-o", output)
-    assert (outcome.code, len(made)) == (130, 3)
-    assert [file.read_text() for file in tmp_path.iterdir()] == ([before] if before else [])
-
-
 @pytest.mark.parametrize(
     ("number", "code", "said"),
     [(signal.SIGINT, 130, INTERRUPTED), (signal.SIGTERM, 143, TERMINATED), (signal.SIGHUP, 129, TERMINATED)],
@@ -145,23 +102,6 @@ def test_while_a_log_is_recorded(
     assert err.splitlines() == [f"{said}; what was recorded until then is in {part}"]
     assert list(tmp_path.iterdir()) == [part]
     assert any(isinstance(image, ImageSample) for image in open_recording(part, load_profile()).images())
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP], ids=["TERM", "HUP"])
-def test_terminated_while_rows_are_written_to_a_file(
-    tmp_path: Path, golden: Path, number: signal.Signals
-) -> None:
-    """The temporary file goes with the process; nothing is left under the file's name."""
-    logs = [golden / "sweep.mcap"] * 40
-    output = tmp_path / "rows.csv"
-    with running("estimate", *logs, "-f", "csv", "-o", output, stderr=subprocess.PIPE) as process:
-        while process.poll() is None and not any(tmp_path.iterdir()):
-            time.sleep(0.02)
-        process.send_signal(number)
-        _, err = process.communicate()
-    assert process.returncode == 128 + number
-    assert err.splitlines() == [TERMINATED]
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
@@ -192,40 +132,3 @@ def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
     assert b"Traceback" not in shown
     assert shown.count(INTERRUPTED.encode()) == 1
     assert shown.rindex(b"\x1b[?25h") < shown.index(INTERRUPTED.encode())
-
-
-@pytest.mark.parametrize(
-    ("name", "code", "said"), [("SIGINT", 130, INTERRUPTED), ("SIGTERM", 143, TERMINATED)]
-)
-@pytest.mark.parametrize(
-    ("method", "use"),
-    [("__del__(self)", "del late"), ("__set_name__(self, owner, name)", 'type("C", (), {"late": late})')],
-    ids=["deleted", "created"],
-)
-def test_where_python_ignores_or_wraps_exceptions(
-    name: str, code: int, said: str, method: str, use: str
-) -> None:
-    """A signal that comes while an object is deleted, or a class is created, ends the command all the same."""
-    script = f"""
-import os, signal, time
-import svmdist.__main__ as entry, svmdist.cli.main as main
-class Late:
-    def {method}:
-        os.kill(os.getpid(), signal.{name})
-        time.sleep(0.05)
-def command():
-    late = Late()
-    {use}
-    time.sleep(60)
-main.run = command
-entry.run()
-"""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", script], capture_output=True, text=True, timeout=LIMIT_S, check=False
-        )
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert done.returncode == code
-    assert done.stderr.splitlines() == [said]

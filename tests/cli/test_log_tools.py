@@ -85,22 +85,6 @@ def test_every_injected_lag_is_recovered(cli: Cli, tmp_path: Path, golden_sample
     print(f"{name}: lag errors in ms: {np.round(np.array(errors_s) * 1e3, 2).tolist()}")
 
 
-def test_the_lag_that_was_asked_for_is_taken_off(
-    cli: Cli, tmp_path: Path, synthetic_calibration: Path
-) -> None:
-    """`--lag SECONDS` gives the figures of the log without lag."""
-    log = list(samples(SCENE, 12))
-    common = ("validate", "-f", "json", "--truth", "ground_truth", "--calibration", synthetic_calibration)
-    (late,) = json.loads(cli(*common, write_late(tmp_path / "late.mcap", log, 0.3), "--lag", 0.3).out)[
-        "recordings"
-    ]
-    (expected,) = json.loads(cli(*common, write_late(tmp_path / "a.mcap", log, 0.0)).out)["recordings"]
-    assert late["lag_s"] == 0.3
-    assert late["rmse_m"] == pytest.approx(expected["rmse_m"], rel=1e-9)
-    assert late["sample_count"] == expected["sample_count"]
-    assert late["rmse_uncorrected_m"] > 2 * late["rmse_m"]
-
-
 def test_a_still_tool_cannot_tell_a_lag(cli: Cli, tmp_path: Path, synthetic_calibration: Path) -> None:
     """Where nothing moves, the note says so and 0 is used."""
     still = samples(SCENE, 20)
@@ -258,21 +242,6 @@ def test_fk_prints_a_pose_for_each_joint_state(cli: Cli, tmp_path: Path) -> None
     assert errors_mm < 1e-9
 
 
-def test_fk_of_other_joints_names_what_is_missing(cli: Cli, tmp_path: Path) -> None:
-    """A log that does not carry a joint of the profile's chain is an error that names the joint."""
-
-    def without_first(topic: str, sample: Sample) -> Sample:
-        if not isinstance(sample, JointSample):
-            return sample
-        return replace(sample, names=sample.names[1:], positions=sample.positions[1:])
-
-    path = write_log(tmp_path / "a.mcap", frame_count=2, change=without_first)
-    outcome = cli("fk", path)
-    assert (outcome.code, outcome.out) == (1, "")
-    assert SCENE.chain.joint_names[0] in outcome.err
-    assert cli("fk", path, "--joints", "/none").code == 1
-
-
 def test_info_tells_what_a_log_can_serve(cli: Cli, tmp_path: Path, synthetic_log: Path) -> None:
     """Table, CSV and JSON name the topics with counts and rates, the frames, and the commands."""
     table = cli("info", synthetic_log)
@@ -302,18 +271,6 @@ def test_info_tells_what_a_log_can_serve(cli: Cli, tmp_path: Path, synthetic_log
     lacking = json.loads(cli("info", write_log(tmp_path / "blind.mcap", change=blind), "-f", "json").out)
     assert lacking["commands"]["estimate"] == {"served": False, "missing": ["a topic for image"]}
     assert lacking["commands"]["fk"]["served"]
-
-
-def test_info_tells_what_a_profile_lacks(cli: Cli, synthetic_log: Path) -> None:
-    """Methods that a profile has no tables or frames for are named with what is lacking."""
-    out = cli("info", synthetic_log, "--profile", "dvrk-psm", "-f", "json").out
-    methods = json.loads(out)["methods"]
-    assert methods["overlay"]["missing"] == ["a calibration in profile dvrk-psm (--calibration)"]
-    assert methods["fiducial"]["missing"][-2:] == [
-        "[fiducial] in profile dvrk-psm",
-        "[tissue] in profile dvrk-psm",
-    ]
-    assert "transforms from ECM to PSM1_base" in methods["fused"]["missing"]
 
 
 def test_info_counts_gaps_disorder_and_losses(cli: Cli, tmp_path: Path) -> None:

@@ -165,7 +165,7 @@ def test_a_report_ranks_the_logs(cli: Cli, with_bad: Path, tmp_path: Path) -> No
     outcome = cli("estimate", with_bad, "-o", report)
     assert outcome.code == 3
     page = report.read_text()
-    assert page.index("Logs, worst first") < page.index("junk") < page.index(">cut<")
+    assert page.index("sorted by severity, worst first") < page.index("junk") < page.index(">cut<")
     assert "distance-3" in page  # figures of four logs
 
 

@@ -30,22 +30,6 @@ def completed(words: str) -> list[str]:
     return str(done.stdout).split()
 
 
-@pytest.mark.parametrize(
-    ("words", "offered"),
-    [
-        ("svmdist bl", ["blur-bench"]),
-        ("svmdist profile ", ["new"]),
-        ("svmdist estimate --hand", ["--hand-eye"]),
-        ("svmdist estimate --method f", ["fiducial", "fused"]),
-        ("svmdist validate --plot ", ["fig6", "time", "residuals", "bland-altman", "calibration"]),
-        ("svmdist compare --plot ", ["compare"]),
-        ("svmdist estimate log.mcap -f js", ["json", "jsonl"]),
-    ],
-)
-def test_names_options_and_choices_are_completed(words: str, offered: list[str]) -> None:
-    assert completed(words) == offered
-
-
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
 def test_a_shell_completes_with_the_script_that_is_shown(tmp_path: Path) -> None:
     """bash reads the script, and its function asks a command of that name."""

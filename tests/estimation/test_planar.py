@@ -138,14 +138,3 @@ def test_a_missing_region_is_the_reason(method, tool_px, tissue, status):
     assert (row.tissue_area_px is not None) is tissue
     assert (row.tool_area_px is not None) is (tool_px is not None)
     assert row.keypoint_count is None
-
-
-@pytest.mark.parametrize("method", PLANAR)
-def test_two_runs_give_equal_rows(method):
-    """An estimator keeps nothing between frames: other frames in between change no bit of a row."""
-    observation = frame((222.2, 333.3), seed=4)
-    first = ESTIMATORS[method].estimate(observation)
-    ESTIMATORS[method].estimate(frame((30.0, 40.0), seed=5))
-    ESTIMATORS[method].estimate(frame(None))
-    assert ESTIMATORS[method].estimate(observation) == first
-    assert Measuring(method, PROFILE, MAPPING).estimate(observation) == first

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from svmdist.errors import ProfileError
 from svmdist.profile.profile import Limits
-from svmdist.profile.robot import ArmTopics
+from svmdist.profile.robot import ArmFrames, ArmTopics, OtherInstrument
 from svmdist.profile.segmentation import (
     OnnxSegmentation,
 )
@@ -80,10 +80,11 @@ def test_an_instrument_is_known_by_its_topics() -> None:
     """Joints or pose, either is enough; a distance alone is nobody's."""
     for named in ({"joints": "/j"}, {"pose": "/p"}, {"joints": "/j", "pose": "/p"}):
         topics = ArmTopics(**named)
+        other = OtherInstrument(name="PSM2", topics=topics, frames=ArmFrames(base="b", tool="t"))
         assert topics.model_dump(exclude_none=True) == named
-        assert topics.are_in({"/other", *list(named.values())[:1]})
-        assert not topics.are_in({"/other"})
-        assert not topics.are_in(set())
+        assert other.is_in({"/other", *list(named.values())[:1]})
+        assert not other.is_in({"/other"})
+        assert not other.is_in(set())
     with pytest.raises(ValidationError, match="joints or pose"):
         ArmTopics(ground_truth_distance="/d")
 

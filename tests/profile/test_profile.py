@@ -20,6 +20,7 @@ from svmdist.profile import (
 from svmdist.profile.robot import TAG_COUNTS
 
 TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")
+NO_ANGLES = "|-|90|90deg|pi/0|pi*2|pi/2/2|pi/pi|2pi|--pi|tau|nan*pi|pi/nan|inf*pi|pi/|*pi"
 MINIMAL = """
 name = "mine"
 [segmentation.tissue]
@@ -151,8 +152,8 @@ def test_a_profile_needs_only_colours(tmp_path):
             "",
             r"marker: outline_bgr is drawn and outline finds it .*give both.*green$",
         ),
-        ("[0.0, 0.0, -1.0]", "[0.0, 0.0, 1.0]", r"tissue: plane_normal points away from the camera"),
-        ("[0.0, 0.0, -1.0]", "[0.0, 0.0, -2.0]", r"tissue: plane_normal must have length 1, found 2$"),
+        ("[0.0, 0.0, -1.0]", "[0.0, 0.0, 1.0]", r"tissue\.plane_normal: it points away from the camera"),
+        ("[0.0, 0.0, -1.0]", "[0.0, 0.0, -2.0]", r"tissue\.plane_normal: it must have length 1, found 2 "),
         (
             "plane_distance_m = 0.112",
             "plane_distance_m = 112",
@@ -168,7 +169,7 @@ def test_a_profile_needs_only_colours(tmp_path):
         (
             "[robot]",
             "[robot]\ntool_rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]",
-            r"robot: tool_rotation is not a rotation",
+            r"robot\.tool_rotation: it is not a rotation",
         ),
         (
             'first_moving_joint = "yaw"',
@@ -217,27 +218,7 @@ def test_angles_are_numbers_or_multiples_of_pi(text, angle_rad):
     assert Joint(name="j", type="revolute", alpha_rad=text).alpha_rad == angle_rad
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "-",
-        "90",
-        "90deg",
-        "pi/0",
-        "pi*2",
-        "pi/2/2",
-        "pi/pi",
-        "2pi",
-        "--pi",
-        "tau",
-        "nan*pi",
-        "pi/nan",
-        "inf*pi",
-        "pi/",
-        "*pi",
-    ],
-)
+@pytest.mark.parametrize("text", NO_ANGLES.split("|"))
 def test_other_text_is_no_angle(text):
     """Anything else is refused rather than read as something that was not meant."""
     with pytest.raises(ValueError, match="alpha_rad"):
@@ -258,34 +239,31 @@ def test_a_rotation_of_the_tool_becomes_a_transform(tmp_path):
         np.testing.assert_array_equal(plain.T_last_tool, np.eye(4))
 
 
-def test_a_missing_file_says_so(tmp_path):
-    """A path that does not exist is one line with the path and the reason; so is a folder."""
-    with pytest.raises(ProfileError, match=r"none\.toml: cannot read: No such file"):
-        load_profile(tmp_path / "none.toml")
-    with pytest.raises(ProfileError, match="cannot read: Is a directory"):
-        load_profile(tmp_path)
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("none.toml", None, r"none\.toml: cannot read: No such file"),
+        ("", None, "cannot read: Is a directory"),
+        ("mine.toml", b'name = "x"\nhue = [1, = 2]\n', r"mine\.toml: not a TOML file: .*line 2, column 11"),
+        (
+            "mine.toml",
+            'name = "Ger\xe4t"'.encode("latin-1"),
+            r"mine\.toml: not a TOML file: byte 11 is not UTF-8",
+        ),
+    ],
+)
+def test_what_is_no_toml_file_says_why_and_where(tmp_path, name, data, message):
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    with pytest.raises(ProfileError, match=message):
+        load_profile(tmp_path / name)
 
 
 def test_a_misspelt_name_lists_the_profiles():
-    """A name that does not ship names the nearest, all that ship, and that a path may be given."""
     with pytest.raises(
         ProfileError, match=r"no profile named psm31: did you mean psm13\? .*path to a \.toml"
     ):
         load_profile("psm31")
-
-
-def test_a_file_that_is_not_toml_says_where(tmp_path):
-    """Broken syntax is one line with the file, the line and the column."""
-    with pytest.raises(ProfileError, match=r"mine\.toml: not a TOML file: .*line 2, column 11"):
-        load_text(tmp_path, 'name = "x"\nhue = [1, = 2]\n')
-
-
-def test_a_file_that_is_not_utf_8_says_at_which_byte(tmp_path):
-    """Latin-1 text is named as such rather than read as something else."""
-    path = tmp_path / "latin.toml"
-    path.write_bytes('name = "Gerät"'.encode("latin-1"))
-    with pytest.raises(ProfileError, match=r"latin\.toml: not a TOML file: byte 11 is not UTF-8"):
-        load_profile(path)
 
 
 def test_limits_are_numbers_of_bytes_or_text_with_a_unit(tmp_path):

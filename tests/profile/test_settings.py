@@ -16,13 +16,13 @@ from svmdist.estimation.tissue_tracking import TissueTracker
 from svmdist.geometry.surfaces import Plane
 from svmdist.profile import DEFAULT_PROFILE, SHIPPED, load_profile, profile_path
 from svmdist.profile.settings import (
-    FORMER,
     DistalMarkerSettings,
     FusedSettings,
     MarkerSettings,
     OutlineSettings,
     Settings,
     TissueTrackingSettings,
+    former_keys,
 )
 from svmdist.recording.log import open_recording
 from svmdist.samples import Status
@@ -55,16 +55,16 @@ def test_a_profile_sets_them(tmp_path) -> None:
 
 def test_keys_of_older_profiles_are_ignored_with_a_warning(tmp_path, caplog) -> None:
     """What was a setting once and is a constant now leaves a profile as valid as it was, whatever its table."""
-    tables = "".join(f"\n[settings.{table}]\n{keys.split()[0]} = 3\n" for table, keys in FORMER.items())
+    tables = "".join(f"\n[settings.{table}]\n{min(keys)} = 3\n" for table, keys in former_keys().items())
     path = tmp_path / "mine.toml"
     path.write_text(TEXT + tables, "utf-8")
     with caplog.at_level(logging.WARNING):
         assert load_profile(path) == load_profile()
-    assert len(caplog.messages) == len(FORMER)
-    assert "settings.silhouette.min_side_per_width is no longer a setting; ignored" in caplog.messages
-    for table, keys in FORMER.items():
+    assert len(caplog.messages) == len(former_keys())
+    assert "settings.silhouette.edge_reach_fraction is no longer a setting; ignored" in caplog.messages
+    for table, keys in former_keys().items():
         known = Settings.model_fields.get(table)
-        assert known is None or not set(keys.split()) & set(type(known.default).model_fields)
+        assert known is None or not keys & set(type(known.default).model_fields)
 
 
 @pytest.mark.parametrize("limit", [2.0, 4.0])

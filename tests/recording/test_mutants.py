@@ -23,7 +23,6 @@ from svmdist.recording.log import open_recording
 from svmdist.recording.messages import KINDS, DecodeError, Decoder
 from svmdist.recording.source import RawMessage
 from svmdist.recording.summary import inspect_recording
-from svmdist.remote_file import _shared
 from svmdist.samples import Sample
 
 from .faults import mutate_body
@@ -47,7 +46,6 @@ def far(data: bytes, _: Path) -> None:
     import fsspec
 
     fsspec.filesystem("memory").pipe_file("/mutant.mcap", data)
-    _shared.cache_clear()
     with suppress(SvmdistError):
         recording = open_recording("memory://mutant.mcap", load_profile())
         for _ in recording.raw_messages():

@@ -56,9 +56,7 @@ def test_words_and_lines_of_a_distance() -> None:
     assert (in_words(CLEARANCE), in_words(Distance(0.02))) == ("10.00 mm [8.04, 11.96]", "20.00 mm")
     alarmed = status_line(RESULT, "fused", AlarmState(alarm=True))
     assert (alarmed.text, alarmed.alarm) == ("PSM1 fused: clearance 10.00 mm [8.04, 11.96]  ALARM", True)
-    line, label = distance_shapes(RESULT, CAMERA)
-    assert isinstance(line, Shape)
-    assert isinstance(label, Label)
+    ((line, label),) = distance_shapes(RESULT, CAMERA)
     np.testing.assert_allclose(line.points_px, [[320.0, 240.0], [370.0, 240.0]])
     np.testing.assert_allclose(label.place_px, [345.0, 240.0])
 
@@ -72,7 +70,7 @@ def test_a_penetration_runs_back_into_the_instrument(
     deep = FrameResult(0, Status.OK, distances=Distances(clearance=clearance))
     (segment,) = segments(deep)
     assert segment.end_m[2] == pytest.approx(end_z_m)
-    assert bool(list(distance_shapes(deep, CAMERA))) is is_drawn
+    assert bool(distance_shapes(deep, CAMERA)) is is_drawn
 
 
 def test_annotations_keep_forms_texts_and_stamps() -> None:

@@ -49,14 +49,6 @@ def test_a_smooth_disparity_is_found_to_a_tenth_of_a_pixel(noise: float) -> None
     assert float(np.sqrt(np.mean(error**2))) < 0.1
 
 
-def test_nothing_to_match() -> None:
-    """A region of a few pixels gives no surface."""
-    left, right = _pair(0.0, seed=1)
-    region = np.zeros((HEIGHT, WIDTH), np.uint8)
-    region[100:110, 100:110] = 255
-    assert fit_surface(left, right, region, region, 10, 60) is None
-
-
 def views(rows_px: float, contrast: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """A soft texture, and the same 25 px to the left and some rows lower, each with noise of its own."""
     rng = np.random.default_rng(seed)
@@ -76,11 +68,3 @@ def test_the_offset_is_found(rows_px: float) -> None:
     assert found is not None
     assert found.px == pytest.approx(rows_px, abs=0.1)
     assert abs(found.px - rows_px) < 3.0 * found.std_px
-
-
-def test_views_that_show_nothing_tell_none() -> None:
-    """Plain views have no points, and points of different textures do not agree."""
-    plain = np.full((280, 420), 120, np.uint8)
-    assert agreed_offset(row_differences(plain, plain, 5.0, 60.0)) is None
-    one, other = views(0.0, 20.0, seed=1)[0], views(0.0, 20.0, seed=2)[1]
-    assert agreed_offset(row_differences(one, other, 5.0, 60.0)) is None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-import weakref
 from dataclasses import replace
 
 import cv2
@@ -13,34 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.camera import Camera
-from svmdist.profile import ColourRegion, load_profile
+from svmdist.profile import ColourRegion
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.colour import colour_mask
 from svmdist.vision.frame_context import (
-    FrameContext,
     as_pinholes,
     first_field,
 )
-from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.stereo import RectifiedPair, rectified_pair
-
-SEGMENTER = make_segmenter(load_profile().segmentation)
-
-
-def test_a_context_is_freed_at_once() -> None:
-    """Without the collector of circles: it looks for them by the number of objects, of which an image is one."""
-    gc.disable()
-    try:
-        context = FrameContext(np.full((48, 64, 3), 90, np.uint8), SEGMENTER)
-        for masks in (context.masks, context.masks_as_recorded):
-            assert not masks.tissue.any()
-        del masks
-        gone = weakref.ref(context)
-        del context
-        assert gone() is None
-    finally:
-        gc.enable()
 
 
 def with_disc(x_px: float, noise: float = 2.0, seed: int = 1) -> Image:

@@ -56,15 +56,6 @@ def test_line_is_found_where_it_was_drawn(
     assert abs(line.direction @ normal) < 0.003 + noise * 1e-3
 
 
-def test_no_edge_gives_no_points_and_no_line():
-    flat = np.full((50, 50), 90, np.uint8)
-    points = edge_points(
-        flat, np.array([10.0, 25.0]), np.array([40.0, 25.0]), np.array([0.0, 1.0]), 5.0, FAINT
-    )
-    assert len(points) == 0
-    assert fit_line(points, 1.0) is None
-
-
 CENTRE_PX, RADIUS_PX = np.array([61.3, 48.8]), 11.6
 
 
@@ -129,19 +120,6 @@ def test_axis_comes_back_from_its_silhouette_to_1e_9():
         assert axis is not None
         np.testing.assert_allclose(axis.point_m, p, atol=1e-9)
         np.testing.assert_allclose(axis.direction * np.sign(axis.direction @ d), d, atol=1e-9)
-
-
-def test_tangent_normals_are_the_silhouettes_and_know_their_side():
-    rng = np.random.default_rng(1)
-    for _ in range(100):
-        p, d, radius_m = random_cylinder(rng)
-        found = [tangent_normal(p + 0.3 * d, d, radius_m, side) for side in (1, -1)]
-        expected = silhouette_normals(p, d, radius_m)
-        for normal in found:
-            assert min(np.linalg.norm(normal - other) for other in expected) < 1e-9
-    # An axis to the right through the image's middle: its right edge, y being down, is the lower one.
-    lower = tangent_normal(np.array([0.0, 0.0, 0.1]), np.array([1.0, 0.0, 0.0]), 0.004, 1)
-    assert -lower[2] / lower[1] > 0.0
 
 
 def test_covariance_agrees_with_a_thousand_disturbed_lines():

@@ -9,13 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.vision.marker import (
-    DESCRIPTOR_BYTES,
-    Features,
     Matches,
-    detect_orb,
     fit_homography,
     is_plausible,
-    match_features,
     paste_marker,
     square_corners,
     transfer,
@@ -39,32 +35,6 @@ def test_pasting_puts_the_middle_within_half_a_pixel(x, y, size_px, margin_px):
     # Places outside the image, which no centroid has, are brought back to its border.
     wanted = np.clip([x, y], [-0.5, -0.5], [159.5, 119.5])
     assert np.all(np.abs(middle - wanted) <= 0.5 + 1e-9 + (np.array([x, y]) != wanted))
-
-
-def features_of(*descriptors: int) -> Features:
-    """Features whose descriptors have that many leading one bits, at (0, 0), (1, 1) and so on."""
-    bits = np.array([[1] * count + [0] * (256 - count) for count in descriptors], np.uint8)
-    points_px = np.repeat(np.arange(len(descriptors), dtype=float)[:, None], 2, 1)
-    return Features(points_px, np.packbits(bits.reshape(-1, 256), axis=1))
-
-
-@pytest.mark.parametrize("shape", [(240, 320), (62, 62), (16, 16), (1, 1)])
-def test_an_image_without_features_gives_none(shape):
-    """A uniform image, however small, gives no features of the right shapes rather than an error."""
-    features = detect_orb(np.full(shape, 128, np.uint8), 500)
-    assert len(features) == 0
-    assert features.points_px.shape == (0, 2)
-    assert features.descriptors.shape == (0, DESCRIPTOR_BYTES)
-
-
-def test_the_ratio_test_keeps_only_what_is_clearly_nearer():
-    """Distances 10 against 20 pass a ratio of 0.75; 15 against 20 do not, since 15 = 0.75 * 20."""
-    frame = features_of(0, 100)
-    clear = match_features(features_of(10), features_of(0, 30), ratio=0.75)  # 10 against 20
-    assert len(clear) == 1
-    np.testing.assert_array_equal(clear.frame_px, [[0.0, 0.0]])
-    assert len(match_features(features_of(15), features_of(0, 35), ratio=0.75)) == 0  # 15 against 20
-    assert len(match_features(features_of(50), frame, ratio=0.75)) == 0  # 50 against 50
 
 
 SIZE_PX = 96
@@ -107,36 +77,6 @@ def test_a_known_homography_is_recovered(H, outliers, tolerance_px):
     assert found.H[2, 2] == 1.0
     assert np.all(found.inliers[outliers:])
     assert np.count_nonzero(found.inliers[:outliers]) <= 1
-
-
-def test_two_calls_give_the_same_bits():
-    """The sampler has its own seed: equal matches give an equal homography, bit for bit."""
-    matches = matches_under(PERSPECTIVE, outliers=30, noise_px=0.5)
-    first, second = fit_homography(matches, 3.0), fit_homography(matches, 3.0)
-    assert first is not None
-    assert second is not None
-    np.testing.assert_array_equal(first.H, second.H)
-    np.testing.assert_array_equal(first.inliers, second.inliers)
-
-
-def degenerate(kind: str) -> Matches:
-    """Matches that carry no homography, by what is wrong with them."""
-    rng = np.random.default_rng(1)
-    t = np.linspace(0, 90, 30)
-    scattered = rng.uniform(0, 90, (30, 2))
-    return {
-        "none": Matches(np.zeros((0, 2)), np.zeros((0, 2))),
-        "three": Matches(scattered[:3], scattered[:3]),
-        "all alike": Matches(np.full((30, 2), 5.0), np.full((30, 2), 7.0)),
-        "to one point": Matches(scattered, np.full((30, 2), 7.0)),
-        "on one line": Matches(np.stack([t, 2 * t], 1), np.stack([t, 2 * t + 3], 1)),
-    }[kind]
-
-
-@pytest.mark.parametrize("kind", ["none", "three", "all alike", "on one line"])
-def test_degenerate_points_give_no_homography(kind):
-    """Too few points, equal points and points on one line give None, not an exception."""
-    assert fit_homography(degenerate(kind), 3.0) is None
 
 
 def test_eq_18_corrected_keeps_inliers_and_the_published_one_outliers():

@@ -54,19 +54,6 @@ def test_a_regions_count_and_centroid_are_those_of_its_pixels(seed):
     np.testing.assert_allclose(region.centroid_px, mean_of_pixels(mask), atol=1e-9)
 
 
-def test_several_parts_are_one_region_unless_only_the_largest_is_asked_for():
-    """`all` pools the parts above the gate; `largest` takes one of them."""
-    mask = blank()
-    mask[10:40, 10:50] = 255
-    mask[60:80, 100:120] = 255
-    whole, largest = find_region(mask, rule()), find_region(mask, rule(components="largest"))
-    assert whole is not None
-    assert largest is not None
-    assert (whole.area_px, largest.area_px) == (1600, 1200)
-    np.testing.assert_allclose(whole.centroid_px, mean_of_pixels(mask), atol=1e-9)
-    np.testing.assert_allclose(largest.centroid_px, [29.5, 24.5], atol=1e-9)
-
-
 CENTRE = np.array([310.0, 236.0])
 
 

@@ -141,6 +141,7 @@ def test_edges_end_and_wrist_are_found_whatever_the_colours(seed):
     )
 
 
+@pytest.mark.slow
 def test_tissue_has_no_straight_edges():
     """Rough sides that a segmentation drew over bare tissue give no silhouette in 95 of 100 cases."""
     wrong = 0

@@ -10,7 +10,7 @@ import pytest
 from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
-from svmdist.workflows.fk import fk
+from svmdist.workflows.fk import fk_blocks
 from svmdist.workflows.hand_eye import default_reference, reported_tool
 
 PROFILE = load_profile()
@@ -20,7 +20,7 @@ def test_joints_and_poses_of_a_log_without_errors_are_the_same(golden: Path) -> 
     """The pose topic is forward kinematics of the joints; beyond the log, neither is known."""
     recording = open_recording(golden / "3d" / "contact.mcap", PROFILE)
     assert default_reference(recording, PROFILE) == "kinematics"
-    known = fk(recording, PROFILE)
+    known = next(fk_blocks(recording, PROFILE))
     stamps_ns = np.append(known.stamps_ns[[10, 400]], known.stamps_ns[-1] + 10**10)
     by_joints, by_poses = (
         reported_tool(recording, PROFILE, kind, stamps_ns) for kind in ("kinematics", "pose")
