@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
-from svmdist.errors import RecordingError, UsageError
+from svmdist.errors import RecordingError
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import LossKind
-from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import encode
 from svmdist.samples import (
     CameraSample,
@@ -27,7 +26,7 @@ from svmdist.samples import (
 )
 from svmdist.transforms import inverse
 
-from .builders import CAMERA, Entry, pose, scene, write_messages, write_scene
+from .builders import CAMERA, Entry, pose, write_messages, write_scene
 
 IMAGE = "foxglove.CompressedImage"
 
@@ -56,35 +55,6 @@ def test_what_is_no_recording_is_one_clear_line(
         open_recording(path, profile)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
-
-
-def test_a_missing_topic_lists_the_topics_there_are(tmp_path: Path, profile: Profile) -> None:
-    entries = [entry for entry in scene(2) if "image" not in entry.topic]
-    recording = open_recording(write_scene(tmp_path / "a.mcap", entries), profile)
-    with pytest.raises(RecordingError, match=r"images for image.*/PSM1/measured_js.*/tf"):
-        recording.observations()
-    with pytest.raises(RecordingError, match="images for image"):
-        recording.images()
-
-
-def test_topics_are_found_by_role(tmp_path: Path, profile: Profile) -> None:
-    image = encode(ImageSample(1, "camera", np.zeros((24, 32, 3), np.uint8)))
-    camera = encode(CameraSample(1, CAMERA))
-    rows = [
-        ("/left", IMAGE, "protobuf", image, 1),
-        ("/info", "foxglove.CameraCalibration", "protobuf", camera, 1),
-    ]
-    only = open_recording(write_messages(tmp_path / "one.mcap", rows), profile)
-    assert len(list(only.observations())) == 1  # the single candidate, whatever its name
-    both = write_messages(tmp_path / "two.mcap", [*rows, ("/right", IMAGE, "protobuf", image, 2)])
-    with pytest.raises(RecordingError, match="choose one of /left, /right"):
-        open_recording(both, profile).images()
-    chosen = open_recording(both, profile, topics={"image": "/right"})
-    assert [sample.stamp_ns for sample in chosen.images()] == [1]
-    with pytest.raises(RecordingError, match="topic /info carries no images"):
-        open_recording(both, profile, topics={"image": "/info"}).images()
-    with pytest.raises(UsageError, match="did you mean image"):
-        open_recording(both, profile, topics={"imagge": "/left"})
 
 
 def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path: Path, profile: Profile) -> None:
@@ -186,26 +156,6 @@ def test_transforms_are_composed_along_the_tree(tmp_path: Path, profile: Profile
         recording.transform_track("camera", "thing")
     with pytest.raises(RecordingError, match=r"no frame tol.*did you mean tool"):
         recording.transform_track("camera", "tol")
-
-
-def test_inspection_tells_rates_gaps_and_disorder(tmp_path: Path, profile: Profile) -> None:
-    entries = [entry for entry in scene(50) if not (20 <= entry.sample.stamp_ns // 40_000_000 - 25 < 25)]
-    late = JointSample(1_000_000_005, ("yaw", "pitch"), np.zeros(2))
-    path = write_scene(tmp_path / "a.mcap", [*entries, Entry("/PSM1/measured_js", late)])
-    summary = inspect_recording(path, profile)
-    topics = {topic.topic: topic for topic in summary.topics}
-    joints, images = topics["/PSM1/measured_js"], topics["/ECM/left/image"]
-    assert (joints.message_count, joints.out_of_order_count, joints.gap_count) == (181, 1, 1)
-    assert joints.largest_gap_s == pytest.approx(0.21)
-    assert (images.message_count, images.gap_count) == (45, 1)
-    assert images.rate_hz == pytest.approx(44 / 1.96)
-    assert summary.duration_s == pytest.approx(1.99)
-    assert summary.frames == ("camera", "tool")
-    assert summary.joint_names == {"/PSM1/measured_js": ("yaw", "pitch")}
-    assert summary.roles["image"] == "/ECM/left/image"
-    assert summary.cameras["/ECM/left/camera_info"].same_optics(CAMERA)
-    assert summary.health.is_clean
-    assert summary.size_bytes == path.stat().st_size
 
 
 def test_joint_values_that_mean_nothing_are_losses(tmp_path: Path, profile: Profile) -> None:
