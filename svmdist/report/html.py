@@ -222,7 +222,6 @@ def page(report: Report) -> str:
 
 
 def _printable(value: object) -> object:
-    """Texts of a log or a user for the page, without control characters."""
     return printable(value) if type(value) is str else value
 
 

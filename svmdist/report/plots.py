@@ -249,8 +249,7 @@ def save_compare_plot(scores: Sequence[MethodScore], path: Path) -> None:
 def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     """A line per method. Above: frames measured, and RMSE of each distance; below: time, and truths in the interval.
 
-    Groups of frames differ by marker; the one over all frames is black and filled. A method without a distance, or
-    without an interval, has no marker in its panel.
+    Groups of frames differ by marker; the one over all frames is black and filled.
     """
     groups = list(dict.fromkeys(score.group for score in scores))
     methods = list(dict.fromkeys(score.method for score in scores))
@@ -308,7 +307,6 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
 
 
 def _group_looks(groups: Sequence[Group]) -> dict[Group, tuple[str, str, float]]:
-    """Colour, marker and size of each group: all differ in one of the first two."""
     others = [group for group in groups if group != Group(ALL, ALL)]
     pairs = product(("0.35", "0.6", "0.0"), MARKERS[1:])
     looks = {group: (grey, marker, 4.0) for group, (grey, marker) in zip(others, pairs, strict=False)}

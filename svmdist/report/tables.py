@@ -118,10 +118,7 @@ class Table:
 
 
 def render(table: Table, *, width: int | None = None, colour: bool = False) -> str:
-    """Render a table to text; as wide as it needs where no width is given, as for a pipe.
-
-    A table that is wider than `width` comes in parts, one below the other, so that no cell is broken.
-    """
+    """Render a table to text, as wide as it needs without a width; a wider one comes in parts with whole cells."""
     from rich.console import Console
 
     buffer = io.StringIO()
@@ -182,10 +179,7 @@ def _rich(table: Table, indices: Sequence[int], title: str) -> RichTable:
 
 
 def text_lines(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[str]:
-    """Yield a plain table line by line, so that a log of any length can be shown as it is measured.
-
-    The rows are not known beforehand: a value that is wider than its column pushes its line to the right.
-    """
+    """Yield a plain table line by line as rows come; a value wider than its column pushes its line to the right."""
     widths = _text_widths(columns)
 
     def line(cells: Iterable[str]) -> str:

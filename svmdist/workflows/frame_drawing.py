@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -161,27 +162,21 @@ def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup
 
 def _through_lens(shapes: Iterable[Shape], lens: Camera) -> Iterable[Shape]:
     """The shapes where the lens shows them: detectors looked at an image without distortion."""
-    if not lens.has_distortion:
-        yield from shapes
-        return
     for shape in shapes:
         points_px = shape.points_px
-        if shape.form is not Form.POINTS:
+        if lens.has_distortion and shape.form is not Form.POINTS:
             points_px = _in_pieces(points_px, is_closed=shape.form is Form.LOOP)
-        yield replace(shape, points_px=seen_through(lens, points_px))
+        yield replace(shape, points_px=seen_through(lens, points_px)) if lens.has_distortion else shape
 
 
 def _in_pieces(points_px: Array, *, is_closed: bool) -> Array:
     """The polyline with points no further apart than a step, shape (m, 2)."""
-    starts = points_px if is_closed else points_px[:-1]
-    ends = np.roll(points_px, -1, axis=0) if is_closed else points_px[1:]
+    path_px = np.vstack([points_px, points_px[:1]]) if is_closed else points_px
     pieces = []
-    for start, end in zip(starts, ends, strict=True):
+    for start, end in pairwise(path_px):
         count = max(1, int(np.ceil(np.linalg.norm(end - start) / BEND_STEP_PX)))
-        pieces.append(start + np.linspace(0.0, 1.0, count, endpoint=False)[:, None] * (end - start))
-    if not is_closed:
-        pieces.append(points_px[-1:])
-    return np.concatenate(pieces)
+        pieces.append(np.linspace(start, end, count, endpoint=False))
+    return np.concatenate(pieces if is_closed else [*pieces, path_px[-1:]])
 
 
 def _tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
@@ -305,7 +300,6 @@ def virtual_marker(frame: Frame, profile: Profile) -> VirtualMarker | None:
 
 
 def _marker_shapes(found: VirtualMarker, name: str) -> Iterator[Shape]:
-    """The outline, and the matches: inliers apart from the others."""
     if found.corners_px is not None:
         yield Shape(Part.MARKER, Form.LOOP, found.corners_px, name)
     for part, chosen in ((Part.MATCH, ~found.inliers), (Part.INLIER, found.inliers)):

@@ -112,10 +112,8 @@ def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval() -> None:
     stated = replace(
         planar.pairs, std_m=np.full(len(planar.pairs), 1e-3), truth_m=planar.pairs.truth_m - 0.02
     )
-    clearance, spatial = (
-        score_pairs(replace(stated, estimate_m=stated.estimate_m - 0.02)),
-        score_pairs(stated),
-    )
+    spatial = score_pairs(stated)
+    clearance = score_pairs(replace(stated, estimate_m=stated.estimate_m - 0.02))
     for made, name, thresholds in (
         (replace(planar, spatial=spatial, clearance=clearance), "clearance", [5.0]),
         (replace(planar, spatial=spatial), "spatial distance", []),
@@ -125,9 +123,8 @@ def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval() -> None:
         assert f", {name}\nRMSE" in upper.get_title(loc="left")
         (band,) = lower.collections
         assert np.nanmax(band.get_paths()[0].vertices[:, 1]) == pytest.approx(1.96, abs=1e-3)
-        assert [
-            line.get_ydata()[0] for line in upper.get_lines() if line.get_linestyle() == ":"
-        ] == thresholds
+        dotted = [line for line in upper.get_lines() if line.get_linestyle() == ":"]
+        assert [line.get_ydata()[0] for line in dotted] == thresholds
 
 
 def test_time_plots_hold_estimate_truth_threshold_and_lost_spans() -> None:
@@ -188,22 +185,16 @@ def test_methods_stand_side_by_side_with_their_figures() -> None:
     figure = draw_compare(scores)
     above, below = figure.axes[:4], figure.axes[4:]
     assert figure.get_suptitle() == "overlay, fused: 20 frames"
-    measured = {
-        (method, str(group)): share
-        for method, share in (("overlay", 75.0), ("fused", 100.0))
-        for group in groups
-    }
+    shares = {"overlay": 75.0, "fused": 100.0}
+    measured = {(method, str(group)): share for method, share in shares.items() for group in groups}
     assert dots(above[0]) == pytest.approx(measured)
     assert dots(above[1])["overlay", "contact"] == pytest.approx(1.5)
     assert {method for method, _ in dots(above[2])} == {"fused"}
     assert set(dots(below[3]).values()) == {100.0}  # 0.25 mm inside of 1.96 times 0.2 mm
     assert dots(below[0])["fused", "all"] == 5.0
     looks = {line.get_label(): (line.get_marker(), line.get_color()) for line in above[0].get_lines()}
-    assert (
-        [text.get_text() for text in figure.legends[0].get_texts()]
-        == list(looks)
-        == ["sweep", "contact", "all"]
-    )
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == list(looks) == ["sweep", "contact", "all"]
     assert len(set(looks.values())) == 3
     assert all(len(set(matplotlib.colors.to_rgb(colour))) == 1 for _, colour in looks.values())
     assert draw_compare(scores[3:]).axes[1].get_xscale() == "linear"
