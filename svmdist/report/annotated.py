@@ -59,11 +59,6 @@ def write_annotated(
             writer.write(topic, message)
 
 
-def distance_topic(instrument: str) -> str:
-    """The topic of an instrument's estimates."""
-    return f"/svmdist/{instrument}/distance"
-
-
 def _annotations(
     recording: Recording, frames: Iterable[DrawnFrame], setup: Setup
 ) -> Iterator[tuple[str, EncodedSample]]:
@@ -78,7 +73,7 @@ def _annotations(
         for result in results:
             bounds_m = interval_m(result.distances.clearance) if result.distances.clearance else None
             values = estimate_values(result, setup.method, bounds_m, frame.alarms.get(result.instrument))
-            yield distance_topic(result.instrument), distance_estimate(values, stamp_ns)
+            yield f"/svmdist/{result.instrument}/distance", distance_estimate(values, stamp_ns)
         poses = [
             (f"{result.instrument}_tool_estimate", result.tool.pose.T_camera_tool)
             for result in results

@@ -70,11 +70,6 @@ class Column:
         """Whether the column is text, flush left."""
         return self.unit is TEXT
 
-    @property
-    def arrow_type(self) -> str:
-        """The type in Parquet."""
-        return "string" if self.is_text else "int64" if self.unit.digits is None else "float64"
-
 
 def keys_of(columns: Iterable[Column]) -> tuple[str, ...]:
     """The keys for machines, in order."""
@@ -257,7 +252,9 @@ def write_parquet(path: Path, columns: Sequence[Column], rows: Iterable[Row]) ->
     from pyarrow.parquet import ParquetWriter
 
     stored = [column for column in columns if column.stored]
-    schema = pyarrow.schema([(column.key, column.arrow_type) for column in stored])
+    schema = pyarrow.schema([
+        (one.key, "string" if one.is_text else "int64" if one.unit.digits is None else "float64") for one in stored
+    ])  # fmt: skip
     left = iter(rows)
     with atomic_file(path) as target, ParquetWriter(target, schema, compression="zstd") as writer:
         while piece := list(islice(left, PARQUET_ROWS)):

@@ -139,7 +139,13 @@ def frame_drawing(
     shapes = list(_through_lens(_detected(frames, results, setup), lens))
     labels: dict[tuple[Part, str], Label] = {}
     for result in results:
-        shapes += _place_shapes(result)
+        where = (
+            (Part.TIP, result.image.tool_px, result.instrument),
+            (Part.TISSUE, result.image.tissue_px, ""),
+        )
+        shapes += [
+            Shape(part, Form.POINTS, np.array([px]), name) for part, px, name in where if px is not None
+        ]
         for line, label in distance_shapes(result, lens):
             shapes.append(line)
             labels.setdefault((label.part, label.text), label)  # that between two instruments is written once
@@ -154,10 +160,14 @@ def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup
         yield Shape(Part.TISSUE, Form.LOOP, np.asarray(tissue.outline.curve_px, np.float64))
     for frame, result in zip(frames, results, strict=True):
         yield from _tool_shapes(frame, result.instrument)
-        if setup.method == "overlay":
-            found = virtual_marker(frame, frame.arm.profile)
-            if found is not None:
-                yield from _marker_shapes(found, result.instrument)
+        found = virtual_marker(frame, frame.arm.profile) if setup.method == "overlay" else None
+        if found is None:
+            continue
+        if found.corners_px is not None:
+            yield Shape(Part.MARKER, Form.LOOP, found.corners_px, result.instrument)
+        for part, chosen in ((Part.MATCH, ~found.inliers), (Part.INLIER, found.inliers)):
+            if chosen.any():
+                yield Shape(part, Form.POINTS, found.matched_px[chosen], result.instrument)
 
 
 def _through_lens(shapes: Iterable[Shape], lens: Camera) -> Iterable[Shape]:
@@ -197,14 +207,6 @@ def _tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
     corners_px = frame.left.tag_corners_px if "tags" in vars(frame.scene.left) else None
     if corners_px is not None:
         yield Shape(Part.TAG, Form.LOOP, np.asarray(corners_px, np.float64), name)
-
-
-def _place_shapes(result: FrameResult) -> Iterator[Shape]:
-    """Where tool and tissue are, by a result, in px of the recorded image."""
-    if result.image.tool_px is not None:
-        yield Shape(Part.TIP, Form.POINTS, np.array([result.image.tool_px]), result.instrument)
-    if result.image.tissue_px is not None:
-        yield Shape(Part.TISSUE, Form.POINTS, np.array([result.image.tissue_px]))
 
 
 def _contours(mask: Image, region: Region, part: Part, name: str = "") -> Iterator[Shape]:
@@ -297,14 +299,6 @@ def virtual_marker(frame: Frame, profile: Profile) -> VirtualMarker | None:
             corners_px = transfer(homography.H, square_corners(profile.marker.size_px)) + origin_px
     found_px, matched_px = features.points_px + origin_px, matches.frame_px + origin_px
     return VirtualMarker(window, found_px, matches.template_px, matched_px, inliers, corners_px)
-
-
-def _marker_shapes(found: VirtualMarker, name: str) -> Iterator[Shape]:
-    if found.corners_px is not None:
-        yield Shape(Part.MARKER, Form.LOOP, found.corners_px, name)
-    for part, chosen in ((Part.MATCH, ~found.inliers), (Part.INLIER, found.inliers)):
-        if chosen.any():
-            yield Shape(part, Form.POINTS, found.matched_px[chosen], name)
 
 
 def _shown_distance(result: FrameResult) -> tuple[str, Distance] | None:

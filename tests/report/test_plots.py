@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.report.charts import LEVELS, pooled, rejected_spans
+from svmdist.report.charts import pooled, rejected_spans
 from svmdist.report.plots import COLUMN_IN, PAGE_IN, SeriesPlot, draw, draw_compare, draw_series, save_plot
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
 from svmdist.workflows.scoring.score import DistanceScore, Pairs, score_pairs
@@ -51,20 +51,17 @@ def test_the_plot_is_written_in_the_format_of_its_suffix(tmp_path: Path, suffix:
 
 
 @pytest.mark.parametrize(
-    ("name", "reference", "reason"),
+    ("name", "reason"),
     [
-        ("plot.jpg", None, r"cannot draw a \.jpg: the choices are png, svg, pdf$"),
-        ("plot", None, r"cannot draw a file without an ending"),
-        ("no folder/plot.png", None, r"plot\.png: cannot write: No such file"),
-        ("plot.png", Reference.KINEMATICS, "nothing to draw"),
+        ("plot.jpg", r"cannot draw a \.jpg: the choices are png, svg, pdf$"),
+        ("plot", r"cannot draw a file without an ending"),
+        ("no folder/plot.png", r"plot\.png: cannot write: No such file"),
     ],
 )
-def test_what_cannot_be_drawn_is_one_line(
-    tmp_path: Path, name: str, reference: Reference | None, reason: str
-) -> None:
+def test_what_cannot_be_drawn_is_one_line(tmp_path: Path, name: str, reason: str) -> None:
     """And nothing is written."""
     with pytest.raises(OutputError, match=reason):
-        save_plot(validation("sweep"), tmp_path / name, reference)
+        save_plot(validation("sweep"), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -150,8 +147,7 @@ def test_agreement_calibration_and_residuals() -> None:
     np.testing.assert_allclose(levels, [bias, bias - 1.96 * deviation, bias + 1.96 * deviation])
     assert figure.get_figwidth() == COLUMN_IN
     held = drawn(draw_series([series], SeriesPlot.CALIBRATION, NOWHERE).axes[0])["truths inside"]
-    inside = 100 * np.mean(np.abs(error_mm) <= 0.67449 * std_mm)
-    assert held[LEVELS.index(0.5)] == pytest.approx(inside, abs=1e-6)
+    assert held[0] == pytest.approx(100 * np.mean(np.abs(error_mm) <= 0.67449 * std_mm), abs=1e-6)
     over_time, _ = draw_series([series, make_series(40, "other")], SeriesPlot.RESIDUALS, NOWHERE).axes
     assert [text.get_text() for text in over_time.get_legend().get_texts()] == ["log PSM1", "other PSM1"]
     assert "fused" in over_time.get_title(loc="left")

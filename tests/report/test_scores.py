@@ -1,4 +1,4 @@
-"""Scores as rows, documents and tables, from small synthetic results; what a log's summary says."""
+"""Scores as rows, documents and tables, from small synthetic results."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.profile import load_profile
-from svmdist.recording.summary import inspect_recording
-from svmdist.report.info import TOPIC_COLUMNS, info_results
 from svmdist.report.scores import (
     LOG_COLUMNS,
     LogFigures,
@@ -28,7 +25,7 @@ from svmdist.report.scores import (
     validation_results,
     validation_tables,
 )
-from svmdist.report.tables import csv_lines, keys_of, render, row_of
+from svmdist.report.tables import csv_lines, keys_of, render
 from svmdist.vision.degradations import Blur
 from svmdist.workflows.blur_bench import BlurRow, PrintedRow
 from svmdist.workflows.compare import Figures, Group, MethodScore
@@ -189,24 +186,6 @@ def test_groups_and_all_logs_count_every_frame_once() -> None:
     assert [row["rank"] for row in rows] == [1, 2, None, None, None]
     assert rows[0]["coverage"] is None
     assert rows[-1]["reason"] == "1 of 6 logs failed"
-
-
-def test_a_summary_says_what_a_log_holds_and_serves(synthetic_log: Path) -> None:
-    """The document is JSON, and the lines for a person name every topic, the methods, and the losses."""
-    profile = load_profile()
-    summary = inspect_recording(synthetic_log, profile)
-    results = info_results(summary, profile)
-    document = json.loads(json.dumps(results.document, allow_nan=False))
-    assert (document["schema"], document["is_clean"], document["losses"]) == ("svmdist.info/1", True, [])
-    topics = {topic["topic"]: topic for topic in document["topics"]}
-    assert topics[document["roles"]["image"]]["message_count"] == 40
-    assert document["methods"]["overlay"] == {"served": True, "missing": []}
-    assert [*results.rows] == [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics]
-    assert results.text is not None
-    text = "".join(results.text(None))
-    assert all(topic in text for topic in topics)
-    assert "health      clean" in text
-    assert "overlay" in text.split("methods ")[1].splitlines()[0]
 
 
 def test_summaries_are_written_in_markup(golden: Path, cli: Cli, tmp_path: Path) -> None:
