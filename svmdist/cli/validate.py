@@ -190,13 +190,15 @@ def _write_report(
     keys: tuple[str, ...],
     path: Path,
 ) -> None:
-    from svmdist.report.html import validation_report, write_report
+    from svmdist.report.html import make_report, write_report
     from svmdist.report.scores import log_results, pooled_log_figures, ranked
 
     each = run.figures(keys)
     ranking = None if logs.is_one else log_results(ranked(each), pooled_log_figures(each))
     with progress_bar("drawing the worst frames", "images") as advance:
-        page = validation_report(result, measured, request, command_line(), logs.jobs, ranking, advance)
+        page = make_report(
+            measured, request, command_line(), result, jobs=logs.jobs, logs=ranking, on_progress=advance
+        )
     write_report(page, path)
 
 

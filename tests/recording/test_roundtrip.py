@@ -17,7 +17,7 @@ from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthD
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import Decoder, EncodedImage, to_sample
 from svmdist.recording.source import RawMessage
-from svmdist.recording.writer import encode, message_type
+from svmdist.recording.writer import encode, message_class_of
 from svmdist.samples import (
     ImageSample,
     Observation,
@@ -38,8 +38,8 @@ lengths = st.floats(-1e3, 1e3)
 
 def there_and_back(sample: Sample) -> Any:
     """Encode and decode a sample."""
-    schema = message_type(type(sample)).name
-    raw = RawMessage("/t", schema, "protobuf", sample.stamp_ns, encode(sample))
+    schema = message_class_of(type(sample)).DESCRIPTOR.full_name
+    raw = RawMessage("/t", schema, "protobuf", sample.stamp_ns, encode(sample).data)
     return to_sample(Decoder(Limits()).decode(raw))
 
 
@@ -65,8 +65,10 @@ def test_a_jpeg_image_survives_nearly() -> None:
     """Colour at full resolution: at the edge of a saturated red nothing bleeds by more than a few levels."""
     image = np.full((48, 64, 3), (60, 160, 60), np.uint8)
     image[:, 33:] = (40, 40, 220)
-    data = encode(ImageSample(5, "camera", image), jpeg_quality=95)
-    sample = Decoder(Limits()).decode(RawMessage("/t", message_type(ImageSample).name, "protobuf", 5, data))
+    data = encode(ImageSample(5, "camera", image), jpeg_quality=95).data
+    sample = Decoder(Limits()).decode(
+        RawMessage("/t", message_class_of(ImageSample).DESCRIPTOR.full_name, "protobuf", 5, data)
+    )
     assert isinstance(sample, EncodedImage)
     assert np.abs(sample.decode().astype(int) - image).max() <= 12
 
