@@ -217,12 +217,12 @@ class Table:
 
     def places(self, column: int, names: Sequence[str]) -> list[int]:
         """The place of each row's image, by its name, its name without suffix, or the last number in it."""
-        by_name: dict[str | int, int] = {**numbers_of(names)}
-        by_name |= {key: place for place, name in enumerate(names) for key in (name, name.rpartition(".")[0])}
+        by_number = numbers_of(names)
+        by_name = {key: place for place, name in enumerate(names) for key in (name, name.rpartition(".")[0])}
         places = []
         for row, cells in enumerate(self.rows):
             cell = re.split(r"[\\/]", cells[column])[-1]
-            place = by_name.get(cell, by_name.get(int(cell)) if cell.isdecimal() else None)
+            place = by_name.get(cell, by_number.get(int(cell)) if cell.isdecimal() else None)
             if place is None:
                 raise self.fail(row, f"there is no image {cells[column]!r}; the first one is {names[0]}")
             places.append(place)
