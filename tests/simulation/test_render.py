@@ -189,13 +189,13 @@ def test_what_is_drawn_apart_is_what_is_drawn_together(
 ) -> None:
     """Bit by bit: moving bodies before the tissue, against one picture of everything, also where they touch."""
     scene = make_scene(profile, 1, Options(tag=True))
-    trajectory = make_trajectory(scene, Scenario("contact", 1), 0.0245, np.linspace(0.4, 0.6, 3))
+    path, _ = make_trajectory(scene, Scenario("contact", 1), 0.0245, np.linspace(0.4, 0.6, 3))
     apart: list[Image] = []
     together: list[Image] = []
     for images, tie in ((apart, render.DEPTH_TIE), (together, 1.0)):
         monkeypatch.setattr(render, "DEPTH_TIE", tie)
         with Renderer([scene]) as renderer:
-            for q in trajectory.q:
+            for q in path:
                 images += [drawn(renderer, q), renderer.draw(1, 1)]
             assert (renderer._whole is not None) == (tie == 1.0)
     np.testing.assert_array_equal(apart, together)
@@ -204,16 +204,15 @@ def test_what_is_drawn_apart_is_what_is_drawn_together(
 def test_images_do_not_depend_on_what_was_drawn_before(profile: Profile) -> None:
     """The same turns in another order, and some twice, with a retractor that comes and goes."""
     scene = make_scene(profile, 1)
-    trajectory = make_trajectory(scene, Scenario("occlusion", 1), 0.0245, np.linspace(0.0, 0.2, 4))
-    poses = trajectory.T_world_retractor
+    path, poses = make_trajectory(scene, Scenario("occlusion", 1), 0.0245, np.linspace(0.0, 0.2, 4))
     assert poses is not None
     forth: list[Image] = []
     with Renderer([scene]) as renderer:
-        for turn, (q, T) in enumerate(zip(trajectory.q, poses, strict=True)):
+        for turn, (q, T) in enumerate(zip(path, poses, strict=True)):
             forth.append(drawn(renderer, q, turn, 0, T))
     with Renderer([scene]) as renderer:
         for turn in (3, 1, 0, 2, 2):
-            image = drawn(renderer, trajectory.q[turn], turn, 0, poses[turn])
+            image = drawn(renderer, path[turn], turn, 0, poses[turn])
             np.testing.assert_array_equal(image, forth[turn])
 
 

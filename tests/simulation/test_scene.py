@@ -157,8 +157,6 @@ def test_breath_and_pulse_have_their_amplitudes_and_frequencies(profile: Profile
     [
         ({"robot": None}, {}, r"it needs \[robot\], \[instrument\] and \[simulation\]"),
         ({"fiducial": None}, {"tag": True}, r"it needs \[fiducial\]"),
-        ({}, {"kinematic_error": -1.0}, "from 0 to 20"),
-        ({}, {"arms": 3}, "a recording has 1 to 2 arms, found 3"),
         ({}, {"degradations": (("smok", 3),)}, "did you mean smoke"),
         ({}, {"degradations": (("smoke", 6),)}, "1 to 5"),
     ],
