@@ -137,7 +137,7 @@ class Recording:
         return replace(self, world=world)
 
     def with_lag(self, lag: KnownLag, profile: Profile) -> Recording:
-        """The same log, but joints, poses and transforms at the stamps of its images, which stay, as does ground truth."""
+        """The same log, but joints, poses and transforms at the stamps of its images; these and truth keep theirs."""
         before = self.world or ReplayedWorld(UNPERTURBED, profile)
         return replace(self, world=replace(before, lag_ns=lag.lag_ns), lag=lag)
 
