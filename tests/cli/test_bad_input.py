@@ -305,7 +305,7 @@ def _write_with_broken_image(path: Path, frame: int) -> None:
 
     def encode_broken(sample: Sample, jpeg_quality: int | None) -> bytes:
         nonlocal count
-        data = encode(sample, jpeg_quality)
+        data = encode(sample, jpeg_quality).data
         if type(sample).__name__ == "ImageSample":
             count += 1
             if count == frame + 1:

@@ -32,11 +32,11 @@ IMAGE = "foxglove.CompressedImage"
 
 
 def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path: Path, profile: Profile) -> None:
-    good = encode(ImageSample(1, "camera", np.zeros((24, 32, 3), np.uint8)))
-    last = encode(ImageSample(5, "camera", np.zeros((24, 32, 3), np.uint8)))
-    small = encode(ImageSample(4, "camera", np.zeros((10, 10, 3), np.uint8)))
+    good = encode(ImageSample(1, "camera", np.zeros((24, 32, 3), np.uint8))).data
+    last = encode(ImageSample(5, "camera", np.zeros((24, 32, 3), np.uint8))).data
+    small = encode(ImageSample(4, "camera", np.zeros((10, 10, 3), np.uint8))).data
     broken = CompressedImage(data=CompressedImage.FromString(good).data[:-20]).SerializeToString()
-    camera = encode(CameraSample(1, CAMERA))
+    camera = encode(CameraSample(1, CAMERA)).data
     rows = [("/ECM/left/camera_info", "foxglove.CameraCalibration", "protobuf", camera, 1)]
     for number, data in enumerate((good, broken, b"\xff\xff", small, last), 1):
         rows.append(("/ECM/left/image", IMAGE, "protobuf", data, number))
@@ -56,13 +56,13 @@ def test_joints_meet_the_image_stamps_whatever_the_order_in_the_file(
 
     Log times follow the order in the file, as a recorder's clock does.
     """
-    rows = [("/ECM/left/camera_info", "foxglove.CameraCalibration", encode(CameraSample(0, CAMERA)), 0)]
+    rows = [("/ECM/left/camera_info", "foxglove.CameraCalibration", encode(CameraSample(0, CAMERA)).data, 0)]
     for at_ns in range(0, 10_000_000_000, 10_000_000):
-        joints = encode(JointSample(at_ns, ("a",), np.array([at_ns / 1e9])))
+        joints = encode(JointSample(at_ns, ("a",), np.array([at_ns / 1e9]))).data
         rows.append(("/PSM1/measured_js", "foxglove.JointStates", joints, at_ns))
         if at_ns % 900_000_000 == 500_000_000:
             image = ImageSample(max(at_ns + offset_ns, 0), "camera", np.zeros((24, 32, 3), np.uint8))
-            rows.append(("/ECM/left/image", IMAGE, encode(image), at_ns))
+            rows.append(("/ECM/left/image", IMAGE, encode(image).data, at_ns))
     logged = [(topic, schema, "protobuf", data, at_ns) for topic, schema, data, at_ns in rows]
     found = list(open_recording(write_messages(tmp_path / "a.mcap", logged), profile).observations())
     assert len(found) >= 9

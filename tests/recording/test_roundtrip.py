@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorProto
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,7 +17,7 @@ from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthD
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import Decoder, EncodedImage, to_sample
 from svmdist.recording.source import RawMessage
-from svmdist.recording.writer import EncodedSample, encode, encode_all, message_type
+from svmdist.recording.writer import encode, message_class_of
 from svmdist.samples import (
     CameraSample,
     ImageSample,
@@ -30,7 +29,6 @@ from svmdist.samples import (
     TransformsSample,
 )
 from svmdist.transforms import make_transform, rotation_from_quaternion_xyzw
-from tests.synthetic import make_scene, samples
 
 from .builders import CAMERA, Entry
 
@@ -43,8 +41,8 @@ lengths = st.floats(-1e3, 1e3)
 
 def there_and_back(sample: Sample) -> Any:
     """Encode and decode a sample."""
-    schema = message_type(type(sample)).name
-    raw = RawMessage("/t", schema, "protobuf", sample.stamp_ns, encode(sample))
+    schema = message_class_of(type(sample)).DESCRIPTOR.full_name
+    raw = RawMessage("/t", schema, "protobuf", sample.stamp_ns, encode(sample).data)
     return to_sample(Decoder(Limits()).decode(raw))
 
 
@@ -86,8 +84,10 @@ def test_a_jpeg_image_survives_nearly() -> None:
     """Colour at full resolution: at the edge of a saturated red nothing bleeds by more than a few levels."""
     image = np.full((48, 64, 3), (60, 160, 60), np.uint8)
     image[:, 33:] = (40, 40, 220)
-    data = encode(ImageSample(5, "camera", image), jpeg_quality=95)
-    sample = Decoder(Limits()).decode(RawMessage("/t", message_type(ImageSample).name, "protobuf", 5, data))
+    data = encode(ImageSample(5, "camera", image), jpeg_quality=95).data
+    sample = Decoder(Limits()).decode(
+        RawMessage("/t", message_class_of(ImageSample).DESCRIPTOR.full_name, "protobuf", 5, data)
+    )
     assert isinstance(sample, EncodedImage)
     assert np.abs(sample.decode().astype(int) - image).max() <= 12
 
@@ -131,15 +131,3 @@ def test_the_proto_and_its_python_agree() -> None:
     assert file.package == "svmdist"
     assert message.name == GroundTruthDistance.DESCRIPTOR.name
     assert declared == [(types[f.type], f.name, str(f.number)) for f in message.field]
-
-
-@pytest.mark.parametrize("jpeg_quality", [None, 80])
-def test_together_as_alone(jpeg_quality: int | None) -> None:
-    """Bit by bit, quaternions included, although those of all samples are computed at once."""
-    stream = list(samples(make_scene(64, 48), 12))
-    assert {type(sample).__name__ for _, sample in stream} >= {"TransformsSample", "ImageSample"}
-    expected = [
-        (topic, EncodedSample(sample.stamp_ns, type(sample), encode(sample, jpeg_quality)))
-        for topic, sample in stream
-    ]
-    assert encode_all(stream, jpeg_quality) == expected
