@@ -6,7 +6,6 @@ import csv
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,9 @@ import pytest
 
 import svmdist
 from svmdist.api import Estimates
-from svmdist.estimation.frame import Frame, frame_of
-from svmdist.estimation.scene import Arm
+from svmdist.estimation.frame import Frame
 from svmdist.results import Distance, Distances, FrameResult
-from svmdist.samples import Observation, RightView, Status
+from svmdist.samples import Status
 from svmdist.workflows.request import OwnEstimator, name_of, prepare
 from tests.cli.conftest import Cli, cli
 
@@ -117,19 +115,3 @@ def test_a_view_of_one_instrument_is_measured_as_that_instrument(golden: Path) -
     )
     expected = [row.distances.clearance for row in both if row.instrument == "PSM2"]
     assert [row.distances.clearance for row in one] == expected
-
-
-def test_an_image_of_the_wrong_kind_is_told(golden: Path) -> None:
-    setup = prepare(method="centroid")
-    recording = svmdist.open_recording(golden / "sweep.mcap")
-    seen = next(recording.observations())
-    assert isinstance(seen, Observation)
-    arm = Arm(setup.profile)
-    image, said = seen.image_bgr[::2], r"found \(240, 640, 3\)"
-    right = RightView(image, seen.camera, np.eye(4))
-    for wrong, name in (
-        (replace(seen, image_bgr=image), "image_bgr"),
-        (replace(seen, right=right), r"right\.image_bgr"),
-    ):
-        with pytest.raises(ValueError, match=f"^{name}: expected a BGR image .*{said}"):
-            frame_of(wrong, arm, setup.segmenter)
