@@ -125,16 +125,11 @@ def test_an_image_of_the_wrong_kind_is_told(golden: Path) -> None:
     seen = next(recording.observations())
     assert isinstance(seen, Observation)
     arm = Arm(setup.profile)
-    for image, said in (
-        (seen.image_bgr / 255.0, "found float64, from 0 to 1"),
-        (seen.image_bgr[::2], "found (240, 640, 3)"),
-        (seen.image_bgr[..., 0], "found (480, 640)"),
-        ([[1, 2]], "found list"),
+    image, said = seen.image_bgr[::2], r"found \(240, 640, 3\)"
+    right = RightView(image, seen.camera, np.eye(4))
+    for wrong, name in (
+        (replace(seen, image_bgr=image), "image_bgr"),
+        (replace(seen, right=right), r"right\.image_bgr"),
     ):
-        for wrong, name in (
-            (replace(seen, image_bgr=image), "image_bgr"),
-            (replace(seen, right=RightView(image, seen.camera, np.eye(4))), "right.image_bgr"),  # type: ignore[arg-type]
-        ):
-            pattern = re.escape(said).replace("from\\ 0\\ to\\ 1", "from .* to .*")
-            with pytest.raises(ValueError, match=f"^{re.escape(name)}: expected a BGR image .*{pattern}"):
-                frame_of(wrong, arm, setup.segmenter)
+        with pytest.raises(ValueError, match=f"^{name}: expected a BGR image .*{said}"):
+            frame_of(wrong, arm, setup.segmenter)
