@@ -48,7 +48,7 @@ class StatedCamera:
 
 @dataclass(frozen=True)
 class CalibrationOptions:
-    """Where the calibration comes from: files, or (fx, fy, cx, cy) in px; `unit_m` is the unit of lengths in files."""
+    """Files, or (fx, fy, cx, cy) in px; `unit_m` is the unit of lengths in files."""
 
     files: tuple[Path | None, Path | None] = (None, None)
     intrinsics: tuple[tuple[float, ...] | None, tuple[float, ...] | None] = (None, None)
@@ -59,7 +59,7 @@ class CalibrationOptions:
 
 
 def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[StatedCamera, ...]:
-    """The cameras of one view or two, as given; raises UsageError and SourceError in one line."""
+    """The cameras of one view or two, as given; raises UsageError and SourceError."""
     (left_file, right_file), (left_K, right_K) = options.files, options.intrinsics
     if left_file is not None and left_K is not None:
         raise UsageError("--calibration and --camera cannot be combined; give one")
@@ -74,8 +74,13 @@ def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[Stated
             raise UsageError(
                 "--right-calibration goes with --calibration; beside --camera it is --right-camera"
             )
-        rights = [right_K or left_K] if view_count == 2 else []
-        found = tuple(_from_numbers(K, options) for K in (left_K, *rights))
+        D = np.array(options.distortion, np.float64)
+        try:
+            model = _model_of(options.distortion_model, D.size)
+        except ValueError as problem:
+            raise UsageError(f"--distortion: {problem}") from None
+        views = (left_K, right_K or left_K)[:view_count]
+        found = tuple(StatedCamera(_intrinsic_matrix(*K), D, model) for K in views)
     else:
         raise UsageError("a camera needs a calibration: --calibration FILE, or --camera FX,FY,CX,CY")
     if view_count == 1:
@@ -131,14 +136,6 @@ def complete(
     return cameras
 
 
-def _from_numbers(K: tuple[float, ...], options: CalibrationOptions) -> StatedCamera:
-    D = np.array(options.distortion, np.float64)
-    try:
-        return StatedCamera(_intrinsic_matrix(*K), D, _model_of(options.distortion_model, D.size))
-    except ValueError as problem:
-        raise UsageError(f"--distortion: {problem}") from None
-
-
 class _Loader(yaml.SafeLoader):
     """Plain values, OpenCV's matrices as mappings, and no aliases: a few of them stand for millions of values."""
 
@@ -183,10 +180,8 @@ def _cameras_in(document: dict[str, Any], unit_m: float) -> tuple[StatedCamera, 
     size_px = _size(document)
     for keys in PAIR_K_KEYS:
         if set(keys) <= set(document):
-            left, right = (
-                _camera(document, (key,), D_keys, size_px=size_px)
-                for key, D_keys in zip(keys, PAIR_D_KEYS, strict=True)
-            )
+            of_each = zip(keys, PAIR_D_KEYS, strict=True)
+            left, right = (_camera(document, (key,), D_keys, "", size_px) for key, D_keys in of_each)
             R, t = _numbers(document, ("R",), (3, 3)), _numbers(document, ("T", "t"), None)
             if R is None or t is None or t.size != 3:
                 raise ValueError("a pair needs R (3 x 3) and T (3): where the right camera stands")
@@ -231,8 +226,8 @@ def _camera(
     document: dict[str, Any],
     K_keys: Sequence[str],
     D_keys: Sequence[str],
-    model: str = "",
-    size_px: tuple[int, int] | None = None,
+    model: str,
+    size_px: tuple[int, int] | None,
 ) -> StatedCamera:
     K, D = _numbers(document, K_keys, (3, 3)), _numbers(document, D_keys, None)
     D = np.zeros(0) if D is None else D
@@ -248,17 +243,13 @@ def _rectified(
     """A pair with the R and P that make its views parallel, where p_right = R_right_left p_left + t_m."""
     import cv2
 
-    size = left.size_px or (
-        round(2 * left.K[0, 2]),
-        round(2 * left.K[1, 2]),
-    )  # has no effect on R and P[:, 3]
+    # The size has no effect on R and P[:, 3].
+    size_px = left.size_px or (round(2 * left.K[0, 2]), round(2 * left.K[1, 2]))
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
-        left.K, np.zeros(5), right.K, np.zeros(5), size, R_right_left, np.reshape(t_m, (3, 1))
+        left.K, np.zeros(5), right.K, np.zeros(5), size_px, R_right_left, np.reshape(t_m, (3, 1))
     )
-    return (
-        replace(left, R=np.asarray(R1), P=np.asarray(P1)),
-        replace(right, R=np.asarray(R2), P=np.asarray(P2)),
-    )
+    found = ((left, R1, P1), (right, R2, P2))
+    return tuple(replace(camera, R=np.asarray(R), P=np.asarray(P)) for camera, R, P in found)
 
 
 def _intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> Array:

@@ -53,7 +53,7 @@ class ImageTimes:
 def parse_stamp_ns(text: str, unit: str | None = None) -> int:
     """A stamp in ns; without a unit (s, ms, us, ns) it follows from the size, for times since 1970.
 
-    Raises ValueError for text that is no number, and for a stamp that is negative or beyond 64 bits.
+    Raises ValueError for text that is not a number, and for a stamp that is negative or beyond 64 bits.
     """
     try:
         value = Decimal(text)
@@ -120,12 +120,18 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
 def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> PoseTrack:
     """Poses of a table: columns by name, or `[time] x y z qx qy qz qw` (TUM), or 12 or 16 numbers of a matrix.
 
-    `unit_m` is the unit of lengths whose column has none. Raises SourceError in one line.
+    `unit_m` is the unit of lengths whose column has none. Raises SourceError.
     """
     table = read_table(path)
     stamps_ns, others = _row_stamps(table, images, {7, 12, 16})
-    if table.names is None and len(others) in (12, 16):
-        return PoseTrack(frame_id, stamps_ns, _transforms_of_matrices(table, table.numbers(others), unit_m))
+    if table.names is None and len(others) in (12, 16):  # a matrix by rows
+        matrices = table.numbers(others).reshape(len(stamps_ns), -1, 4)
+        R = matrices[:, :3, :3]
+        off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max((1, 2)) + (np.linalg.det(R) < 0)
+        for row in np.flatnonzero(off > ROTATION_TOLERANCE):
+            raise table.fail(int(row), "its matrix is no rotation")
+        u, _, vt = np.linalg.svd(R)  # the nearest rotations of rounded ones
+        return PoseTrack(frame_id, stamps_ns, make_transform(u @ vt, matrices[:, :3, 3] * unit_m))
     if table.names is None:
         position, quaternion, scale = others[:3], others[3:], [unit_m] * 3
         if len(others) != 7:
@@ -144,17 +150,6 @@ def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> 
         raise table.fail(int(row), f"its quaternion has length {lengths[row]:.4g}, 1 is expected")
     T = make_transform(rotation_from_quaternion_xyzw(quaternions), positions_m)
     return PoseTrack(frame_id, stamps_ns, T)
-
-
-def _transforms_of_matrices(table: Table, numbers: Array, unit_m: float) -> Array:
-    """Transforms, shape (n, 4, 4), of 12 or 16 numbers each, by rows; the nearest rotations of rounded ones."""
-    matrices = numbers.reshape(len(numbers), -1, 4)
-    R = matrices[:, :3, :3]
-    off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max((1, 2)) + (np.linalg.det(R) < 0)
-    for row in np.flatnonzero(off > ROTATION_TOLERANCE):
-        raise table.fail(int(row), "its matrix is no rotation")
-    u, _, vt = np.linalg.svd(R)
-    return make_transform(u @ vt, matrices[:, :3, 3] * unit_m)
 
 
 def read_joints(path: Path, images: ImageTimes, names: Sequence[str] | None = None) -> JointTrack:
@@ -222,15 +217,12 @@ class Table:
 
     def places(self, column: int, names: Sequence[str]) -> list[int]:
         """The place of each row's image, by its name, its name without suffix, or the last number in it."""
-        by_name = {name: place for place, name in enumerate(names)}
-        by_name |= {name.rpartition(".")[0]: place for place, name in enumerate(names)}
         by_number = numbers_of(names)
+        by_name = {key: place for place, name in enumerate(names) for key in (name, name.rpartition(".")[0])}
         places = []
         for row, cells in enumerate(self.rows):
             cell = re.split(r"[\\/]", cells[column])[-1]
-            place = by_name.get(cell)
-            if place is None and cell.isdecimal():
-                place = by_number.get(int(cell))
+            place = by_name.get(cell, by_number.get(int(cell)) if cell.isdecimal() else None)
             if place is None:
                 raise self.fail(row, f"there is no image {cells[column]!r}; the first one is {names[0]}")
             places.append(place)

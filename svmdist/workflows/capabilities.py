@@ -121,7 +121,6 @@ def _seen_by_first(summary: RecordingSummary, profile: Profile) -> Profile:
 
 
 def _estimate(images: tuple[str, ...], methods: tuple[Capability, ...]) -> Capability:
-    """`estimate` runs where its default method does, or else with another one that is named."""
     (default,) = (method for method in methods if method.name == DEFAULT_METHOD)
     if images or default.served:
         return Capability("estimate", images)
@@ -163,7 +162,6 @@ def _missing(
 
 
 def _missing_reference(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
-    """A reference is ground truth, or a pose of the tool together with that of the tissue."""
     if "ground_truth_distance" in summary.roles:
         return ()
     tissue = profile.frames.tissue
@@ -182,7 +180,5 @@ def _missing_chain(summary: RecordingSummary, profile: Profile) -> tuple[str, ..
     topic = summary.roles.get("joints")
     if topic is None:
         return ()
-    there = set(summary.joint_names.get(topic, ()))
-    moving = [joint for joint in profile.robot.joints if joint.type != "fixed"]
-    missing = [joint.name for joint in moving if not there & {joint.name, *joint.aliases}]
+    missing = profile.robot.missing_joints(summary.joint_names.get(topic, ()))
     return (f"the joints {', '.join(missing)} of profile {profile.name}",) if missing else ()

@@ -58,11 +58,10 @@ class HandEyeResult:
 
 @dataclass(frozen=True)
 class ReportedTool:
-    """What the robot reports at stamps: poses in the base's frame (n, 4, 4), which are known, and their errors.
+    """Poses in the base's frame (n, 4, 4) as the robot reports them, which of them are known, and their errors.
 
     `axes` (n, 3) are the shaft's directions, NaN where not known; `noise` (n, 3, 3) the error that differs from frame
-    to frame; `shared` (n, 6, m) the effects of errors that all frames share, of the constants `names`, on position and
-    direction.
+    to frame; `shared` (n, 6, m) the effects of the errors `names`, the same in all frames, on position and direction.
     """
 
     T_base_tool: Array
@@ -115,11 +114,9 @@ def hand_eye(
 
 def default_reference(recording: Recording, profile: Profile) -> Against:
     """The joints where log and profile have them, else the poses; raises RecordingError where the log lacks both."""
-    if profile.robot is not None and recording.topic_of("joints") is not None:
-        there = set(recording.joint_track().names)
-        moving = [joint for joint in profile.robot.joints if joint.type != "fixed"]
-        if all(there & {joint.name, *joint.aliases} for joint in moving):
-            return "kinematics"
+    robot, has_joints = profile.robot, recording.topic_of("joints") is not None
+    if robot is not None and has_joints and not robot.missing_joints(recording.joint_track().names):
+        return "kinematics"
     if recording.topic_of("pose") is not None:
         return "pose"
     raise RecordingError(

@@ -34,11 +34,7 @@ def with_lag(
     rules: TruthRules | None = None,
     on_image: Callable[[], None] | None = None,
 ) -> tuple[Recording, LagEstimate]:
-    """Put the clocks of a recording right by a lag; the recording as it is where none is given or found.
-
-    `auto` is one pass over the images ahead of all else; it keeps 72 bytes a frame and instrument, and `on_image`
-    hears of each.
-    """
+    """Correct the clocks of a recording by a lag; `auto` is one pass over the images, and calls `on_image` for each."""
     if lag is None:
         return recording, LagEstimate(0.0, None, 1.0)
     found = LagEstimate(float(lag), None, 1.0) if lag != "auto" else None
@@ -57,11 +53,8 @@ def _find_lag(
     rules: TruthRules | None,
     on_image: Callable[[], None] | None,
 ) -> LagEstimate:
-    """Estimate the lag of a recording for any method: from where the middle of each instrument is seen.
-
-    Nothing of the joints is in that, which a method in 3D could not say. Of several instruments, which share a clock,
-    the one that tells most confidently counts.
-    """
+    # From where the middle of each instrument is seen, whatever the method: nothing of the joints is in that. Of
+    # several instruments, which share a clock, the most confident one counts.
     seen = Setup(profile, "centroid", "corrected", None, PUBLISHED_MAPPING)
     names = recording.instruments if wanted is None else tuple(wanted)
     readings = {name: Readings() for name in names}

@@ -17,7 +17,7 @@ from svmdist.least_squares import scale_of
 from svmdist.profile import Profile, Robot, load_profile
 from svmdist.profile.profile import Topics
 from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
-from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.source import sanitize, sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
@@ -45,7 +45,7 @@ LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 3e-3, 0.05, 1e-3
 
 @dataclass(frozen=True)
 class InstrumentDraft:
-    """An instrument: its topics, frames, and the shipped profile with its chain; None where no chain fits the joints.
+    """An instrument: its topics, frames, and the shipped profile whose chain fits its joints.
 
     `entry` is the side of the picture that it comes in from, where nothing else distinguishes instruments.
     """
@@ -97,17 +97,20 @@ class LogRoles(NamedTuple):
 
 
 def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDraft:
-    """Look at a log and draft its profile; `topics` chooses some by role.
-
-    Raises RecordingError where the log has no images or calibration, or several of which the user must choose one.
-    """
+    """Look at a log and draft its profile; `topics` chooses some by role, where `find_roles` would raise."""
     blank = _blank({})
     summary = inspect_recording(path, blank)
     roles = find_roles(summary, topics)
     recording = open_recording(path, _blank(roles.topics))
     camera = recording.camera
     count = next(topic.message_count for topic in summary.topics if topic.topic == roles.topics["image"])
-    images, planes = _look(recording, count // LOOKED_AT)
+    images: list[Image] = []
+    planes: list[StereoPlane | None] = []
+    for observation in observations_of(recording, count // LOOKED_AT):
+        seen = as_pinholes(observation)
+        images.append(seen.image_bgr)
+        if seen.right is not None and (baseline_m := float(seen.right.T_left_right[0, 3])) > 0:
+            planes.append(fit_plane(seen.image_bgr, seen.right.image_bgr, seen.camera.K, baseline_m))
     instruments = tuple(
         _instrument(name, own, summary, path, blank, len(roles.instruments))
         for name, own in roles.instruments.items()
@@ -121,7 +124,7 @@ def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDr
         camera.frame_id or "camera",
         instruments,
         find_distinct_colour(images, len(instruments)),
-        _plane(planes),
+        _plane([plane for plane in planes if plane is not None]),
         {camera.frame_id, instruments[0].base} <= set(summary.frames),
         len(images),
     )
@@ -130,8 +133,7 @@ def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDr
 def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
     """Find topics by schemas and by the names that recorders give; `given` chooses some by role.
 
-    Raises RecordingError where a choice is the user's to make, and for a given topic that is not in the log;
-    UsageError for an unknown role.
+    Raises RecordingError where topics are missing or the choice is the user's, UsageError for an unknown role.
     """
     there = [topic.topic for topic in summary.topics]
     for role, chosen in given.items():
@@ -199,7 +201,6 @@ def _left_image(images: Sequence[str], summary: RecordingSummary) -> str:
 
 
 def _right_of(left: str, images: Sequence[str]) -> str | None:
-    """The topic that differs from a left one by saying right."""
     for one, other in SIDES:
         name = left.replace(one, other)
         if name != left and name in images:
@@ -234,20 +235,6 @@ def _blank(topics: Mapping[str, str]) -> Profile:
     any_pixel = ColourRegion(hue=(0, 179), min_area_px=1)
     segmentation = HsvSegmentation(tissue=any_pixel, instrument=any_pixel)
     return Profile(name="blank", topics=Topics(**topics), segmentation=segmentation)
-
-
-def _look(recording: Recording, stride: int) -> tuple[list[Image], list[StereoPlane]]:
-    """Each n-th image of the log, and the planes that pairs of them show."""
-    images: list[Image] = []
-    planes: list[StereoPlane] = []
-    for observation in observations_of(recording, stride):
-        seen = as_pinholes(observation)
-        images.append(seen.image_bgr)
-        right = seen.right
-        if right is not None and right.T_left_right[0, 3] > 0:
-            plane = fit_plane(seen.image_bgr, right.image_bgr, seen.camera.K, float(right.T_left_right[0, 3]))
-            planes += [] if plane is None else [plane]
-    return images, planes
 
 
 def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...]:
@@ -311,13 +298,9 @@ def _instrument(
 
 def _chain_of(joint_names: Sequence[str]) -> str | None:
     """The shipped profile with the longest chain whose joints are all among the log's."""
-    there = set(joint_names)
-    lengths = {
-        name: len(joints)
-        for name, joints in ((name, shipped_robot(name).joints) for name in CHAIN_PROFILES)
-        if all(there & {joint.name, *joint.aliases} for joint in joints)
-    }
-    return max(lengths, key=lambda name: lengths[name], default=None)
+    robots = {name: shipped_robot(name) for name in CHAIN_PROFILES}
+    fitting = [name for name, robot in robots.items() if not robot.missing_joints(joint_names)]
+    return max(fitting, key=lambda name: len(robots[name].joints), default=None)
 
 
 def shipped_robot(name: str) -> Robot:

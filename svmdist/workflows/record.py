@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from svmdist.profile import Profile
-from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_all
+from svmdist.recording.writer import EncodedSample, RecordingWriter, encode
 from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.plan import Block, Plan, make_plan
 from svmdist.simulation.scenarios import Scenario
@@ -129,8 +129,8 @@ def encoded_samples(
         if workers <= 1:
             with Simulator(plan) as simulator:
                 for block in plan.blocks:
-                    samples = simulator.samples(block, simulator.sensors.draw_noise())
-                    yield from encode_all(samples, jpeg_quality)
+                    for topic, sample in simulator.samples(block, simulator.sensors.draw_noise()):
+                        yield topic, encode(sample, jpeg_quality)
             return
         with process_pool(workers, _begin, (plan, jpeg_quality)) as pool:
             for encoded in in_order(_work, _tasks(plan), workers, pool):
@@ -174,5 +174,6 @@ def _work(task: Task) -> list[tuple[str, EncodedSample]]:
     blocks, simulator.sensors.noise_states = task
     encoded: list[tuple[str, EncodedSample]] = []
     for block in blocks:
-        encoded += encode_all(simulator.samples(block, simulator.sensors.draw_noise()), _jpeg_quality)
+        for topic, sample in simulator.samples(block, simulator.sensors.draw_noise()):
+            encoded.append((topic, encode(sample, _jpeg_quality)))
     return encoded

@@ -175,12 +175,12 @@ def assert_same(
 
 def damaged(path: Path) -> Path:
     """A log of 60 images, every third of them broken in a way of its own, among joints that are broken too."""
-    rows = [("/ECM/left/camera_info", CALIBRATION, "protobuf", encode(CameraSample(1, CAMERA)), 1)]
+    rows = [("/ECM/left/camera_info", CALIBRATION, "protobuf", encode(CameraSample(1, CAMERA)).data, 1)]
     rng = np.random.default_rng(3)
     for frame in range(60):
         good = encode(
             ImageSample(frame + 1, "camera", np.asarray(rng.integers(0, 256, (24, 32, 3)), np.uint8))
-        )
+        ).data
         data = good
         if frame % 3 == 0:
             short = CompressedImage.FromString(good)

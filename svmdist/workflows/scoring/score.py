@@ -76,10 +76,7 @@ class Pairs:
 
 @dataclass(frozen=True, slots=True)
 class DistanceScore:
-    """Error figures of one of the three distances in m, and the share of truths inside the 95 % interval.
-
-    `interval_coverage` is None for a method without standard deviations.
-    """
+    """Error figures of a distance in m, and the share of truths inside the 95 % interval (None without intervals)."""
 
     statistics: ErrorStatistics
     interval_coverage: float | None
@@ -159,10 +156,7 @@ def pooled_score(parts: Sequence[DistanceScore | None]) -> DistanceScore | None:
 
 
 def require_clearance(method: str, profile: Profile | None = None) -> None:
-    """Refuse alarms where no clearance is estimated: no alarm would ever be raised, which looks like safety.
-
-    Raises UsageError that names the methods that estimate one, and ProfileError for a profile without [instrument].
-    """
+    """Refuse alarms where no clearance is estimated: no alarm would ever be raised, which looks like safety."""
     if method in PLANAR_METHODS:
         raise UsageError(
             f"alarms need a clearance, and {method} measures in the plane: the choices are"
@@ -179,8 +173,7 @@ def score_alarms(
 ) -> AlarmStatistics:
     """Score the alarms that all rows of a recording raise, measured or not, with the truth at their stamps.
 
-    A row without a clearance raises no alarm, which misses one where the frame is unsafe. Frames whose true
-    clearance is not known are left out. Raises RecordingError where those are all frames.
+    Frames whose true clearance is not known are left out; raises RecordingError where those are all frames.
     """
     known = truth.valid & np.isfinite(truth.clearance_m)
     if not known.any():
@@ -197,10 +190,9 @@ def score_alarms(
 class Score:
     """The score of one method on one recording, or on all of them, against one reference.
 
-    `pairs` are of the planar distance. `rejected` counts the frames that could not be measured, by reason. `lag` was
-    subtracted from the image stamps before pairing; `uncorrected` are the planar figures without that. `spatial` and
-    `clearance` are None where method or reference does not have them; `alarms` where no rules were given.
-    `fitted_on` says that the calibration was fitted on this recording.
+    `pairs` are of the planar distance. `rejected` counts the frames that could not be measured, by reason. `fitted_on`
+    says that the calibration was fitted on this recording. `lag` was subtracted from the image stamps before pairing;
+    `uncorrected` are the planar figures without that.
     """
 
     recording: str
@@ -313,10 +305,7 @@ def score_rows(
 
 
 def pool_scores(scores: Sequence[Score], first_instrument: str = "") -> Score:
-    """One score over the pairs of several scores of one instrument: every frame counts the same.
-
-    It is called `overall`, with the instrument's name unless that is the first.
-    """
+    """One score `overall` over the pairs of several scores of one instrument: every frame counts the same."""
     # By name: the bootstrap draws blocks of neighbours, and the order of logs must not change its result.
     scores = sorted(scores, key=lambda score: (score.recording, score.pairs.stamps_ns[:1].tolist()))
     instrument = scores[0].instrument

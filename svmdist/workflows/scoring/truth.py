@@ -41,19 +41,13 @@ class Reference(StrEnum):
 
 PoseAt = Callable[[NDArray[np.int64]], Sampled]
 """Stamps, shape (n,), to poses, shape (n, 4, 4), and which of them are known."""
-
 FramePair = tuple[str, str]
 """Parent and child frame of a transform."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruthRules:
-    """Which references to use, and where their parts come from.
-
-    `references` None means: every one the log has, of ground truth and kinematics; of tf instead of ground
-    truth where its frames are named. `tool_frames` and `tissue_frames` name transforms from the camera
-    (parent, child) to tool and tissue.
-    """
+    """Which references to use (None: all of the log), and the frames (parent, child) of tool and tissue."""
 
     references: tuple[Reference, ...] | None = None
     tool_frames: FramePair | None = None
@@ -76,11 +70,7 @@ def truth_rules(
     references: tuple[Reference, ...] | None,
     max_gap_ns: int = MAX_GAP_NS,
 ) -> TruthRules:
-    """Make rules from `parent:child` texts: the child that is the profile's tissue frame is the tissue.
-
-    With two pairs and neither child the profile's tissue, the first is the tool, the second the tissue.
-    Raises UsageError for a text of another form.
-    """
+    """Make rules from `parent:child` texts: the tissue is the child of that name in the profile, or the second one."""
     if len(pairs) > 2:
         raise UsageError(f"--truth-tf names the tool and the tissue: two at most, found {len(pairs)}")
     frames = []
@@ -104,10 +94,9 @@ def distance_truth(
     equations: Equations = "corrected",
     rules: TruthRules | None = None,
 ) -> SampledDistances:
-    """Distances between tool and tissue by a reference, interpolated to stamps, never extrapolated.
+    """Distances between tool and tissue by a reference, interpolated to stamps; what it does not give is NaN.
 
-    Only the simulator's truth knows a clearance, and the printed equations know no third dimension: what a
-    reference cannot tell is NaN. Raises RecordingError or KinematicsError where the log has no such reference.
+    Raises RecordingError or KinematicsError where the log has no such reference.
     """
     rules = rules or TruthRules()
     unknown_m = np.full(len(stamps_ns), np.nan)
@@ -137,10 +126,7 @@ def distance_truth(
 def tool_track(
     recording: Recording, profile: Profile, reference: Reference, rules: TruthRules | None = None
 ) -> PoseAt:
-    """`T_camera_tool` by a reference, as a function of stamps, shape (n,), to values of shape (n, 4, 4).
-
-    The log is read once, here. Raises RecordingError or KinematicsError where it has no such reference.
-    """
+    """`T_camera_tool` by a reference; raises RecordingError or KinematicsError where the log has no such one."""
     rules = rules or TruthRules()
     frames, gap_ns = profile.frames, rules.max_gap_ns
     if reference in (Reference.GROUND_TRUTH, Reference.TF):
@@ -165,7 +151,7 @@ def tool_track(
 
 
 def _kinematic_poses(recording: Recording, profile: Profile, max_gap_ns: int) -> PoseAt:
-    """`T_base_tool` by DH kinematics of the measured joints, eq. (31), as a function of stamps."""
+    """`T_base_tool` by DH kinematics of the measured joints, eq. (31)."""
     if profile.robot is None:
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)
