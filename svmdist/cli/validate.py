@@ -30,7 +30,6 @@ from svmdist.cli.output import (
     require_report,
     write_results,
 )
-from svmdist.errors import UsageError
 from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
@@ -42,11 +41,7 @@ if TYPE_CHECKING:
 
 
 TruthChoice = StrEnum("TruthChoice", "ground_truth tf pose kinematics")
-"""`--truth`."""
-
-
 PlotKind = Literal["fig6", "time", "residuals", "bland-altman", "calibration"]
-"""`--plot`."""
 
 
 class ValidateOptions(GoldenLogOptions, MeasureOptions, GroupOption):
@@ -114,9 +109,7 @@ def validate_command(given: ValidateOptions) -> None:
     for target in (given.output, given.write_baseline):
         require_output(target, logs.paths)
     require_report(given.report, logs.paths)
-    if given.plot is not None and given.save_plot is None:
-        raise UsageError(f"--plot {given.plot}: says what --save-plot FILE draws, which is not given")
-    require_plot(given.save_plot, logs.paths)
+    require_plot(given.save_plot, logs.paths, given.plot)
     keys = given.group_keys
     writer = choose_writer(given.form, given.output, Holds.FIGURES)
     stored = load_baseline(given.baseline) if given.baseline else None

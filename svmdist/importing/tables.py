@@ -120,7 +120,7 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
 def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> PoseTrack:
     """Poses of a table: columns by name, or `[time] x y z qx qy qz qw` (TUM), or 12 or 16 numbers of a matrix.
 
-    `unit_m` is the unit of lengths whose column has none. Raises SourceError in one line.
+    `unit_m` is the unit of lengths whose column has none. Raises SourceError.
     """
     table = read_table(path)
     stamps_ns, others = _row_stamps(table, images, {7, 12, 16})
@@ -217,15 +217,12 @@ class Table:
 
     def places(self, column: int, names: Sequence[str]) -> list[int]:
         """The place of each row's image, by its name, its name without suffix, or the last number in it."""
-        by_name = {name: place for place, name in enumerate(names)}
-        by_name |= {name.rpartition(".")[0]: place for place, name in enumerate(names)}
         by_number = numbers_of(names)
+        by_name = {key: place for place, name in enumerate(names) for key in (name, name.rpartition(".")[0])}
         places = []
         for row, cells in enumerate(self.rows):
             cell = re.split(r"[\\/]", cells[column])[-1]
-            place = by_name.get(cell)
-            if place is None and cell.isdecimal():
-                place = by_number.get(int(cell))
+            place = by_name.get(cell, by_number.get(int(cell)) if cell.isdecimal() else None)
             if place is None:
                 raise self.fail(row, f"there is no image {cells[column]!r}; the first one is {names[0]}")
             places.append(place)

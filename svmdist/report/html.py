@@ -206,7 +206,11 @@ def write_report(report: Report, path: Path) -> None:
 
 def page(report: Report) -> str:
     """The page, made from its template."""
-    environment = Environment(autoescape=True, finalize=_printable, trim_blocks=True, lstrip_blocks=True)
+    # Texts of a log or a user come without control characters.
+    environment = Environment(
+        autoescape=True, finalize=lambda value: printable(value) if type(value) is str else value,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
     template = environment.from_string(files("svmdist.report").joinpath("page.html.j2").read_text("utf-8"))
     sections = _sections(report)
@@ -219,11 +223,6 @@ def page(report: Report) -> str:
     data = data.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
     plotly = get_plotlyjs().replace("</script", "<\\/script")
     return template.render(report=report, sections=sections, data=f"{{{data}}}", plotly=plotly)
-
-
-def _printable(value: object) -> object:
-    """Texts of a log or a user for the page, without control characters."""
-    return printable(value) if type(value) is str else value
 
 
 def _sections(report: Report) -> list[tuple[str, list[tuple[str, Chart]]]]:

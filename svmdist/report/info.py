@@ -117,7 +117,6 @@ def _camera_document(camera: Camera) -> dict[str, Any]:
 
 
 def _info_lines(summary: RecordingSummary, document: dict[str, Any], width: int | None) -> Iterator[str]:
-    """The document for a person."""
 
     def line(name: str, text: str) -> str:
         return f"{name:<11} {printable(text)}\n"
@@ -165,7 +164,6 @@ def _deviation(at: int) -> Callable[[HandEyeResult], float]:
 
 
 def _pose_column(key: str, unit: Unit, at: int) -> Column:
-    """One of the seven numbers of a pose."""
 
     def read(result: HandEyeResult) -> float:
         T = result.hand_eye.T_camera_base

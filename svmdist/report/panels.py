@@ -47,10 +47,7 @@ def write_picture(path: Path, picture: Image) -> None:
 def draw_on(
     image_bgr: Image, drawing: FrameDrawing, *, parts: Collection[Part] | None = None, lines: bool = True
 ) -> Image:
-    """A copy of an image, shape (h, w, 3) in BGR, with a drawing on it; `parts` leaves out the others.
-
-    The status lines stand at the top left, on dark ground.
-    """
+    """A copy of an image, shape (h, w, 3) in BGR, with a drawing on it, or some of its `parts`; `lines` at the top."""
     pixels = np.array(image_bgr, order="C")
     unit_px = max(1, pixels.shape[1] // 640)
     for shape in drawing.shapes:
@@ -125,7 +122,6 @@ def _write_row(pixels: Image, text: str, row: int, colour: Rgb) -> None:
 
 
 def _under(lines: Sequence[tuple[str, Rgb] | str], pixels: Image, scale: float = 0.7) -> Image:
-    """An image under lines of text, each in its colour."""
     (_, height), below = cv2.getTextSize("Mg", FONT, scale, 1)
     step = height + below + 8
     bar = np.full((step * len(lines) + 8, pixels.shape[1], 3), DARK, np.uint8)
@@ -137,7 +133,6 @@ def _under(lines: Sequence[tuple[str, Rgb] | str], pixels: Image, scale: float =
 
 
 def _tinted(pixels: Image, parts: Sequence[tuple[Part, Image]]) -> Image:
-    """A copy of an image with masks, shape (h, w), as tints on it."""
     pixels = np.array(pixels)
     for part, mask in parts:
         under = mask > 0
@@ -238,7 +233,6 @@ def _only(*parts: Part) -> Callable[[DrawnFrame], Image]:
 
 
 def _segmentation(frame: DrawnFrame) -> Image:
-    """Masks as tints on the image that was segmented, which has no distortion."""
     first = frame.replayed.frames[0]
     recorded = "regions_as_recorded" in first.left.found
     parts: list[tuple[Part, Image]] = []
@@ -252,7 +246,6 @@ def _segmentation(frame: DrawnFrame) -> Image:
 
 
 def _marker(frame: DrawnFrame) -> Image:
-    """The image with the virtual marker pasted on it."""
     pixels = np.array(_image(frame))
     for one in frame.replayed.frames:
         found = virtual_marker(one, one.arm.profile)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from functools import partial
 from itertools import product
@@ -69,20 +68,13 @@ LOOKS: Any = {
 }
 
 
-@contextmanager
-def print_looks() -> Iterator[None]:
-    """Within this, figures are made and drawn with the looks of print; settings outside stay as they are."""
-    with mpl.rc_context(LOOKS), warnings.catch_warnings():
-        # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
-        warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
-        yield
-
-
 def _write(draw_figure: Callable[[], Figure], path: Path) -> None:
-    """Draw a figure and write it in the format of the path's ending; raises OutputError where that cannot be."""
+    """Draw a figure with the looks of print; raises OutputError where it cannot be written."""
     suffix = plot_format(path)
     metadata = {"Date": None} if suffix == "svg" else None
-    with print_looks(), atomic_file(path) as target:
+    with mpl.rc_context(LOOKS), warnings.catch_warnings(), atomic_file(path) as target:
+        # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
+        warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
         draw_figure().savefig(target, dpi=DPI, format=suffix, metadata=metadata)
 
 
@@ -139,22 +131,19 @@ def draw_series(
 ) -> Figure:
     """The figure: a panel for each series over time, else one for all of each distance."""
     panels: list[tuple[Chart, str]] = []
-    if kind is SeriesPlot.TIME:
-        for one in series:
-            name = plain_name(f"{one.recording} {one.instrument}")
-            title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
-            panels.append((charts.distance_over_time(one, alarm_below_m), title))
+    for one in series if kind is SeriesPlot.TIME else ():
+        name = plain_name(f"{one.recording} {one.instrument}")
+        title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
+        panels.append((charts.distance_over_time(one, alarm_below_m), title))
     for distance in dict.fromkeys(one.distance for one in series if kind is not SeriesPlot.TIME):
         group = [one for one in series if one.distance == distance and np.isfinite(one.error_m).any()]
-        if not group or (kind is SeriesPlot.CALIBRATION and not np.isfinite(charts.pooled(group)[2]).any()):
-            continue
-        of = f"{group[0].method}: {charts.distance_name(group[0])}"
-        if kind is SeriesPlot.RESIDUALS:
-            panels += [(charts.errors_over(group, "time"), f"{of}, errors over time")]
-            panels += [(charts.errors_over(group, "distance"), "over distance")]
-        elif kind is SeriesPlot.BLAND_ALTMAN:
+        of = f"{group[0].method}: {charts.distance_name(group[0])}" if group else ""
+        if group and kind is SeriesPlot.RESIDUALS:
+            panels.append((charts.errors_over(group, "time"), f"{of}, errors over time"))
+            panels.append((charts.errors_over(group, "distance"), "over distance"))
+        elif group and kind is SeriesPlot.BLAND_ALTMAN:
             panels.append((charts.agreement(group), of))
-        else:
+        elif group and np.isfinite(charts.pooled(group)[2]).any():
             panels.append((charts.calibration(group), f"{of}, interval"))
     if not panels:
         lacking = "an interval" if kind is SeriesPlot.CALIBRATION else "a truth"
@@ -168,16 +157,12 @@ def draw_series(
     return figure
 
 
-def save_plot(validation: Validation, path: Path, reference: Reference | None = None) -> None:
-    """Draw Fig. 6 of the paper, a panel per recording, and write it in the format of the path's ending.
+def save_plot(validation: Validation, path: Path) -> None:
+    """Draw Fig. 6 of the paper, a panel per recording, and write it; raises OutputError where that cannot be.
 
-    Drawn is the clearance, else the spatial, else the planar distance, against a reference, by default the strongest.
-    Raises OutputError for a wrong ending, for a reference that no recording has, and where writing fails.
+    Drawn is the clearance, else the spatial, else the planar distance, against the strongest reference.
     """
-    reference = reference or validation.reference
-    scores = [score for score in validation.scores if score.reference is reference]
-    if not scores:
-        raise OutputError(f"{path}: nothing to draw: no recording was compared with {reference}")
+    scores = [score for score in validation.scores if score.reference is validation.reference]
     _write(lambda: draw(scores, validation.alarm_rules), path)
 
 
@@ -249,8 +234,7 @@ def save_compare_plot(scores: Sequence[MethodScore], path: Path) -> None:
 def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     """A line per method. Above: frames measured, and RMSE of each distance; below: time, and truths in the interval.
 
-    Groups of frames differ by marker; the one over all frames is black and filled. A method without a distance, or
-    without an interval, has no marker in its panel.
+    Groups of frames differ by marker; the one over all frames is black and filled.
     """
     groups = list(dict.fromkeys(score.group for score in scores))
     methods = list(dict.fromkeys(score.method for score in scores))
@@ -308,7 +292,6 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
 
 
 def _group_looks(groups: Sequence[Group]) -> dict[Group, tuple[str, str, float]]:
-    """Colour, marker and size of each group: all differ in one of the first two."""
     others = [group for group in groups if group != Group(ALL, ALL)]
     pairs = product(("0.35", "0.6", "0.0"), MARKERS[1:])
     looks = {group: (grey, marker, 4.0) for group, (grey, marker) in zip(others, pairs, strict=False)}

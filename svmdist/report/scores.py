@@ -136,7 +136,6 @@ def validation_tables(validation: Validation) -> list[Table]:
 
 
 def _interval_column(key: str) -> Column:
-    """A bootstrap interval as a text."""
     low, high, unit = _BOUNDS[key]
     of = {column.key: column.value for column in score_columns()}
     bound = Column(low, unit)
@@ -148,7 +147,6 @@ def _interval_column(key: str) -> Column:
 
 
 def _distance_rows(scores: Iterable[Score], metrics: list[Metric]) -> Iterator[Row]:
-    """One row per score and distance."""
     for score in scores:
         for distance in ("planar", "spatial", "clearance"):
             part: DistanceScore | None = getattr(score, distance)

@@ -70,11 +70,6 @@ class Column:
         """Whether the column is text, flush left."""
         return self.unit is TEXT
 
-    @property
-    def arrow_type(self) -> str:
-        """The type in Parquet."""
-        return "string" if self.is_text else "int64" if self.unit.digits is None else "float64"
-
 
 def keys_of(columns: Iterable[Column]) -> tuple[str, ...]:
     """The keys for machines, in order."""
@@ -118,10 +113,7 @@ class Table:
 
 
 def render(table: Table, *, width: int | None = None, colour: bool = False) -> str:
-    """Render a table to text; as wide as it needs where no width is given, as for a pipe.
-
-    A table that is wider than `width` comes in parts, one below the other, so that no cell is broken.
-    """
+    """Render a table to text, as wide as it needs without a width; a wider one comes in parts with whole cells."""
     from rich.console import Console
 
     buffer = io.StringIO()
@@ -182,10 +174,7 @@ def _rich(table: Table, indices: Sequence[int], title: str) -> RichTable:
 
 
 def text_lines(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[str]:
-    """Yield a plain table line by line, so that a log of any length can be shown as it is measured.
-
-    The rows are not known beforehand: a value that is wider than its column pushes its line to the right.
-    """
+    """Yield a plain table line by line as rows come; a value wider than its column pushes its line to the right."""
     widths = _text_widths(columns)
 
     def line(cells: Iterable[str]) -> str:
@@ -263,7 +252,9 @@ def write_parquet(path: Path, columns: Sequence[Column], rows: Iterable[Row]) ->
     from pyarrow.parquet import ParquetWriter
 
     stored = [column for column in columns if column.stored]
-    schema = pyarrow.schema([(column.key, column.arrow_type) for column in stored])
+    schema = pyarrow.schema([
+        (one.key, "string" if one.is_text else "int64" if one.unit.digits is None else "float64") for one in stored
+    ])  # fmt: skip
     left = iter(rows)
     with atomic_file(path) as target, ParquetWriter(target, schema, compression="zstd") as writer:
         while piece := list(islice(left, PARQUET_ROWS)):

@@ -52,10 +52,8 @@ def wander(rng: np.random.Generator, s: Array, cycles: float = 1.5) -> Array:
     """A gentle wave between -1 and 1 with a random phase and frequencies about `cycles`, shape (n,)."""
     phases = rng.uniform(0.0, 2.0 * np.pi, 2)
     first = cycles * rng.uniform(0.85, 1.15)
-    return np.asarray(
-        0.65 * np.sin(2 * np.pi * first * s + phases[0])
-        + 0.35 * np.sin(2 * np.pi * 2.3 * first * s + phases[1])
-    )
+    slow, fast = 2 * np.pi * first * s + phases[0], 2 * np.pi * 2.3 * first * s + phases[1]
+    return np.asarray(0.65 * np.sin(slow) + 0.35 * np.sin(fast))
 
 
 Progress = Array

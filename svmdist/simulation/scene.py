@@ -229,7 +229,9 @@ def make_floor() -> DrawnMesh:
     vertices_m = np.stack([x.ravel(), y.ravel(), np.zeros(count * count)], -1)
     row, column = np.meshgrid(np.arange(count - 1), np.arange(count - 1), indexing="ij")
     a = (row * count + column).ravel()
-    faces = np.vstack([a[:, None] + [0, 1, count + 1], a[:, None] + [0, count + 1, count]])
+    faces = np.vstack(
+        [a[:, None] + np.array(corners) for corners in ((0, 1, count + 1), (0, count + 1, count))]
+    )
     uv = 0.5 + vertices_m[:, :2] / (2.0 * FLOOR_HALF_M)
     return DrawnMesh(vertices_m, faces, smooth_normals(vertices_m, faces), uv)
 

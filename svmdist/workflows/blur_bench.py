@@ -92,10 +92,9 @@ def blur_tallies(
     jobs: int | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> dict[Blur, BlurTally]:
-    """Degrade every frame of one recording by every blur, measure it, and count; images are decoded once.
+    """Degrade every frame of one recording by every blur, measure it, and count; `advance` is called for each image.
 
-    The marker is virtual: it is pasted on the degraded image and is not degraded itself. `advance` is called for
-    each image.
+    The marker is virtual: it is pasted on the degraded image and is not degraded itself.
     """
     tallies = {blur: BlurTally() for blur in kernels_px}
     conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]

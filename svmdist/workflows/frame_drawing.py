@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -138,7 +139,13 @@ def frame_drawing(
     shapes = list(_through_lens(_detected(frames, results, setup), lens))
     labels: dict[tuple[Part, str], Label] = {}
     for result in results:
-        shapes += _place_shapes(result)
+        where = (
+            (Part.TIP, result.image.tool_px, result.instrument),
+            (Part.TISSUE, result.image.tissue_px, ""),
+        )
+        shapes += [
+            Shape(part, Form.POINTS, np.array([px]), name) for part, px, name in where if px is not None
+        ]
         for line, label in distance_shapes(result, lens):
             shapes.append(line)
             labels.setdefault((label.part, label.text), label)  # that between two instruments is written once
@@ -153,35 +160,33 @@ def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup
         yield Shape(Part.TISSUE, Form.LOOP, np.asarray(tissue.outline.curve_px, np.float64))
     for frame, result in zip(frames, results, strict=True):
         yield from _tool_shapes(frame, result.instrument)
-        if setup.method == "overlay":
-            found = virtual_marker(frame, frame.arm.profile)
-            if found is not None:
-                yield from _marker_shapes(found, result.instrument)
+        found = virtual_marker(frame, frame.arm.profile) if setup.method == "overlay" else None
+        if found is None:
+            continue
+        if found.corners_px is not None:
+            yield Shape(Part.MARKER, Form.LOOP, found.corners_px, result.instrument)
+        for part, chosen in ((Part.MATCH, ~found.inliers), (Part.INLIER, found.inliers)):
+            if chosen.any():
+                yield Shape(part, Form.POINTS, found.matched_px[chosen], result.instrument)
 
 
 def _through_lens(shapes: Iterable[Shape], lens: Camera) -> Iterable[Shape]:
     """The shapes where the lens shows them: detectors looked at an image without distortion."""
-    if not lens.has_distortion:
-        yield from shapes
-        return
     for shape in shapes:
         points_px = shape.points_px
-        if shape.form is not Form.POINTS:
+        if lens.has_distortion and shape.form is not Form.POINTS:
             points_px = _in_pieces(points_px, is_closed=shape.form is Form.LOOP)
-        yield replace(shape, points_px=seen_through(lens, points_px))
+        yield replace(shape, points_px=seen_through(lens, points_px)) if lens.has_distortion else shape
 
 
 def _in_pieces(points_px: Array, *, is_closed: bool) -> Array:
     """The polyline with points no further apart than a step, shape (m, 2)."""
-    starts = points_px if is_closed else points_px[:-1]
-    ends = np.roll(points_px, -1, axis=0) if is_closed else points_px[1:]
+    path_px = np.vstack([points_px, points_px[:1]]) if is_closed else points_px
     pieces = []
-    for start, end in zip(starts, ends, strict=True):
+    for start, end in pairwise(path_px):
         count = max(1, int(np.ceil(np.linalg.norm(end - start) / BEND_STEP_PX)))
-        pieces.append(start + np.linspace(0.0, 1.0, count, endpoint=False)[:, None] * (end - start))
-    if not is_closed:
-        pieces.append(points_px[-1:])
-    return np.concatenate(pieces)
+        pieces.append(np.linspace(start, end, count, endpoint=False))
+    return np.concatenate(pieces if is_closed else [*pieces, path_px[-1:]])
 
 
 def _tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
@@ -202,14 +207,6 @@ def _tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
     corners_px = frame.left.tag_corners_px if "tags" in vars(frame.scene.left) else None
     if corners_px is not None:
         yield Shape(Part.TAG, Form.LOOP, np.asarray(corners_px, np.float64), name)
-
-
-def _place_shapes(result: FrameResult) -> Iterator[Shape]:
-    """Where tool and tissue are, by a result, in px of the recorded image."""
-    if result.image.tool_px is not None:
-        yield Shape(Part.TIP, Form.POINTS, np.array([result.image.tool_px]), result.instrument)
-    if result.image.tissue_px is not None:
-        yield Shape(Part.TISSUE, Form.POINTS, np.array([result.image.tissue_px]))
 
 
 def _contours(mask: Image, region: Region, part: Part, name: str = "") -> Iterator[Shape]:
@@ -302,15 +299,6 @@ def virtual_marker(frame: Frame, profile: Profile) -> VirtualMarker | None:
             corners_px = transfer(homography.H, square_corners(profile.marker.size_px)) + origin_px
     found_px, matched_px = features.points_px + origin_px, matches.frame_px + origin_px
     return VirtualMarker(window, found_px, matches.template_px, matched_px, inliers, corners_px)
-
-
-def _marker_shapes(found: VirtualMarker, name: str) -> Iterator[Shape]:
-    """The outline, and the matches: inliers apart from the others."""
-    if found.corners_px is not None:
-        yield Shape(Part.MARKER, Form.LOOP, found.corners_px, name)
-    for part, chosen in ((Part.MATCH, ~found.inliers), (Part.INLIER, found.inliers)):
-        if chosen.any():
-            yield Shape(part, Form.POINTS, found.matched_px[chosen], name)
 
 
 def _shown_distance(result: FrameResult) -> tuple[str, Distance] | None:

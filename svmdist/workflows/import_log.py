@@ -79,7 +79,7 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class ImportResult:
-    """What was written: numbers of messages by topic, the size in bytes, and whether a pair has a known baseline."""
+    """What was written: numbers of messages by topic, and whether a pair has a known baseline."""
 
     path: Path
     counts: dict[str, int]
@@ -89,10 +89,7 @@ class ImportResult:
 
 @dataclass(frozen=True)
 class View:
-    """One stream of pictures: names and stamps in ns of all of them, the size in px of one, and how to read them.
-
-    `read` gives (place, picture) of every `ViewOptions.every`-th of them, in order.
-    """
+    """One stream of pictures of one size; `read` gives (place, picture) of every `ViewOptions.every`-th in order."""
 
     names: list[str]
     stamps_ns: list[int]
@@ -110,8 +107,7 @@ def import_log(
 ) -> ImportResult:
     """Write a log of files; `on_progress` gets (images done, images in all).
 
-    Decoded pictures become PNG, or JPEG of `jpeg_quality`, 1 to 100. Raises UsageError, SourceError or OutputError in
-    one line, and leaves no file then.
+    Raises UsageError, SourceError or OutputError, and leaves no file then.
     """
     limits = limits or Limits()
     given = options.views
@@ -152,7 +148,6 @@ def import_log(
 def _image_messages(
     views: Sequence[View], at: int, cameras: Sequence[Camera], options: ImportOptions, limits: Limits
 ) -> Iterator[Message]:
-    """Calibration and images of one view, or of both that a picture has side by side."""
     view = views[at]
     for place, picture in view.read():
         stamp_ns, parts = view.stamps_ns[place], [picture]
@@ -269,7 +264,6 @@ def _video_views(options: ViewOptions, sources: Sequence[Path], limits: Limits) 
 
 
 def _stamps(options: ViewOptions, names: list[str], times_ns: Sequence[int] | None = None) -> list[int]:
-    """The stamps of all images of the left view."""
     if options.rate_hz is not None:
         return [options.start_ns + round(number * 1e9 / options.rate_hz) for number in range(len(names))]
     if options.times is None and times_ns is not None:

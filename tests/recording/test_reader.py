@@ -12,7 +12,6 @@ from svmdist.errors import RecordingError
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import LossKind
-from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import encode
 from svmdist.samples import (
     CameraSample,
@@ -26,7 +25,7 @@ from svmdist.samples import (
 )
 from svmdist.transforms import inverse
 
-from .builders import CAMERA, Entry, pose, scene, write_messages, write_scene
+from .builders import CAMERA, Entry, pose, write_messages, write_scene
 
 IMAGE = "foxglove.CompressedImage"
 
@@ -104,26 +103,6 @@ def test_transforms_are_composed_along_the_tree(tmp_path: Path, profile: Profile
         recording.transform_track("camera", "thing")
     with pytest.raises(RecordingError, match=r"no frame tol.*did you mean tool"):
         recording.transform_track("camera", "tol")
-
-
-def test_inspection_tells_rates_gaps_and_disorder(tmp_path: Path, profile: Profile) -> None:
-    entries = [entry for entry in scene(50) if not (20 <= entry.sample.stamp_ns // 40_000_000 - 25 < 25)]
-    late = JointSample(1_000_000_005, ("yaw", "pitch"), np.zeros(2))
-    path = write_scene(tmp_path / "a.mcap", [*entries, Entry("/PSM1/measured_js", late)])
-    summary = inspect_recording(path, profile)
-    topics = {topic.topic: topic for topic in summary.topics}
-    joints, images = topics["/PSM1/measured_js"], topics["/ECM/left/image"]
-    assert (joints.message_count, joints.out_of_order_count, joints.gap_count) == (181, 1, 1)
-    assert joints.largest_gap_s == pytest.approx(0.21)
-    assert (images.message_count, images.gap_count) == (45, 1)
-    assert images.rate_hz == pytest.approx(44 / 1.96)
-    assert summary.duration_s == pytest.approx(1.99)
-    assert summary.frames == ("camera", "tool")
-    assert summary.joint_names == {"/PSM1/measured_js": ("yaw", "pitch")}
-    assert summary.roles["image"] == "/ECM/left/image"
-    assert summary.cameras["/ECM/left/camera_info"].same_optics(CAMERA)
-    assert summary.health.is_clean
-    assert summary.size_bytes == path.stat().st_size
 
 
 def test_joint_values_that_mean_nothing_are_losses(tmp_path: Path, profile: Profile) -> None:

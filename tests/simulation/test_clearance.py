@@ -81,7 +81,6 @@ def test_raised_tissue_is_a_scene_built_there_and_the_plate_counts(profile: Prof
         q = posed(scene, [x_m, 0.002, 0.024])
         there = replace(scene, T_world_tissue=raised(offset_m) @ scene.T_world_tissue)
         assert clearance_m(scene, q, offset_m) == pytest.approx(clearance_m(there, q), abs=1e-12)
-    assert profile.fiducial is not None
     hanging = profile.fiducial.model_copy(update={"position_m": (0.0, 0.0085, -0.012)})
     plated = make_scene(profile.model_copy(update={"fiducial": hanging}), 2, Options(tag=True))
     q = posed(scene, [-0.015, 0.0, WORKING_HEIGHT_M])
@@ -124,14 +123,12 @@ def test_beside_a_dent_and_too_deep(pressed: Plan) -> None:
     assert clearance_m(rigid, hovering) == pytest.approx(0.0003, abs=TOLERANCE_M)
     both = TissueClearance([scene, scene])
     organ, found_m = both.indented([q, hovering]), both.clearances_m([q, hovering])
-    assert organ is not None
     assert found_m[0] == 0.0
     assert found_m[1] > 0.0013
     assert found_m[1] == pytest.approx(independent_clearance_m(scene, hovering, organ.mesh), abs=TOLERANCE_M)
     deep = q.copy()
     deep[insertion] += 0.0062
     organ = TissueClearance([scene]).indented([deep])
-    assert organ is not None
     assert clearance_m(rigid, deep) < clearance_m(scene, deep) < -1e-4
     expected_m = independent_clearance_m(scene, deep, organ.mesh)
     assert clearance_m(scene, deep) == pytest.approx(expected_m, abs=3e-5)

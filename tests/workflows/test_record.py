@@ -147,6 +147,7 @@ def test_nothing_is_left_in_the_temporary_folder(
     process = subprocess.Popen(
         [sys.executable, "-m", "svmdist", "record", "--rate", "10", "-j", "2", *command],
         cwd=folder,
+        stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -154,7 +155,7 @@ def test_nothing_is_left_in_the_temporary_folder(
         while process.poll() is None and not [p for p in folder.iterdir() if p.stat().st_size > 100_000]:
             time.sleep(0.02)
         process.send_signal(number)
-    process.communicate(timeout=120)
+    assert process.communicate(timeout=120)[0] == ""  # PyBullet's own chatter goes nowhere
     deadline = time.monotonic() + 10.0
     while number is not None and list(temporary.iterdir()) and time.monotonic() < deadline:
         time.sleep(0.1)  # workers notice that their parent was killed

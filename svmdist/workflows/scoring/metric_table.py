@@ -56,10 +56,9 @@ class Tolerance(BaseModel):
 class Metric:
     """One metric of a score, or of a part of it; `key` is its name in CSV, JSON and baselines.
 
-    A baseline stores it where it has a `tolerance`, which needs `better`. Of a metric of the three distances,
-    `outputs` and `tolerance` are those of the planar distance, and those `in_3d` are of the other two, whose keys
-    begin with `spatial_` and `clearance_`. `title` and `narrow_title` head its columns. `group` is the distance that
-    it is of; `is_late` moves its columns behind all others, where new columns belong.
+    A baseline stores it where it has a `tolerance`, which needs `better`. Of a metric of the three distances (`group`),
+    those `in_3d` are of the spatial distance and the clearance. `is_late` moves its columns behind all others, where
+    new columns belong.
     """
 
     key: str
