@@ -18,6 +18,7 @@ COLLECT_AFTER = 20_000
 AGAIN_S = 0.02
 ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """Signals that ask a process to end, as an interrupt does: what it was writing is put away first."""
+_asked_to_end: list[int] = []
 
 
 def run() -> None:
@@ -29,13 +30,12 @@ def run() -> None:
         from svmdist.cli.main import run as run_commands
 
         run_commands()
-    except (KeyboardInterrupt, RuntimeError) as problem:
-        # Python 3.11 wraps what is raised while it creates a class into a RuntimeError.
-        ending = problem.__cause__ if isinstance(problem, RuntimeError) else problem
-        if isinstance(ending, Terminated):
+    except (KeyboardInterrupt, Exception) as problem:
+        # What is raised while a class is made is wrapped: by Python 3.11 as a cause, by pydantic as text.
+        if _asked_to_end:
             print("svmdist: terminated", file=sys.stderr)
-            sys.exit(128 + ending.signal_number)
-        if isinstance(ending, KeyboardInterrupt):
+            sys.exit(128 + _asked_to_end[0])
+        if "KeyboardInterrupt" in f"{problem!r} {problem.__cause__!r}":
             print("svmdist: interrupted", file=sys.stderr)
             sys.exit(130)
         raise
@@ -64,6 +64,7 @@ def _hear_signals() -> None:
             return
         for other in ENDING:
             signal.signal(other, signal.SIG_IGN)  # it is ending already
+        _asked_to_end.append(number)
         raise Terminated(number)
 
     for number in ENDING:

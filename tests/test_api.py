@@ -6,7 +6,6 @@ import csv
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,9 @@ import pytest
 
 import svmdist
 from svmdist.api import Estimates
-from svmdist.estimation.frame import Frame, frame_of
-from svmdist.estimation.scene import Arm
+from svmdist.estimation.frame import Frame
 from svmdist.results import Distance, Distances, FrameResult
-from svmdist.samples import Observation, RightView, Status
+from svmdist.samples import Status
 from svmdist.workflows.request import OwnEstimator, name_of, prepare
 from tests.cli.conftest import Cli, cli
 
@@ -117,24 +115,3 @@ def test_a_view_of_one_instrument_is_measured_as_that_instrument(golden: Path) -
     )
     expected = [row.distances.clearance for row in both if row.instrument == "PSM2"]
     assert [row.distances.clearance for row in one] == expected
-
-
-def test_an_image_of_the_wrong_kind_is_told(golden: Path) -> None:
-    setup = prepare(method="centroid")
-    recording = svmdist.open_recording(golden / "sweep.mcap")
-    seen = next(recording.observations())
-    assert isinstance(seen, Observation)
-    arm = Arm(setup.profile)
-    for image, said in (
-        (seen.image_bgr / 255.0, "found float64, from 0 to 1"),
-        (seen.image_bgr[::2], "found (240, 640, 3)"),
-        (seen.image_bgr[..., 0], "found (480, 640)"),
-        ([[1, 2]], "found list"),
-    ):
-        for wrong, name in (
-            (replace(seen, image_bgr=image), "image_bgr"),
-            (replace(seen, right=RightView(image, seen.camera, np.eye(4))), "right.image_bgr"),  # type: ignore[arg-type]
-        ):
-            pattern = re.escape(said).replace("from\\ 0\\ to\\ 1", "from .* to .*")
-            with pytest.raises(ValueError, match=f"^{re.escape(name)}: expected a BGR image .*{pattern}"):
-                frame_of(wrong, arm, setup.segmenter)

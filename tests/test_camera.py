@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.camera import R_OPENGL_OPENCV, Camera, DistortionModel
+from svmdist.camera import Camera, DistortionModel
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 
@@ -34,13 +34,6 @@ def test_projection_equals_opencvs(distortion):
     camera = replace(CAMERA, D=np.array(distortion))
     expected, _ = cv2.projectPoints(p_m, np.zeros(3), np.zeros(3), CAMERA.K, np.array(distortion))
     np.testing.assert_allclose(camera.project(p_m), expected[:, 0], atol=1e-9)
-
-
-def test_opengl_and_opencv_axes_are_a_half_turn_apart():
-    """The change of axes is a rotation and its own inverse: x stays, y and z turn over."""
-    np.testing.assert_array_equal(R_OPENGL_OPENCV @ R_OPENGL_OPENCV, np.eye(3))
-    assert np.linalg.det(R_OPENGL_OPENCV) == 1.0
-    np.testing.assert_array_equal(R_OPENGL_OPENCV @ [1.0, 2.0, 3.0], [1.0, -2.0, -3.0])
 
 
 @pytest.mark.parametrize(

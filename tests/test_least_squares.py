@@ -26,19 +26,6 @@ def test_rosenbrock(damping):
     np.testing.assert_allclose(found.state, [1.0, 1.0], atol=1e-8)
 
 
-def test_damping_never_raises_the_cost():
-    costs = []
-
-    def watched(x):
-        equations = _rosenbrock(x)
-        costs.append(equations.cost)
-        return equations
-
-    found = minimise(np.array([-1.2, 1.0]), watched, np.add, Steps(100, settled=1e-10, damping=1e-3))
-    assert found is not None
-    assert found.equations.cost == min(costs)
-
-
 def test_a_rotation_is_a_state():
     """Steps are taken in the tangent space: R ← exp([step]) R reaches the rotation that was measured."""
     R_true = rotation_of([0.9, -0.4, 1.3])

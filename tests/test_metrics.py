@@ -25,25 +25,6 @@ pairs = st.integers(2, 40).flatmap(
 )
 
 
-@quick
-@given(pairs)
-def test_r_squared_is_one_for_equal_and_zero_for_the_mean(pair):
-    """R² = 1 where the estimate is the truth, 0 where it is the truth's mean, None for a constant truth."""
-    truth, _ = pair
-    if np.ptp(truth) == 0:
-        assert r_squared(truth, truth) is None
-        return
-    assert r_squared(truth, truth) == 1.0
-    assert r_squared(np.full_like(truth, truth.mean()), truth) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_r_squared_is_against_the_identity_line_not_a_fitted_one():
-    """A constant offset lowers R² while Pearson's r stays 1: they are different figures."""
-    truth = np.linspace(0.0, 1.0, 11)
-    assert r_squared(truth + 1.0, truth) == pytest.approx(1.0 - 11.0 / np.sum((truth - 0.5) ** 2))
-    assert pearson_r(truth + 1.0, truth) == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("constant", [0.0, 0.1, 1e6, -0.3])
 def test_a_truth_that_does_not_vary_has_no_r_squared(constant):
     """Rounding in the mean of equal values does not pass for variation: R² and r are None."""
@@ -139,26 +120,13 @@ def test_blocks_widen_the_interval_of_errors_that_drift():
 
 
 def test_few_pairs_have_no_interval():
-    """Seven pairs give no interval, eight give one; a constant truth gives none for R²."""
+    """Seven pairs give no interval, eight give both; a constant truth gives none for R²."""
     estimate, truth = noisy_ramp(2)
-    assert bootstrap_intervals(estimate[:7], truth[:7], seed=1) == (None, None)
-    rmse, r2 = bootstrap_intervals(estimate[:8], truth[:8], seed=1)
-    assert rmse is not None
-    assert r2 is not None
-    rmse, r2 = bootstrap_intervals(estimate, np.full_like(truth, 0.05), seed=1)
-    assert rmse is not None
-    assert r2 is None
-
-
-def test_a_truth_that_moves_in_one_frame_only_still_gives_an_answer():
-    """Resamples in which the truth stands still have no R²; if none is left, neither is the interval."""
-    truth = np.zeros(40)
-    truth[0] = 1.0
-    for seed in range(8):
-        rmse, r2 = bootstrap_intervals(truth + 0.1, truth, seed=seed, resamples=1)
-        assert rmse is not None
-        assert rmse.low == pytest.approx(0.1)
-        assert r2 is None or np.isfinite(r2.low)
+    constant = np.full_like(truth, 0.05)
+    cases = ((truth, 7, (False, False)), (truth, 8, (True, True)), (constant, None, (True, False)))
+    for of, count, expected in cases:
+        found = bootstrap_intervals(estimate[:count], of[:count], seed=1)
+        assert tuple(interval is not None for interval in found) == expected
 
 
 TRUTH_M = np.array([9, 8, 6, 4, 3, 4, 6, 8, 9, 9]) / 1e3
@@ -174,16 +142,6 @@ def test_counts_and_lead() -> None:
     assert got.false_alarms_per_minute == pytest.approx(1 / (0.9 / 60))
     assert got.event_count == 1
     assert got.lead_times_s == (pytest.approx(0.1),)
-
-
-def test_late_and_missed() -> None:
-    """A late alarm has a negative lead; a missed event has none."""
-    late = alarm_statistics(np.arange(10) / 10, [0, 0, 0, 0, 1, 1, 0, 0, 0, 0], TRUTH_M, 0.005)
-    assert late.lead_times_s == (pytest.approx(-0.1),)
-    missed = alarm_statistics(np.arange(10) / 10, np.zeros(10), TRUTH_M, 0.005)
-    assert missed.lead_times_s == ()
-    assert missed.recall == 0.0
-    assert missed.precision is None
 
 
 def test_nothing_unsafe_or_nothing_at_all() -> None:
@@ -207,15 +165,6 @@ def test_an_alarm_that_never_ends_leads_each_event_only_from_the_last() -> None:
     assert got.lead_times_s == (1.0, 2.0)
     assert (got.median_lead_s, got.min_lead_s, got.missed_event_count) == (1.5, 1.0, 0)
     assert got.false_alarms_per_minute == 0.0
-
-
-def test_unjudged_frames_are_missed_alarms() -> None:
-    """A frame that could not be judged has no alarm: where it is unsafe, recall says so."""
-    judged = np.array([1, 1, 1, 1, 0, 1, 1, 1, 1, 1], bool)
-    got = alarm_statistics(np.arange(10) / 10, (TRUTH_M < 0.005) & judged, TRUTH_M, 0.005, judged)
-    assert got.unjudged_count == 1
-    assert got.recall == pytest.approx(2 / 3)
-    assert got.precision == 1.0
 
 
 def test_pooling_adds_counts_and_durations() -> None:

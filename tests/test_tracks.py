@@ -29,14 +29,6 @@ def test_a_stamp_is_valid_between_samples_that_are_near(stamps: list[int], at: l
             assert 0.0 <= fraction <= 1.0
 
 
-@given(stamp_lists)
-def test_samples_come_back_to_the_last_bit(stamps: list[int]) -> None:
-    positions = np.random.default_rng(0).normal(size=(len(stamps), 3))
-    sampled = JointTrack(np.array(stamps), ("a", "b", "c"), positions).at(np.array(stamps), 0)
-    assert sampled.valid.all()
-    np.testing.assert_array_equal(sampled.values, positions)
-
-
 def test_lines_are_interpolated_exactly_and_gaps_are_refused() -> None:
     stamps = np.array([0, 10, 20, 500])
     track = JointTrack(stamps, ("a",), stamps[:, None] * 0.5)
@@ -77,13 +69,6 @@ def test_a_static_transform_holds_always_and_a_single_sample_only_at_its_stamp()
     np.testing.assert_array_equal(static.values[1], T[0])
     single = TransformTrack("a", "b", np.array([5]), T).at(np.array([4, 5, 6]))
     assert single.valid.tolist() == [False, True, False]
-
-
-def test_an_empty_track_knows_nothing() -> None:
-    empty = JointTrack(np.zeros(0, np.int64), ("a", "b"), np.zeros((0, 2)))
-    sampled = empty.at(np.array([1, 2]))
-    assert sampled.values.shape == (2, 2)
-    assert not sampled.valid.any()
 
 
 def test_sorting_keeps_the_last_of_equal_stamps() -> None:

@@ -18,7 +18,7 @@ from training.instruments import DISTAL, OTHER, SHAFT, TISSUE, Material, Part, d
 from training.scene import layers, render
 
 SIZE = (150, 200)
-WHITE = Material(np.full(3, 255.0, np.float32), np.ones(4), np.ones(3), 1.0, (), (1.0, 0.5, 0.0))
+WHITE = Material(np.full(3, 255.0, np.float32), np.ones(4), np.ones(3), 1.0, ())
 """Lit alike everywhere: what is drawn in it shows how much of each pixel it covers."""
 
 
@@ -51,7 +51,7 @@ def test_pictures_follow_from_the_seed_and_have_all_classes() -> None:
     assert {int(c) for each in labels for c in np.unique(each)} == {OTHER, TISSUE, DISTAL, SHAFT}
     assert 0.6 <= np.mean([bool((each >= DISTAL).any()) for each in labels]) < 1.0
     for seed in range(5):
-        assert layers(np.random.default_rng(seed), SIZE, count=0).labels.max() <= TISSUE
+        assert layers(np.random.default_rng(seed), SIZE, count=0)[1].max() <= TISSUE
 
 
 def test_pictures_on_disk_are_those_that_several_processes_draw(tmp_path: Path) -> None:

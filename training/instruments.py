@@ -11,7 +11,16 @@ from training.textures import Array, Size, tissue_colour
 
 OTHER, TISSUE, DISTAL, SHAFT = range(4)
 """Classes of the network: border, paper and cloth; tissue; wrists and jaws; shafts."""
-KINDS = ("dark", "grey", "steel", "white", "coloured")
+# Level, contrast of what is reflected, most bright lines, and their level, as (least, most) of each.
+SURFACES = {
+    "dark": ((8, 75), (0.05, 0.5), 2, (10, 150)),
+    "grey": ((60, 170), (0.05, 0.3), 1, (10, 100)),
+    "steel": ((80, 235), (0.2, 0.7), 3, (20, 180)),
+    "white": ((170, 250), (0.02, 0.15), 1, (5, 60)),
+    "coloured": ((70, 220), (0.05, 0.3), 2, (10, 120)),
+}
+KINDS = tuple(SURFACES)
+TINTS = ((0.5, 1.0, 0.5), (1.0, 0.7, 0.4), (0.3, 1.0, 1.0))
 SHAFT_WEIGHTS = (0.42, 0.18, 0.22, 0.06, 0.12)
 DISTAL_WEIGHTS = (0.12, 0.2, 0.62, 0.03, 0.03)
 
@@ -21,8 +30,7 @@ class Material:
     """A surface lit by an endoscope's lamp and by what is around it.
 
     `reflection` and `along` are brightness over the position across (from -1 to 1) and along (from 0 to 1) at equal
-    steps; `glare` are bright lines along it: position across, width, level; `stripes` are rings about it: their period
-    over the half-width, the dark part of each, and how dark it is.
+    steps; `glare` are bright lines along it: position across, width, level.
     """
 
     bgr: Array
@@ -30,21 +38,16 @@ class Material:
     along: Array
     ambient: float
     glare: tuple[tuple[float, float, float], ...]
-    stripes: tuple[float, float, float]
 
-    def colour(self, across: Array, along: Array, length_widths: float) -> Array:
+    def colour(self, across: Array, along: Array) -> Array:
         """Levels of BGR, shape (n, 3), where `across` from -1 to 1 and `along` from 0 to 1, shape (n,), are."""
-        steps = np.linspace(-1.0, 1.0, len(self.reflection))
         shade = self.ambient + np.sqrt(np.clip(1.0 - across**2, 0.0, 1.0)) * (1.0 - self.ambient)
-        shade = shade * np.interp(across, steps, self.reflection)
+        shade = shade * np.interp(across, np.linspace(-1.0, 1.0, len(self.reflection)), self.reflection)
         shade = shade * np.interp(along, np.linspace(0.0, 1.0, len(self.along)), self.along)
-        period, part, depth = self.stripes
-        if depth > 0.0:
-            ring = np.mod(along * length_widths, period) < part * period
-            shade = np.where(ring, shade * (1.0 - depth), shade)
-        shine = np.zeros_like(across)
-        for at, width, level in self.glare:
-            shine = shine + level * np.exp(-(((across - at) / width) ** 2))
+        shine = sum(
+            (level * np.exp(-(((across - at) / width) ** 2)) for at, width, level in self.glare),
+            np.zeros_like(across),
+        )
         levels = self.bgr * shade[..., None].astype(np.float32) + shine[..., None].astype(np.float32)
         return np.asarray(np.clip(levels, 0.0, 255.0), np.float32)
 
@@ -52,35 +55,23 @@ class Material:
 def material(rng: np.random.Generator, weights: tuple[float, ...], surroundings: Array) -> Material:
     """Draw a surface; `surroundings` is the colour in BGR, shape (3,), that steel reflects in part."""
     kind = KINDS[int(rng.choice(len(KINDS), p=weights))]
-    tint = np.array([rng.uniform(0.92, 1.08), 1.0, rng.uniform(0.92, 1.08)])
-    level, contrast, glares, gloss = {
-        "dark": (rng.uniform(8, 75), rng.uniform(0.05, 0.5), rng.integers(0, 3), rng.uniform(20, 200)),
-        "grey": (rng.uniform(60, 170), rng.uniform(0.05, 0.3), rng.integers(0, 2), rng.uniform(20, 120)),
-        "steel": (rng.uniform(80, 235), rng.uniform(0.2, 0.7), rng.integers(0, 4), rng.uniform(60, 220)),
-        "white": (rng.uniform(170, 250), rng.uniform(0.02, 0.15), rng.integers(0, 2), rng.uniform(10, 80)),
-        "coloured": (rng.uniform(70, 220), rng.uniform(0.05, 0.3), rng.integers(0, 3), rng.uniform(20, 150)),
-    }[kind]
-    if kind == "coloured":  # insulation and marks: green, blue, yellow, seldom violet; no red, as tissue is
-        tints = [
-            (rng.uniform(0.2, 0.7), 1.0, rng.uniform(0.1, 0.7)),
-            (1.0, rng.uniform(0.3, 0.8), rng.uniform(0.05, 0.5)),
-            (rng.uniform(0.1, 0.4), rng.uniform(0.8, 1.0), 1.0),
-            (1.0, rng.uniform(0.2, 0.6), rng.uniform(0.4, 0.9)),
-        ]
-        tint = np.array(tints[int(rng.choice(4, p=[0.4, 0.35, 0.15, 0.1]))])
+    levels, contrasts, most_glares, gloss = SURFACES[kind]
+    level, contrast = rng.uniform(*levels), rng.uniform(*contrasts)
+    if kind == "coloured":  # insulation and marks: green, blue or yellow; no red, as tissue is
+        tint = np.array(TINTS[int(rng.choice(len(TINTS)))]) * rng.uniform(0.7, 1.0, 3)
+    else:
+        tint = np.array([rng.uniform(0.92, 1.08), 1.0, rng.uniform(0.92, 1.08)])
     bgr = level * tint
     if kind in ("steel", "grey"):
         share = rng.uniform(0.0, 0.4)
         bgr = (1.0 - share) * bgr + share * surroundings * level / max(float(surroundings.max()), 1.0)
     reflection = np.clip(1.0 + contrast * rng.standard_normal(int(rng.integers(4, 14))), 0.1, 2.5)
     along = np.clip(1.0 + 0.5 * contrast * rng.standard_normal(int(rng.integers(2, 9))), 0.3, 2.0)
-    lines = tuple(
-        (rng.uniform(-0.75, 0.75), rng.uniform(0.03, 0.25), gloss * rng.uniform(0.3, 1.0))
-        for _ in range(int(glares))
+    glare = tuple(
+        (rng.uniform(-0.75, 0.75), rng.uniform(0.03, 0.25), rng.uniform(*gloss))
+        for _ in range(int(rng.integers(0, most_glares + 1)))
     )
-    depth = rng.uniform(0.2, 0.8) if rng.random() < 0.1 else 0.0
-    stripes = (rng.uniform(0.15, 1.5), rng.uniform(0.2, 0.6), depth)
-    return Material(bgr.astype(np.float32), reflection, along, rng.uniform(0.2, 0.9), lines, stripes)
+    return Material(bgr.astype(np.float32), reflection, along, rng.uniform(0.2, 0.9), glare)
 
 
 @dataclass(frozen=True)
@@ -108,7 +99,7 @@ def cords(rng: np.random.Generator, size: Size) -> list[Part]:
         plain = np.clip(1.0 + 0.15 * rng.standard_normal(6), 0.4, 1.6)
         wet = (rng.uniform(-0.5, 0.5), rng.uniform(0.05, 0.2), rng.uniform(0.0, 90.0))
         bgr, ambient = tissue_colour(rng), rng.uniform(0.3, 0.8)
-        surface = Material(bgr, plain, plain[:3], ambient, (wet,), (1.0, 0.5, 0.0))
+        surface = Material(bgr, plain, plain[:3], ambient, (wet,))
         at, heading = rng.uniform(-0.1, 1.1, 2) * size[::-1], rng.uniform(0.0, 2 * np.pi)
         half = size[1] * float(np.exp(rng.uniform(np.log(0.006), np.log(0.06))))
         for _ in range(int(rng.integers(2, 7))):
@@ -152,8 +143,7 @@ def draw(canvas: Array, labels: Array, parts: list[Part]) -> None:
         inside = covered > 0.0
         if not inside.any():
             continue
-        width_along = length / max(part.begin_half, 1.0)
-        colours = part.surface.colour(np.clip(across[inside], -1.0, 1.0), along[inside], width_along)
+        colours = part.surface.colour(np.clip(across[inside], -1.0, 1.0), along[inside])
         region = (slice(low[1], high[1]), slice(low[0], high[0]))
         share = covered[inside][:, None]
         canvas[region][inside] = share * colours + (1.0 - share) * canvas[region][inside]
@@ -168,24 +158,17 @@ def instrument(rng: np.random.Generator, size: Size, surroundings: Array) -> lis
     along = (tip - entry) / np.linalg.norm(tip - entry)
     shaft = material(rng, SHAFT_WEIGHTS, surroundings)
     steel = material(rng, DISTAL_WEIGHTS, surroundings)
-    entry_half = half * float(
-        np.exp(rng.normal(0.12, 0.22))
-    )  # its border end is nearer to the camera as a rule
-    kind = ["robotic", "rigid", "tube", "hook"][int(rng.choice(4, p=[0.48, 0.34, 0.1, 0.08]))]
+    entry_half = half * float(np.exp(rng.normal(0.12, 0.22)))  # nearer to the camera as a rule
+    kind = rng.choice(["robotic", "rigid", "tube", "hook"], p=[0.48, 0.34, 0.1, 0.08])
     if kind == "tube":  # suction, irrigation, a stapler's barrel: a shaft that ends
         return [Part(entry, tip, entry_half, half * rng.uniform(0.8, 1.0), SHAFT, shaft)]
-    back = {"robotic": (3.0, 6.0), "rigid": (2.0, 7.0), "hook": (2.0, 5.0)}[kind]
-    end = tip - along * half * rng.uniform(*back)
+    end = tip - along * half * rng.uniform(2.0, 7.0)
     parts = [Part(entry, end, entry_half, half, SHAFT, shaft)]
     if kind == "robotic":
         return parts + _wrist(rng, end, along, half, steel)
-    if kind == "rigid":  # a laparoscopic instrument: a short neck, and long jaws straight on
-        neck = end + along * half * rng.uniform(0.3, 2.0)
-        parts.append(
-            Part(end, neck, half * rng.uniform(0.6, 1.0), half * rng.uniform(0.5, 0.9), DISTAL, steel)
-        )
-        length = max(1.5, float(np.linalg.norm(tip - neck)) / half)
-        return parts + _jaws(rng, neck, along, half, length, steel)
+    if kind == "rigid":  # a laparoscopic instrument: long jaws straight on
+        length = max(1.5, float(np.linalg.norm(tip - end)) / half)
+        return parts + _jaws(rng, end, along, half, length, steel)
     thin = max(1.0, half * rng.uniform(0.15, 0.4))  # cautery: a thin wire, bent at its end
     parts.append(Part(end - along * half * 0.2, tip, thin, thin, DISTAL, steel))
     bent = tip + _turned(along, rng.choice([-1, 1]) * rng.uniform(0.8, 1.8)) * half * rng.uniform(0.5, 2.0)
@@ -197,13 +180,13 @@ def _entry(rng: np.random.Generator, size: Size, tip: Array, half: float) -> Arr
     height, width = size
     side = int(rng.choice(4, p=[0.33, 0.33, 0.22, 0.12]))
     beyond, at = 1.5 * half + 8.0, rng.uniform(-0.2, 1.2)
-    sides = [
+    places = [
         (-beyond, at * height),
         (width + beyond, at * height),
         (at * width, height + beyond),
         (at * width, -beyond),
     ]
-    entry = np.array(sides[side])
+    entry = np.array(places[side])
     if np.linalg.norm(tip - entry) < 5.0 * half:
         entry = tip + (entry - tip) / np.linalg.norm(entry - tip) * 5.0 * half
     return entry
@@ -215,19 +198,13 @@ def _turned(direction: Array, angle: float) -> Array:
 
 
 def _wrist(rng: np.random.Generator, at: Array, heading: Array, half: float, steel: Material) -> list[Part]:
-    """A collar, a wrist that bends in two links, and jaws."""
+    """A wrist that bends in one or two links, and jaws."""
     parts = []
-    if rng.random() < 0.6:
-        collar = at + heading * half * rng.uniform(0.2, 0.8)
-        parts.append(Part(at, collar, half, half * rng.uniform(0.85, 1.05), DISTAL, steel))
-        at = collar
     for _ in range(int(rng.integers(1, 3))):
         heading = _turned(heading, rng.normal(0.0, 0.35))
-        is_other = rng.random() < 0.4
-        link = material(rng, DISTAL_WEIGHTS, np.array([60, 60, 140], np.float32)) if is_other else steel
         after = at + heading * half * rng.uniform(0.8, 2.4)
         halves = half * rng.uniform(0.65, 1.0), half * rng.uniform(0.5, 0.95)
-        parts.append(Part(at - heading * 0.3 * half, after, *halves, DISTAL, link))
+        parts.append(Part(at - heading * 0.3 * half, after, *halves, DISTAL, steel))
         at = after
     return parts + _jaws(rng, at, heading, half, rng.uniform(1.5, 4.0), steel)
 

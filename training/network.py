@@ -5,7 +5,6 @@ Needs PyTorch, which is no dependency of svmdist.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
 from itertools import pairwise
@@ -45,7 +44,7 @@ class InstrumentNet(nn.Module):
         self.scores = nn.Conv2d(first, CLASSES, 1)
 
     def forward(self, image: Tensor) -> Tensor:
-        """See the class."""
+        """Give the scores of images."""
         levels = [self.stem(image)]
         for down in self.down:
             levels.append(down(levels[-1]))
@@ -129,14 +128,12 @@ class Stage:
     steps: int
     batch: int
     learning_rate: float
-    """At its largest: it rises over the first twentieth of `horizon`, then falls as a cosine."""
+    """At its largest: it rises over the first twentieth of `horizon`, then falls as a cosine to nothing there."""
     horizon: int
-    """The step at which the rate would be nothing; `steps`, or more where another stage follows."""
     average: float
-    """What of the mean of weights over the steps is kept at each: that mean is a stage's result."""
+    """The share of the mean of weights that a step keeps: that mean is a stage's result."""
     half_size: bool = False
     """At half the input's width and height, which costs a quarter: what goes with what is learnt there."""
-    weight_decay: float = 1e-2
 
 
 STAGES = (
@@ -145,34 +142,29 @@ STAGES = (
 )
 
 
-Say = Callable[[int, float, InstrumentNet], None]
-"""Is given step, mean loss and the mean of the weights, every 50 steps."""
-
-
-def train(pictures: Pictures, stages: tuple[Stage, ...], seed: int, say: Say) -> InstrumentNet:
+def train(pictures: Pictures, stages: tuple[Stage, ...], seed: int) -> InstrumentNet:
     """Train on one thread, so that a run can be repeated."""
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     torch.use_deterministic_algorithms(True, warn_only=True)
     net: InstrumentNet = InstrumentNet().to(memory_format=torch.channels_last)
     for number, stage in enumerate(stages):
-        net = train_stage(net, pictures, stage, np.random.default_rng(seed + 1000 * number), say)
-    net.eval()
+        net = _train_stage(net, pictures, stage, np.random.default_rng(seed + 1000 * number))
     return net
 
 
-def train_stage(
-    net: InstrumentNet, pictures: Pictures, stage: Stage, rng: np.random.Generator, say: Say
+def _train_stage(
+    net: InstrumentNet, pictures: Pictures, stage: Stage, rng: np.random.Generator
 ) -> InstrumentNet:
     """Go on from `net`, which is changed; gives the mean of its weights."""
     mean = deepcopy(net)
     net.train()
-    optimiser = torch.optim.AdamW(net.parameters(), stage.learning_rate, weight_decay=stage.weight_decay)
+    optimiser = torch.optim.AdamW(net.parameters(), stage.learning_rate, weight_decay=1e-2)
     warm = max(1, stage.horizon // 20)
     order: Array = np.empty(0, np.int64)
     losses: list[float] = []
     for step in range(stage.steps):
-        if len(order) < stage.batch:
+        while len(order) < stage.batch:
             order = np.concatenate([order, rng.permutation(len(pictures.images))])
         chosen, order = np.sort(order[: stage.batch]), order[stage.batch :]
         images, labels = augmented(rng, pictures.images[chosen], pictures.labels[chosen])
@@ -180,9 +172,8 @@ def train_stage(
             images, labels = halved(images, labels)
         left = (step - warm) / max(1, stage.horizon - warm)
         rate = (step + 1) / warm if step < warm else 0.5 * (1.0 + float(np.cos(np.pi * left)))
-        for group in optimiser.param_groups:
-            group["lr"] = stage.learning_rate * rate
-        loss = _loss(net(to_input(images)), torch.from_numpy(labels.astype(np.int64)))
+        optimiser.param_groups[0]["lr"] = stage.learning_rate * rate
+        loss = _loss(net(_to_input(images)), torch.from_numpy(labels.astype(np.int64)))
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 2.0)
@@ -190,11 +181,11 @@ def train_stage(
         _average(mean, net, min(stage.average, (step + 1) / (step + 10)))
         losses.append(float(loss.detach()))
         if step % 50 == 49:
-            say(step + 1, float(np.mean(losses[-50:])), mean)
+            print(f"step {step + 1}: loss {np.mean(losses[-50:]):.4f}", flush=True)
     return mean
 
 
-def to_input(images_bgr: Array) -> Tensor:
+def _to_input(images_bgr: Array) -> Tensor:
     """The network's input, (n, 3, h, w), of images (n, h, w, 3) in BGR."""
     pixels = torch.from_numpy(np.array(images_bgr)).permute(0, 3, 1, 2)  # stays channels last
     return (pixels.float() - MIDDLE) / MIDDLE
@@ -225,25 +216,21 @@ def scores_of(net: InstrumentNet, images_bgr: Array) -> Array:
     """The network's output, (n, 4, h / 2, w / 2), of images (n, h, w, 3)."""
     net.eval()
     with torch.no_grad():
-        return np.asarray(net(to_input(images_bgr)).numpy(), np.float32)
+        return np.asarray(net(_to_input(images_bgr)).numpy(), np.float32)
 
 
 def predicted(net: InstrumentNet, images_bgr: Array) -> Array:
     """The class of each pixel, shape (n, h, w), of images (n, h, w, 3)."""
-    net.eval()
-    out = []
-    with torch.no_grad():
-        for start in range(0, len(images_bgr), 16):
-            scores = net(to_input(images_bgr[start : start + 16]))
-            full = functional.interpolate(scores, scale_factor=2.0, mode="bilinear", align_corners=False)
-            out.append(full.argmax(1).numpy().astype(np.uint8))
-    net.train()
-    return np.concatenate(out)
+    scores = np.concatenate([scores_of(net, image[None]) for image in images_bgr])
+    full = functional.interpolate(
+        torch.from_numpy(scores), scale_factor=2.0, mode="bilinear", align_corners=False
+    )
+    return full.argmax(1).numpy().astype(np.uint8)
 
 
 def export(net: InstrumentNet, path: Path) -> None:
     """Write it as ONNX, with an input of one image of the fixed size."""
-    plain = InstrumentNet()
+    plain = InstrumentNet()  # not in the memory format of training
     plain.load_state_dict(net.state_dict())
     names = {"input_names": ["image"], "output_names": ["scores"]}
     image = torch.zeros(1, 3, HEIGHT, WIDTH)

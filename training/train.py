@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import gettempdir
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -21,10 +19,7 @@ import numpy as np
 from svmdist.models import INSTRUMENTS
 from svmdist.profile import OnnxSegmentation
 from svmdist.vision.network import network_input
-from training.dataset import VALIDATION_SEED, Pictures, rendered, union_ious
-
-if TYPE_CHECKING:
-    from training.network import InstrumentNet
+from training.dataset import VALIDATION_SEED, rendered, union_ious
 
 MOST_BYTES = 4 << 20
 MOST_DIFFERENCE = 1e-3
@@ -42,47 +37,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cache", type=Path, default=Path(gettempdir(), "svmdist-segmentation-pictures"))
     given = parser.parse_args(arguments)
     try:
-        from training.network import STAGES, export, predicted, train
+        from training.network import STAGES, export, predicted, scores_of, train
     except ModuleNotFoundError as missing:
         print(
-            f"{missing.name} is not installed; training needs it: pip install torch==2.13.0 onnx, in an environment"
-            " of its own with svmdist",
+            f"{missing.name} is not installed: pip install torch==2.13.0 onnx, beside svmdist",
             file=sys.stderr,
         )
         return 1
     held_out = rendered(VALIDATION_SEED, given.validation, given.cache, given.processes)
     pictures = rendered(given.seed * given.pictures, given.pictures, given.cache, given.processes)
-    started = time.monotonic()
-
-    def say(step: int, loss: float, net: InstrumentNet) -> None:
-        line = f"step {step}: loss {loss:.4f}, {time.monotonic() - started:.0f} s"
-        if step % 250 == 0:
-            ious = union_ious(predicted(net, held_out.images[:100]), held_out.labels[:100])
-            line += f", IoU of instruments on 100 pictures not trained on {ious.mean():.3f}"
-        print(line, flush=True)
-
-    net = train(pictures, STAGES, given.seed, say)
+    net = train(pictures, STAGES, given.seed)
     ious = union_ious(predicted(net, held_out.images), held_out.labels)
     print(f"IoU of instruments on {len(ious)} pictures: mean {ious.mean():.3f}, median {np.median(ious):.3f}")
     given.model.parent.mkdir(parents=True, exist_ok=True)
     export(net, given.model)
-    return _checked(net, given.model, held_out)
-
-
-def _checked(net: InstrumentNet, model: Path, held_out: Pictures) -> int:
-    """Whether OpenCV's scores are PyTorch's, and the file is small enough."""
-    from training.network import scores_of
-
     difference = 0.0
-    rules = OnnxSegmentation.model_validate({**INSTRUMENTS, "method": "onnx", "model": model})
-    opencv = cv2.dnn.readNetFromONNX(str(model))
+    rules = OnnxSegmentation.model_validate({**INSTRUMENTS, "method": "onnx", "model": given.model})
+    opencv = cv2.dnn.readNetFromONNX(str(given.model))
     for image in held_out.images[:20]:
         opencv.setInput(network_input(np.array(image), rules))
         difference = max(difference, float(np.abs(opencv.forward() - scores_of(net, image[None])).max()))
-    size = model.stat().st_size
-    print(
-        f"{model}: {size / 2**20:.2f} MiB; scores by OpenCV {cv2.__version__} differ by at most {difference:.1e}"
-    )
+    size = given.model.stat().st_size
+    print(f"{given.model}: {size / 2**20:.2f} MiB; scores by OpenCV differ by at most {difference:.1e}")
     return 0 if size <= MOST_BYTES and difference <= MOST_DIFFERENCE else 1
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
 
 MethodChoice = StrEnum("MethodChoice", "overlay centroid fiducial shaft stereo kinematic fused")
 ComparePlot = Literal["compare"]
-"""`--plot`: the only one that there is."""
 
 
 class CompareOptions(GoldenLogOptions, CalibrationOption, ReadOptions, LagOption, WindowOptions, GroupOption):
@@ -103,32 +101,25 @@ def compare_command(given: CompareOptions) -> None:
     """
     from svmdist.report.scores import compare_results
     from svmdist.workflows.batch import Job
+    from svmdist.workflows.compare import Run as CompareRun
     from svmdist.workflows.compare import compared
     from svmdist.workflows.request import Request, prepare
 
     logs = Logs(given)
     require_output(given.output, logs.paths)
-    require_plot(given.save_plot, logs.paths)
-    if given.plot is not None and given.save_plot is None:
-        raise UsageError(f"--plot {given.plot}: says what --save-plot FILE draws, which is not given")
+    require_plot(given.save_plot, logs.paths, given.plot)
     writer = choose_writer(given.form, given.output, Holds.FIGURES)
     keys, lag = given.group_keys, given.given_lag
     conditions = given.conditions
     planar = ("overlay", "centroid")
     methods = list(dict.fromkeys(map(str, given.method or MethodChoice)))
+    files = {method: given.calibration if method in planar else None for method in methods}
     setups = tuple(
-        prepare(
-            given.profile,
-            method,
-            "corrected",
-            given.calibration if method in planar else None,
-            given.hand_eye,
-        )
-        for method in methods
+        prepare(given.profile, method, "corrected", files[method], given.hand_eye) for method in methods
     )
     request = Request(setups[0], given.topics, given.window, lag=lag, conditions=tuple(conditions))
-    run = logs.run(Job(compare_log, request, ComparedLog, (setups, keys)), "comparing")
-    scores = compared([one for result in run.results for one in result.runs], [one.method for one in setups])
+    run = logs.run(Job(compare_log, request, list[CompareRun], (setups, keys)), "comparing")
+    scores = compared([one for runs in run.results for one in runs], [one.method for one in setups])
     write_results(compare_results(scores), writer, given.output)
     if given.save_plot:
         from svmdist.report.plots import save_compare_plot
@@ -137,16 +128,9 @@ def compare_command(given: CompareOptions) -> None:
     raise typer.Exit(run.exit_code())
 
 
-@dataclass(frozen=True)
-class ComparedLog:
-    """The runs of one log."""
-
-    runs: tuple[Run, ...]
-
-
 def compare_log(
     recording: Recording, request: Request, threads: int, setups: tuple[Setup, ...], keys: tuple[str, ...]
-) -> ComparedLog:
+) -> list[Run]:
     """Measure a log with several methods under several conditions, with progress."""
     from svmdist.workflows.compare import measure_runs
     from svmdist.workflows.parallel import Steps, image_total
@@ -156,8 +140,7 @@ def compare_log(
     with progress_bar("comparing", "measurements") as advance:
         total = image_total([recording], lambda _: len(request.conditions) * len(setups))
         steps = Steps(advance, total)
-        runs = measure_runs(seen, setups, request.conditions, jobs=threads, by=by, advance=steps.advance)
-    return ComparedLog(tuple(runs))
+        return measure_runs(seen, setups, request.conditions, jobs=threads, by=by, advance=steps.advance)
 
 
 class BlurOptions(GoldenLogOptions, CalibrationOption, ReadOptions, WindowOptions):
@@ -183,8 +166,9 @@ def blur_bench_command(given: BlurOptions) -> None:
         svmdist blur-bench log.mcap --every 5 --kernel gaussian=9
     """
     from svmdist.report.scores import blur_results
+    from svmdist.vision.degradations import Blur
     from svmdist.workflows.batch import Job
-    from svmdist.workflows.blur_bench import blur_rows
+    from svmdist.workflows.blur_bench import BlurTally, blur_rows
     from svmdist.workflows.request import Request, prepare
 
     logs = Logs(given)
@@ -193,27 +177,22 @@ def blur_bench_command(given: BlurOptions) -> None:
     kernels_px = _kernels(given.kernel or [])
     setup = prepare(given.profile, "overlay", "corrected", given.calibration, given.hand_eye)
     request = Request(setup, given.topics, given.window)
-    run = logs.run(Job(blur_log, request, BlurredLog, (kernels_px,)), "measuring")
-    measured = blur_rows([result.tallies for result in run.results], kernels_px)
+    run = logs.run(Job(blur_log, request, dict[Blur, BlurTally], (kernels_px,)), "measuring")
+    measured = blur_rows(run.results, kernels_px)
     write_results(blur_results(measured, len(run.results)), writer, given.output)
     raise typer.Exit(run.exit_code())
 
 
-@dataclass(frozen=True)
-class BlurredLog:
-    """What was counted of one log under every blur, by its name."""
-
-    tallies: dict[Blur, BlurTally]
-
-
-def blur_log(recording: Recording, request: Request, threads: int, kernels_px: dict[Blur, int]) -> BlurredLog:
+def blur_log(
+    recording: Recording, request: Request, threads: int, kernels_px: dict[Blur, int]
+) -> dict[Blur, BlurTally]:
     """Measure a log under every blur, with progress."""
     from svmdist.workflows.blur_bench import blur_tallies
     from svmdist.workflows.parallel import Steps
 
     with progress_bar("Table I", "images") as advance:
         steps = Steps(advance, recording.image_count())
-        return BlurredLog(blur_tallies(recording, request.setup, kernels_px, threads, steps.advance))
+        return blur_tallies(recording, request.setup, kernels_px, threads, steps.advance)
 
 
 def _kernels(options: list[str]) -> dict[Blur, int]:

@@ -243,10 +243,10 @@ def _write_pictures(
         below_m = request.alarms.below_m if request.alarms else None
         save_series_plot(series_of(measured, request), SeriesPlot.TIME, plot, below_m)
     if report:
-        from svmdist.report.html import estimate_report, write_report
+        from svmdist.report.html import make_report, write_report
 
         with progress_bar("drawing the worst frames", "images") as advance:
-            page = estimate_report(measured, request, command_line(), jobs, logs, advance)
+            page = make_report(measured, request, command_line(), jobs=jobs, logs=logs, on_progress=advance)
         write_report(page, report)
 
 

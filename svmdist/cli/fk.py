@@ -74,25 +74,16 @@ def fk_command(given: FkOptions) -> None:
         raise UsageError(f"--format tum writes one trajectory, and {len(logs.files)} logs are given")
     topics = given.topics | ({"joints": given.joints} if given.joints else {})
     request = Request(Setup.reading(given.profile, given.hand_eye), topics, given.window)
-    run: Run[PoseCount] = Run(
-        logs, Job(pose_rows_of, request, PoseCount, (given.in_camera, several)), "computing"
-    )
+    run: Run[int] = Run(logs, Job(pose_rows_of, request, int, (given.in_camera, several)), "computing")
     columns = (*POSE_COLUMNS, Column("recording", TEXT)) if several else POSE_COLUMNS
     with no_progress() if terminal_width(given.output) is not None else nullcontext():
         write_results(Results(columns, started(run.rows())), writer, given.output)
     raise typer.Exit(run.exit_code())
 
 
-@dataclass(frozen=True)
-class PoseCount:
-    """How many poses a log gave."""
-
-    pose_count: int
-
-
 def pose_rows_of(
     recording: Recording, request: Request, _threads: int, in_camera: bool, named: bool
-) -> Generator[Row, None, PoseCount]:
+) -> Generator[Row, None, int]:
     """The rows of one recording, which name it where there are several; the errors against its poses are logged."""
     from svmdist.report.rows import pose_rows
     from svmdist.workflows.fk import fk_blocks
@@ -109,7 +100,7 @@ def pose_rows_of(
                     yield row | {"recording": recording.name} if named else row
                     count += 1
     sums.log(recording.name if named else "")
-    return PoseCount(count)
+    return count
 
 
 @dataclass

@@ -30,11 +30,7 @@ if TYPE_CHECKING:
 
 
 SeeingMethod = Literal["fiducial", "stereo", "shaft"]
-"""`--method` of hand-eye: what finds the tool in the images alone."""
-
-
 Against = Literal["kinematics", "pose"]
-"""`--against`: what the robot reports."""
 
 
 class HandEyeOptions(ProfileOptions, InstrumentOption, LagOption, WindowOptions):
@@ -85,7 +81,6 @@ def hand_eye_command(given: HandEyeOptions) -> None:
     writer = choose_writer(given.form, None, Holds.TABLES)
     lag, window, topics = given.given_lag, given.window, given.topics
     methods = [given.method] if given.method else _served(file, load_profile(given.profile), topics)
-    against = None if given.against is None else given.against
     failures: list[str] = []
     for method in methods:
         setup = prepare(given.profile, method)
@@ -95,7 +90,7 @@ def hand_eye_command(given: HandEyeOptions) -> None:
         found = {}
         for name in request.instruments or recording.instruments:
             with progress_bar(f"{method} finds {name}", "images") as advance:
-                found[name] = hand_eye(seen, setup, name, against, given.jobs, advance)
+                found[name] = hand_eye(seen, setup, name, given.against, given.jobs, advance)
         failures += [
             f"{method}, {name}: {one.reason}" for name, one in found.items() if isinstance(one, Failure)
         ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,20 +50,13 @@ def info_command(given: InfoOptions) -> None:
     require_output(given.output, logs.paths)
     setup = Setup.reading(given.profile, given.hand_eye)
     writer = choose_writer(given.form, given.output, Holds.TABLES)
-    job = Job(inspect_log, Request(setup, given.topics), InspectedLog, (writer.name != "csv",))
+    job = Job(inspect_log, Request(setup, given.topics), dict[str, Any], (writer.name != "csv",))
     found: list[Results] = []
-    run: Run[InspectedLog] = Run(logs, job, "inspecting")
+    run: Run[dict[str, Any]] = Run(logs, job, "inspecting")
     run.finish(found.append)
-    results = logs_results([(log.name, result.document) for log, _, result in run.measured])
+    results = logs_results([(log.name, document) for log, _, document in run.measured])
     write_results(found[0] if found else results, writer, given.output)
     raise typer.Exit(run.exit_code())
-
-
-@dataclass(frozen=True)
-class InspectedLog:
-    """The document of a log."""
-
-    document: dict[str, Any]
 
 
 def inspect_log(
@@ -73,8 +65,8 @@ def inspect_log(
     _threads: int,
     looks_for_tag: bool,
     keep: Callable[[Results], None] = lambda _: None,
-) -> InspectedLog:
-    """Read a whole log, and look for the profile's tag in some of its images; `keep` is given what is in it."""
+) -> dict[str, Any]:
+    """A whole log as a document, with the profile's tag looked for in some images; `keep` is given what is in it."""
     from svmdist.recording.summary import inspect_recording
     from svmdist.report.info import info_document, info_results
 
@@ -83,7 +75,7 @@ def inspect_log(
     tags = _look_for_tag(recording, request, summary) if looks_for_tag else None
     recording.health.join(summary.health)
     keep(info_results(summary, profile, tags))
-    return InspectedLog(info_document(summary, profile, tags))
+    return info_document(summary, profile, tags)
 
 
 def _look_for_tag(recording: Recording, request: Request, summary: RecordingSummary) -> TagCheck | None:

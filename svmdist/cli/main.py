@@ -61,12 +61,12 @@ class CommandGroup(TyperGroup):
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
         """Read the command line."""
-        with _interruptible(), _nearest_choice():
+        with _one_line():
             return super().make_context(*args, **kwargs)
 
     def invoke(self, *args: Any, **kwargs: Any) -> Any:
         """Run a subcommand."""
-        with _interruptible(), _nearest_choice():
+        with _one_line():
             return super().invoke(*args, **kwargs)
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
@@ -80,8 +80,8 @@ class CommandGroup(TyperGroup):
 
 
 @contextmanager
-def _interruptible() -> Iterator[None]:
-    """Turn an interrupt into one line and the exit code that shells give it; Typer would exit without a word."""
+def _one_line() -> Iterator[None]:
+    """Turn an interrupt, and a wrong value, into one line and an exit code; a wrong choice gets the nearest ones."""
     try:
         yield
     except Terminated as problem:
@@ -90,19 +90,12 @@ def _interruptible() -> Iterator[None]:
     except KeyboardInterrupt as problem:
         LOG.warning(with_notes("interrupted", problem))
         sys.exit(ExitCode.INTERRUPTED)
-
-
-@contextmanager
-def _nearest_choice() -> Iterator[None]:
-    """Name the nearest choice first for a wrong one, in place of Typer's words."""
-    try:
-        yield
     except typer.BadParameter as problem:
         found = re.fullmatch(r"(?:Value error, )?'(.*)' is not one of (.*)\.", problem.message)
         if found:
             name, choices = found[1], re.findall(r"'([^']*)'", found[2])
             problem.message = f"{name}: {did_you_mean(name, choices)}"
-        raise
+        raise UsageError(problem.format_message()) from None
 
 
 app = typer.Typer(

@@ -86,15 +86,7 @@ def choose_verbosity(*, quiet: bool, verbose: bool) -> None:
 
 
 Method = Literal["overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"]
-"""`--method`: the paper's, its ablation, and those in 3D."""
-
-
 PlanarMethod = Literal["overlay", "centroid"]
-"""`--method` where only the paper's and its ablation make sense."""
-
-
-EquationsChoice = Literal["corrected", "printed"]
-"""`--equations`: the readings of the paper's formulas."""
 
 
 def format_option(holds: Holds, more: str = "") -> Any:
@@ -234,16 +226,6 @@ class MethodOptions(CalibrationOption):
     )
 
 
-class EquationsOption(Options):
-    """Which reading of the paper's equations is used."""
-
-    equations: EquationsChoice = option(
-        "corrected",
-        "--equations",
-        "Reading of the paper's formulas: corrected, or printed, that is as published.",
-    )
-
-
 class InstrumentOption(Options):
     """Which instruments are measured."""
 
@@ -351,10 +333,14 @@ def group_name(metadata: Mapping[str, str], keys: Sequence[str]) -> str:
     return " ".join(f"{key}={metadata.get(key, 'none')}" for key in keys)
 
 
-class MeasureOptions(
-    MethodOptions, EquationsOption, ReadOptions, InstrumentOption, LagOption, AlarmOptions, WindowOptions
-):
+class MeasureOptions(MethodOptions, ReadOptions, InstrumentOption, LagOption, AlarmOptions, WindowOptions):
     """Everything of a measurement by one method."""
+
+    equations: Literal["corrected", "printed"] = option(
+        "corrected",
+        "--equations",
+        "Reading of the paper's formulas: corrected, or printed, that is as published.",
+    )
 
     def request(self) -> Request:
         """What is asked of each log, checked before the work; raises UsageError, ProfileError or CalibrationError."""

@@ -271,11 +271,13 @@ def require_report(report: Path | None, inputs: Iterable[LogPath] = ()) -> None:
     require_report_packages()
 
 
-def require_plot(path: Path | None, inputs: Iterable[LogPath] = ()) -> None:
-    """Raise OutputError for a plot that cannot be written, or has another ending than png, svg or pdf."""
+def require_plot(path: Path | None, inputs: Iterable[LogPath], kind: str | None = None) -> None:
+    """Raise OutputError for a plot that cannot be written, UsageError for another ending or a kind without a file."""
     if path is not None:
         plot_format(path)
         require_output(path, inputs)
+    elif kind is not None:
+        raise UsageError(f"--plot {kind}: says what --save-plot FILE draws, which is not given")
 
 
 def command_line() -> str:

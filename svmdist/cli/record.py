@@ -12,22 +12,15 @@ from svmdist.cli.output import LOG, ExitCode, progress_bar, require_output
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
-    from svmdist.perturbations.chosen import Perturbations
     from svmdist.workflows.episodes import Episodes
-
-
-ScenarioName = Literal["calibration", "sweep", "approach", "contact", "occlusion", "random"]
-"""`--scenario`."""
-
-
-WorldName = Literal["ideal", "real"]
-"""`--world`."""
 
 
 class RecordOptions(Options):
     """What `record` takes."""
 
-    scenario: ScenarioName = option("sweep", "--scenario", "Motion of the instrument.")
+    scenario: Literal["calibration", "sweep", "approach", "contact", "occlusion", "random"] = option(
+        "sweep", "--scenario", "Motion of the instrument."
+    )
     seed: int = option(
         1, "--seed N", "Seed of everything random; the same seed gives the same content.", min=0
     )
@@ -65,7 +58,7 @@ class RecordOptions(Options):
         "Make something other than log and profile say, as in focal=1 or backlash=0.5; may be repeated. "
         "Names and units: docs/simulation.md.",
     )
-    world: WorldName = option(
+    world: Literal["ideal", "real"] = option(
         "ideal",
         "--world",
         "ideal: log and profile are exact; real: everything is off as on real robots, drawn by seed.",
@@ -101,17 +94,6 @@ class RecordOptions(Options):
         False, "--skip-existing", "With --episodes: leave those that are there, to go on with the others."
     )
 
-    @property
-    def perturbations(self) -> Perturbations:
-        """All perturbations together; raises UsageError."""
-        from svmdist.perturbations.chosen import merged
-
-        groups = parse_perturbations("--perturb", self.perturb)
-        try:
-            return merged(groups)
-        except UsageError as problem:
-            raise UsageError(f"--perturb: {problem}") from None
-
 
 def record_command(given: RecordOptions) -> None:
     """Simulate the robot and write a recording.
@@ -124,7 +106,7 @@ def record_command(given: RecordOptions) -> None:
       Two cameras, a tag, and errors as real robots have them:
         svmdist record --stereo --tag --world real --seed 7 -o real-7.mcap
     """
-    from svmdist.perturbations.chosen import World, draw_world
+    from svmdist.perturbations.chosen import UNPERTURBED, World, draw_world
     from svmdist.profile import load_profile
     from svmdist.simulation import scene
     from svmdist.simulation.scenarios import Scenario
@@ -135,13 +117,11 @@ def record_command(given: RecordOptions) -> None:
         raise UsageError(f"--renderer {given.renderer}: images are drawn by tiny only; leave the option out")
     if given.skip_existing and (given.episodes is None or given.force):
         raise UsageError("--skip-existing goes with --episodes, and without --force")
-    path = (
-        given.output or Path()
-        if given.episodes
-        else given.output or Path(f"{given.scenario}-{given.seed}.mcap")
-    )
+    path = given.output or Path("" if given.episodes else f"{given.scenario}-{given.seed}.mcap")
     if given.episodes is None:
         require_output(path)
+    given_together = [",".join(given.perturb)] if given.perturb else []
+    (perturbations,) = parse_perturbations("--perturb", given_together) or (UNPERTURBED,)
     scenario = Scenario(given.scenario, given.seed, given.duration, given.rate)
     profile, world = load_profile(given.profile), World(given.world)
     options = scene.Options(
@@ -150,15 +130,15 @@ def record_command(given: RecordOptions) -> None:
         given.kinematic_error,
         parse_degradations("--degrade", given.degrade),
         given.arms,
-        draw_world(world, given.seed, given.perturbations),
+        draw_world(world, given.seed, perturbations),
         world,
     )
     if given.episodes is not None:
         series = Episodes(
-            *(scenario, profile, options, given.perturbations),
+            *(scenario, profile, options, perturbations),
             *(given.noise, given.jpeg, given.force, given.skip_existing),
         )
-        raise typer.Exit(_record_episodes(series, given.output or Path(), given.episodes, given.jobs))
+        raise typer.Exit(_record_episodes(series, path, given.episodes, given.jobs))
     with progress_bar(f"{scenario.name}, seed {given.seed}", "frames") as advance:
         result = record(
             scenario,

@@ -30,7 +30,6 @@ from svmdist.cli.output import (
     require_report,
     write_results,
 )
-from svmdist.errors import UsageError
 from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
@@ -42,11 +41,7 @@ if TYPE_CHECKING:
 
 
 TruthChoice = StrEnum("TruthChoice", "ground_truth tf pose kinematics")
-"""`--truth`."""
-
-
 PlotKind = Literal["fig6", "time", "residuals", "bland-altman", "calibration"]
-"""`--plot`."""
 
 
 class ValidateOptions(GoldenLogOptions, MeasureOptions, GroupOption):
@@ -114,9 +109,7 @@ def validate_command(given: ValidateOptions) -> None:
     for target in (given.output, given.write_baseline):
         require_output(target, logs.paths)
     require_report(given.report, logs.paths)
-    if given.plot is not None and given.save_plot is None:
-        raise UsageError(f"--plot {given.plot}: says what --save-plot FILE draws, which is not given")
-    require_plot(given.save_plot, logs.paths)
+    require_plot(given.save_plot, logs.paths, given.plot)
     keys = given.group_keys
     writer = choose_writer(given.form, given.output, Holds.FIGURES)
     stored = load_baseline(given.baseline) if given.baseline else None
@@ -190,13 +183,15 @@ def _write_report(
     keys: tuple[str, ...],
     path: Path,
 ) -> None:
-    from svmdist.report.html import validation_report, write_report
+    from svmdist.report.html import make_report, write_report
     from svmdist.report.scores import log_results, pooled_log_figures, ranked
 
     each = run.figures(keys)
     ranking = None if logs.is_one else log_results(ranked(each), pooled_log_figures(each))
     with progress_bar("drawing the worst frames", "images") as advance:
-        page = validation_report(result, measured, request, command_line(), logs.jobs, ranking, advance)
+        page = make_report(
+            measured, request, command_line(), result, jobs=logs.jobs, logs=ranking, on_progress=advance
+        )
     write_report(page, path)
 
 

@@ -48,9 +48,8 @@ class AlarmWatch:
         if not row.measured or clearance is None:
             return AlarmState()
         # That the model's surfaces overlap makes contact no less likely.
-        std_m = (
-            clearance.std_m if clearance.without_overlap_std_m is None else clearance.without_overlap_std_m
-        )
+        std_m = clearance.without_overlap_std_m
+        std_m = clearance.std_m if std_m is None else std_m
         probability = probability_below(self._rules.below_m, clearance.value_m, std_m or 0.0)
         speed_m_s = self._closing_speed_m_s(row.stamp_ns, clearance.value_m)
         contact_s = None

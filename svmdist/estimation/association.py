@@ -78,12 +78,9 @@ class EntryTracker:
         seen = seen[:MAX_REGIONS]
         entries = np.array([one.entry_px / self._size for one in seen]).reshape(-1, 2)
         ends = np.array([one.end_px / self._size for one in seen]).reshape(-1, 2)
-        cost = np.array(
-            [
-                [self._cost(track, stamp_ns, *place) for place in zip(entries, ends, strict=True)]
-                for track in self._tracks
-            ]
-        ).reshape(len(self._tracks), len(seen))
+        places = list(zip(entries, ends, strict=True))
+        cost = np.array([[self._cost(track, stamp_ns, *place) for place in places] for track in self._tracks])
+        cost = cost.reshape(len(self._tracks), len(seen))
         # What is surer an instrument is the likelier one where one name has a choice.
         cost = cost - np.log(np.array([max(one.evidence, 1e-3) for one in seen]).reshape(1, -1))
         hypotheses = sorted(
@@ -262,21 +259,15 @@ class Association:
         # What is not one's own: the other regions, and the pixels of the other shafts.
         masks = [regions.without(identity.blob) for identity in identities]
         if dark is not None:
-            axes = [
-                self._axis(tool, identity, regions, camera)
-                for tool, identity in zip(nominal, identities, strict=True)
-            ]
-            owner = dark.by_axis(axes)
-            masks = [
-                np.where((owner >= 0) & (owner != i), 255, mask).astype(np.uint8)
-                for i, mask in enumerate(masks)
-            ]
+            pairs = zip(nominal, identities, strict=True)
+            owner = dark.by_axis([self._axis(tool, identity, regions, camera) for tool, identity in pairs])
+            for i, mask in enumerate(masks):
+                mask[(owner >= 0) & (owner != i)] = 255
         return masks
 
     def _axis(
         self, tool: NominalInstrument | None, identity: Identity, regions: ColouredRegions, camera: Camera
     ) -> ShaftAxis | None:
-        """Where the shaft of an instrument runs: from its region, or from where that is expected."""
         if tool is None:
             return None
         if identity.blob is not None:

@@ -23,9 +23,8 @@ def with_tissue(frame: Frame) -> FrameResult:
     result, tissue = FrameResult(frame.stamp_ns, Status.NO_TISSUE), frame.scene.tissue
     if tissue is None:
         return result
-    result = result.with_image(
-        tissue_px=as_pixel(tissue.outline.centroid_px), tissue_area_px=tissue.region.area_px
-    )
+    tissue_px, area_px = as_pixel(tissue.outline.centroid_px), tissue.region.area_px
+    result = result.with_image(tissue_px=tissue_px, tissue_area_px=area_px)
     if tissue.pose is None:
         return result.rejected(Status.NO_TISSUE, "the tissue's ray does not meet the profile's plane")
     return result.rejected(Status.OK)
@@ -62,13 +61,10 @@ def measured(
         capsules = frame.arm.body.posed(pose, tool.joints, tool.has_plate)
         gap = separation(capsules, tissue.surface)
         std_m = float(np.hypot(clearance_std_m(gap, pose, tissue, coupling), frame.arm.body.surface_std_m))
-        clearance = Distance(
-            gap.distance_m,
-            _with_overlap(gap.distance_m, std_m),
-            as_vector(gap.direction),
-            as_vector(gap.on_instrument_m),
-            std_m,
-        )
+        # With all of an overlap in it: soft tissue has given way, or tool or tissue is elsewhere.
+        overlap_std_m = float(np.hypot(std_m, max(-gap.distance_m, 0.0)))
+        ends = as_vector(gap.direction), as_vector(gap.on_instrument_m)
+        clearance = Distance(gap.distance_m, overlap_std_m, *ends, std_m)
     distances = Distances(planar, spatial, clearance)
     return replace(with_tool(result, frame, tool), status=Status.OK, distances=distances)
 
@@ -108,11 +104,6 @@ def variance_along(direction: Array, point_m: Array, pose: ToolPose) -> float:
 def _moves(direction: Array, point_m: Array, pose: ToolPose) -> Array:
     """How far a pose's (δp, δθ) moves a point of the tool along a direction: derivative, shape (6,)."""
     return np.concatenate([direction, np.cross(point_m - pose.position_m, direction)])
-
-
-def _with_overlap(distance_m: float, std_m: float) -> float:
-    """The deviation with all of an overlap in it: soft tissue has given way, or tool or tissue is elsewhere."""
-    return float(np.hypot(std_m, max(-distance_m, 0.0)))
 
 
 def _length(offset_m: Array, covariance: Array) -> Distance:

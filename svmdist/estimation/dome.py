@@ -42,8 +42,7 @@ class PolarOutline:
     def normalised_radius(self, points_m: Array) -> Array:
         """0 at the apex, 1 on the outline, for points, shape (n, 2): shape (n,)."""
         from_apex = points_m - self.apex_m
-        before, after, span, share = self._between(from_apex)
-        del span
+        before, after, _, share = self._between(from_apex)
         reciprocal = self.reciprocal[before] + share * (self.reciprocal[after] - self.reciprocal[before])
         return np.asarray(np.hypot(from_apex[:, 0], from_apex[:, 1]) * reciprocal)
 
@@ -60,9 +59,8 @@ class PolarOutline:
         d_angle = _across(self.from_apex_m) * self.reciprocal[:, None] ** 2
         d_toward = _across(from_apex) / safe[:, None] ** 2
         d_span = d_angle[after] - d_angle[before]
-        d_share = (d_toward - d_angle[before] - share[:, None] * d_span) / np.where(span > 0.0, span, np.inf)[
-            :, None
-        ]
+        span = np.where(span > 0.0, span, np.inf)[:, None]
+        d_share = (d_toward - d_angle[before] - share[:, None] * d_span) / span
         d_here = d_reciprocal[before] + share[:, None] * (d_reciprocal[after] - d_reciprocal[before])
         d_here += d_share * rise[:, None]
         derivative = length[:, None] * d_here - reciprocal[:, None] * from_apex / safe[:, None]
@@ -111,13 +109,8 @@ class DomeModel:
     def over(outline_m: Array, T_camera_tissue: Array, rule: Dome) -> DomeModel:
         """The profile's dome over an outline in the camera frame, shape (n, 3) in m: the apex over the origin."""
         flat_m = transform_points(inverse(T_camera_tissue), outline_m)[:, :2]
-        stds = (
-            rule.apex_std_m,
-            rule.apex_std_m,
-            rule.height_std_m,
-            rule.gauge_exponent_std,
-            rule.height_exponent_std,
-        )
+        apex_std_m, exponent_stds = rule.apex_std_m, (rule.gauge_exponent_std, rule.height_exponent_std)
+        stds = (apex_std_m, apex_std_m, rule.height_std_m, *exponent_stds)
         shape = np.array([0.0, 0.0, rule.height_m, rule.gauge_exponent, rule.height_exponent])
         return DomeModel(T_camera_tissue, flat_m, shape, np.diag(np.square(stds)))
 
@@ -212,7 +205,6 @@ def _dome_vertices(outline_m: Array, shape: Array, profile: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def _unit_dome() -> Mesh:
-    """A round dome, whose faces and their groups all domes share."""
     angle = np.arange(SIDES) * (2.0 * np.pi / SIDES)
     profile = np.sqrt((1.0 - _ring_radii() ** 2).clip(0.0))
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -220,7 +212,6 @@ def _unit_dome() -> Mesh:
 
 
 def _fan_rings_and_floor() -> NDArray[np.int64]:
-    """Triangles, shape (f, 3): a fan at the apex, rings, and a fan that closes the floor from its last vertex."""
     side = np.arange(SIDES)
     after = (side + 1) % SIDES
     last = 1 + (RINGS - 1) * SIDES
@@ -268,15 +259,13 @@ def fit_dome(dome: DomeModel, surface: StereoSurface) -> DomeModel | None:
         error_m = height_m - now.height_m(flat_m)
         std_m = max(surface.std_m, scale_of(error_m - median(error_m)))
         J = now.derivative(flat_m)[:, free]
-        weight = (
-            FREEDOM / len(flat_m) / (SMOOTH_FRACTION * std_m) ** 2 / (1.0 + (error_m / (2.0 * std_m)) ** 2)
-        )
+        far = (error_m / (2.0 * std_m)) ** 2
+        weight = FREEDOM / len(flat_m) / (SMOOTH_FRACTION * std_m) ** 2 / (1.0 + far)
         weighted = J * weight[:, None]
         information = prior + weighted.T @ J
         step = np.zeros(SHAPE_SIZE)
-        step[free] = np.linalg.solve(
-            information, weighted.T @ error_m + prior @ (dome.shape - now.shape)[free]
-        )
+        pull = weighted.T @ error_m + prior @ (dome.shape - now.shape)[free]
+        step[free] = np.linalg.solve(information, pull)
         now = now.shaped(now.shape + step, dome.covariance)
         if np.abs(step / STEP_SETTLED).max() < 1.0:
             break

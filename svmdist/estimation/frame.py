@@ -80,10 +80,8 @@ class View:
     def regions_as_recorded(self) -> tuple[Region | None, Region | None]:
         """Tissue (eqs. 1, 2) and distal part (eqs. 7, 8) by the image as it is, for the paper's methods."""
         rules, masks, outline = self._arm.profile.segmentation, self.masks_as_recorded, self._settings.outline
-        return (
-            find_region(masks.tissue, rules.tissue, outline),
-            find_region(masks.instrument, rules.instrument, outline),
-        )
+        instrument = find_region(masks.instrument, rules.instrument, outline)
+        return find_region(masks.tissue, rules.tissue, outline), instrument
 
     @cached_property
     def distal_marker(self) -> DistalMarker | None:
@@ -105,12 +103,8 @@ class View:
         masks, instrument = self.masks, self._arm.profile.instrument
         if not masks.seen or instrument is None:
             return None
-        return find_silhouette(
-            self.context.bgr_as_recorded,
-            masks.seen[0],
-            masks.picture,
-            wrist_shape(self._arm.required_chain, instrument),
-        )
+        shape, image = wrist_shape(self._arm.required_chain, instrument), self.context.bgr_as_recorded
+        return find_silhouette(image, masks.seen[0], masks.picture, shape)
 
     @cached_property
     def shaft_region(self) -> ShaftRegion | None:
@@ -153,7 +147,6 @@ class Needs:
     right_view: bool = False  # whether it uses the right image
 
     def __or__(self, other: Needs) -> Needs:
-        """What several methods take."""
         return Needs(
             tuple(dict.fromkeys(self.scene + other.scene)),
             tuple(dict.fromkeys(self.frame + other.frame)),

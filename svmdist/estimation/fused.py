@@ -102,12 +102,8 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
         return
     # What one view shows more of moves its centroid by up to half of it.
     uneven = abs(region.area_px - other.area_px) / (region.area_px + other.area_px)
-    std_px = radius_px * float(
-        np.hypot(
-            INTERLACED_DISPARITY_NOISE if frame.scene.is_interlaced else TRACKED_DISPARITY_NOISE,
-            max(0.0, uneven - EVEN_AREA_FRACTION),
-        )
-    )
+    noise = INTERLACED_DISPARITY_NOISE if frame.scene.is_interlaced else TRACKED_DISPARITY_NOISE
+    std_px = radius_px * float(np.hypot(noise, max(0.0, uneven - EVEN_AREA_FRACTION)))
     other_px, _ = marker_centre(other, _disc(right.distal_marker), right.camera, depth_m, radius_m)
     yield DisparityMeasurement(
         "disparity",
@@ -309,9 +305,8 @@ class FusedEstimator:
         joints = JointSample(frame.stamp_ns, self._chain.joint_names, self._filter.corrected_joints())
         tool = ToolEstimate(self._filter.tool_pose(), joints, self._has_plate)
         if tissue is None:
-            return with_tool(result, frame, tool).rejected(
-                Status.NO_TISSUE, "no tissue, in this frame or before"
-            )
+            result = with_tool(result, frame, tool)
+            return result.rejected(Status.NO_TISSUE, "no tissue, in this frame or before")
         placed, coupling = self._followed.placed(tissue, frame, self._filter)
         found = measured(result, frame, tool, placed, coupling)
         doubt = consistency.doubt if found.measured else ""
@@ -319,7 +314,6 @@ class FusedEstimator:
 
 
 def _detail(gating: Sequence[GatingResult], height: GatingResult | None) -> str:
-    """What was not taken for true, for a person."""
     refused = [judged.name for judged in gating if not judged.is_accepted]
     alone = len(refused) == len(gating)
     if height is not None and not height.is_accepted:

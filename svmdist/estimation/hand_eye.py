@@ -96,16 +96,13 @@ def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | 
         agrees = now
     number = int(agrees.sum())
     if number < settings.min_count or number < MIN_FRACTION * count:
-        return Failure(
-            f"{number} of {count} places of the tool agree with the robot's motion: is it the same instrument, at the"
-            " same time (--lag)?"
-        )
+        said = f"{number} of {count} places of the tool agree with the robot's motion"
+        return Failure(f"{said}: is it the same instrument, at the same time (--lag)?")
     covariance, effects, ratio = _covariance(places, T, agrees)
     turn_std_rad = float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
     if not turn_std_rad <= settings.max_turn_std_rad:
-        return Failure(
-            f"the rotation is uncertain by {np.degrees(turn_std_rad):.0f}°: move the tool further, in all directions"
-        )
+        said = f"the rotation is uncertain by {np.degrees(turn_std_rad):.0f}°"
+        return Failure(f"{said}: move the tool further, in all directions")
     residuals_m = np.linalg.norm(_residuals(places, T), axis=1)
     return HandEyeFit(T, covariance, agrees, residuals_m, effects, ratio)
 
@@ -166,17 +163,10 @@ def _agrees(places: ToolPlaces, T: Array) -> NDArray[np.bool_]:
     return np.asarray(_normalised(places, T) <= GATE)
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """Whitened residuals (k,), derivatives (k, 6) and shared errors (k, m) of all measurements of agreeing frames."""
-
-    residual: Array
-    J: Array
-    H: Array
-
-
-def _rows(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], *, robust: bool = True) -> _Rows:
-    """Places, three rows a frame, then directions, two rows a frame."""
+def _rows(
+    places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], *, robust: bool = True
+) -> tuple[Array, Array, Array]:
+    """Whitened residuals (k,), derivatives (k, 6) and shared errors (k, m) of agreeing frames: places, then axes."""
     R = T[:3, :3]
     r = _residuals(places, T)[agrees]
     S = _place_covariance(places, T)[agrees]
@@ -209,17 +199,17 @@ def _rows(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], *, robust: bo
                 (weight * common).reshape(residual.size, shared.shape[2]),
             )
         )
-    return _Rows(*(np.concatenate([part[k] for part in parts]) for k in range(3)))
+    residual, J, H = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    return residual, J, H
 
 
 def _refined(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> Array:
-    """Gauss–Newton with Huber's weights, over the agreeing frames."""
     if agrees.sum() < 3:
         return T
     for _ in range(MAX_STEPS):
-        rows = _rows(places, T, agrees)
+        residual, J, _ = _rows(places, T, agrees)
         # Scaled, for metres and radians differ; least norm where a direction is not told.
-        step = np.linalg.lstsq(rows.J, rows.residual, rcond=1e-9)[0]
+        step = np.linalg.lstsq(J, residual, rcond=1e-9)[0]
         T = make_transform(rotation_of(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
         if np.abs(step).max() < 1e-10:
             break
@@ -235,20 +225,19 @@ def _covariance(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> tupl
     by what the residuals show or the settings say: errors of detections and play of joints last for some frames, where
     the covariances of single frames hide them. What is shared is added whole.
     """
-    rows = _rows(places, T, agrees)
-    information = rows.J.T @ rows.J
-    gain = np.linalg.pinv(information, hermitian=True)
-    plain = _rows(places, T, agrees, robust=False)
-    ratio = float(plain.residual @ plain.residual) / max(1, len(plain.residual) - 6)
+    _, J, H = _rows(places, T, agrees)
+    gain = np.linalg.pinv(J.T @ J, hermitian=True)
+    plain, _, _ = _rows(places, T, agrees, robust=False)
+    ratio = float(plain @ plain) / max(1, len(plain) - 6)
     number = int(agrees.sum())
-    series = plain.residual[: 3 * number].reshape(number, 3)
+    series = plain[: 3 * number].reshape(number, 3)
     power = float((series**2).sum())
     repeated = float((series[1:] * series[:-1]).sum()) / power if power > 0 else 0.0
     step_s = float(np.median(np.diff(places.stamps_ns[agrees]))) / 1e9
     repeated = min(max(repeated, float(np.exp(-step_s / CORRELATION_TIME_S))), 0.95)
     noise = max(1.0, ratio) * (1.0 + repeated) / (1.0 - repeated)
     # What was seen is off by H c, so the fit is off by as much, and its correction is the opposite.
-    effects = -gain @ rows.J.T @ rows.H
+    effects = -gain @ J.T @ H
     return noise * gain + effects @ effects.T, effects, ratio
 
 

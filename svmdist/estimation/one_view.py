@@ -73,10 +73,8 @@ def tool_from_tag(
     arm_m = T_camera_tool[:3, 3] - tag.T_camera_tag[:3, 3]
     J = np.eye(6)
     J[:3, 3:] = -skew(arm_m)
-    constants = sum(
-        (bias.jacobian @ bias.jacobian.T for bias in deviations.of_tag(tag.T_camera_tag, focal_px)),
-        np.zeros((6, 6)),
-    )
+    biases = deviations.of_tag(tag.T_camera_tag, focal_px)
+    constants = sum((bias.jacobian @ bias.jacobian.T for bias in biases), np.zeros((6, 6)))
     covariance = J @ (tag.covariance + constants) @ J.T
     covariance += _joint_covariance(robot, fiducial.link, T_camera_base[:3, :3], error)
     axis = T_camera_tool[:3, :3] @ wrist_in_tool(robot.chain, robot.q).shaft
@@ -97,11 +95,9 @@ def _joint_covariance(robot: RobotState, link: str, R_camera_base: Array, error:
             columns.append(error.length_std_m * np.concatenate([robot.frames[x_row][:3, 0], np.zeros(3)]))
         if row.joint == "fixed":
             continue
-        is_turning = row.joint == "revolute"
-        column = turning if is_turning else sliding
-        stds = (
-            (error.joint_std_rad, error.play_std_rad) if is_turning else (error.joint_std_m, error.play_std_m)
-        )
+        column, stds = sliding, (error.joint_std_m, error.play_std_m)
+        if row.joint == "revolute":
+            column, stds = turning, (error.joint_std_rad, error.play_std_rad)
         columns.append(float(np.hypot(*stds)) * column)
         late += robot.rates[chain.joint_names.index(row.name)] * column
     columns.append(error.time_offset_std_s * late)
@@ -183,11 +179,9 @@ class ShaftEstimator:
         std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
         farther = max(1.0, float(np.linalg.norm(fit.pose.position_m)) / NEAR_M)
         if not std_m <= farther * self._settings.max_position_std_m:
-            detail = f"the position is uncertain by {std_m * 1e3:.1f} mm"
-            return result.rejected(Status.UNCERTAIN, detail)
+            return result.rejected(Status.UNCERTAIN, f"the position is uncertain by {std_m * 1e3:.1f} mm")
         return measured(result, frame, ToolEstimate(fit.pose, frame.joints, self._has_plate), tissue.pose)
 
 
 def _status(shaft: ShaftDetection) -> Status:
-    """Why there is no pose: both edges were found, and do not tell one; or there is no instrument with two of them."""
     return Status.UNCERTAIN if len(shaft.contours) == 2 else Status.NO_INSTRUMENT

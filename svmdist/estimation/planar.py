@@ -59,8 +59,6 @@ def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: Pla
     return replace(result.with_image(tool_px=as_pixel(tool_px)), distances=distances)
 
 
-DEFAULT, DEFAULT_OUTLINE = MarkerSettings(), OutlineSettings()
-
 SUBPIXEL_BITS = 4  # OpenCV draws at 1/16 px with this shift
 
 
@@ -93,8 +91,8 @@ def detect_marker(
     template: Features,
     marker: Marker,
     rules: FeatureRules,
-    settings: MarkerSettings = DEFAULT,
-    outline: OutlineSettings = DEFAULT_OUTLINE,
+    settings: MarkerSettings,
+    outline: OutlineSettings,
 ) -> MarkerDetection:
     """Find the marker in its window, draw its outline, and take the outline's centroid by colour."""
     grey = to_grey(marked.window_bgr)
@@ -121,7 +119,7 @@ def detect_marker(
 
 
 def third_contour(
-    window_bgr: Image, corners_px: Array, marker: Marker, settings: OutlineSettings = DEFAULT_OUTLINE
+    window_bgr: Image, corners_px: Array, marker: Marker, settings: OutlineSettings
 ) -> Region | None:
     """Draw the outline on a copy of the window and find it again by its colour, gated at 100 px (eqs. 19, 20)."""
     height, width = window_bgr.shape[:2]
@@ -140,9 +138,8 @@ def third_contour(
 def draw_outline(image_bgr: Image, corners_px: Array, marker: Marker) -> None:
     """Draw the polyline of the outline into an image, in place, at sub-pixel corners of shape (4, 2)."""
     fixed = np.round(corners_px * (1 << SUBPIXEL_BITS)).astype(np.int32)
-    cv2.polylines(
-        image_bgr, [fixed], True, marker.outline_bgr, marker.outline_width_px, cv2.LINE_8, SUBPIXEL_BITS
-    )
+    colour, width_px = marker.outline_bgr, marker.outline_width_px
+    cv2.polylines(image_bgr, [fixed], True, colour, width_px, cv2.LINE_8, SUBPIXEL_BITS)
 
 
 class OverlayEstimator:

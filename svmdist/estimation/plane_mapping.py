@@ -108,20 +108,16 @@ def degeneracies(mapping: PlaneMapping, width_px: int, height_px: int) -> list[s
             " a pixel is 0.0254 cm there, not 0.0245"
         )
     for name, quadratic, size_px in (("(5), (23)", mapping.x, width_px), ("(6), (24)", mapping.y, height_px)):
-        row = _turning_pixel(mapping, quadratic)
+        turning_cm = quadratic.turning_point_cm()
+        row = turning_cm / CM_PER_PIXEL
+        if mapping.equations == "printed":
+            row = (1.0 - turning_cm * 100.0) / 2.54
         if 0 <= row < size_px:
             warnings.append(
                 f"eqs. {name} turn around at pixel {row:.0f} of {size_px}: positions on both sides of it"
                 " are mapped to the same place"
             )
     return warnings
-
-
-def _turning_pixel(mapping: PlaneMapping, quadratic: Quadratic) -> float:
-    turning_cm = quadratic.turning_point_cm()
-    if mapping.equations == "printed":
-        return (1.0 - turning_cm * 100.0) / 2.54
-    return turning_cm / CM_PER_PIXEL
 
 
 MIN_SAMPLE_COUNT = 12  # four per coefficient: fewer leave the residuals without meaning
@@ -227,15 +223,12 @@ def fit_calibration(
 ) -> Calibration:
     """Fit eqs. (5) and (6) by least squares; CalibrationError for few samples, a small span, no focal length."""
     if not (np.all(np.isfinite(camera.K)) and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
-        raise CalibrationError(
-            "expected a camera with intrinsics to calibrate: found"
-            f" fx_px = {camera.K[0, 0]:g}, fy_px = {camera.K[1, 1]:g}"
-        )
+        found = f"fx_px = {camera.K[0, 0]:g}, fy_px = {camera.K[1, 1]:g}"
+        raise CalibrationError(f"expected a camera with intrinsics to calibrate: found {found}")
     count = len(samples.tool_px)
     if count < MIN_SAMPLE_COUNT:
-        raise CalibrationError(
-            f"expected at least {MIN_SAMPLE_COUNT} measured frames to calibrate, found {count}"
-        )
+        expected = f"expected at least {MIN_SAMPLE_COUNT} measured frames to calibrate"
+        raise CalibrationError(f"{expected}, found {count}")
     for axis, size_px in ((0, camera.width_px), (1, camera.height_px)):
         span = float(np.ptp(samples.tool_px[:, axis]))
         if span < 0.25 * size_px:

@@ -276,7 +276,6 @@ class RegionTracker:
     def _assign(
         self, expected: Sequence[Gaussian | None], blobs: Sequence[Blob], cost: Array
     ) -> list[int | None]:
-        """The likeliest assignment of all, less what is not sure enough."""
         hypotheses = [(self._total(h, cost), h) for h in assignments(*cost.shape)]
         best_cost, best = min(hypotheses, key=lambda item: item[0])
         found = list(best)

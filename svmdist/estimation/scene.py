@@ -78,13 +78,8 @@ class Arm:
 
         if self.chain is None:
             return Failure(f"profile {self.profile.name} has no [robot]")
-        return RobotState.of(
-            self.chain,
-            observation.joints,
-            observation.T_camera_base,
-            observation.stamp_ns,
-            observation.joint_track,
-        )
+        seen = observation
+        return RobotState.of(self.chain, seen.joints, seen.T_camera_base, seen.stamp_ns, seen.joint_track)
 
 
 class Scene:
@@ -137,11 +132,6 @@ class Scene:
         tissue, pair = self.tissue, self.stereo_pair
         if tissue is None or self.right is None or isinstance(pair, Failure):
             return None
-        return detect_stereo_surface(
-            self.left.grey,
-            self.right.grey,
-            pair,
-            tissue.region.hull,
-            (self.left.masks.tissue, self.right.masks.tissue),
-            self._profile.stereo_in_range,
-        )
+        masks = (self.left.masks.tissue, self.right.masks.tissue)
+        left, right, hull = self.left.grey, self.right.grey, tissue.region.hull
+        return detect_stereo_surface(left, right, pair, hull, masks, self._profile.stereo_in_range)

@@ -11,6 +11,7 @@ from svmdist.estimation.frame import Frame, Needs, View
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.shaft_detection import wrist_marker
+from svmdist.estimation.instrument.shaft_fit import doubted
 from svmdist.estimation.instrument.shaft_model import Landmarks, shaft_model
 from svmdist.estimation.instrument.stereo_fit import fit_two_views
 from svmdist.estimation.instrument.two_views import DisparityWatch, StereoMatch, TwoViews, match_distal_marker
@@ -52,8 +53,8 @@ def nominal_orientation_pose(match: StereoMatch, pair: RectifiedPair, nominal: T
     return ToolPose(T_camera_tool, covariance, nominal.axis)
 
 
+# Deviation of the distance from hinge to the shaft's end where the profile does not state it, over itself
 UNKNOWN_END = 0.5
-"""Deviation of the distance from hinge to the shaft's end where the profile does not state it, over itself."""
 
 
 class StereoEstimator:
@@ -91,9 +92,8 @@ class StereoEstimator:
         # The tissue's surface, and the distances. A surface by stereo has its own error in place of the dome's.
         surface, seen = frame.scene.stereo_surface, tissue.pose
         if surface is None:
-            result = replace(
-                result, detail="the views do not agree on the tissue's surface: the profile's is used"
-            )
+            said = "the views do not agree on the tissue's surface: the profile's is used"
+            result = replace(result, detail=said)
         else:
             std_m = float(np.hypot(surface.std_m, self._calibration_std_m(surface, frame)))
             depth_m = float(np.median(surface.points_m[:, 2]))
@@ -105,19 +105,14 @@ class StereoEstimator:
     def _off_plane_m(self, surface: StereoSurface, std_m: float) -> float:
         """How far the surface stands off where the profile's plane and shape allow it, 0 where it does not."""
         tissue = self._tissue
-        height_m = surface.points_m @ np.array(tissue.plane_normal) + tissue.plane_distance_m
-        top_m = 0.0 if tissue.dome is None else tissue.dome.height_m
         if tissue.mesh is not None:
             return 0.0
-        shape_m = tissue.surface_std_m if tissue.dome is None else tissue.dome.height_std_m
-        beside_m = float(np.linalg.norm(np.median(surface.points_m, 0)[:2]))
-        parts = (
-            std_m,
-            tissue.plane_distance_std_m,
-            tissue.motion_std_m,
-            shape_m,
-            tissue.plane_tilt_std_rad * beside_m,
-        )
+        height_m = surface.points_m @ np.array(tissue.plane_normal) + tissue.plane_distance_m
+        top_m, shape_m = 0.0, tissue.surface_std_m
+        if tissue.dome is not None:
+            top_m, shape_m = tissue.dome.height_m, tissue.dome.height_std_m
+        tilt_m = tissue.plane_tilt_std_rad * float(np.linalg.norm(np.median(surface.points_m, 0)[:2]))
+        parts = (std_m, tissue.plane_distance_std_m, tissue.motion_std_m, shape_m, tilt_m)
         allowed_m = DEPTH_GATE_STDS * float(np.linalg.norm(parts))
         middle_m = float(np.median(height_m))
         off_m = max(-middle_m, middle_m - top_m, 0.0)
@@ -154,7 +149,11 @@ class StereoEstimator:
         return pose
 
     def _fitted(self, frame: Frame, pair: RectifiedPair, match: StereoMatch | Failure) -> ToolPose | Failure:
-        instrument, settings = self._profile.instrument, self._profile.settings
+        instrument, settings, shaft = (
+            self._profile.instrument,
+            self._profile.settings,
+            self._profile.settings.shaft,
+        )
         right, right_view = frame.scene.observation.right, frame.right
         assert instrument is not None
         assert right is not None  # the pair has one
@@ -162,9 +161,7 @@ class StereoEstimator:
         if frame.left.region is None and right_view.region is None:
             # What hides the distal part ends the shaft, too: its end is then anywhere.
             return Failure("the instrument's distal part is hidden in both views")
-        model = shaft_model(
-            frame.robot, self._chain, instrument, self._profile.kinematic_error, settings.shaft
-        )
+        model = shaft_model(frame.robot, self._chain, instrument, self._profile.kinematic_error, shaft)
         if isinstance(match, StereoMatch) and match.is_other_part:
             # What is coloured is not what the profile describes: it is somewhere about the tool's origin.
             place_m = OTHER_PART_PLACE * instrument.knuckle_radius_m
@@ -179,7 +176,6 @@ class StereoEstimator:
             pair,
             TOOL_SPEED_M_S * abs(right.delay_s),
         )
-        shaft = settings.shaft
         if instrument.shaft_end_m is None:  # where the dark part ends is guessed from another size
             shaft = shaft.model_copy(update={"end_model_std_m": UNKNOWN_END * model.neck_m})
         found = fit_two_views(seen, model, frame.arm.deviations, shaft, settings.stereo)
@@ -187,12 +183,8 @@ class StereoEstimator:
             return found
         if found.check is not None:
             self._watch.add(found.check)
-        pose, doubt = found.fit.pose, self._watch.doubt
-        if doubt > 0.0:
-            covariance = pose.covariance.copy()
-            covariance[:3, :3] += doubt**2 * np.outer(pose.position_m, pose.position_m)
-            pose = replace(pose, covariance=covariance)
-        return pose
+        doubt = self._watch.doubt
+        return doubted(found.pose, doubt**2) if doubt > 0.0 else found.pose
 
     def _triangulated(
         self, frame: Frame, pair: RectifiedPair, match: StereoMatch | Failure

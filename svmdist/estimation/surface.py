@@ -24,9 +24,7 @@ CLEAN_MISMATCH_PX = 0.36  # in those measurements; JPEG and noise shift pixels a
 DEFAULT = StereoSettings()
 DEGREE = 3
 SCALE_PX = 100.0
-TERMS = tuple(
-    (i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)
-)  # the powers of u and v in each term
+TERMS = tuple((i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i))  # powers of u and v
 BRIGHTNESS_TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 """Powers of u and v by which the views may differ in brightness."""
 # Pixels used in the alignment: beyond some ten thousand, noise is no longer what limits it
@@ -107,7 +105,6 @@ def _basis(points_px: Array, centre_px: Array) -> Array:
 
 
 def _fit_robustly(B: Array, disparity_px: Array) -> Array:
-    """Iteratively reweighted least squares with Cauchy's weights."""
     weight: Array = np.ones(len(disparity_px))
     coefficients: Array = np.zeros(B.shape[1])
     for _ in range(START_STEPS):
@@ -130,7 +127,7 @@ def _align(
     coefficients: Array,
 ) -> tuple[Array, float]:
     """Gauss–Newton on right(u - d(u, v), v) - left(u, v) on a grid, brightness free: coefficients, mismatch in px."""
-    left, slope = _smoothed_with_slope(left_grey, columns, rows, SMOOTHING_PX)
+    left, slope = _smoothed_with_slope(left_grey, columns, rows)
     right, first_row = _smoothed_where_seen(right_grey, right_region, rows)
     u, v = (
         np.vander((px - middle) / SCALE_PX, 2 * DEGREE + 1, increasing=True)
@@ -178,13 +175,13 @@ def _brightness_field(error: Array, usable: NDArray[np.bool_], u: Array, v: Arra
 
 
 def _smoothed_with_slope(
-    grey: Image, columns: NDArray[np.intp], rows: NDArray[np.intp], smoothing_px: float
+    grey: Image, columns: NDArray[np.intp], rows: NDArray[np.intp]
 ) -> tuple[Array, Array]:
     """The smoothed image and its slope along x in levels per px on a grid, shape (h, w) each."""
-    margin = int(4 * smoothing_px) + 2
+    margin = int(4 * SMOOTHING_PX) + 2
     top, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
     window = grey[top : int(rows[-1]) + margin + 1, left : int(columns[-1]) + margin + 1]
-    smooth = np.asarray(cv2.GaussianBlur(window, (0, 0), smoothing_px), np.uint8)
+    smooth = np.asarray(cv2.GaussianBlur(window, (0, 0), SMOOTHING_PX), np.uint8)
     slope = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3)
     grid = np.ix_(rows - top, columns - left)
     return smooth[grid].astype(np.float64), slope[grid].astype(np.float64) / 8.0
@@ -197,8 +194,7 @@ def _smoothed_where_seen(
     margin = max(int(4 * SMOOTHING_PX) + 2, MARGIN_PX)
     top, bottom = max(int(rows[0]) - margin, 0), int(rows[-1]) + margin + 1
     smooth = cv2.GaussianBlur(grey[top:bottom], (0, 0), SMOOTHING_PX).astype(np.float32)
-    side_px = max(MARGIN_PX, 1)
-    inside = cv2.erode(region[top:bottom], np.ones((side_px, side_px), np.uint8))
+    inside = cv2.erode(region[top:bottom], np.ones((MARGIN_PX, MARGIN_PX), np.uint8))
     smooth[inside == 0] = np.nan
     return np.asarray(smooth, np.float32), top
 
@@ -249,9 +245,8 @@ def detect_stereo_surface(
     """The tissue's surface inside its hull in the left image, under the instrument too; None if the views disagree."""
     if pair.R_rows_left is not None:
         left_grey, right_grey, masks, hull = _turned(left_grey, right_grey, pair, hull, masks)
-    far_px, near_px = (
-        pair.disparity_at(depth_m) + pair.offset_px for depth_m in (settings.far_m, settings.near_m)
-    )
+    limits_m = (settings.far_m, settings.near_m)
+    far_px, near_px = (pair.disparity_at(depth_m) + pair.offset_px for depth_m in limits_m)
     bounds = (int(np.floor(far_px)), int(np.ceil(near_px)))
     surface = fit_surface(left_grey, right_grey, *masks, *bounds, settings)
     if surface is None or surface.agreeing_fraction < MIN_AGREEING_MATCHES:

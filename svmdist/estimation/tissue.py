@@ -99,9 +99,8 @@ def tissue_pose(
         return TissuePose(position_m, covariance, dome.mesh(), tissue.surface_std_m, dome, of_outline)
     surface: Surface = plane
     if tissue.mesh is not None:
-        surface = tissue_mesh(tissue).transformed(
-            tissue_frame(position_m, plane.normal) @ tissue.T_tissue_mesh
-        )
+        T_camera_mesh = tissue_frame(position_m, plane.normal) @ tissue.T_tissue_mesh
+        surface = tissue_mesh(tissue).transformed(T_camera_mesh)
     return TissuePose(position_m, covariance, surface, tissue.surface_std_m, None, of_outline)
 
 
@@ -160,9 +159,8 @@ def _position_covariance(
     """Of the outline's pixels alone, and with the plane's distance and tilt, to first order: X = offset / (n · r) r."""
     ray = position_m / position_m[2]
     slope = float(plane.normal @ ray)
-    nudged = pixel_rays(
-        camera, outline.centroid_px + np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
-    )
+    steps_px = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+    nudged = pixel_rays(camera, outline.centroid_px + steps_px)
     on_plane = meet_plane(nudged, plane)
     J_px = np.stack([on_plane[0] - on_plane[1], on_plane[2] - on_plane[3]], -1)
     of_outline = J_px @ outline.covariance_px2 @ J_px.T

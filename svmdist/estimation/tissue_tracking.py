@@ -90,8 +90,7 @@ class TissueTracker:
     @property
     def wants_shape(self) -> bool:
         """Whether another view of the dome's shape is worth its time."""
-        every = SHAPE_COUNT
-        return self._frame_count < every or self._frame_count % every == 0
+        return self._frame_count < SHAPE_COUNT or self._frame_count % SHAPE_COUNT == 0
 
     def add_shape(self, dome: DomeModel) -> None:
         """Take up a dome as stereo shows it."""
@@ -106,10 +105,8 @@ class TissueTracker:
             if self._outlier_count < self._settings.moved_count:
                 return self.now()
             self._best, self._frame_count = None, 0
-            self._place, self._shape = (
-                CorrelatedMean(2, self._settings),
-                CorrelatedMean(SHAPE_SIZE, self._settings),
-            )
+            self._place = CorrelatedMean(2, self._settings)
+            self._shape = CorrelatedMean(SHAPE_SIZE, self._settings)
         self._outlier_count = 0
         self._frame_count += 1
         self._place.add(pose.position_m, pose.own_covariance)
@@ -195,19 +192,11 @@ def measured_height(
     stereo_biases = (bias.scaled(along_normal) for bias in depth_biases(at_m, camera, right, deviations))
     by_shape = dome.derivative(points_m[inner, :2]).mean(0)
     dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
-    own = SharedBias(
-        OUTLINE,
-        np.array([[np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)]]),
-        HEIGHT_CORRELATION_TIME_S,
-    )
+    lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
+    own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
     noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
-    part = Linearised(
-        np.array([over_m]),
-        np.zeros((1, 0)),
-        (own, *height.biases(np.ones(1)), *stereo_biases),
-        np.array([[noise_m2]]),
-    )
-    return part, over_m
+    biases = (own, *height.biases(np.ones(1)), *stereo_biases)
+    return Linearised(np.array([over_m]), np.zeros((1, 0)), biases, np.array([[noise_m2]])), over_m
 
 
 def depth_biases(

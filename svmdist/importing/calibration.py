@@ -48,7 +48,7 @@ class StatedCamera:
 
 @dataclass(frozen=True)
 class CalibrationOptions:
-    """Where the calibration comes from: files, or (fx, fy, cx, cy) in px; `unit_m` is the unit of lengths in files."""
+    """Files, or (fx, fy, cx, cy) in px; `unit_m` is the unit of lengths in files."""
 
     files: tuple[Path | None, Path | None] = (None, None)
     intrinsics: tuple[tuple[float, ...] | None, tuple[float, ...] | None] = (None, None)
@@ -59,7 +59,7 @@ class CalibrationOptions:
 
 
 def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[StatedCamera, ...]:
-    """The cameras of one view or two, as given; raises UsageError and SourceError in one line."""
+    """The cameras of one view or two, as given; raises UsageError and SourceError."""
     (left_file, right_file), (left_K, right_K) = options.files, options.intrinsics
     if left_file is not None and left_K is not None:
         raise UsageError("--calibration and --camera cannot be combined; give one")
@@ -74,8 +74,13 @@ def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[Stated
             raise UsageError(
                 "--right-calibration goes with --calibration; beside --camera it is --right-camera"
             )
-        rights = [right_K or left_K] if view_count == 2 else []
-        found = tuple(_from_numbers(K, options) for K in (left_K, *rights))
+        D = np.array(options.distortion, np.float64)
+        try:
+            model = _model_of(options.distortion_model, D.size)
+        except ValueError as problem:
+            raise UsageError(f"--distortion: {problem}") from None
+        views = (left_K, right_K or left_K)[:view_count]
+        found = tuple(StatedCamera(_intrinsic_matrix(*K), D, model) for K in views)
     else:
         raise UsageError("a camera needs a calibration: --calibration FILE, or --camera FX,FY,CX,CY")
     if view_count == 1:
@@ -112,47 +117,23 @@ def complete(
         R = np.eye(3) if camera.R is None else camera.R
         model = cast(DistortionModel, camera.model)
         cameras.append(Camera(width_px, height_px, camera.K, camera.D, R, P, frame_id, model))
-    if len(cameras) == 2:
-        _check_pair(stereo_transform(cameras[0], cameras[1]))
-    return cameras
-
-
-def _check_pair(T_left_right: Array | None) -> None:
-    """SourceError where the right camera is not to the right, or further away than any pair is."""
+    T_left_right = stereo_transform(cameras[0], cameras[1]) if len(cameras) == 2 else None
     if T_left_right is None:
-        return  # no baseline is known: the caller says so
+        return cameras  # of a pair, no baseline is known: the caller says so
+    x_m, y_m, _ = T_left_right[:3, 3]
     baseline_m = float(np.linalg.norm(T_left_right[:3, 3]))
     if not PLAUSIBLE_BASELINE_M[0] <= baseline_m <= PLAUSIBLE_BASELINE_M[1]:
         raise SourceError(
             f"the cameras are {baseline_m:g} m apart: if the calibration is in mm, say --unit mm"
         )
-    if abs(T_left_right[1, 3]) > abs(T_left_right[0, 3]):
+    if abs(y_m) > abs(x_m):
         raise SourceError("one camera stands above the other one; a pair is expected to stand side by side")
-    if T_left_right[0, 3] <= 0:
+    if x_m <= 0:
         raise SourceError(
-            f"the right camera stands {-T_left_right[0, 3] * 1e3:.3g} mm to the left of the left one:"
-            " exchange the views and their calibrations"
+            f"the right camera stands {-x_m * 1e3:.3g} mm to the left of the left one: exchange the views and their"
+            " calibrations"
         )
-
-
-def _from_numbers(K: tuple[float, ...], options: CalibrationOptions) -> StatedCamera:
-    D = np.array(options.distortion, np.float64)
-    try:
-        return StatedCamera(_intrinsic_matrix(*K), D, _model_of(options.distortion_model, D.size))
-    except ValueError as problem:
-        raise UsageError(f"--distortion: {problem}") from None
-
-
-def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...]:
-    """The cameras of a file: one, or the left and the right one of a pair.
-
-    `unit_m` is the unit of its lengths. Raises SourceError in one line for a file of another form.
-    """
-    document = read_yaml(path)
-    try:
-        return _cameras_in(document, unit_m)
-    except ValueError as problem:
-        raise SourceError(f"{path}: {problem}") from None
+    return cameras
 
 
 class _Loader(yaml.SafeLoader):
@@ -170,8 +151,11 @@ _Loader.add_constructor(
 )
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
-    """The first document of a YAML file, which must be a mapping; SourceError in one line for anything else."""
+def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...]:
+    """The cameras in the first document of a YAML file: one, or the left and the right one of a pair.
+
+    `unit_m` is the unit of its lengths. Raises SourceError in one line for a file of another form.
+    """
     try:
         text = OPENCV_HEADER.sub("", read_regular(path, MAX_BYTES).decode("utf-8"))
         document = next(iter(yaml.load_all(text, _Loader)), None)
@@ -183,7 +167,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise SourceError(
             f"{path}: expected a YAML mapping of a calibration, found {type(document).__name__}"
         )
-    return {str(key): value for key, value in document.items()}
+    try:
+        return _cameras_in({str(key): value for key, value in document.items()}, unit_m)
+    except ValueError as problem:
+        raise SourceError(f"{path}: {problem}") from None
 
 
 def _cameras_in(document: dict[str, Any], unit_m: float) -> tuple[StatedCamera, ...]:
@@ -193,10 +180,8 @@ def _cameras_in(document: dict[str, Any], unit_m: float) -> tuple[StatedCamera, 
     size_px = _size(document)
     for keys in PAIR_K_KEYS:
         if set(keys) <= set(document):
-            left, right = (
-                _camera(document, (key,), D_keys, size_px=size_px)
-                for key, D_keys in zip(keys, PAIR_D_KEYS, strict=True)
-            )
+            of_each = zip(keys, PAIR_D_KEYS, strict=True)
+            left, right = (_camera(document, (key,), D_keys, "", size_px) for key, D_keys in of_each)
             R, t = _numbers(document, ("R",), (3, 3)), _numbers(document, ("T", "t"), None)
             if R is None or t is None or t.size != 3:
                 raise ValueError("a pair needs R (3 x 3) and T (3): where the right camera stands")
@@ -241,10 +226,9 @@ def _camera(
     document: dict[str, Any],
     K_keys: Sequence[str],
     D_keys: Sequence[str],
-    model: str = "",
-    size_px: tuple[int, int] | None = None,
+    model: str,
+    size_px: tuple[int, int] | None,
 ) -> StatedCamera:
-    """A camera by the keys of its matrix and its distortion."""
     K, D = _numbers(document, K_keys, (3, 3)), _numbers(document, D_keys, None)
     D = np.zeros(0) if D is None else D
     if K is None or not (K[0, 0] > 0 and K[1, 1] > 0):
@@ -259,17 +243,13 @@ def _rectified(
     """A pair with the R and P that make its views parallel, where p_right = R_right_left p_left + t_m."""
     import cv2
 
-    size = left.size_px or (
-        round(2 * left.K[0, 2]),
-        round(2 * left.K[1, 2]),
-    )  # has no effect on R and P[:, 3]
+    # The size has no effect on R and P[:, 3].
+    size_px = left.size_px or (round(2 * left.K[0, 2]), round(2 * left.K[1, 2]))
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
-        left.K, np.zeros(5), right.K, np.zeros(5), size, R_right_left, np.reshape(t_m, (3, 1))
+        left.K, np.zeros(5), right.K, np.zeros(5), size_px, R_right_left, np.reshape(t_m, (3, 1))
     )
-    return (
-        replace(left, R=np.asarray(R1), P=np.asarray(P1)),
-        replace(right, R=np.asarray(R2), P=np.asarray(P2)),
-    )
+    found = ((left, R1, P1), (right, R2, P2))
+    return tuple(replace(camera, R=np.asarray(R), P=np.asarray(P)) for camera, R, P in found)
 
 
 def _intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> Array:
@@ -311,13 +291,6 @@ def _numbers(document: dict[str, Any], keys: Sequence[str], shape: tuple[int, in
 
 def _size(document: dict[str, Any]) -> tuple[int, int] | None:
     """Width and height in px; None where there are none, or zeros."""
-    width, height = (
-        next((document[key] for key in keys if key in document), None) for keys in (WIDTH_KEYS, HEIGHT_KEYS)
-    )
-    if width is None or height is None:
-        return None
-    try:
-        width_px, height_px = int(str(width)), int(str(height))
-    except ValueError:
-        raise ValueError(f"expected a width and a height in px, found {width} and {height}") from None
+    size = [_numbers(document, keys, None) for keys in (WIDTH_KEYS, HEIGHT_KEYS)]
+    width_px, height_px = (0 if number is None or number.size != 1 else int(number[0]) for number in size)
     return (width_px, height_px) if width_px > 0 and height_px > 0 else None

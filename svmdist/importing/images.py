@@ -43,14 +43,12 @@ def matching(left: Sequence[Path], right: Sequence[Path]) -> list[Path]:
     keys = {_number(path): path for path in right}
     if len(keys) < len(right):
         raise SourceError(f"{right[0].parent}: right images whose names have the same last number")
-    matched = []
     for path in left:
-        other = keys.get(_number(path))
-        if other is None:
+        if _number(path) not in keys:
             raise SourceError(
                 f"{path.name}: there is no right image of that number, as {right[0].name} has one"
             )
-        matched.append(other)
+    matched = [keys[_number(path)] for path in left]
     if len(right) > len(left):
         lonely = min(set(right) - set(matched), key=_natural_key)
         raise SourceError(f"{lonely.name}: there is no left image of that number, as {left[0].name} has one")

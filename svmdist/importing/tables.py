@@ -9,9 +9,10 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,7 @@ class ImageTimes:
 def parse_stamp_ns(text: str, unit: str | None = None) -> int:
     """A stamp in ns; without a unit (s, ms, us, ns) it follows from the size, for times since 1970.
 
-    Raises ValueError for text that is no number, and for a stamp that is negative or beyond 64 bits.
+    Raises ValueError for text that is not a number, and for a stamp that is negative or beyond 64 bits.
     """
     try:
         value = Decimal(text)
@@ -85,11 +86,11 @@ def stamps_from_names(names: Sequence[str]) -> list[int] | None:
 
 def require_rising(stamps_ns: Sequence[int], names: Sequence[str], what: str) -> None:
     """Raise SourceError where a stamp is not after the one before it."""
-    for number in range(1, len(stamps_ns)):
-        if stamps_ns[number] <= stamps_ns[number - 1]:
+    rows = list(zip(stamps_ns, names, strict=True))
+    for (before_ns, before), (stamp_ns, name) in pairwise(rows):
+        if stamp_ns <= before_ns:
             raise SourceError(
-                f"{what}: the time of {names[number]} ({stamps_ns[number]} ns) is not after that of"
-                f" {names[number - 1]} ({stamps_ns[number - 1]} ns)"
+                f"{what}: the time of {name} ({stamp_ns} ns) is not after that of {before} ({before_ns} ns)"
             )
 
 
@@ -110,21 +111,27 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
             raise SourceError(f"{path}: {len(stamps)} times for {len(names)} images")
         return stamps
     found = dict(zip(table.places(image, names), stamps, strict=True))
-    missing = next((name for place, name in enumerate(names) if place not in found), None)
-    if missing is not None:
-        raise SourceError(f"{path}: no time for the image {missing}")
+    for place, name in enumerate(names):
+        if place not in found:
+            raise SourceError(f"{path}: no time for the image {name}")
     return [found[place] for place in range(len(names))]
 
 
 def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> PoseTrack:
     """Poses of a table: columns by name, or `[time] x y z qx qy qz qw` (TUM), or 12 or 16 numbers of a matrix.
 
-    `unit_m` is the unit of lengths whose column has none. Raises SourceError in one line.
+    `unit_m` is the unit of lengths whose column has none. Raises SourceError.
     """
     table = read_table(path)
     stamps_ns, others = _row_stamps(table, images, {7, 12, 16})
-    if table.names is None and len(others) in (12, 16):
-        return PoseTrack(frame_id, stamps_ns, _transforms_of_matrices(table, table.numbers(others), unit_m))
+    if table.names is None and len(others) in (12, 16):  # a matrix by rows
+        matrices = table.numbers(others).reshape(len(stamps_ns), -1, 4)
+        R = matrices[:, :3, :3]
+        off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max((1, 2)) + (np.linalg.det(R) < 0)
+        for row in np.flatnonzero(off > ROTATION_TOLERANCE):
+            raise table.fail(int(row), "its matrix is no rotation")
+        u, _, vt = np.linalg.svd(R)  # the nearest rotations of rounded ones
+        return PoseTrack(frame_id, stamps_ns, make_transform(u @ vt, matrices[:, :3, 3] * unit_m))
     if table.names is None:
         position, quaternion, scale = others[:3], others[3:], [unit_m] * 3
         if len(others) != 7:
@@ -143,17 +150,6 @@ def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> 
         raise table.fail(int(row), f"its quaternion has length {lengths[row]:.4g}, 1 is expected")
     T = make_transform(rotation_from_quaternion_xyzw(quaternions), positions_m)
     return PoseTrack(frame_id, stamps_ns, T)
-
-
-def _transforms_of_matrices(table: Table, numbers: Array, unit_m: float) -> Array:
-    """Transforms, shape (n, 4, 4), of 12 or 16 numbers each, by rows; the nearest rotations of rounded ones."""
-    matrices = numbers.reshape(len(numbers), -1, 4)
-    R = matrices[:, :3, :3]
-    off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max((1, 2)) + (np.linalg.det(R) < 0)
-    for row in np.flatnonzero(off > ROTATION_TOLERANCE):
-        raise table.fail(int(row), "its matrix is no rotation")
-    u, _, vt = np.linalg.svd(R)
-    return make_transform(u @ vt, matrices[:, :3, 3] * unit_m)
 
 
 def read_joints(path: Path, images: ImageTimes, names: Sequence[str] | None = None) -> JointTrack:
@@ -197,7 +193,7 @@ class Table:
         return stamp, image
 
     def fail(self, row: int, reason: str) -> SourceError:
-        """The error for a row."""
+        """Make the error for a row."""
         return SourceError(f"{self.path}: line {row + self.first_line}: {reason}")
 
     def numbers(self, columns: Sequence[int]) -> Array:
@@ -221,15 +217,12 @@ class Table:
 
     def places(self, column: int, names: Sequence[str]) -> list[int]:
         """The place of each row's image, by its name, its name without suffix, or the last number in it."""
-        by_name = {name: place for place, name in enumerate(names)}
-        by_name |= {name.rpartition(".")[0]: place for place, name in enumerate(names)}
         by_number = numbers_of(names)
+        by_name = {key: place for place, name in enumerate(names) for key in (name, name.rpartition(".")[0])}
         places = []
         for row, cells in enumerate(self.rows):
             cell = re.split(r"[\\/]", cells[column])[-1]
-            place = by_name.get(cell)
-            if place is None and cell.isdecimal():
-                place = by_number.get(int(cell))
+            place = by_name.get(cell, by_number.get(int(cell)) if cell.isdecimal() else None)
             if place is None:
                 raise self.fail(row, f"there is no image {cells[column]!r}; the first one is {names[0]}")
             places.append(place)
@@ -249,7 +242,11 @@ def read_table(path: Path) -> Table:
     lines = [(number, line) for number, line in written if not line.lstrip().startswith("#")]
     if not lines:
         raise SourceError(f"{path}: an empty table")
-    split = _splitter(lines[0][1])
+    mark = next((mark for mark in (",", ";", "\t") if mark in lines[0][1]), None)
+
+    def split(line: str) -> list[str]:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=mark))] if mark else line.split()
+
     rows = [split(line) for _, line in lines]
     names = None
     if _looks_named(rows):
@@ -263,14 +260,6 @@ def read_table(path: Path) -> Table:
         if len(row) != width:
             raise SourceError(f"{path}: line {number}: expected {width} cells, found {len(row)}")
     return Table(path, None if names is None else tuple(names), tuple(map(tuple, rows)), lines[0][0])
-
-
-def _splitter(line: str) -> Callable[[str], list[str]]:
-    """What cuts a line into cells, as the first line shows."""
-    mark = next((mark for mark in (",", ";", "\t") if mark in line), None)
-    if mark is None:
-        return str.split
-    return lambda text: [cell.strip() for cell in next(csv.reader([text], delimiter=mark))]
 
 
 def _looks_named(rows: Sequence[Sequence[str]]) -> bool:
@@ -305,11 +294,9 @@ def _row_stamps(table: Table, images: ImageTimes, plain_widths: set[int]) -> tup
         stamp = 0
     if stamp is not None:
         stamps = table.stamps_ns(stamp)
-        for row in range(1, len(stamps)):
-            if stamps[row] <= stamps[row - 1]:
-                raise table.fail(
-                    row, f"its time {stamps[row]} ns is not after the one before, {stamps[row - 1]} ns"
-                )
+        for row, (before_ns, stamp_ns) in enumerate(pairwise(stamps), 1):
+            if stamp_ns <= before_ns:
+                raise table.fail(row, f"its time {stamp_ns} ns is not after the one before, {before_ns} ns")
     elif image is not None:
         places = table.places(image, images.names)
         if sorted(set(places)) != places:

@@ -15,6 +15,7 @@ from svmdist.camera import Camera
 from svmdist.errors import UsageError
 from svmdist.perturbations.chosen import Perturbations, direction
 from svmdist.profile import Fiducial, Instrument, Profile, Robot, Tissue
+from svmdist.profile.robot import OtherInstrument
 from svmdist.profile.toml import StrictModel
 from svmdist.transforms import Array, rotation_of
 
@@ -56,10 +57,8 @@ def right_turn(perturbations: Perturbations) -> Array:
 
 def zoomed_camera(camera: Camera, zoom: float) -> Camera:
     """The camera that sees what another one sees, enlarged about the middle of the image."""
-    middle = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])
-    enlarge = np.array(
-        [[zoom, 0.0, (1 - zoom) * middle[0]], [0.0, zoom, (1 - zoom) * middle[1]], [0.0, 0.0, 1.0]]
-    )
+    enlarge = np.diag([zoom, zoom, 1.0])
+    enlarge[:2, 2] = (1 - zoom) * (np.array([camera.width_px, camera.height_px]) - 1) / 2.0
     return replace(camera, K=enlarge @ camera.K, P=None if camera.P is None else enlarge @ camera.P)
 
 
@@ -81,7 +80,7 @@ def built_profile(profile: Profile, perturbations: Perturbations, seed: int) -> 
     if built.simulation is None or not perturbations.has("plane"):
         return built
     height_m = built.simulation.camera_height_m - 1e-3 * perturbations["plane"]
-    return built.model_copy(update={"simulation": _with(built.simulation, camera_height_m=height_m)})
+    return _with(built, simulation=_with(built.simulation, camera_height_m=height_m))
 
 
 def plane_tilt(perturbations: Perturbations, seed: int) -> Array:
@@ -92,21 +91,20 @@ def plane_tilt(perturbations: Perturbations, seed: int) -> Array:
 
 def _changed(profile: Profile, perturbations: Perturbations, seed: int, sign: int) -> Profile:
     """Change what is stated (`sign` 1) or what is built (-1)."""
-    update: dict[str, object] = {
-        "robot": _robot(profile.robot, perturbations, sign),
-        "instrument": _instrument(profile.instrument, perturbations, sign),
-        "fiducial": _fiducial(profile.fiducial, perturbations, seed, sign),
-        "tissue": _tissue(profile.tissue, perturbations, seed, sign),
-        "other_instruments": tuple(
-            _with(
-                other,
-                robot=_robot(other.robot, perturbations, sign),
-                instrument=_instrument(other.instrument, perturbations, sign),
-            )
-            for other in profile.other_instruments
-        ),
-    }
-    return profile.model_copy(update=update)
+
+    def tool(part: Profile | OtherInstrument) -> dict[str, object]:
+        return {
+            "robot": _robot(part.robot, perturbations, sign),
+            "instrument": _instrument(part.instrument, perturbations, sign),
+        }
+
+    return _with(
+        profile,
+        **tool(profile),
+        fiducial=_fiducial(profile.fiducial, perturbations, seed, sign),
+        tissue=_tissue(profile.tissue, perturbations, seed, sign),
+        other_instruments=tuple(_with(other, **tool(other)) for other in profile.other_instruments),
+    )
 
 
 def _scaled(length_m: float, percent: float, sign: int) -> float:
@@ -117,12 +115,11 @@ def _robot(robot: Robot | None, perturbations: Perturbations, sign: int) -> Robo
     """The wrist's length is the last one along a link's x axis: from its pitch to its yaw."""
     if robot is None or not perturbations.has("wrist_length"):
         return robot
-    places = [index for index, joint in enumerate(robot.joints) if joint.a_m]
-    if not places:
-        return robot
     joints = list(robot.joints)
-    last = joints[places[-1]]
-    joints[places[-1]] = _with(last, a_m=last.a_m + sign * 1e-3 * perturbations["wrist_length"])
+    last = max((index for index, joint in enumerate(joints) if joint.a_m), default=None)
+    if last is not None:
+        a_m = joints[last].a_m + sign * 1e-3 * perturbations["wrist_length"]
+        joints[last] = _with(joints[last], a_m=a_m)
     return _with(robot, joints=tuple(joints))
 
 
@@ -160,11 +157,8 @@ def _tissue(tissue: Tissue | None, perturbations: Perturbations, seed: int, sign
         raise UsageError(f"perturbation plane: the plane would be {-1e3 * distance_m:g} mm behind the camera")
     R = plane_tilt(perturbations, seed)
     normal = (R if sign > 0 else R.T) @ tissue.plane_normal
-    return _with(
-        tissue,
-        plane_distance_m=distance_m,
-        plane_normal=tuple((normal / np.linalg.norm(normal)).tolist()),
-    )
+    plane_normal = tuple((normal / np.linalg.norm(normal)).tolist())
+    return _with(tissue, plane_distance_m=distance_m, plane_normal=plane_normal)
 
 
 def _with(model: Model, **update: object) -> Model:

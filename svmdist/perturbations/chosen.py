@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -52,8 +51,7 @@ class Perturbations:
 
     def __getitem__(self, name: str) -> float:
         """The strength of an entry of the table, in its unit; neutral where it is not chosen."""
-        neutral = find_perturbation(name).neutral
-        return dict(self.strengths).get(name, neutral)
+        return dict(self.strengths).get(name, find_perturbation(name).neutral)
 
     def has(self, *names: str) -> bool:
         """Whether one of these is chosen with a strength that changes something."""
@@ -101,17 +99,10 @@ def path_stream(seed: int, name: str, arm: int = 0) -> np.random.Generator:
 
 def require_at_replay(perturbations: Perturbations) -> None:
     """Raise UsageError for one that cannot be applied to an existing log."""
-    possible = [name for name, entry in TABLE.items() if entry.at_replay]
+    possible = ", ".join(name for name, entry in TABLE.items() if entry.at_replay)
     for name, _ in perturbations.strengths:
-        if name not in possible:
-            raise UsageError(
-                f"perturbation {name} cannot be applied at replay: the choices are {', '.join(possible)}"
-            )
-
-
-def merged(several: Iterable[Perturbations]) -> Perturbations:
-    """Several together; raises UsageError for a name in two of them."""
-    return Perturbations(tuple(pair for one in several for pair in one.strengths))
+        if not TABLE[name].at_replay:
+            raise UsageError(f"perturbation {name} cannot be applied at replay: the choices are {possible}")
 
 
 def _parse_one(text: str) -> tuple[str, float]:

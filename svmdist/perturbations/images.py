@@ -82,6 +82,5 @@ def turned_image(image_bgr: Image, camera: Camera, R_camera_turned: Array) -> Im
 def zoomed_image(image_bgr: Image, zoom: float) -> Image:
     """Enlarge an image about its middle; of a smaller one the border is black."""
     height, width = image_bgr.shape[:2]
-    middle = np.array([(width - 1) / 2.0, (height - 1) / 2.0])
-    T = np.column_stack([zoom * np.eye(2), (1.0 - zoom) * middle])
+    T = np.column_stack([zoom * np.eye(2), (1.0 - zoom) * 0.5 * np.array([width - 1, height - 1])])
     return np.asarray(cv2.warpAffine(image_bgr, T, (width, height), flags=cv2.INTER_CUBIC), np.uint8)

@@ -86,9 +86,8 @@ class JointUnits:
         sliding = [index for index, joint in enumerate(joints) if joint.type == "prismatic"]
         # Behind the insertion comes the roll, then the wrist.
         wrist = (sliding[-1] if sliding else -1) + 2
-        per_deg = np.array(
-            [METRES_PER_DEG if joint.type == "prismatic" else np.pi / 180.0 for joint in joints]
-        )
+        per_deg = np.full(len(joints), np.pi / 180.0)
+        per_deg[sliding] = METRES_PER_DEG
         per_deg[:begin] = 0.0
         share = np.where(np.arange(len(joints)) < wrist, PROXIMAL_SHARE, 1.0)
         aliases = {alias: joint.name for joint in joints for alias in joint.aliases}
@@ -111,10 +110,8 @@ class JointPerturber:
         self._noise_stream = path_stream(seed, "joint_noise", arm)
         self._step = perturbations["quantisation"] * units.per_deg
         self._drift = perturbations["joint_drift"] * units.per_deg
-        count = len(units.names)
-        self._drift_waves = path_stream(seed, "joint_drift", arm).normal(
-            0.0, 1.0, (2, count, len(DRIFT_PERIODS_S))
-        )
+        shape = (2, len(units.names), len(DRIFT_PERIODS_S))
+        self._drift_waves = path_stream(seed, "joint_drift", arm).normal(0.0, 1.0, shape)
         self._start_ns: int | None = None
 
     def perturbed(self, q: Array, stamp_ns: int) -> Array:
@@ -176,9 +173,7 @@ class ReplayedJoints:
     def __init__(
         self, perturber: JointPerturber | None, perturbations: Perturbations, lag_ns: int = 0
     ) -> None:
-        self._perturber = perturber
-        self._perturbations = perturbations
-        self._lag_ns = lag_ns
+        self._perturber, self._perturbations, self._lag_ns = perturber, perturbations, lag_ns
         self._first: JointSample | None = None
         self._started = False
 

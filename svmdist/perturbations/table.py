@@ -90,18 +90,9 @@ def _entry(name: str, row: dict[str, Any]) -> Perturbation:
     low, high = (float(limit) for limit in row["range"])
     size, place = row.get("real"), Place(row["changes"])
     real = None if size is None else Uniform(*size["uniform"]) if "uniform" in size else Normal(**size)
-    return Perturbation(
-        name,
-        row["unit"],
-        place,
-        row["meaning"],
-        low,
-        high,
-        real,
-        row.get("source", ""),
-        float(row.get("neutral", 0.0)),
-        at_replay=row.get("at_replay", place is not Place.IMAGES),
-    )
+    source, neutral = row.get("source", ""), float(row.get("neutral", 0.0))
+    at_replay = row.get("at_replay", place is not Place.IMAGES)
+    return Perturbation(name, row["unit"], place, row["meaning"], low, high, real, source, neutral, at_replay)
 
 
 TABLE: dict[str, Perturbation] = {
@@ -112,7 +103,6 @@ TABLE: dict[str, Perturbation] = {
 
 def find_perturbation(name: str) -> Perturbation:
     """The entry of a name; raises UsageError that lists the names."""
-    found = TABLE.get(name)
-    if found is None:
+    if name not in TABLE:
         raise UsageError(f"no perturbation {name}: {did_you_mean(name, TABLE)}")
-    return found
+    return TABLE[name]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 from pydantic import Field, model_validator
 
@@ -41,7 +42,7 @@ from svmdist.profile.robot import (
     require_tag,
 )
 from svmdist.profile.segmentation import AnySegmentation, AutoSegmentation, ColourRegion
-from svmdist.profile.settings import Settings, StereoSettings
+from svmdist.profile.settings import Settings, StereoSettings, without_former
 from svmdist.profile.toml import Byte, Size, StrictModel, parse_toml
 
 DEFAULT_PROFILE = "psm13"
@@ -83,25 +84,23 @@ class Limits(StrictModel):
     """One record of the file; it may never reach beyond the file either."""
     chunk_bytes: Size = 256 << 20
     """One chunk after expansion; it must have exactly the size that it declares."""
-    chunk_records: int = Field(default=1_000_000, ge=1)
-    """Records inside one chunk."""
     window_bytes: Size = 128 << 20
     """Memory that a zstd frame may claim for its window, beside the expanded chunk."""
-    definition_bytes: Size = 32 << 20
-    """Schemas and channels of a whole file, which stay in memory while it is read."""
-    metadata_bytes: Size = 1 << 20
-    """One metadata or statistics record."""
     image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)
     """One image, by the dimensions in its header, before it is decoded; OpenCV itself is held to 2^26."""
     image_bytes: Size = 32 << 20
     """One compressed image."""
     message_bytes: Size = 1 << 20
     """One message that is no image: joints, transforms and the like hold a few kilobytes."""
-    json_bytes: Size = 16 << 20
-    """One JSON message; parsing can take thirty times its size in memory."""
     pair_tolerance_s: float = Field(default=5e-4, ge=0.0, le=0.5)
     """How far the stamps of the left and the right image of a pair may be apart. Cameras that are triggered together
     differ by less than half a millisecond, which is less than any exposure; others by up to half a frame."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_former_keys(cls, data: Any) -> Any:
+        former = {"chunk_records", "definition_bytes", "metadata_bytes", "json_bytes"}
+        return without_former("limits", data, former)
 
 
 class Marker(StrictModel):

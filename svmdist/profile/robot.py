@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Iterable, Set
 from typing import Annotated, Literal
 
 import numpy as np
@@ -86,6 +86,11 @@ class Robot(StrictModel):
     def T_last_tool(self) -> Array:
         """The constant transform behind the last row, shape (4, 4)."""
         return np.eye(4) if self.tool_rotation is None else make_transform(self.tool_rotation, np.zeros(3))
+
+    def missing_joints(self, names: Iterable[str]) -> list[str]:
+        """The moving joints that are not among the names of a log, not by an alias either."""
+        there, moving = set(names), (joint for joint in self.joints if joint.type != "fixed")
+        return [joint.name for joint in moving if not there & {joint.name, *joint.aliases}]
 
 
 class KinematicError(StrictModel):

@@ -20,6 +20,14 @@ Share = Annotated[float, Field(gt=0.0, lt=1.0)]
 Count = Annotated[int, Field(ge=1)]
 
 
+def without_former(table: str, given: Any, keys: set[str]) -> Any:
+    """A table of a profile without the keys that are no longer settings; those that are given are told."""
+    former = keys & set(given) if isinstance(given, dict) else set()
+    for key in sorted(former):
+        LOG.warning("%s.%s is no longer a setting; ignored", table, key)
+    return {key: value for key, value in given.items() if key not in former} if former else given
+
+
 def former_keys() -> dict[str, set[str]]:
     """The keys of older profiles that are no settings any more, by table."""
     text = Path(__file__).with_name("former_settings.toml").read_text("utf-8")
@@ -223,10 +231,7 @@ class Settings(StrictModel):
             return data
         kept, all_former = {}, former_keys()
         for table, given in data.items():
-            former = all_former.get(table, set()) & set(given) if isinstance(given, dict) else set()
-            for key in sorted(former):
-                LOG.warning("settings.%s.%s is no longer a setting; ignored", table, key)
-            rest = {key: value for key, value in given.items() if key not in former} if former else given
+            rest = without_former(f"settings.{table}", given, all_former.get(table, set()))
             if rest or table in cls.model_fields:
                 kept[table] = rest
         return kept

@@ -49,10 +49,7 @@ def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
 
 
 def _decode_jpeg(data: bytes, width_px: int, height_px: int) -> Image:
-    """Decode a JPEG strictly: OpenCV's decoder hides its warnings, and fills what is damaged with grey.
-
-    The pixels are those of OpenCV to the last bit, for both are libjpeg-turbo.
-    """
+    """Decode a JPEG strictly, to OpenCV's pixels: OpenCV itself fills what is damaged with grey, without a word."""
     try:
         _, _, colours, _ = simplejpeg.decode_jpeg_header(data)
         if colours in {"CMYK", "YCCK"}:
@@ -292,18 +289,14 @@ def _decode_other(data: bytes, path: Path, limits: Limits) -> Image:
     """BMP, TIFF, WebP or PNM by OpenCV, which refuses images of too many pixels."""
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as problem:
+        if image is None:
+            found = data[:8].hex(" ") or "an empty file"
+            raise ImageError(f"not an image that can be decoded ({found})")
+        if image.dtype != np.uint8:
+            raise ImageError(f"an image of {8 * image.dtype.itemsize} bits; 8 are expected")
+        check_dimensions(image.shape[1], image.shape[0], limits)
+    except (cv2.error, ImageError) as problem:
         raise SourceError(f"{path}: {' '.join(str(problem).split())}") from None
-    if image is None:
-        raise SourceError(
-            f"{path}: not an image that can be decoded ({data[:8].hex(' ') or 'an empty file'})"
-        )
-    if image.dtype != np.uint8:
-        raise SourceError(f"{path}: an image of {8 * image.dtype.itemsize} bits; 8 are expected")
-    if image.shape[0] * image.shape[1] > limits.image_pixels:
-        raise SourceError(
-            f"{path}: {image.shape[1]}x{image.shape[0]} px, the limit is {limits.image_pixels} px"
-        )
     if image.ndim == 2:
         return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
     return np.asarray(image[..., :3], np.uint8)

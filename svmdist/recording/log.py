@@ -128,20 +128,16 @@ class Recording:
         return replace(self, arms=(self._arm(name),))
 
     def perturbed(self, perturbations: Perturbations, profile: Profile) -> Recording:
-        """The same log as it would be in a perturbed world: joints, their stamps, and what it says of its cameras.
+        """The same log in a perturbed world: joints, their stamps, and what it says of its cameras are others.
 
-        Images and ground truth stay. `profile` is the one that the log was opened with. What is drawn, as noise is,
-        is drawn by the seed that `record` wrote into the log, else by 0.
+        What is drawn, as noise is, is drawn by the seed that `record` wrote into the log, else by 0.
         """
         seed = self.metadata.get("seed", "")
         world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0, self._lag_ns)
         return replace(self, world=world)
 
     def with_lag(self, lag: KnownLag, profile: Profile) -> Recording:
-        """The same log with the time offset corrected: joints, poses and transforms get the stamps of its images.
-
-        Images keep their stamps, and so does ground truth. `profile` is the one that the log was opened with.
-        """
+        """The same log, but joints, poses and transforms at the stamps of its images; these and truth keep theirs."""
         before = self.world or ReplayedWorld(UNPERTURBED, profile)
         return replace(self, world=replace(before, lag_ns=lag.lag_ns), lag=lag)
 
@@ -256,8 +252,15 @@ class Recording:
         """Yield every image in file order, decoded; a Rejection stands for one that cannot be."""
         return map(self._decoded, self.file.images({self._require(Role.IMAGE)}))
 
+    def _decoded(self, image: LoggedImage) -> ImageSample | Rejection:
+        losses: list[Loss] = []
+        sample = image.decode(losses)
+        for loss in losses:
+            self.health.add(loss)
+        return sample
+
     def observations(self) -> Iterator[Observation | Rejection]:
-        """Yield what an estimator may see of every image, by stamp; images do not stay in memory.
+        """Yield what an estimator may see of the first instrument in every image, by stamp.
 
         Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples
         at most 0.1 s apart. The right image is the one within `[limits] pair_tolerance_s`, where the cameras form a
@@ -343,13 +346,6 @@ class Recording:
         stamp = f"an image of {image.stamp_ns} ns"
         detail = f"{stamp} repeats a stamp, or comes too far behind later ones; it is left out"
         self.health.add(Loss(LossKind.MESSAGE, detail, image.offset, image.topic))
-
-    def _decoded(self, image: LoggedImage) -> ImageSample | Rejection:
-        losses: list[Loss] = []
-        sample = image.decode(losses)
-        for loss in losses:
-            self.health.add(loss)
-        return sample
 
     # Everything else, over time
 

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import quote
 
 import yaml
@@ -37,16 +37,6 @@ from svmdist.recording.source import (
 METADATA_BYTES = 1 << 20
 SQLITE_HEADER_BYTES = 100
 UNMERGED_SUFFIXES = ("-wal", "-journal")
-
-
-class _Reader(Protocol):
-    """What the readers of `rosbags` have in common."""
-
-    connections: list[Any]
-
-    def open(self) -> None: ...
-    def close(self) -> None: ...
-    def messages(self, connections: Collection[Any]) -> Iterator[tuple[Any, int, bytes]]: ...
 
 
 class BagSource:
@@ -95,10 +85,10 @@ class BagSource:
         finally:
             reader.close()
 
-    def _opened(self) -> _Reader:
+    def _opened(self) -> Any:
         """A reader that is open; RecordingError names the command that repairs the file."""
-        reader: Any
         try:
+            reader: Any
             if self._encoding == "ros1":
                 reader = Bag1Reader(self.path)  # type: ignore[arg-type]  # a RemoteFile has what it needs
             else:
@@ -113,7 +103,7 @@ class BagSource:
                 f"{self.path}: a ROS 1 bag that is truncated or damaged ({_line(problem)});"
                 f" what is left of it can be saved with: rosbag reindex {self.path.name}"
             ) from None
-        return reader  # type: ignore[no-any-return]
+        return reader
 
 
 class FolderSource:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from array import array
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,39 +70,31 @@ class RecordingSummary:
     health: Health
 
 
-@dataclass
-class _Topic:
-    """What is counted of one topic while it is read."""
-
-    info: TopicInfo
-    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
-    undecodable_count: int = 0
-
-    def summary(self) -> TopicSummary:
-        stamps_ns, count = np.array(self.stamps_ns, np.int64), len(self.stamps_ns)
-        kind = kind_of(self.info.schema, self.info.message_encoding)
-        start_ns, end_ns = (int(stamps_ns.min()), int(stamps_ns.max())) if count else (None, None)
-        # To the newest stamp so far: one out of order makes no gap behind it.
-        newest_ns, oldest_ns = np.maximum.accumulate(stamps_ns)[:-1], np.minimum.accumulate(stamps_ns)[:-1]
-        gaps_ns = stamps_ns[1:] - newest_ns
-        # The mean period so far stands for the true one; the first few messages say nothing yet.
-        before = np.arange(count - 1)
-        is_gap = (before >= 4) & (gaps_ns * before.astype(float) > GAP_FACTOR * (newest_ns - oldest_ns))
-        span_s = 0.0 if start_ns is None or end_ns is None else (end_ns - start_ns) / 1e9
-        return TopicSummary(
-            self.info.topic,
-            self.info.schema,
-            self.info.message_encoding,
-            None if kind is None else str(kind),
-            count,
-            (count - 1) / span_s if span_s > 0 else None,
-            start_ns,
-            end_ns,
-            max(0, int(gaps_ns.max(initial=0))) / 1e9,
-            int(is_gap.sum()),
-            int((np.diff(stamps_ns) < 0).sum()),
-            self.undecodable_count,
-        )
+def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> TopicSummary:
+    stamps_ns, count = np.array(logged_ns, np.int64), len(logged_ns)
+    kind = kind_of(info.schema, info.message_encoding)
+    start_ns, end_ns = (int(stamps_ns.min()), int(stamps_ns.max())) if count else (None, None)
+    # To the newest stamp so far: one out of order makes no gap behind it.
+    newest_ns, oldest_ns = np.maximum.accumulate(stamps_ns)[:-1], np.minimum.accumulate(stamps_ns)[:-1]
+    gaps_ns = stamps_ns[1:] - newest_ns
+    # The mean period so far stands for the true one; the first few messages say nothing yet.
+    before = np.arange(count - 1)
+    is_gap = (before >= 4) & (gaps_ns * before.astype(float) > GAP_FACTOR * (newest_ns - oldest_ns))
+    span_s = 0.0 if start_ns is None or end_ns is None else (end_ns - start_ns) / 1e9
+    return TopicSummary(
+        info.topic,
+        info.schema,
+        info.message_encoding,
+        None if kind is None else str(kind),
+        count,
+        (count - 1) / span_s if span_s > 0 else None,
+        start_ns,
+        end_ns,
+        max(0, int(gaps_ns.max(initial=0))) / 1e9,
+        int(is_gap.sum()),
+        int((np.diff(stamps_ns) < 0).sum()),
+        undecodable_count,
+    )
 
 
 def inspect_recording(
@@ -117,19 +110,20 @@ def inspect_recording(
     """
     recording = open_recording(path, profile, limits=limits, topics=topics)
     decoder = Decoder(recording.limits)
-    found: dict[str, _Topic] = {}
+    infos: dict[str, TopicInfo] = {}
+    stamps_ns: defaultdict[str, array[int]] = defaultdict(lambda: array("q"))
+    undecodable: Counter[str] = Counter()
     cameras: dict[str, Camera] = {}
     frames: set[str] = set()
     joint_names: dict[str, tuple[str, ...]] = {}
     for raw in recording.raw_messages():
-        info = TopicInfo(raw.topic, raw.schema, raw.message_encoding)
-        topic = found.setdefault(raw.topic, _Topic(info))
+        infos.setdefault(raw.topic, TopicInfo(raw.topic, raw.schema, raw.message_encoding))
         stamp_ns = raw.log_time_ns
         if kind_of(raw.schema, raw.message_encoding) is not None:
             try:
                 sample = decoder.decode(raw, with_video=False)
             except DecodeError:
-                topic.undecodable_count += 1
+                undecodable[raw.topic] += 1
             else:
                 stamp_ns = sample.stamp_ns
                 match sample:
@@ -141,10 +135,10 @@ def inspect_recording(
                         frames.update(name for one in transforms for name in (one.parent, one.child))
                     case _:
                         pass
-        topic.stamps_ns.append(min(stamp_ns, MAX_STAMP_NS))
+        stamps_ns[raw.topic].append(min(stamp_ns, MAX_STAMP_NS))
     for info in recording.topics():
-        found.setdefault(info.topic, _Topic(info))
-    listed = tuple(topic.summary() for _, topic in sorted(found.items()))
+        infos.setdefault(info.topic, info)
+    listed = tuple(_summary(infos[name], stamps_ns[name], undecodable[name]) for name in sorted(infos))
     starts = [topic.start_ns for topic in listed if topic.start_ns is not None]
     ends = [topic.end_ns for topic in listed if topic.end_ns is not None]
     return RecordingSummary(

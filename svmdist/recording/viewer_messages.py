@@ -89,7 +89,7 @@ def scene_update(
 def tool_transforms(poses: Iterable[tuple[str, Array]], frame_id: str, stamp_ns: int) -> EncodedSample:
     """Estimated poses of tools as `foxglove.FrameTransforms`: (child frame, `T_camera_tool` of shape (4, 4)) pairs."""
     transforms = tuple(TransformSample(stamp_ns, frame_id, child, T) for child, T in poses)
-    return EncodedSample(stamp_ns, TransformsSample, encode(TransformsSample(stamp_ns, transforms)))
+    return encode(TransformsSample(stamp_ns, transforms))
 
 
 def distance_estimate(values: EstimateValues, stamp_ns: int) -> EncodedSample:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -65,25 +64,17 @@ class EncodedSample:
     data: bytes
 
 
-@dataclass(frozen=True)
-class MessageType:
-    """A protobuf message type as a recording declares it: its name and a serialised FileDescriptorSet."""
-
-    name: str
-    descriptor_set: bytes
-
-
-def message_type(sample_type: type) -> MessageType:
-    """The message type that a type of sample, or a protobuf class, is written as; ValueError for any other."""
-    message_class: Any = sample_type if issubclass(sample_type, Message) else MESSAGE_CLASSES.get(sample_type)
+def message_class_of(sample_type: type) -> Any:
+    """The protobuf class that a type of sample, or such a class itself, is written as; ValueError for any other."""
+    message_class = sample_type if issubclass(sample_type, Message) else MESSAGE_CLASSES.get(sample_type)
     if message_class is None:
         names = ", ".join(known.__name__ for known in MESSAGE_CLASSES)
         raise ValueError(f"cannot record a {sample_type.__name__}; the choices are {names}")
-    return _describe(message_class)
+    return message_class
 
 
-@cache
-def _describe(message_class: Any) -> MessageType:
+def _descriptor_set(file: Any) -> bytes:
+    """A protobuf file with those that it imports, each behind its own, as an MCAP schema has them."""
     files: dict[str, Any] = {}
 
     def collect(file: Any) -> None:
@@ -91,21 +82,11 @@ def _describe(message_class: Any) -> MessageType:
             collect(dependency)
         files.setdefault(file.name, file)
 
-    collect(message_class.DESCRIPTOR.file)
+    collect(file)
     descriptors = FileDescriptorSet()
-    for file in files.values():
-        file.CopyToProto(descriptors.file.add())
-    return MessageType(message_class.DESCRIPTOR.full_name, descriptors.SerializeToString(deterministic=True))
-
-
-def encode(sample: Sample, jpeg_quality: int | None = None) -> bytes:
-    """Serialise a sample as its message type; ValueError when an image is not (height, width, 3) uint8.
-
-    Images become PNG, which loses nothing, or JPEG of a quality from 1 to 100 with colour at full resolution.
-    """
-    message_type(type(sample))
-    ((_, encoded),) = encode_all([("", sample)], jpeg_quality)
-    return encoded.data
+    for one in files.values():
+        one.CopyToProto(descriptors.file.add())
+    return descriptors.SerializeToString(deterministic=True)
 
 
 def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> EncodedSample:
@@ -113,21 +94,6 @@ def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> E
     still_size(data, limits)
     message = CompressedImage(frame_id=frame_id, data=data, format=still_format(data) or "")
     return EncodedSample(stamp_ns, ImageSample, serialised(message, stamp_ns))
-
-
-def encode_all(
-    samples: Iterable[tuple[str, Sample]], jpeg_quality: int | None = None
-) -> list[tuple[str, EncodedSample]]:
-    """Serialise (topic, sample) pairs as `encode` does each."""
-    pairs = list(samples)
-    # All quaternions in one call, since calls cost most of the time.
-    transforms = [T for _, sample in pairs for T in _transforms_of(sample)]
-    rotations = np.array(transforms).reshape(-1, 4, 4)[:, :3, :3]
-    quaternions = iter(quaternion_xyzw_from_rotation(rotations).tolist() if transforms else [])
-    return [
-        (topic, EncodedSample(sample.stamp_ns, type(sample), _encode(sample, quaternions, jpeg_quality)))
-        for topic, sample in pairs
-    ]
 
 
 def serialised(message: Message, stamp_ns: int | None = None) -> bytes:
@@ -142,16 +108,13 @@ def set_stamp(message: Any, stamp_ns: int) -> None:
     message.timestamp.seconds, message.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
 
 
-def _transforms_of(sample: Sample) -> Sequence[Array]:
-    """The transforms whose rotations are written as quaternions, in the order of the message."""
-    if isinstance(sample, PoseSample):
-        return (sample.T_frame_pose,)
-    return [one.T_parent_child for one in sample.transforms] if isinstance(sample, TransformsSample) else ()
+def encode(sample: Sample, jpeg_quality: int | None = None) -> EncodedSample:
+    """Serialise a sample as its message type; ValueError when an image is not (height, width, 3) uint8.
 
-
-def _encode(sample: Sample, quaternions: Iterator[list[float]], jpeg_quality: int | None) -> bytes:
-    """Serialise a sample, whose transforms' quaternions are the next ones."""
-    message: Any = MESSAGE_CLASSES[type(sample)]()
+    Images become PNG, which loses nothing, or JPEG of a quality from 1 to 100 with colour at full resolution.
+    """
+    message: Any = message_class_of(type(sample))()
+    stamp_ns: int | None = sample.stamp_ns
     match sample:
         case ImageSample():
             message.frame_id = sample.frame_id
@@ -164,17 +127,18 @@ def _encode(sample: Sample, quaternions: Iterator[list[float]], jpeg_quality: in
         case PoseSample():
             message.frame_id = sample.frame_id
             pose = message.pose
-            _fill(pose.position, pose.orientation, sample.T_frame_pose, next(quaternions))
+            _fill([(pose.position, pose.orientation)], [sample.T_frame_pose])
         case TransformsSample():
             for one in sample.transforms:
                 part = message.transforms.add(parent_frame_id=one.parent, child_frame_id=one.child)
                 set_stamp(part, one.stamp_ns)
-                _fill(part.translation, part.rotation, one.T_parent_child, next(quaternions))
-            return serialised(message)
+            targets = [(part.translation, part.rotation) for part in message.transforms]
+            _fill(targets, [one.T_parent_child for one in sample.transforms])
+            stamp_ns = None  # each transform has its own
         case DistanceSample():
             message.planar_m, message.spatial_m = sample.planar_m, sample.spatial_m
             message.clearance_m = sample.clearance_m
-    return serialised(message, sample.stamp_ns)
+    return EncodedSample(sample.stamp_ns, type(sample), serialised(message, stamp_ns))
 
 
 def _compressed(sample: ImageSample, jpeg_quality: int | None) -> tuple[bytes, str]:
@@ -197,9 +161,17 @@ def _fill_camera(message: Any, camera: Camera) -> None:
             target.extend(values.ravel())
 
 
-def _fill(position: Any, orientation: Any, T: Array, quaternion_xyzw: list[float]) -> None:
-    position.x, position.y, position.z = T[:3, 3].tolist()
-    orientation.x, orientation.y, orientation.z, orientation.w = quaternion_xyzw
+def _fill(targets: Sequence[tuple[Any, Any]], transforms: Sequence[Array]) -> None:
+    """Set pairs of a position and a quaternion."""
+    if not transforms:
+        return
+    stack = np.array(transforms)
+    quaternions_xyzw = quaternion_xyzw_from_rotation(stack[:, :3, :3]).tolist()
+    for (position, orientation), t_m, quaternion in zip(
+        targets, stack[:, :3, 3].tolist(), quaternions_xyzw, strict=True
+    ):
+        position.x, position.y, position.z = t_m
+        orientation.x, orientation.y, orientation.z, orientation.w = quaternion
 
 
 CHUNK_BYTES = 240 * 1024
@@ -273,17 +245,15 @@ class RecordingWriter:
         Raises OutputError when the file cannot be written, ValueError when the topic already carries
         another type of sample.
         """
-        if isinstance(sample, EncodedSample):
-            data, sample_type = sample.data, sample.sample_type
-        else:
-            data, sample_type = encode(sample, self._jpeg_quality), type(sample)
-        needed_bytes = RECORD_HEAD_BYTES + MESSAGE_HEAD_BYTES + len(data)
+        if not isinstance(sample, EncodedSample):
+            sample = encode(sample, self._jpeg_quality)
+        needed_bytes = RECORD_HEAD_BYTES + MESSAGE_HEAD_BYTES + len(sample.data)
         try:
             self._end_chunk_before(sample.stamp_ns, needed_bytes)
-            channel_id = self._channel(topic, sample_type)
+            channel_id = self._channel(topic, sample.sample_type)
             self._sequences[channel_id] = self._sequences.get(channel_id, -1) + 1
             self._writer.add_message(
-                channel_id, sample.stamp_ns, data, sample.stamp_ns, self._sequences[channel_id]
+                channel_id, sample.stamp_ns, sample.data, sample.stamp_ns, self._sequences[channel_id]
             )
         except OSError as problem:
             raise self._failure(problem) from problem
@@ -334,10 +304,10 @@ class RecordingWriter:
             if known_type is not sample_type:
                 raise ValueError(f"{topic} carries {known_type.__name__}, not {sample_type.__name__}")
             return channel_id
-        declared = message_type(sample_type)
         if sample_type not in self._schemas:
+            declared = message_class_of(sample_type).DESCRIPTOR
             self._schemas[sample_type] = self._writer.register_schema(
-                declared.name, "protobuf", declared.descriptor_set
+                declared.full_name, "protobuf", _descriptor_set(declared.file)
             )
         channel_id = self._writer.register_channel(topic, "protobuf", self._schemas[sample_type])
         self._channels[topic] = (channel_id, sample_type)

@@ -45,10 +45,9 @@ LARGEST_STEP_MS = 10_000
 def write_annotated(
     frames: Iterable[DrawnFrame], recording: Recording, setup: Setup, output: Path, *, force: bool = False
 ) -> None:
-    """Copy a recording to `output` with what was drawn of each image.
+    """Copy a recording (`copied_messages`) to `output`, each image followed by what was drawn of it.
 
-    What is copied: see `copied_messages`. The file is written in the order of the log, each image followed by its
-    annotations, and holds a few frames at a time. Raises UsageError where the file exists and `force` is not set.
+    Raises UsageError where the file exists and `force` is not set.
     """
     path, profile, limits, topics = recording.origin
     # A pass of its own over the recording opened anew, so that losses are counted once.
@@ -58,11 +57,6 @@ def write_annotated(
         annotations = _annotations(recording, frames, setup)
         for topic, message in heapq.merge(copies, annotations, key=lambda pair: pair[1].stamp_ns):
             writer.write(topic, message)
-
-
-def distance_topic(instrument: str) -> str:
-    """The topic of an instrument's estimates."""
-    return f"/svmdist/{instrument}/distance"
 
 
 def _annotations(
@@ -79,7 +73,7 @@ def _annotations(
         for result in results:
             bounds_m = interval_m(result.distances.clearance) if result.distances.clearance else None
             values = estimate_values(result, setup.method, bounds_m, frame.alarms.get(result.instrument))
-            yield distance_topic(result.instrument), distance_estimate(values, stamp_ns)
+            yield f"/svmdist/{result.instrument}/distance", distance_estimate(values, stamp_ns)
         poses = [
             (f"{result.instrument}_tool_estimate", result.tool.pose.T_camera_tool)
             for result in results
@@ -95,10 +89,9 @@ def _annotations(
 
 
 def write_video(frames: Iterable[DrawnFrame], path: Path, size_px: tuple[int, int]) -> None:
-    """Write an MP4 of images of a size (width, height) in px.
+    """Write an MP4 of images of a size (width, height) in px; one that could not be read is black, with the reason.
 
-    An image that could not be read is black, with the reason. Raises OutputError where PyAV is missing, or the file
-    cannot be written.
+    Raises OutputError where PyAV is missing, or the file cannot be written.
     """
     av = optional_package("av", "video", "a video", OutputError)
     width, height = (length + length % 2 for length in size_px)  # the codecs halve the colours' resolution
@@ -128,7 +121,6 @@ def write_video(frames: Iterable[DrawnFrame], path: Path, size_px: tuple[int, in
 
 
 def _picture(frame: DrawnFrame, width: int, height: int) -> Image:
-    """The drawn image on black, of the video's size."""
     image = frame.replayed.image_bgr
     drawn = draw_on(np.zeros((height, width, 3), np.uint8) if image is None else image, frame.drawing)
     padded = np.zeros((height, width, 3), np.uint8)

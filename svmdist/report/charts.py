@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,30 +19,12 @@ MAX_GAP_IN_STEPS = 3.0
 """A curve is broken where frames are missing for longer than this many frame periods."""
 
 
-class Form(StrEnum):
-    """How a curve's points are drawn."""
-
-    LINE = "line"
-    DOTS = "dots"
-    BARS = "bars"
-    BAND = "band"
-    """The area between `low` and `y`."""
-    SPANS = "spans"
-    """The full height between `x` and `y`."""
-
-
-class Role(StrEnum):
-    """What a curve shows: it decides on the colour, and on the dash of a line."""
-
-    ESTIMATE = "estimate"
-    ERROR = "error"
-    TRUTH = "truth"
-    INTERVAL = "interval"
-    LOST = "lost"
-    THRESHOLD = "threshold"
-    MODEL = "model"
-    LIMIT = "limit"
-    CONSISTENCY = "consistency"
+Form = Literal["line", "dots", "bars", "band", "spans"]
+"""How a curve's points are drawn; a band is between `low` and `y`, spans have the full height from `x` to `y`."""
+Role = Literal[
+    "estimate", "error", "truth", "interval", "lost", "threshold", "model", "limit", "consistency"
+]  # fmt: skip
+"""What a curve shows: it decides on the colour, and on the dash of a line."""
 
 
 @dataclass(frozen=True)
@@ -89,31 +71,29 @@ def distance_curves(
     seconds, estimate_mm, half_mm, truth_mm = with_breaks(seconds, estimate_mm, half_mm, truth_mm)
     curves = _interval(seconds, estimate_mm, half_mm)
     if np.isfinite(truth_mm).any():
-        curves.append(Curve(Form.LINE, Role.TRUTH, truth_name, seconds, truth_mm))
-    return [*curves, Curve(Form.LINE, Role.ESTIMATE, "estimate", seconds, estimate_mm)]
+        curves.append(Curve("line", "truth", truth_name, seconds, truth_mm))
+    return [*curves, Curve("line", "estimate", "estimate", seconds, estimate_mm)]
 
 
 def error_curves(seconds: Array, error_mm: Array, half_mm: Array) -> list[Curve]:
     """The stated interval about zero, and errors over time, shape (n,) each."""
     seconds, error_mm, half_mm = with_breaks(seconds, error_mm, half_mm)
     interval = _interval(seconds, np.zeros(len(seconds)), half_mm)
-    return [*interval, Curve(Form.LINE, Role.ERROR, "error", seconds, error_mm)]
+    return [*interval, Curve("line", "error", "error", seconds, error_mm)]
 
 
 def _interval(seconds: Array, middle_mm: Array, half_mm: Array) -> list[Curve]:
     if not np.isfinite(half_mm).any():
         return []
     high, low = middle_mm + half_mm, middle_mm - half_mm
-    return [Curve(Form.BAND, Role.INTERVAL, "95 % interval", seconds, high, low)]
+    return [Curve("band", "interval", "95 % interval", seconds, high, low)]
 
 
 def threshold(seconds: Array, below_m: float) -> Curve:
     """The alarms' threshold from the first to the last of some times."""
     below_mm = below_m * 1e3
     ends = seconds[[0, -1]] if len(seconds) else seconds
-    return Curve(
-        Form.LINE, Role.THRESHOLD, f"alarm below {below_mm:g} mm", ends, np.full(len(ends), below_mm)
-    )
+    return Curve("line", "threshold", f"alarm below {below_mm:g} mm", ends, np.full(len(ends), below_mm))
 
 
 def distance_over_time(series: Series, alarm_below_m: float | None = None) -> Chart:
@@ -127,7 +107,7 @@ def distance_over_time(series: Series, alarm_below_m: float | None = None) -> Ch
     if spans:
         text += f" {len(spans)} spans were not measured; they are shaded."
         begins, ends = np.array(spans).T
-        curves.append(Curve(Form.SPANS, Role.LOST, "not measured", begins, ends))
+        curves.append(Curve("spans", "lost", "not measured", begins, ends))
     curves += distance_curves(series.seconds, estimate_mm, series.half_m * 1e3, series.truth_m * 1e3)
     if alarm_below_m is not None and series.distance == "clearance":
         curves.append(threshold(series.seconds, alarm_below_m))
@@ -147,7 +127,7 @@ def consistency_over_time(series: Series) -> Chart:
     """Normalised innovations squared; 1 is as expected."""
     known = series.consistency[np.isfinite(series.consistency)]
     text = f"Normalised innovations squared: median {np.median(known):.2f}, largest {known.max():.2f}."
-    curve = Curve(Form.LINE, Role.CONSISTENCY, "consistency", series.seconds, series.consistency)
+    curve = Curve("line", "consistency", "consistency", series.seconds, series.consistency)
     return _over_time(series, "consistency over time", text, "consistency (1: as expected)", [curve])
 
 
@@ -155,7 +135,7 @@ def _over_time(series: Series, title: str, text: str, y_title: str, curves: list
     number = with_breaks(series.seconds, series.number.astype(np.float64))[1]
     hover = "frame %{customdata}<br>%{x:.2f} s: %{y:.2f}<extra></extra>"
     for at, curve in enumerate(curves):
-        if curve.role in (Role.ESTIMATE, Role.ERROR):
+        if curve.role in ("estimate", "error"):
             curves[at] = replace(curve, number=number, hover=hover)
     return Chart(title, text, "time [s]", y_title, curves, over_time=True)
 
@@ -168,7 +148,7 @@ def errors_over(group: Sequence[Series], what: str) -> Chart:
         x = one.seconds if what == "time" else one.truth_m * 1e3
         hover = f"{one.recording}<br>%{{x:.2f}}: error %{{y:+.2f}} mm<extra></extra>"
         name = f"{one.recording} {one.instrument}"
-        curves.append(Curve(Form.DOTS, Role.ERROR, name, x[kept], one.error_m[kept] * 1e3, hover=hover))
+        curves.append(Curve("dots", "error", name, x[kept], one.error_m[kept] * 1e3, hover=hover))
     truth_mm, error_mm, _ = pooled(group)
     text = "Too few points for a trend."
     if len(truth_mm) > 2 and np.ptp(truth_mm) > 0.0:
@@ -185,7 +165,7 @@ def error_over_image(group: Sequence[Series]) -> Chart:
     kept = np.isfinite(error_mm) & np.isfinite(places).all(1)
     hover = "(%{x:.0f}, %{y:.0f}) px<br>|error| %{marker.color:.2f} mm<extra></extra>"
     x, y = places[kept].T
-    dots = Curve(Form.DOTS, Role.ERROR, "|error| [mm]", x, y, colour_by=error_mm[kept], hover=hover)
+    dots = Curve("dots", "error", "|error| [mm]", x, y, colour_by=error_mm[kept], hover=hover)
     text = "Where the tool was in the image, coloured by the size of the error."
     return Chart("error over image position", text, "tool x [px]", "tool y [px]", [dots], is_image=True)
 
@@ -199,10 +179,10 @@ def agreement(group: Sequence[Series]) -> Chart:
     hover = "mean %{x:.2f} mm<br>difference %{y:+.2f} mm<extra></extra>"
     ends = np.array([mean_mm.min(), mean_mm.max()])
     curves = [
-        Curve(Form.DOTS, Role.ERROR, "frames", mean_mm, error_mm, hover=hover),
-        Curve(Form.LINE, Role.MODEL, f"bias {bias:+.2f} mm", ends, np.full(2, bias)),
-        Curve(Form.LINE, Role.LIMIT, f"limit {low:+.2f} mm", ends, np.full(2, low)),
-        Curve(Form.LINE, Role.LIMIT, f"limit {high:+.2f} mm", ends, np.full(2, high)),
+        Curve("dots", "error", "frames", mean_mm, error_mm, hover=hover),
+        Curve("line", "model", f"bias {bias:+.2f} mm", ends, np.full(2, bias)),
+        Curve("line", "limit", f"limit {low:+.2f} mm", ends, np.full(2, low)),
+        Curve("line", "limit", f"limit {high:+.2f} mm", ends, np.full(2, high)),
     ]
     text = f"Bias {bias:+.2f} mm; 95 % limits of agreement {low:+.2f} to {high:+.2f} mm."
     titles = ("mean of estimate and truth [mm]", "estimate − truth [mm]")
@@ -214,7 +194,7 @@ def distribution(group: Sequence[Series]) -> Chart:
     _, error_mm, _ = pooled(group)
     counts, edges = np.histogram(error_mm, bins=min(60, max(10, int(np.sqrt(len(error_mm))))))
     hover = "%{x:+.2f} mm: %{y} frames<extra></extra>"
-    bars = Curve(Form.BARS, Role.ERROR, "frames", 0.5 * (edges[1:] + edges[:-1]), counts, hover=hover)
+    bars = Curve("bars", "error", "frames", 0.5 * (edges[1:] + edges[:-1]), counts, hover=hover)
     low, middle, high = np.percentile(error_mm, [2.5, 50.0, 97.5])
     text = f"Median error {middle:+.2f} mm; 95 % of the errors are between {low:+.2f} and {high:+.2f} mm."
     return Chart("distribution of errors", text, "error [mm]", "frames", [bars])
@@ -229,8 +209,8 @@ def calibration(group: Sequence[Series]) -> Chart:
     hover = "stated %{x:g} %: %{y:.1f} % inside<extra></extra>"
     levels, ends = 100.0 * np.array(LEVELS), np.array([50.0, 100.0])
     curves = [
-        Curve(Form.LINE, Role.LIMIT, "as stated", ends, ends),
-        Curve(Form.LINE, Role.ESTIMATE, "truths inside", levels, np.array(held), hover=hover),
+        Curve("line", "limit", "as stated", ends, ends),
+        Curve("line", "estimate", "truths inside", levels, np.array(held), hover=hover),
     ]
     text = (
         f"{held[LEVELS.index(0.95)]:.1f} % of {len(truth_mm)} truths are inside the stated 95 % interval."

@@ -35,7 +35,7 @@ from svmdist.workflows.estimate import Measured
 from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.request import Request, Setup
-from svmdist.workflows.series import Series, WorstFrame, series_of, worst_frames
+from svmdist.workflows.series import Series, series_of, worst_frames
 from svmdist.workflows.validate import Validation
 
 WORST_COUNT = 10
@@ -44,15 +44,15 @@ PACKAGES = ("svmdist", "numpy", "opencv-python-headless", "mcap", "protobuf", "p
 MAX_MARKERS = 2000
 """More points than these are drawn as a line, or thinned out evenly where they are no line."""
 COLOURS: dict[Role, tuple[str, str]] = {
-    Role.ESTIMATE: ("#3a86c8", "solid"),
-    Role.ERROR: ("#3a86c8", "solid"),
-    Role.TRUTH: ("#d55e00", "dash"),
-    Role.INTERVAL: ("rgba(86,180,233,0.30)", ""),
-    Role.LOST: ("rgba(213,94,0,0.18)", ""),
-    Role.THRESHOLD: ("#e69f00", "dot"),
-    Role.MODEL: ("#d55e00", "solid"),
-    Role.LIMIT: ("#d55e00", "dash"),
-    Role.CONSISTENCY: ("#cc79a7", "solid"),
+    "estimate": ("#3a86c8", "solid"),
+    "error": ("#3a86c8", "solid"),
+    "truth": ("#d55e00", "dash"),
+    "interval": ("rgba(86,180,233,0.30)", ""),
+    "lost": ("rgba(213,94,0,0.18)", ""),
+    "threshold": ("#e69f00", "dot"),
+    "model": ("#d55e00", "solid"),
+    "limit": ("#d55e00", "dash"),
+    "consistency": ("#cc79a7", "solid"),
 }
 """Colours that are told apart with any colour vision, on white and on black (after Okabe & Ito 2008); and dashes."""
 
@@ -70,65 +70,45 @@ class Report:
     alarm_below_m: float | None = None
 
 
-def validation_report(
-    validation: Validation,
+def make_report(
     measured: Sequence[Measured],
     request: Request,
     command: str,
+    validation: Validation | None = None,
+    *,
     jobs: int | None = None,
     logs: Results | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
-    """The report of a validation; `logs` has a table of all logs, of which `measured` are some."""
-    tables = [*(logs.tables if logs else ()), *validation_tables(validation)]
-    shifted = [
-        one for one in validation.scores if one.lag and one.lag.lag_s and one.uncorrected and one.statistics
-    ]
-    if shifted:
-        rows = [row_of(LAG_COLUMNS, score) for score in shifted]
-        tables.append(Table.of("Lag before and after: planar distance", LAG_COLUMNS, rows))
+    """The report of estimates or of their validation; `logs` has a table of all logs, of which `measured` are some."""
+    series = series_of(measured, request, validation.reference if validation else None)
+    tables, notes = [*(logs.tables if logs else ())], []
+    if validation is None:
+        tables.append(Table.of("Frames", SERIES_COLUMNS, [row_of(SERIES_COLUMNS, one) for one in series]))
+    else:
+        notes = [*validation.notes, *remarks(validation), f"Errors are against {validation.reference}."]
+        tables += validation_tables(validation)
+        known = [one for one in validation.scores if one.uncorrected and one.statistics]
+        if rows := [row_of(LAG_COLUMNS, one) for one in known if one.lag and one.lag.lag_s]:
+            tables.append(Table.of("Lag before and after: planar distance", LAG_COLUMNS, rows))
     return Report(
-        f"svmdist validate: {request.setup.method}",
-        series := series_of(measured, request, validation.reference),
+        f"svmdist {'validate' if validation else 'estimate'}: {request.setup.method}",
+        series,
         tables,
         _worst(measured, series, request, jobs, on_progress),
         facts(request.setup, [one.recording for one in measured], command),
-        [*validation.notes, *remarks(validation), f"Errors are against {validation.reference}."],
+        notes,
         request.alarms.below_m if request.alarms else None,
-    )
-
-
-def estimate_report(
-    measured: Sequence[Measured],
-    request: Request,
-    command: str,
-    jobs: int | None = None,
-    logs: Results | None = None,
-    on_progress: Progress | None = None,
-) -> Report:
-    """The report of estimates, for logs with or without a truth; where there is ground truth, it is shown."""
-    series = series_of(measured, request)
-    frames = Table.of("Frames", SERIES_COLUMNS, [row_of(SERIES_COLUMNS, one) for one in series])
-    return Report(
-        f"svmdist estimate: {request.setup.method}",
-        series,
-        [*(logs.tables if logs else ()), frames],
-        _worst(measured, series, request, jobs, on_progress),
-        facts(request.setup, [one.recording for one in measured], command),
-        alarm_below_m=request.alarms.below_m if request.alarms else None,
     )
 
 
 def facts(setup: Setup, recordings: Sequence[Recording], command: str) -> list[tuple[str, str]]:
     """The provenance: command, versions, method, profile, calibration, and hashes of the recordings."""
-    profile = setup.profile.model_dump_json(by_alias=True)
+    values = hashlib.sha256(setup.profile.model_dump_json(by_alias=True).encode()).hexdigest()
     found = [
         ("command", command),
         ("method", f"{setup.method}, {setup.equations} equations"),
-        (
-            "profile",
-            f"{setup.profile.name}, SHA-256 of its values {hashlib.sha256(profile.encode()).hexdigest()}",
-        ),
+        ("profile", f"{setup.profile.name}, SHA-256 of its values {values}"),
     ]
     if setup.calibration is not None:
         sources = ", ".join(f"{source.name} ({source.sha256})" for source in setup.calibration.sources)
@@ -155,23 +135,23 @@ def _worst(
     on_progress: Progress | None,
 ) -> list[tuple[str, bytes]]:
     """The worst frames of all logs with their captions, worst first; they are measured once more, to draw them."""
-    found: list[WorstFrame] = []
-    for log in measured:
-        found += worst_frames([one for one in series if one.recording == log.recording.name], WORST_COUNT)
+    found = [
+        frame
+        for log in measured
+        for frame in worst_frames([one for one in series if one.recording == log.recording.name], WORST_COUNT)
+    ]
     chosen = sorted(found, key=lambda frame: -frame.badness_m)[:WORST_COUNT]
     wanted = defaultdict[str, set[int]](set)
     for frame in chosen:
         wanted[frame.series.recording].add(frame.number)
     steps = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values()))
     pictures = {}
-    for log in (one for one in measured if one.recording.name in wanted):
-        numbers = wanted[log.recording.name]
+    for name, log in ((one.recording.name, one) for one in measured if one.recording.name in wanted):
         for drawn in drawn_frames(
-            log.read, request.setup, request.alarms, jobs=jobs, numbers=numbers, on_image=steps.advance
+            log.read, request.setup, request.alarms, jobs=jobs, numbers=wanted[name], on_image=steps.advance
         ):
             if drawn.replayed.image_bgr is not None:
-                picture = _jpeg(draw_on(drawn.replayed.image_bgr, drawn.drawing))
-                pictures[log.recording.name, drawn.number] = picture
+                pictures[name, drawn.number] = _jpeg(draw_on(drawn.replayed.image_bgr, drawn.drawing))
     return [
         (f"{frame.series.recording}, {frame.in_words}", pictures[key])
         for frame in chosen
@@ -226,7 +206,11 @@ def write_report(report: Report, path: Path) -> None:
 
 def page(report: Report) -> str:
     """The page, made from its template."""
-    environment = Environment(autoescape=True, finalize=_printable, trim_blocks=True, lstrip_blocks=True)
+    # Texts of a log or a user come without control characters.
+    environment = Environment(
+        autoescape=True, finalize=lambda value: printable(value) if type(value) is str else value,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
     template = environment.from_string(files("svmdist.report").joinpath("page.html.j2").read_text("utf-8"))
     sections = _sections(report)
@@ -239,11 +223,6 @@ def page(report: Report) -> str:
     data = data.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
     plotly = get_plotlyjs().replace("</script", "<\\/script")
     return template.render(report=report, sections=sections, data=f"{{{data}}}", plotly=plotly)
-
-
-def _printable(value: object) -> object:
-    """Texts of a log or a user for the page, without control characters."""
-    return printable(value) if type(value) is str else value
 
 
 def _sections(report: Report) -> list[tuple[str, list[tuple[str, Chart]]]]:
@@ -283,11 +262,11 @@ def plotly_figure(chart: Chart) -> go.Figure:
             "hovermode": "closest",
         }
     )
-    dots = sum(curve.form is Form.DOTS for curve in chart.curves)
+    dots = sum(curve.form == "dots" for curve in chart.curves)
     for curve in chart.curves:
         _ADD[curve.form](figure, curve, dots)
     if chart.over_time:  # all plots over time begin and end alike
-        seconds = np.concatenate([curve.x for curve in chart.curves if curve.form is Form.LINE])
+        seconds = np.concatenate([curve.x for curve in chart.curves if curve.form == "line"])
         if np.nanmin(seconds) < np.nanmax(seconds):
             ends = [round(float(end), 3) for end in (np.nanmin(seconds), np.nanmax(seconds))]
             figure.update_xaxes(range=ends, autorange=False)
@@ -297,13 +276,7 @@ def plotly_figure(chart: Chart) -> go.Figure:
 
 
 def _trace(figure: go.Figure, curve: Curve, x: Array, y: Array, **options: Any) -> None:
-    hover = (
-        {"hovertemplate": curve.hover}
-        if curve.hover
-        else {"hoverinfo": "skip"}
-        if curve.low is not None
-        else {}
-    )
+    hover = {"hovertemplate": curve.hover} if curve.hover else {}
     options = {"name": printable(curve.name), **hover, **options}
     figure.add_scatter(x=x.astype(np.float32), y=y.astype(np.float32), **options)
 
@@ -312,7 +285,7 @@ def _add_line(figure: go.Figure, curve: Curve, _: int) -> None:
     """A line with gaps; frames that stand alone, which a line without markers does not show, as short dashes."""
     colour, dash = COLOURS[curve.role]
     few = len(curve.x) <= MAX_MARKERS
-    markers = curve.role in (Role.ESTIMATE, Role.ERROR) and few
+    markers = curve.role in ("estimate", "error") and few
     numbers = {} if curve.number is None else {"customdata": np.nan_to_num(curve.number).astype(np.int32)}
     line = {"color": colour, "width": 1.8, "dash": dash}
     _trace(figure, curve, curve.x, curve.y, mode="lines+markers" if markers else "lines", line=line,
@@ -338,11 +311,8 @@ def _add_band(figure: go.Figure, curve: Curve, _: int) -> None:
     for begin, end in runs(np.isfinite(curve.low) & np.isfinite(curve.y)):
         times, lows, highs = (values[begin:end] for values in (curve.x, curve.low, curve.y))
         if end - begin == 1:
-            times, lows, highs = (
-                times + np.array([-reach_s, reach_s]),
-                np.repeat(lows, 2),
-                np.repeat(highs, 2),
-            )
+            times = times + np.array([-reach_s, reach_s])
+            lows, highs = np.repeat(lows, 2), np.repeat(highs, 2)
         x += [times, times[::-1], gap]
         y += [lows, highs[::-1], gap]
     _trace(figure, curve, np.concatenate(x), np.concatenate(y), **_area(curve, "toself"))
@@ -364,10 +334,9 @@ def _area(curve: Curve, fill: str) -> dict[str, Any]:
 def _add_dots(figure: go.Figure, curve: Curve, sharing: int) -> None:
     """Dots, thinned out evenly where there are many; `sharing` curves share the room."""
     count = len(curve.x)
-    chosen = np.unique(
-        np.linspace(0, max(count - 1, 0), min(count, MAX_MARKERS // sharing)).round().astype(int)
-    )
-    marker: dict[str, Any] = {"color": COLOURS[Role.ESTIMATE][0], "size": 5, "opacity": 0.6}
+    kept = np.linspace(0, max(count - 1, 0), min(count, MAX_MARKERS // sharing))
+    chosen = np.unique(kept.round().astype(int))
+    marker: dict[str, Any] = {"color": COLOURS["estimate"][0], "size": 5, "opacity": 0.6}
     if curve.colour_by is not None:
         bar = {"title": {"text": curve.name}, "thickness": 12}
         marker |= {"color": curve.colour_by[chosen].astype(np.float32), "colorscale": "Cividis", "showscale": True,
@@ -387,9 +356,9 @@ def _reach_s(seconds: Array) -> float:
 
 
 _ADD: dict[Form, Callable[[go.Figure, Curve, int], None]] = {
-    Form.LINE: _add_line,
-    Form.BAND: _add_band,
-    Form.SPANS: _add_spans,
-    Form.DOTS: _add_dots,
-    Form.BARS: _add_bars,
+    "line": _add_line,
+    "band": _add_band,
+    "spans": _add_spans,
+    "dots": _add_dots,
+    "bars": _add_bars,
 }

@@ -65,22 +65,16 @@ LOG_COLUMNS = (
 def info_results(summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None) -> Results:
     """A recording: its topics as rows, what can be done with it in lines for a person, and all as a JSON document."""
     rows = [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics]
-    document = info_document(summary, profile, tags)
-    return Results(
-        TOPIC_COLUMNS, rows, lambda width: _info_lines(summary, document, width), document=document
-    )
+    found = info_document(summary, profile, tags)
+    return Results(TOPIC_COLUMNS, rows, lambda width: _info_lines(summary, found, width), document=found)
 
 
 def logs_results(documents: Sequence[tuple[str, dict[str, Any]]]) -> Results:
     """Several recordings by names and documents: a table of one line each, the topics of all as rows."""
     topics = [topic | {"recording": name} for name, document in documents for topic in document["topics"]]
     logs = [row_of(LOG_COLUMNS, document | {"recording": name}) for name, document in documents]
-    return Results(
-        (*TOPIC_COLUMNS, Column("recording", TEXT)),
-        topics,
-        tables=[Table.of("", LOG_COLUMNS, logs)],
-        document=[document for _, document in documents],
-    )
+    columns, tables = (*TOPIC_COLUMNS, Column("recording", TEXT)), [Table.of("", LOG_COLUMNS, logs)]
+    return Results(columns, topics, tables=tables, document=[document for _, document in documents])
 
 
 def info_document(
@@ -110,7 +104,7 @@ def _capability_documents(found: Iterable[Capability]) -> dict[str, dict[str, An
     return {
         one.name: {
             "served": one.served,
-            "missing": list(one.missing),
+            "missing": [*one.missing],
             **({"note": one.note} if one.note else {}),
         }
         for one in found
@@ -118,18 +112,11 @@ def _capability_documents(found: Iterable[Capability]) -> dict[str, dict[str, An
 
 
 def _camera_document(camera: Camera) -> dict[str, Any]:
-    K, D = camera.K.tolist(), camera.D.tolist()
-    return {
-        "width_px": camera.width_px,
-        "height_px": camera.height_px,
-        "K": K,
-        "D": D,
-        "frame_id": camera.frame_id,
-    }
+    size = {"width_px": camera.width_px, "height_px": camera.height_px}
+    return size | {"K": camera.K.tolist(), "D": camera.D.tolist(), "frame_id": camera.frame_id}
 
 
 def _info_lines(summary: RecordingSummary, document: dict[str, Any], width: int | None) -> Iterator[str]:
-    """The document for a person."""
 
     def line(name: str, text: str) -> str:
         return f"{name:<11} {printable(text)}\n"
@@ -149,12 +136,8 @@ def _info_lines(summary: RecordingSummary, document: dict[str, Any], width: int 
     yield line("roles", roles or "none of the topics is one that svmdist reads")
     yield line("instruments", ", ".join(document["instruments"]))
     for name, found in document["commands"].items():
-        yield line(
-            name,
-            f"yes{f', {note}' if (note := found.get('note')) else ''}"
-            if found["served"]
-            else _missing(found),
-        )
+        served = ", ".join(filter(None, ("yes", found.get("note"))))
+        yield line(name, served if found["served"] else _missing(found))
     methods = document["methods"]
     yield line("methods", ", ".join(name for name, found in methods.items() if found["served"]) or "none")
     for name, found in methods.items():
@@ -181,7 +164,6 @@ def _deviation(at: int) -> Callable[[HandEyeResult], float]:
 
 
 def _pose_column(key: str, unit: Unit, at: int) -> Column:
-    """One of the seven numbers of a pose."""
 
     def read(result: HandEyeResult) -> float:
         T = result.hand_eye.T_camera_base
@@ -237,6 +219,5 @@ def _hand_eye_lines(result: HandEyeResult, row: dict[str, Any]) -> Iterator[str]
 def hand_eye_file(results: Sequence[HandEyeResult], recording: Recording) -> HandEyeFile:
     """What a profile names."""
     source = Source(name=recording.path.name, sha256=recording.sha256())
-    return HandEyeFile(
-        format=FORMAT, sources=(source,), transforms=tuple(result.hand_eye for result in results)
-    )
+    found = tuple(result.hand_eye for result in results)
+    return HandEyeFile(format=FORMAT, sources=(source,), transforms=found)

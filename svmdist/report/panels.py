@@ -10,13 +10,11 @@ import cv2
 import numpy as np
 
 from svmdist.drawing import ALARM_COLOUR, COLOURS, Form, FrameDrawing, Label, Part, Rgb, Shape
-from svmdist.errors import OutputError, printable
-from svmdist.estimation.frame import Frame
+from svmdist.errors import printable
 from svmdist.estimation.methods import REGISTRY, Phase
 from svmdist.files import atomic_file
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.colour import Masks
 from svmdist.vision.marker import EDGE_MARGIN_PX, padded_template
 from svmdist.workflows.frame_drawing import DrawnFrame, contours_of, virtual_marker
 
@@ -42,20 +40,14 @@ def bgr(colour: Rgb) -> tuple[int, int, int]:
 
 def write_picture(path: Path, picture: Image) -> None:
     """Write a PNG; raises OutputError where that fails."""
-    good, encoded = cv2.imencode(".png", picture)
-    if not good:
-        raise OutputError(f"{path}: cannot write: OpenCV cannot encode {picture.shape} as PNG")
     with atomic_file(path) as target:
-        target.write_bytes(encoded.tobytes())
+        target.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
 
 
 def draw_on(
     image_bgr: Image, drawing: FrameDrawing, *, parts: Collection[Part] | None = None, lines: bool = True
 ) -> Image:
-    """A copy of an image, shape (h, w, 3) in BGR, with a drawing on it; `parts` leaves out the others.
-
-    The status lines stand at the top left, on dark ground.
-    """
+    """A copy of an image, shape (h, w, 3) in BGR, with a drawing on it, or some of its `parts`; `lines` at the top."""
     pixels = np.array(image_bgr, order="C")
     unit_px = max(1, pixels.shape[1] // 640)
     for shape in drawing.shapes:
@@ -118,9 +110,8 @@ def _write_row(pixels: Image, text: str, row: int, colour: Rgb) -> None:
     """Write a line at the top left, as much of it as the image is wide."""
     scale, thickness = _letters(pixels)
     (width, _), _ = cv2.getTextSize(text, FONT, scale, thickness)
-    (_, height), below = cv2.getTextSize(
-        "Mg", FONT, scale, thickness
-    )  # rows are alike, whatever their letters
+    # Rows are alike, whatever their letters.
+    (_, height), below = cv2.getTextSize("Mg", FONT, scale, thickness)
     room = pixels.shape[1] - 8
     if width > room:
         text = text[: max(1, len(text) * room // width - 3)] + "..."
@@ -131,7 +122,6 @@ def _write_row(pixels: Image, text: str, row: int, colour: Rgb) -> None:
 
 
 def _under(lines: Sequence[tuple[str, Rgb] | str], pixels: Image, scale: float = 0.7) -> Image:
-    """An image under lines of text, each in its colour."""
     (_, height), below = cv2.getTextSize("Mg", FONT, scale, 1)
     step = height + below + 8
     bar = np.full((step * len(lines) + 8, pixels.shape[1], 3), DARK, np.uint8)
@@ -143,7 +133,6 @@ def _under(lines: Sequence[tuple[str, Rgb] | str], pixels: Image, scale: float =
 
 
 def _tinted(pixels: Image, parts: Sequence[tuple[Part, Image]]) -> Image:
-    """A copy of an image with masks, shape (h, w), as tints on it."""
     pixels = np.array(pixels)
     for part, mask in parts:
         under = mask > 0
@@ -153,10 +142,7 @@ def _tinted(pixels: Image, parts: Sequence[tuple[Part, Image]]) -> Image:
 
 
 def masks_picture(frame: DrawnFrame, title: str) -> Image:
-    """What was segmented, shape (h, w, 3) in BGR, under lines that say what has which colour and how much it is.
-
-    A frame that could not be read has its status only.
-    """
+    """What was segmented, shape (h, w, 3) in BGR, under lines that name it; only the status of an unreadable frame."""
     if not frame.replayed.frames:
         return phases_picture(frame, title)
     masks = frame.replayed.frames[0].scene.left.masks
@@ -194,11 +180,9 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
     def enlarged(points_px: Array) -> Array:
         return np.asarray((points_px + 0.5) * times - 0.5)
 
-    drawing = replace(
-        frame.drawing,
-        shapes=tuple(replace(shape, points_px=enlarged(shape.points_px)) for shape in shapes),
-        labels=tuple(replace(label, place_px=enlarged(label.place_px)) for label in labels),
-    )
+    large_shapes = tuple(replace(shape, points_px=enlarged(shape.points_px)) for shape in shapes)
+    large_labels = tuple(replace(label, place_px=enlarged(label.place_px)) for label in labels)
+    drawing = FrameDrawing(frame.drawing.stamp_ns, large_shapes, large_labels)
     return _under(lines, draw_on(np.asarray(large, np.uint8), drawing, lines=False))
 
 
@@ -213,10 +197,9 @@ def _owner(frame: DrawnFrame, mask: Image) -> str:
 
 
 def phases_picture(frame: DrawnFrame, title: str, method: str = "") -> Image:
-    """All phases of a method on a frame in a grid, shape (h, w, 3) in BGR, under a line that says what it is.
+    """All phases of a method in a grid, shape (h, w, 3) in BGR, also those without a detection, under their names.
 
-    A phase whose detection this frame lacks is shown too: that it found nothing is what one wants to know. A frame
-    that could not be read has its status only.
+    A frame that could not be read has its status only.
     """
     lines = [title, *(line.text for line in frame.drawing.lines)]
     if not frame.replayed.frames or frame.replayed.image_bgr is None:
@@ -250,16 +233,12 @@ def _only(*parts: Part) -> Callable[[DrawnFrame], Image]:
 
 
 def _segmentation(frame: DrawnFrame) -> Image:
-    """Masks as tints on the image that was segmented, which has no distortion."""
     first = frame.replayed.frames[0]
     recorded = "regions_as_recorded" in first.left.found
-
-    def masks_of(one: Frame) -> Masks:
-        return one.left.masks_as_recorded if recorded else one.left.masks
-
-    parts = [(Part.TISSUE, masks_of(first).tissue)]
+    parts: list[tuple[Part, Image]] = []
     for one in frame.replayed.frames:
-        masks = masks_of(one)
+        masks = one.left.masks_as_recorded if recorded else one.left.masks
+        parts += [] if parts else [(Part.TISSUE, masks.tissue)]
         parts.append((Part.INSTRUMENT, masks.instrument))
         if masks.shaft is not None and not recorded:
             parts.append((Part.SHAFT, masks.shaft))
@@ -267,7 +246,6 @@ def _segmentation(frame: DrawnFrame) -> Image:
 
 
 def _marker(frame: DrawnFrame) -> Image:
-    """The image with the virtual marker pasted on it."""
     pixels = np.array(_image(frame))
     for one in frame.replayed.frames:
         found = virtual_marker(one, one.arm.profile)
@@ -300,14 +278,11 @@ def _matches(frame: DrawnFrame) -> Image:
     times = max(1, min(width // both.shape[1], height // both.shape[0]))
     large = cv2.resize(both, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)
     offset = np.array([left.shape[1] + 20.0, 0.0]) - np.array(found.window.origin_px, np.float64)
-    for is_inlier, part in ((False, Part.MATCH), (True, Part.INLIER)):
-        for a, b in zip(
-            found.template_px[found.inliers == is_inlier] + EDGE_MARGIN_PX,
-            found.matched_px[found.inliers == is_inlier] + offset,
-            strict=True,
-        ):
-            start, end = ((round((x + 0.5) * times), round((y + 0.5) * times)) for x, y in (a, b))
-            cv2.line(large, start, end, bgr(COLOURS[part]), 1, cv2.LINE_AA)
+    starts, ends = found.template_px + EDGE_MARGIN_PX, found.matched_px + offset
+    for at in np.argsort(found.inliers, kind="stable"):  # the others first: inliers lie on top
+        start, end = ((round((x + 0.5) * times), round((y + 0.5) * times)) for x, y in (starts[at], ends[at]))
+        colour = COLOURS[Part.INLIER if found.inliers[at] else Part.MATCH]
+        cv2.line(large, start, end, bgr(colour), 1, cv2.LINE_AA)
     top, at = (height - large.shape[0]) // 2, (width - large.shape[1]) // 2
     if top < 0 or at < 0:
         return np.asarray(cv2.resize(large, (width, height)), np.uint8)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from functools import partial
 from itertools import product
@@ -23,7 +22,7 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import atomic_file
 from svmdist.metrics import deviations_at
 from svmdist.report import charts
-from svmdist.report.charts import Chart, Curve, Form, Role
+from svmdist.report.charts import Chart, Curve, Role
 from svmdist.report.tables import counted
 from svmdist.report.writers import plot_format
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
@@ -38,14 +37,14 @@ DPI = 300
 MARKERS = "osD^v<>Ph*Xd"
 """Markers that differ at a size of 4 points, in the order in which they are taken."""
 STYLES: dict[Role, dict[str, Any]] = {
-    Role.ESTIMATE: {"color": "#1f5fa8", "linewidth": 1.0, "marker": ".", "markersize": 3},
-    Role.ERROR: {"color": "0.25", "linewidth": 0.9, "marker": ".", "markersize": 2},
-    Role.TRUTH: {"color": "#c1272d", "linewidth": 1.4, "linestyle": "--"},
-    Role.INTERVAL: {"color": "#b9cfe8", "linewidth": 0.0},
-    Role.LOST: {"color": "0.88", "linewidth": 0.0},
-    Role.THRESHOLD: {"color": "#e08a1e", "linewidth": 0.9, "linestyle": ":"},
-    Role.MODEL: {"color": "0.0", "linewidth": 1.0},
-    Role.LIMIT: {"color": "0.0", "linewidth": 0.8, "linestyle": "--"},
+    "estimate": {"color": "#1f5fa8", "linewidth": 1.0, "marker": ".", "markersize": 3},
+    "error": {"color": "0.25", "linewidth": 0.9, "marker": ".", "markersize": 2},
+    "truth": {"color": "#c1272d", "linewidth": 1.4, "linestyle": "--"},
+    "interval": {"color": "#b9cfe8", "linewidth": 0.0},
+    "lost": {"color": "0.88", "linewidth": 0.0},
+    "threshold": {"color": "#e08a1e", "linewidth": 0.9, "linestyle": ":"},
+    "model": {"color": "0.0", "linewidth": 1.0},
+    "limit": {"color": "0.0", "linewidth": 0.8, "linestyle": "--"},
 }
 """Estimate and truth are blue and red, as in the paper."""
 REFERENCE_NAMES = {
@@ -69,21 +68,14 @@ LOOKS: Any = {
 }
 
 
-@contextmanager
-def print_looks() -> Iterator[None]:
-    """Within this, figures are made and drawn with the looks of print; settings outside stay as they are."""
-    with mpl.rc_context(LOOKS), warnings.catch_warnings():
-        # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
-        warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
-        yield
-
-
-def write_figure(figure: Figure, path: Path) -> None:
-    """Write a figure in the format of the path's ending; raises OutputError where that cannot be."""
+def _write(draw_figure: Callable[[], Figure], path: Path) -> None:
+    """Draw a figure with the looks of print; raises OutputError where it cannot be written."""
     suffix = plot_format(path)
     metadata = {"Date": None} if suffix == "svg" else None
-    with print_looks(), atomic_file(path) as target:
-        figure.savefig(target, dpi=DPI, format=suffix, metadata=metadata)
+    with mpl.rc_context(LOOKS), warnings.catch_warnings(), atomic_file(path) as target:
+        # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
+        warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
+        draw_figure().savefig(target, dpi=DPI, format=suffix, metadata=metadata)
 
 
 def plain_name(text: str) -> str:
@@ -95,11 +87,11 @@ def _draw_curves(axes: Axes, curves: Sequence[Curve]) -> None:
     """Draw curves with their labels; dots of several series differ by marker and grey."""
     for at, curve in enumerate(curves):
         style, label = STYLES[curve.role], plain_name(curve.name)
-        if curve.form is Form.LINE:
+        if curve.form == "line":
             axes.plot(curve.x, curve.y, label=label, **style)
-        elif curve.form is Form.BAND:
+        elif curve.form == "band":
             axes.fill_between(curve.x, curve.low, curve.y, label=label, **style)  # type: ignore[arg-type]
-        elif curve.form is Form.SPANS:
+        elif curve.form == "spans":
             for begin, end in zip(curve.x, curve.y, strict=True):
                 axes.axvspan(begin, end, label=label if begin == curve.x[0] else None, **style)
         else:
@@ -130,13 +122,8 @@ class SeriesPlot(StrEnum):
 def save_series_plot(
     series: Sequence[Series], kind: SeriesPlot, path: Path, alarm_below_m: float | None = None
 ) -> None:
-    """Draw series and write the figure in the format of the path's ending.
-
-    Raises OutputError for another ending than matplotlib can write, for nothing to draw, and where writing fails.
-    """
-    plot_format(path)
-    with print_looks():
-        write_figure(draw_series(series, kind, path, alarm_below_m), path)
+    """Draw series and write the figure; raises OutputError for a wrong ending, nothing to draw, or a failed write."""
+    _write(lambda: draw_series(series, kind, path, alarm_below_m), path)
 
 
 def draw_series(
@@ -144,24 +131,19 @@ def draw_series(
 ) -> Figure:
     """The figure: a panel for each series over time, else one for all of each distance."""
     panels: list[tuple[Chart, str]] = []
-    if kind is SeriesPlot.TIME:
-        for one in series:
-            name = plain_name(f"{one.recording} {one.instrument}")
-            title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
-            panels.append((charts.distance_over_time(one, alarm_below_m), title))
+    for one in series if kind is SeriesPlot.TIME else ():
+        name = plain_name(f"{one.recording} {one.instrument}")
+        title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
+        panels.append((charts.distance_over_time(one, alarm_below_m), title))
     for distance in dict.fromkeys(one.distance for one in series if kind is not SeriesPlot.TIME):
         group = [one for one in series if one.distance == distance and np.isfinite(one.error_m).any()]
-        if not group or (
-            kind is SeriesPlot.CALIBRATION and not any(np.isfinite(one.std_m).any() for one in group)
-        ):
-            continue
-        of = f"{group[0].method}: {charts.distance_name(group[0])}"
-        if kind is SeriesPlot.RESIDUALS:
-            panels += [(charts.errors_over(group, "time"), f"{of}, errors over time")]
-            panels += [(charts.errors_over(group, "distance"), "over distance")]
-        elif kind is SeriesPlot.BLAND_ALTMAN:
+        of = f"{group[0].method}: {charts.distance_name(group[0])}" if group else ""
+        if group and kind is SeriesPlot.RESIDUALS:
+            panels.append((charts.errors_over(group, "time"), f"{of}, errors over time"))
+            panels.append((charts.errors_over(group, "distance"), "over distance"))
+        elif group and kind is SeriesPlot.BLAND_ALTMAN:
             panels.append((charts.agreement(group), of))
-        else:
+        elif group and np.isfinite(charts.pooled(group)[2]).any():
             panels.append((charts.calibration(group), f"{of}, interval"))
     if not panels:
         lacking = "an interval" if kind is SeriesPlot.CALIBRATION else "a truth"
@@ -175,20 +157,13 @@ def draw_series(
     return figure
 
 
-def save_plot(validation: Validation, path: Path, reference: Reference | None = None) -> None:
-    """Draw Fig. 6 of the paper, a panel per recording, and write it in the format of the path's ending.
+def save_plot(validation: Validation, path: Path) -> None:
+    """Draw Fig. 6 of the paper, a panel per recording, and write it; raises OutputError where that cannot be.
 
-    Drawn is the clearance where method and reference have one, else the spatial distance, else the planar one, against
-    a reference, by default the strongest. Raises OutputError for another ending than png, svg or pdf, for a reference
-    that no recording has, and where writing fails.
+    Drawn is the clearance, else the spatial, else the planar distance, against the strongest reference.
     """
-    reference = reference or validation.reference
-    scores = [score for score in validation.scores if score.reference is reference]
-    if not scores:
-        raise OutputError(f"{path}: nothing to draw: no recording was compared with {reference}")
-    plot_format(path)
-    with print_looks():
-        write_figure(draw(scores, validation.alarm_rules), path)
+    scores = [score for score in validation.scores if score.reference is validation.reference]
+    _write(lambda: draw(scores, validation.alarm_rules), path)
 
 
 def draw(scores: Sequence[Score], alarms: AlarmRules | None = None) -> Figure:
@@ -222,38 +197,27 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
     _draw_curves(upper, charts.distance_curves(seconds, estimate_mm, half_mm, truth_mm, truth_name))
     lower.axhline(0.0, color="0.6", linewidth=0.8)
     _draw_curves(lower, charts.error_curves(seconds, estimate_mm - truth_mm, half_mm))
-    upper.set_title(_title_3d(score, distance, in_3d) if in_3d else _title(score), loc="left")
+    upper.set_title(_title(score, distance, in_3d), loc="left")
     upper.set_ylabel(f"{distance} [mm]")
     lower.set(xlabel="time [s]", ylabel="error [mm]")
-    for axes in (upper, lower):
-        axes.tick_params(labelsize=7)
-    upper.tick_params(labelbottom=False)
+    upper.tick_params(labelsize=7, labelbottom=False)
+    lower.tick_params(labelsize=7)
 
 
-def _title(score: Score) -> str:
-    statistics = score.statistics
-    if statistics is None:
-        return f"{_name(score)}\nnothing measured"
-    r2 = "–" if statistics.r_squared is None else f"{statistics.r_squared:.4f}"
+def _title(score: Score, distance: str, in_3d: DistanceScore | None) -> str:
+    name = f"{plain_name(score.recording)}: {plain_name(score.method)}"
+    found = in_3d.statistics if in_3d else score.statistics
+    if found is None:
+        return f"{name}\nnothing measured"
+    if in_3d:
+        held = in_3d.interval_coverage
+        interval = "" if held is None else f", {held * 100:.0f} % in the 95 % interval"
+        return f"{name}, {distance}\nRMSE {found.rmse * 1e3:.2f} mm{interval}, n {found.count}"
+    r2 = "–" if found.r_squared is None else f"{found.r_squared:.4f}"
     fitted = ", fitted on" if score.fitted_on else ""
-    return (
-        f"{_name(score)}\nR² {r2}, RMSE {statistics.rmse * 1e3:.2f} mm, σ {statistics.truth_std * 1e3:.1f} mm,"
-        f" n {statistics.count}{fitted}"
-    )
+    return f"{name}\nR² {r2}, RMSE {found.rmse * 1e3:.2f} mm, σ {found.truth_std * 1e3:.1f} mm, n {found.count}{fitted}"
 
 
-def _title_3d(score: Score, distance: str, of: DistanceScore) -> str:
-    rmse_mm, held = of.statistics.rmse * 1e3, of.interval_coverage
-    interval = "" if held is None else f", {held * 100:.0f} % in the 95 % interval"
-    return f"{_name(score)}, {distance}\nRMSE {rmse_mm:.2f} mm{interval}, n {of.statistics.count}"
-
-
-def _name(score: Score) -> str:
-    return f"{plain_name(score.recording)}: {plain_name(score.method)}"
-
-
-OfDistance = Callable[[Figures], DistanceScore | None]
-OF: dict[str, OfDistance] = {name: attrgetter(name) for name in ("planar", "spatial", "clearance")}
 NAMES = {"planar": "planar distance", "spatial": "spatial distance", "clearance": "clearance"}
 LINE_IN, HEAD_IN = 0.19, 0.75
 """Height of a method's line, and of what a row of panels needs besides, in inches."""
@@ -264,44 +228,35 @@ NOMINAL = 95.0
 
 def save_compare_plot(scores: Sequence[MethodScore], path: Path) -> None:
     """Draw methods side by side and write the figure; raises OutputError for a wrong ending or a failed write."""
-    plot_format(path)
-    with print_looks():
-        write_figure(draw_compare(scores), path)
+    _write(lambda: draw_compare(scores), path)
 
 
 def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     """A line per method. Above: frames measured, and RMSE of each distance; below: time, and truths in the interval.
 
-    Groups of frames differ by marker; the one over all frames is black and filled. A method without a distance, or
-    without an interval, has no marker in its panel.
+    Groups of frames differ by marker; the one over all frames is black and filled.
     """
     groups = list(dict.fromkeys(score.group for score in scores))
     methods = list(dict.fromkeys(score.method for score in scores))
-    distances = [name for name, of in OF.items() if any(of(score.figures) for score in scores)]
+    distances = [name for name in NAMES if any(getattr(score.figures, name) for score in scores)]
     looks = _group_looks(groups)
     legend_rows = -(-len(groups) // 4) if len(groups) > 1 else 0
     height_in = 2 * (LINE_IN * len(methods) + HEAD_IN) + 0.17 * legend_rows + 0.25
     figure = Figure(figsize=(PAGE_IN, height_in), layout="constrained")
     axes = figure.subplots(2, 1 + len(distances), squeeze=False, sharey=True)
     frame_count = max(score.figures.frame_count for score in scores)
-    figure.suptitle(
-        f"{', '.join(map(plain_name, methods))}: {counted(frame_count, 'frame')}",
-        fontsize=8,
-        x=0.01,
-        ha="left",
-    )
+    title = f"{', '.join(map(plain_name, methods))}: {counted(frame_count, 'frame')}"
+    figure.suptitle(title, fontsize=8, x=0.01, ha="left")
 
     def dots(panel: Axes, value: Callable[[Figures], float | None]) -> list[float]:
         shown = []
         for score in scores:
-            found = value(score.figures)
-            if found is None or not np.isfinite(found):
-                continue
-            colour, marker, size = looks[score.group]
-            panel.plot([found], [methods.index(score.method)], linestyle="none", marker=marker, color=colour,
-                       markersize=size, markerfacecolor=colour if size > 4 else "none", markeredgewidth=0.8,
-                       clip_on=False, zorder=4 - 0.2 * size, label=_group_name(score.group))  # fmt: skip
-            shown.append(found)
+            found, (colour, marker, size) = value(score.figures), looks[score.group]
+            if found is not None and np.isfinite(found):
+                panel.plot([found], [methods.index(score.method)], linestyle="none", marker=marker, color=colour,
+                           markersize=size, markerfacecolor=colour if size > 4 else "none", markeredgewidth=0.8,
+                           clip_on=False, zorder=4 - 0.2 * size, label=plain_name(str(score.group)) or ALL)  # fmt: skip
+                shown.append(found)
         return shown
 
     panels: list[tuple[Axes, str, Callable[[Figures], float | None], bool]] = [
@@ -310,8 +265,8 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     ]
     for column, name in enumerate(distances, 1):
         panels += [
-            (axes[0, column], f"RMSE [mm]\n{NAMES[name]}", partial(_rmse_mm, OF[name]), False),
-            (axes[1, column], f"truths in 95 % interval [%]\n{NAMES[name]}", partial(_held, OF[name]), True),
+            (axes[0, column], f"RMSE [mm]\n{NAMES[name]}", partial(_rmse_mm, name), False),
+            (axes[1, column], f"truths in 95 % interval [%]\n{NAMES[name]}", partial(_held, name), True),
         ]
     for panel, label, value, is_share in panels:
         shown = dots(panel, value)
@@ -337,28 +292,19 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
 
 
 def _group_looks(groups: Sequence[Group]) -> dict[Group, tuple[str, str, float]]:
-    """Colour, marker and size of each group: all differ in one of the first two."""
-    others = [group for group in groups if not _is_all(group)]
+    others = [group for group in groups if group != Group(ALL, ALL)]
     pairs = product(("0.35", "0.6", "0.0"), MARKERS[1:])
     looks = {group: (grey, marker, 4.0) for group, (grey, marker) in zip(others, pairs, strict=False)}
     return {group: looks.get(group, ("0.0", MARKERS[0], 5.5)) for group in groups}
 
 
-def _is_all(group: Group) -> bool:
-    return group.scenario == ALL and group.degradation == ALL and not group.other_instrument
-
-
-def _group_name(group: Group) -> str:
-    return plain_name(str(group)) or ALL
-
-
-def _rmse_mm(of: OfDistance, figures: Figures) -> float | None:
-    score = of(figures)
+def _rmse_mm(distance: str, figures: Figures) -> float | None:
+    score: DistanceScore | None = getattr(figures, distance)
     return None if score is None else score.statistics.rmse * 1e3
 
 
-def _held(of: OfDistance, figures: Figures) -> float | None:
-    score = of(figures)
+def _held(distance: str, figures: Figures) -> float | None:
+    score: DistanceScore | None = getattr(figures, distance)
     return None if score is None or score.interval_coverage is None else 100.0 * score.interval_coverage
 
 

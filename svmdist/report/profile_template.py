@@ -101,7 +101,6 @@ def _topics(instrument: InstrumentDraft) -> dict[str, str]:
 
 
 def _by_colour(mark: DistinctColour, draft: ProfileDraft) -> Iterator[str]:
-    """Segmentation by colours, as comments: a part has a colour of its own."""
     pixels = draft.size_px[0] * draft.size_px[1]
     low, high = mark.hue
     lines = f"""
@@ -186,7 +185,6 @@ def _angle(value: float) -> str:
 
 
 def _text(text: str) -> str:
-    """A TOML string."""
     return json.dumps(text).replace("\x7f", "\\u007f")
 
 

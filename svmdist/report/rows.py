@@ -166,11 +166,7 @@ def shown_columns(
 
 
 def estimate_row(
-    recording: str,
-    result: FrameResult,
-    method: str,
-    equations: str,
-    alarm: AlarmState | None = None,
+    recording: str, result: FrameResult, method: str, equations: str, alarm: AlarmState | None = None
 ) -> Row:
     """The row of a result."""
     estimate = Estimate(recording, result, method, equations, alarm or AlarmState())

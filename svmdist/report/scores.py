@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Any
 
 from svmdist.errors import printable
 from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit, coverage
-from svmdist.report.tables import Cell, Column, Row, Table, counted, finite, metric_column, row_of
+from svmdist.report.tables import Column, Row, Table, counted, finite, metric_column, row_of
 from svmdist.report.writers import Results
 from svmdist.workflows.blur_bench import BlurRow
 from svmdist.workflows.compare import MethodScore
@@ -61,15 +61,14 @@ def score_columns() -> list[Column]:
 
 def validation_results(validation: Validation) -> Results:
     """The scores of all recordings, then of groups, then overall."""
-    columns = score_columns()
-    scores = (*validation.scores, *validation.groups, *validation.overall)
-    return Results(
-        columns,
-        [row_of(columns, score) for score in scores],
-        tables=validation_tables(validation),
-        notes=remarks(validation),
-        document=validation_document(validation),
+    columns, tables, document = (
+        score_columns(),
+        validation_tables(validation),
+        validation_document(validation),
     )
+    scores = (*validation.scores, *validation.groups, *validation.overall)
+    rows = [row_of(columns, score) for score in scores]
+    return Results(columns, rows, tables=tables, notes=remarks(validation), document=document)
 
 
 def validation_document(validation: Validation) -> dict[str, Any]:
@@ -77,7 +76,6 @@ def validation_document(validation: Validation) -> dict[str, Any]:
     primary, columns = validation.primary, score_columns()
 
     def of(score: Score) -> dict[str, Any]:
-        """A row whose `rejected` is an object of counts by reason."""
         row = {key: finite(value) for key, value in row_of(columns, score).items()}
         return row | {"rejected": dict(score.rejected)}
 
@@ -98,9 +96,7 @@ def validation_document(validation: Validation) -> dict[str, Any]:
 
 
 _NAME = Column("recording", TEXT, "recording", attrgetter("recording"))
-_AGAINST = Column(
-    "against", TEXT, "against", lambda score: str(score.reference).replace("ground_truth", "truth")
-)
+_AGAINST = Column("against", TEXT, "against", lambda one: str(one.reference).replace("ground_truth", "truth"))
 _BOUNDS = {
     "r_squared": ("r_squared_low", "r_squared_high", Unit("1", digits=3)),
     "rmse_m": ("rmse_low_m", "rmse_high_m", LENGTH),
@@ -140,7 +136,6 @@ def validation_tables(validation: Validation) -> list[Table]:
 
 
 def _interval_column(key: str) -> Column:
-    """A bootstrap interval as a text."""
     low, high, unit = _BOUNDS[key]
     of = {column.key: column.value for column in score_columns()}
     bound = Column(low, unit)
@@ -152,7 +147,6 @@ def _interval_column(key: str) -> Column:
 
 
 def _distance_rows(scores: Iterable[Score], metrics: list[Metric]) -> Iterator[Row]:
-    """One row per score and distance."""
     for score in scores:
         for distance in ("planar", "spatial", "clearance"):
             part: DistanceScore | None = getattr(score, distance)
@@ -161,10 +155,7 @@ def _distance_rows(scores: Iterable[Score], metrics: list[Metric]) -> Iterator[R
 
 
 def remarks(validation: Validation) -> list[str]:
-    """What the tables have no room for, one line per recording: frames that were not measured, lag, fitted logs.
-
-    For a planar method, the last line says what the paper reports.
-    """
+    """What the tables have no room for, one line per recording; of a planar method also what the paper reports."""
     lines: dict[str, list[str]] = {}
     for score in validation.scores:
         found = ["fitted on this log: left out of the overall row"] if score.fitted_on else []
@@ -181,12 +172,9 @@ def remarks(validation: Validation) -> list[str]:
             found.append(f"without it against {score.reference}: R² {r2}, RMSE {before.rmse * 1e3:.2f} mm")
         known = lines.setdefault(score.recording, [])
         known += [remark for remark in found if remark not in known]
+    planar = any(score.method in PLANAR_METHODS for score in validation.scores)
     remarked = [printable(f"{name}: {'; '.join(found)}") for name, found in lines.items() if found]
-    return (
-        [*remarked, PAPER_NOTE]
-        if any(score.method in PLANAR_METHODS for score in validation.scores)
-        else remarked
-    )
+    return [*remarked, *([PAPER_NOTE] if planar else [])]
 
 
 def compare_columns() -> list[Column]:
@@ -216,8 +204,8 @@ def compare_results(scores: Sequence[MethodScore]) -> Results:
 def _figure_columns() -> list[Column]:
     """The columns for a person: those of a distance stand below its name, and the time is the last one."""
     columns = []
-    last = {"ms_per_frame"}
-    metrics = sorted(within(figure_metrics(), Output.FIGURE_TABLE), key=lambda metric: metric.key in last)
+    shown = within(figure_metrics(), Output.FIGURE_TABLE)
+    metrics = sorted(shown, key=lambda metric: metric.key == "ms_per_frame")
     for group, members in groupby(metrics, lambda metric: metric.group):
         name = group.replace("clearance", "clear.")
         for index, metric in enumerate(members):
@@ -225,10 +213,6 @@ def _figure_columns() -> list[Column]:
             heading = f"{name if index == 0 else ''}\n{title}" if group else title.replace(" ", "\n")
             columns.append(metric_column(metric, heading))
     return columns
-
-
-def _paper(name: str) -> Callable[[BlurRow], Cell]:
-    return lambda row: getattr(row.printed, name) if row.printed else None
 
 
 BLUR_COLUMNS = (
@@ -242,8 +226,8 @@ BLUR_COLUMNS = (
     Column("coverage", SHARE, "coverage [%]"),
     Column("rmse_m", Unit("m", "mm", 1e3, 3), "RMSE [mm]"),
     Column("frame_count"),
-    Column("paper_keypoint_count", COUNT, "paper", _paper("keypoint_count")),
-    Column("paper_contour_area_px", COUNT, "paper", _paper("contour_area_px")),
+    Column("paper_keypoint_count", COUNT, "paper", lambda row: row.printed and row.printed.keypoint_count),
+    Column("paper_contour_area_px", COUNT, "paper", lambda row: row.printed and row.printed.contour_area_px),
 )
 
 
@@ -292,12 +276,8 @@ class LogFigures:
     @property
     def worst(self) -> tuple[str | None, int | None]:
         """How most of the frames ended that were not measured, and how many did."""
-        found = Counter({status: count for status, count in self.statuses.items() if status != "ok"})
-        return found.most_common(1)[0] if found else (None, None)
-
-
-def _coverage(log: LogFigures) -> float | None:
-    return coverage(log.measured_count, log.frame_count) if log.frame_count else None
+        lost = [(status, count) for status, count in self.statuses.items() if status != "ok"]
+        return max(lost, key=itemgetter(1), default=(None, None))
 
 
 def _reason(log: LogFigures) -> str | None:
@@ -310,7 +290,12 @@ LOG_COLUMNS = (
     Column("state", TEXT, "state"),
     Column("frame_count", COUNT, "frames"),
     Column("measured_count", COUNT, "measured"),
-    Column("coverage", SHARE, "coverage [%]", _coverage),
+    Column(
+        "coverage",
+        SHARE,
+        "coverage [%]",
+        lambda log: coverage(log.measured_count, log.frame_count) if log.frame_count else None,
+    ),
     Column("worst", TEXT, "most often", lambda log: log.worst[0]),
     Column("worst_count", COUNT, "frames so", lambda log: log.worst[1]),
     Column("loss_count", COUNT, "losses"),
@@ -335,9 +320,7 @@ def pooled_log_figures(figures: Sequence[LogFigures]) -> list[LogFigures]:
     pooled = []
     for group in (*sorted({one.group for one in figures if one.group}), ""):
         members = [one for one in figures if not group or one.group == group]
-        statuses: Counter[str] = Counter()
-        for one in members:
-            statuses.update(one.statuses)
+        statuses = sum((Counter(one.statuses) for one in members), Counter[str]())
         losses = sum(one.loss_count for one in members)
         failed = sum(one.failure is not None for one in members)
         name, count = group or "overall", len(members)
@@ -347,10 +330,8 @@ def pooled_log_figures(figures: Sequence[LogFigures]) -> list[LogFigures]:
 
 def log_results(each: Sequence[LogFigures], together: Sequence[LogFigures]) -> Results:
     """A row per ranked log, then groups and all logs."""
-    columns = [
-        column for column in LOG_COLUMNS if column.heading and (column.key != "group" or len(together) > 1)
-    ]
+    left_out = "" if len(together) > 1 else "group"
+    columns = [column for column in LOG_COLUMNS if column.heading and column.key != left_out]
     rows = [row_of(LOG_COLUMNS, one) for one in (*each, *together)]
-    return Results(
-        LOG_COLUMNS, rows, tables=[Table.of("Logs, sorted by severity, worst first", columns, rows)]
-    )
+    tables = [Table.of("Logs, sorted by severity, worst first", columns, rows)]
+    return Results(LOG_COLUMNS, rows, tables=tables)

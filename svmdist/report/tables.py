@@ -27,6 +27,7 @@ Row = Mapping[str, Cell]
 
 SURROGATES = re.compile("[\ud800-\udfff]")
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
+"""What a spreadsheet takes for the beginning of a formula."""
 PARQUET_ROWS = 1 << 14
 """Rows that are held at once."""
 
@@ -68,11 +69,6 @@ class Column:
     def is_text(self) -> bool:
         """Whether the column is text, flush left."""
         return self.unit is TEXT
-
-    @property
-    def arrow_type(self) -> str:
-        """The type in Parquet."""
-        return "string" if self.is_text else "int64" if self.unit.digits is None else "float64"
 
 
 def keys_of(columns: Iterable[Column]) -> tuple[str, ...]:
@@ -117,21 +113,12 @@ class Table:
 
 
 def render(table: Table, *, width: int | None = None, colour: bool = False) -> str:
-    """Render a table to text; as wide as it needs where no width is given, as for a pipe.
-
-    A table that is wider than `width` comes in parts, one below the other, so that no cell is broken.
-    """
+    """Render a table to text, as wide as it needs without a width; a wider one comes in parts with whole cells."""
     from rich.console import Console
 
     buffer = io.StringIO()
-    console = Console(
-        file=buffer,
-        width=width or 1000,
-        force_terminal=colour,
-        no_color=not colour,
-        emoji=False,
-        highlight=False,
-    )
+    console = Console(file=buffer, width=width or 1000, force_terminal=colour, no_color=not colour, emoji=False,
+                      highlight=False)  # fmt: skip
     for at, indices in enumerate(_parts(table, width) if width else [range(len(table.headings))]):
         console.print(_rich(table, indices, table.title if at == 0 else ""))
     return "\n".join(line.rstrip() for line in buffer.getvalue().splitlines()) + "\n"
@@ -172,14 +159,8 @@ def _rich(table: Table, indices: Sequence[int], title: str) -> RichTable:
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    made = RichTable(
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        collapse_padding=True,
-        title=Text(title) if title else None,
-        title_justify="left",
-        title_style="bold",
-    )
+    made = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left",
+                     title=Text(title) if title else None, title_style="bold")  # fmt: skip
     for index in indices:
         justify = "left" if table.is_text[index] else "right"
         made.add_column(Text(table.headings[index]), justify=justify, overflow="fold")  # type: ignore[arg-type]
@@ -193,10 +174,7 @@ def _rich(table: Table, indices: Sequence[int], title: str) -> RichTable:
 
 
 def text_lines(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[str]:
-    """Yield a plain table line by line, so that a log of any length can be shown as it is measured.
-
-    The rows are not known beforehand: a value that is wider than its column pushes its line to the right.
-    """
+    """Yield a plain table line by line as rows come; a value wider than its column pushes its line to the right."""
     widths = _text_widths(columns)
 
     def line(cells: Iterable[str]) -> str:
@@ -263,9 +241,7 @@ def _csv_cell(value: Cell) -> str:
     value = finite(value)
     if isinstance(value, str):
         text = printable(value)
-        return (
-            f"'{text}" if text.startswith(FORMULA_STARTS) else text
-        )  # no spreadsheet takes it for a formula
+        return f"'{text}" if text.startswith(FORMULA_STARTS) else text
     # A NumPy float writes its type into its repr.
     return "" if value is None else repr(float(value)) if isinstance(value, float) else repr(value)
 
@@ -276,7 +252,9 @@ def write_parquet(path: Path, columns: Sequence[Column], rows: Iterable[Row]) ->
     from pyarrow.parquet import ParquetWriter
 
     stored = [column for column in columns if column.stored]
-    schema = pyarrow.schema([(column.key, column.arrow_type) for column in stored])
+    schema = pyarrow.schema([
+        (one.key, "string" if one.is_text else "int64" if one.unit.digits is None else "float64") for one in stored
+    ])  # fmt: skip
     left = iter(rows)
     with atomic_file(path) as target, ParquetWriter(target, schema, compression="zstd") as writer:
         while piece := list(islice(left, PARQUET_ROWS)):

@@ -59,7 +59,7 @@ class Results:
     @property
     def keys(self) -> tuple[str, ...]:
         """The columns for machines."""
-        return tuple(column.key for column in self.columns if column.stored)
+        return tuple(_tables().keys_of(self.columns))
 
     def table_lines(self, width: int | None, colour: bool) -> Iterator[str]:
         """The text for a person."""
@@ -167,9 +167,8 @@ def names_of(holds: Holds) -> tuple[str, ...]:
 def choose_writer(given: str | None, output: Path | None, holds: Holds) -> Writer:
     """The writer of what a command gives: the named one, else that of the file's ending, else that of plain text.
 
-    Raises UsageError for a name that contradicts the ending of a recording, a video or a page, and without a name for
-    an ending that no format has: a table in a file that is called .avi is not what was meant. Raises OutputError where
-    a package is missing.
+    Raises UsageError for a name that contradicts the ending, and for an ending that no format has; raises OutputError
+    where a package is missing.
     """
     able = [writer for writer in WRITERS if writer.holds & holds]
     ending = "" if output is None else output.suffix.lower()

@@ -39,12 +39,7 @@ class NominalKinematics:
 
 
 def draw_nominal_kinematics(
-    chain: DHChain,
-    T_camera_base: Array,
-    profile: Profile,
-    seed: int,
-    scale: float = 0.0,
-    arm: int = 0,
+    chain: DHChain, T_camera_base: Array, profile: Profile, seed: int, scale: float = 0.0, arm: int = 0
 ) -> NominalKinematics:
     """Draw the nominal kinematics of a seed for one of the arms; `scale` multiplies the profile's kinematic error.
 

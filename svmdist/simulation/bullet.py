@@ -23,15 +23,9 @@ WHEELS_UP_TO = (3, 11)
 
 
 @contextmanager
-def quiet_stdout() -> Iterator[None]:
-    """Discard what C code writes to file descriptor 1."""
+def quiet(descriptor: int = 1) -> Iterator[None]:
+    """Discard what C code writes to a file descriptor."""
     sys.stdout.flush()
-    with _quiet(1):
-        yield
-
-
-@contextmanager
-def _quiet(descriptor: int) -> Iterator[None]:
     try:
         saved = os.dup(descriptor)
     except OSError:  # it is closed: there is nothing to keep clean
@@ -58,7 +52,7 @@ def load_pybullet() -> Any:
     """Import PyBullet, or raise SimulationError that says why it is missing and what to do."""
     try:
         # The banner with the build time goes to standard error.
-        with quiet_stdout(), _quiet(2):
+        with quiet(1), quiet(2):
             return importlib.import_module("pybullet")
     except ImportError as problem:
         advice = how_to_install(sys.version_info[:2], sys.platform, platform.machine())
@@ -81,7 +75,7 @@ class BulletWorld:
 
     def __init__(self) -> None:
         self.pb = load_pybullet()
-        with quiet_stdout():
+        with quiet():
             self._id: int = self.pb.connect(self.pb.DIRECT)
         if self._id < 0:
             raise SimulationError("PyBullet has no free physics world: too many simulations run at once")

@@ -183,13 +183,10 @@ class TissueClearance:
             if not all(touches):
                 surface = SurfaceDistance(surface.surface.dented(points_m))
                 inside = self._inside(poses, surface)
-        found = []
-        for arm, T_tissue_part, its, touch in zip(self._arms, poses, inside, touches, strict=True):
-            if touch:
-                found.append(0.0)
-            else:
-                found.append(-surface.depth_m(its) if len(its) else arm.distance_m(T_tissue_part, surface))
-        return found
+        return [
+            0.0 if touch else -surface.depth_m(its) if len(its) else arm.distance_m(T_tissue_part, surface)
+            for arm, T_tissue_part, its, touch in zip(self._arms, poses, inside, touches, strict=True)
+        ]
 
     def _poses(self, q: Sequence[Array], offset_m: float) -> list[Array]:
         return [arm.poses(its, offset_m) for arm, its in zip(self._arms, q, strict=True)]

@@ -214,14 +214,9 @@ class Shader:
         """Blinn's highlights of the lamp on the film over tissue and floor, 0 to about 1, shape (h, w)."""
         T_tissue_camera = inverse(T_camera_tissue).astype(np.float32)
         column_px, row_px = (
-            np.mod(
-                (points_m @ T_tissue_camera[k, :3] + T_tissue_camera[k, 3]) * (BUMP_PX / BUMP_SPAN_M), BUMP_PX
-            )
-            for k in range(2)
+            np.mod((points_m @ T[:3] + T[3]) * (BUMP_PX / BUMP_SPAN_M), BUMP_PX) for T in T_tissue_camera[:2]
         )
-        slopes = np.asarray(
-            cv2.remap(self._slopes, column_px, row_px, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        )
+        slopes = cv2.remap(self._slopes, column_px, row_px, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         normals = np.asarray(_normals(points_m) + slopes @ T_tissue_camera[:2, :3], np.float32)
         to_lamp = lamp.position_m.astype(np.float32) - points_m
         d_m = _lengths(to_lamp)
@@ -245,13 +240,7 @@ def _normals(points_m: Points) -> Points:
     """Unit normals towards the camera, shape (h, w, 3), smooth over the facets of meshes."""
     smooth_m = cv2.GaussianBlur(points_m, (0, 0), NORMAL_SIGMA_PX)
     along_x, along_y = np.gradient(smooth_m, axis=1), np.gradient(smooth_m, axis=0)
-    across = np.stack(
-        [
-            along_y[..., j] * along_x[..., k] - along_y[..., k] * along_x[..., j]
-            for j, k in ((1, 2), (2, 0), (0, 1))
-        ],
-        -1,
-    )
+    across = np.cross(along_y, along_x)
     return np.asarray(across / _lengths(across)[..., None])
 
 

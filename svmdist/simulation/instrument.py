@@ -64,36 +64,24 @@ def make_parts(
     neck_m = 2.2 * wrist_m
     # Many short rings: TinyRenderer walks the bounding box of every triangle, and long ones are slow.
     rings_m = np.linspace(neck_m + 0.0006, length_m, 60)
-    shaft = revolve(
-        np.concatenate([[neck_m], rings_m]), np.concatenate([[shaft_m - 0.0006], np.full(60, shaft_m)])
-    )
+    shaft = revolve(np.append(neck_m, rings_m), np.append(shaft_m - 0.0006, np.full(60, shaft_m)))
     collar = revolve(np.array([0.8 * wrist_m, neck_m + 0.0002]), np.array([wrist_m, shaft_m - 0.0004]))
-    hinge = sphere(wrist_m)
     fork_m = marker_m + 0.0004  # the fork's tines stand beside the distal marker
     bridge_x_m = -wrist_length_m + np.array([0.0, 0.3, 0.45]) * wrist_length_m
-    bridge = loft(
-        bridge_x_m,
-        np.array([0.9 * wrist_m, 0.5 * wrist_m, 0.3 * wrist_m]),
-        np.array([0.9 * wrist_m, fork_m + 0.0003, fork_m]),
-        roundness=2.6,
-    )
+    bridge_z_m = np.array([0.9 * wrist_m, fork_m + 0.0003, fork_m])
+    bridge = loft(bridge_x_m, np.array([0.9, 0.5, 0.3]) * wrist_m, bridge_z_m, roundness=2.6)
     tine = bar((-0.62 * wrist_length_m, 0.0006), 0.0005, 0.0003)
-    tines = [
-        tine.transformed(make_transform(np.eye(3), [0.0, 0.0, side * (fork_m + 0.0001)]))
-        for side in (-1.0, 1.0)
-    ]
-    blade = _jaw(instrument)
-    lower = blade.transformed(make_transform(np.eye(3), [0.0, -0.55 * instrument.jaw_radius_m, 0.0]))
-    upper = blade.transformed(
-        T_jaw_wrist @ make_transform(np.eye(3), [0.0, 0.55 * instrument.jaw_radius_m, 0.0])
-    )
+    tines = [tine.transformed(_shift(0.0, side * (fork_m + 0.0001))) for side in (-1.0, 1.0)]
+    blade, aside_m = _jaw(instrument), 0.55 * instrument.jaw_radius_m
+    lower = blade.transformed(_shift(-aside_m, 0.0))
+    upper = blade.transformed(T_jaw_wrist @ _shift(aside_m, 0.0))
     tip, ring_m, grey, blue = (perturbations[name] for name in ("tip", "ring", "shaft_grey", "shaft_blue"))
     shaft_rgba = _between(_between(SHAFT_RGBA, GREY_RGBA, grey), BLUE_RGBA, blue)
     tip_rgba = _between(MARKER_RGBA, STEEL_RGBA, 1.0 if ring_m else tip)
     parts = (
         Part("shaft", roll, shaft.transformed(T_roll_shaft), shaft_rgba),
         Part("collar", roll, collar.transformed(T_roll_shaft), STEEL_RGBA),
-        Part("hinge", roll, hinge, DARK_STEEL_RGBA),
+        Part("hinge", roll, sphere(wrist_m), DARK_STEEL_RGBA),
         Part("bridge", wrist_pitch, bridge, STEEL_RGBA),
         Part("left_tine", wrist_pitch, tines[0], STEEL_RGBA),
         Part("right_tine", wrist_pitch, tines[1], STEEL_RGBA),
@@ -106,6 +94,10 @@ def make_parts(
     ends_m = -1e-3 * ring_m + 0.5 * RING_LENGTH_M * np.array([-1.0, 1.0])
     ring = revolve(ends_m, np.full(2, RING_RADIUS_M))
     return (*parts, Part("ring", wrist_pitch, ring, MARKER_RGBA))
+
+
+def _shift(y_m: float, z_m: float) -> Array:
+    return make_transform(np.eye(3), [0.0, y_m, z_m])
 
 
 def _between(start: Rgba, end: Rgba, share: float) -> Rgba:

@@ -46,21 +46,18 @@ def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -
     angle = np.linspace(0.0, 2.0 * np.pi, SIDE_COUNT, endpoint=False)
     unit_y = np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** (2.0 / roundness)
     unit_z = np.sign(np.sin(angle)) * np.abs(np.sin(angle)) ** (2.0 / roundness)
-    grid = np.stack(
-        [
-            np.repeat(x_m[:, None], SIDE_COUNT, 1),
-            half_y_m[:, None] * unit_y,
-            half_z_m[:, None] * unit_z,
-        ],
-        -1,
-    )
-    sides = _quads(len(x_m), SIDE_COUNT)
+    x_m, y_m, z_m = np.broadcast_arrays(x_m[:, None], half_y_m[:, None] * unit_y, half_z_m[:, None] * unit_z)
+    grid = np.stack([x_m, y_m, z_m], -1)
+    sides = _quads(len(grid), SIDE_COUNT)
     vertices = grid.reshape(-1, 3)
-    normals = smooth_normals(vertices, sides)
-    parts = [(vertices, normals, sides)]
-    for ring, direction in ((0, -1.0), (len(x_m) - 1, 1.0)):
-        parts.append(_cap(grid[ring], direction))
-    return _joined(parts)
+    parts = [(vertices, smooth_normals(vertices, sides), sides), _cap(grid[0], -1.0), _cap(grid[-1], 1.0)]
+    offsets = np.cumsum([0] + [len(each) for each, _, _ in parts[:-1]])
+    return DrawnMesh(
+        np.concatenate([each for each, _, _ in parts]),
+        np.concatenate([faces + offset for (_, _, faces), offset in zip(parts, offsets, strict=True)]),
+        np.concatenate([normals for _, normals, _ in parts]),
+        np.full((sum(len(each) for each, _, _ in parts), 2), 0.5),
+    )
 
 
 def revolve(x_m: Array, radius_m: Array) -> DrawnMesh:
@@ -102,9 +99,8 @@ def _quads(ring_count: int, side_count: int) -> NDArray[np.int64]:
     ring, side = np.meshgrid(np.arange(ring_count - 1), np.arange(side_count), indexing="ij")
     a = (ring * side_count + side).ravel()
     b = (ring * side_count + (side + 1) % side_count).ravel()
-    return np.concatenate(
-        [np.stack([a, b, b + side_count], -1), np.stack([a, b + side_count, a + side_count], -1)]
-    )[:, ::1]
+    inner, outer = np.stack([a, b, b + side_count], -1), np.stack([a, b + side_count, a + side_count], -1)
+    return np.concatenate([inner, outer])
 
 
 def _cap(ring_m: Array, direction: float) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -114,14 +110,3 @@ def _cap(ring_m: Array, direction: float) -> tuple[Array, Array, NDArray[np.int6
     centre = np.full(count, count)
     faces = np.stack([here, following, centre] if direction > 0 else [following, here, centre], -1)
     return vertices, np.tile([direction, 0.0, 0.0], (count + 1, 1)), faces
-
-
-def _joined(parts: list[tuple[Array, Array, NDArray[np.int64]]]) -> DrawnMesh:
-    offsets = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts[:-1]])
-    vertices_m = np.concatenate([vertices for vertices, _, _ in parts])
-    return DrawnMesh(
-        vertices_m,
-        np.concatenate([faces + offset for (_, _, faces), offset in zip(parts, offsets, strict=True)]),
-        np.concatenate([normals for _, normals, _ in parts]),
-        np.full((len(vertices_m), 2), 0.5),
-    )

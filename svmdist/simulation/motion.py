@@ -6,7 +6,7 @@ it, so that the bodies keep apart while their pictures cross.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -43,18 +43,13 @@ CROSSING_PERIOD_S = 2.7
 _PATH_STREAM = 16
 
 
-@dataclass(frozen=True)
-class Trajectory:
-    """Exact joints, shape (n, n_joints), and the retractor's poses (n, 4, 4), or None where there is none."""
-
-    q: Array
-    T_world_retractor: Array | None
-
-
-def make_trajectory(scene: Scene, scenario: Scenario, working_height_m: float, progress: Array) -> Trajectory:
+def make_trajectory(
+    scene: Scene, scenario: Scenario, working_height_m: float, progress: Array
+) -> tuple[Array, Array | None]:
     """Plan a scenario in a scene at values of progress, shape (n,); raises SimulationError out of reach.
 
-    Where tissue moves, paths that end at a clearance move with it as they come near, as a surgeon's hand does.
+    Gives exact joints, shape (n, n_joints), and the retractor's poses (n, 4, 4), or None without one. Where tissue
+    moves, paths that end at a clearance move with it as they come near, as a surgeon's hand does.
     """
     stage = Stage(scene.T_world_tissue[:2, 3], scene.organ.height_m, working_height_m, scenario.duration_s)
     motion = plan_motion(scenario, progress, stage)
@@ -76,7 +71,7 @@ def make_trajectory(scene: Scene, scenario: Scenario, working_height_m: float, p
         xyz_m = np.column_stack([motion.retractor_xy_m, np.full(count, RETRACTOR_HEIGHT_M)])
         # The blade's tip points to -y: it comes in from the top of the image.
         T_world_retractor = make_transform(rotation_z(np.pi / 2), xyz_m)
-    return Trajectory(q, T_world_retractor)
+    return q, T_world_retractor
 
 
 def _joints(scene: Scene, motion: Motion) -> Array:
@@ -111,22 +106,13 @@ def _lowered(motion: Motion, by_m: float | Array) -> Motion:
     return replace(motion, p_world_tool_m=p_m)
 
 
-@dataclass(frozen=True)
-class OtherArm:
-    """One further arm: its name, the profile and the scene as it sees them, and its exact joints (n, n_joints)."""
-
-    name: str
-    profile: Profile
-    scene: Scene
-    q: Array
-
-
 def make_other_arms(
     profile: Profile, scene: Scene, options: Options, q: Array, progress: Array, duration_s: float
-) -> tuple[OtherArm, ...]:
+) -> list[tuple[str, Scene, Array]]:
     """Set up the further arms of a recording in which the first one moves by `q`, shape (n, n_joints).
 
-    Raises SimulationError where the profile places fewer arms, or the bodies cannot keep apart.
+    Gives the name, the scene as it sees it and the exact joints, shape (n, n_joints), of each. Raises SimulationError
+    where the profile places fewer arms, or the bodies cannot keep apart.
     """
     count = options.arms - 1
     placed = [other.name for other in profile.other_instruments if other.simulation is not None]
@@ -150,8 +136,8 @@ def make_other_arms(
         wrist_rad = gentle_wrist(rng, progress)
         wrist_rad[:, 3] += scene.jaw_opening_rad(progress * duration_s, index)
         path = _crossing(scene, other, settings.working_height_m, q, offset_m, rise_m, wrist_rad)
-        arms.append(OtherArm(name, view, other, path))
-    return tuple(arms)
+        arms.append((name, other, path))
+    return arms
 
 
 def _crossing(

@@ -66,10 +66,8 @@ def make_organ(rng: np.random.Generator, seed: int = 0, perturbations: Perturbat
     is_fine = strength > 0.0 or perturbations["dent"] > 0.0
     ring_count, side_count = (FINE_RING_COUNT, FINE_SIDE_COUNT) if is_fine else (RING_COUNT, SIDE_COUNT)
     shape = np.random.default_rng([seed, SHAPE_STREAM])
-    length_m, heading_rad = (
-        shape.uniform(*WAVELENGTHS_M, WAVE_COUNT),
-        shape.uniform(0.0, 2.0 * np.pi, WAVE_COUNT),
-    )
+    length_m = shape.uniform(*WAVELENGTHS_M, WAVE_COUNT)
+    heading_rad = shape.uniform(0.0, 2.0 * np.pi, WAVE_COUNT)
     weights = shape.uniform(0.5, 1.0, len(OUTLINE_ORDERS))
     phases_rad = shape.uniform(0.0, 2.0 * np.pi, WAVE_COUNT)
     outline_phases_rad = shape.uniform(0.0, 2.0 * np.pi, len(OUTLINE_ORDERS))
@@ -99,18 +97,16 @@ def make_organ(rng: np.random.Generator, seed: int = 0, perturbations: Perturbat
         vertices_m[:, 2] *= height_m / vertices_m[:, 2].max()
     faces = _fan_and_rings(ring_count, side_count)
     uv = 0.5 + vertices_m[:, :2] / TEXTURE_SPAN_M
-    return Organ(
-        DrawnMesh(vertices_m, faces, smooth_normals(vertices_m, faces), uv), outline_m, float(height_m)
-    )
+    mesh = DrawnMesh(vertices_m, faces, smooth_normals(vertices_m, faces), uv)
+    return Organ(mesh, outline_m, float(height_m))
 
 
 def _outline(angle: Array, rng: np.random.Generator) -> Array:
     """A superellipse-like outline with two faint waves; their amplitudes keep it convex."""
     a_m, b_m = SEMI_AXES_M
     exponent = rng.uniform(2.05, 2.2)
-    radius_m = (np.abs(np.cos(angle) / a_m) ** exponent + np.abs(np.sin(angle) / b_m) ** exponent) ** (
-        -1.0 / exponent
-    )
+    summed = np.abs(np.cos(angle) / a_m) ** exponent + np.abs(np.sin(angle) / b_m) ** exponent
+    radius_m = summed ** (-1.0 / exponent)
     wave = sum(
         amplitude * np.cos(order * angle + rng.uniform(0.0, 2.0 * np.pi))
         for order, amplitude in ((2, 0.02), (3, 0.025))
@@ -223,7 +219,7 @@ class OrganSurface:
             some_m, push_m = xy_m[begin : begin + CHUNK], by_m[begin : begin + CHUNK]
             near = ((place_m > some_m.min(0) - reach_m) & (place_m < some_m.max(0) + reach_m)).all(axis=1)
             x_m, y_m = (place_m[near, axis, None] - some_m[:, axis] for axis in range(2))
-            share = bump(np.sqrt(x_m * x_m + y_m * y_m) / reach_m)
+            share = _bump(np.sqrt(x_m * x_m + y_m * y_m) / reach_m)
             pushed_m[near] = np.maximum(pushed_m[near], (share * push_m).max(axis=1))
         return pushed_m
 
@@ -238,7 +234,7 @@ def _deepest(xy_m: Array, deep_m: Array) -> tuple[Array, Array]:
     return xy_m[chosen], deep_m[chosen]
 
 
-def bump(radius: Array) -> Array:
+def _bump(radius: Array) -> Array:
     """From 1 at radius 0 to 0 at 1 and beyond, any shape; twice differentiable.
 
     Wendland 1995, Piecewise polynomial, positive definite and compactly supported radial functions.

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.errors import UsageError
 from svmdist.kinematics.dh import chain_of
 from svmdist.perturbations.calibration import built_profile
 from svmdist.profile import Profile
@@ -25,7 +24,6 @@ from svmdist.transforms import Array
 START_NS = 1_700_000_000_000_000_000
 """The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
 CAMERA_INFO_PERIOD_NS = 1_000_000_000
-MAX_NOISE_LEVELS = 64.0
 
 
 @dataclass(frozen=True)
@@ -98,14 +96,9 @@ def make_plan(
 ) -> Plan:
     """Plan a recording; `noise` is a standard deviation in 8-bit levels.
 
-    Joints and poses come at the profile's joint rate, transforms and truth at every image's stamp. Raises UsageError
-    for noise out of range, and SimulationError where PyBullet is missing and needed, or the profile cannot be
-    simulated.
+    Joints and poses come at the profile's joint rate, transforms and truth at every image's stamp. Raises
+    SimulationError where PyBullet is missing and needed, or the profile cannot be simulated.
     """
-    if not 0.0 <= noise <= MAX_NOISE_LEVELS:
-        raise UsageError(
-            f"noise is a standard deviation from 0 to {MAX_NOISE_LEVELS:g} levels, found {noise:g}"
-        )
     options = options or Options()
     built = built_profile(profile, options.perturbations, scenario.seed)
     scene = make_scene(built, scenario.seed, options)
@@ -117,9 +110,13 @@ def make_plan(
     joints = _stamps(joint_count, settings.joint_rate_hz)
     stamps = np.union1d(images, joints)
     with_joints = np.isin(stamps, joints)
+    with_camera_info = np.zeros(len(stamps), np.bool_)
+    with_camera_info[np.searchsorted(stamps, np.arange(START_NS, stamps[-1] + 1, CAMERA_INFO_PERIOD_NS))] = (
+        True
+    )
     progress = np.clip((stamps - START_NS) / (scenario.duration_s * 1e9), 0.0, 1.0)
     path_s = progress * scenario.duration_s
-    trajectory = make_trajectory(scene, scenario, settings.working_height_m, progress)
+    path, T_world_retractor = make_trajectory(scene, scenario, settings.working_height_m, progress)
 
     def arm(number: int, view: Profile, its: Scene, q: Array, distance: str, prefix: str = "") -> Arm:
         """An arm that takes itself for the profile's."""
@@ -134,12 +131,11 @@ def make_plan(
         )
         return Arm(view, its, complete_topics(view, distance), q, nominal, reported, prefix)
 
-    arms = [arm(0, profile, scene, trajectory.q, "/ground_truth/distance")]
-    if options.arms > 1:
-        others = make_other_arms(built, scene, options, trajectory.q, progress, scenario.duration_s)
-        for number, other in enumerate(others, start=1):
-            view, distance = profile.for_instrument(other.name), f"/ground_truth/{other.name}/distance"
-            arms.append(arm(number, view, other.scene, other.q, distance, prefix=f"{other.name}_"))
+    arms = [arm(0, profile, scene, path, "/ground_truth/distance")]
+    others = make_other_arms(built, scene, options, path, progress, scenario.duration_s)
+    for number, (name, its, q) in enumerate(others, start=1):
+        view, distance = profile.for_instrument(name), f"/ground_truth/{name}/distance"
+        arms.append(arm(number, view, its, q, distance, prefix=f"{name}_"))
     return Plan(
         profile=profile,
         scene=scene,
@@ -150,8 +146,8 @@ def make_plan(
         stamps_ns=stamps,
         with_image=np.isin(stamps, images),
         with_joints=with_joints,
-        with_camera_info=_first_of_each_period(stamps),
-        T_world_retractor=trajectory.T_world_retractor,
+        with_camera_info=with_camera_info,
+        T_world_retractor=T_world_retractor,
         tissue_offset_m=scene.tissue_offset_m(np.asarray((stamps - START_NS) * 1e-9, np.float64)),
     )
 
@@ -180,17 +176,3 @@ def between_topic(first: str, second: str) -> str:
 
 def _stamps(count: int, rate_hz: float) -> NDArray[np.int64]:
     return np.asarray(START_NS + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64))
-
-
-def _first_of_each_period(stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which stamps are the first at or after a multiple of the cameras' period; shape (n,).
-
-    A stamp stands for one period at most: after a gap of several, those after it make up for them.
-    """
-    chosen = np.zeros(len(stamps), np.bool_)
-    next_ns = START_NS
-    for index, stamp in enumerate(stamps.tolist()):
-        if stamp >= next_ns:
-            chosen[index] = True
-            next_ns += CAMERA_INFO_PERIOD_NS
-    return chosen

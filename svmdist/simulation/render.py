@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from svmdist.camera import R_OPENGL_OPENCV, Camera
 from svmdist.perturbations.images import dimmed
 from svmdist.samples import Image
-from svmdist.simulation.bullet import BulletWorld, quiet_stdout
+from svmdist.simulation.bullet import BulletWorld, quiet
 from svmdist.simulation.effects import LAMP_M, NO_PART, Depths, Lamp, Shader, Surfaces
 from svmdist.simulation.instrument import Part, Rgba
 from svmdist.simulation.meshes import DrawnMesh
@@ -184,7 +184,7 @@ class DrawnWorld(BulletWorld):
 
     def _draw(self, width: int, height: int, view: list[float], projection: list[float]) -> Any:
         self._turn += 1
-        with quiet_stdout():
+        with quiet():
             return self.call(
                 "getCameraImage",
                 width,
@@ -252,7 +252,7 @@ class Renderer:
         self._background_of: tuple[float, Organ | None] = (0.0, None)
         self._still: DrawnWorld | None = None
         self._whole: DrawnWorld | None = None
-        self._state: SceneState | None = None
+        self._state: SceneState  # what `pose` has placed
         self._organ: Organ | None = None
         has_surfaces = scene.perturbations.has("light", "shadow", "wet", "blood")
         self._shader = Shader(scene.perturbations, scene.seed) if has_surfaces else None
@@ -282,7 +282,6 @@ class Renderer:
         if (drawn & (np.abs(picture.depth - background.depth) <= DEPTH_TIE)).any():
             # Few frames need it: those in which surfaces meet within a pixel's centre.
             self._whole = self._whole or DrawnWorld(self._scenes, still=True, moving=True)
-            assert self._state is not None  # nothing is drawn before it is posed
             self._whole.pose(self._state, self._organ)
             whole = self._picture(self._whole, camera, turn)
             return self._shaded(self._whole, whole, background.depth, camera, turn)
@@ -299,7 +298,6 @@ class Renderer:
 
     def _background(self, camera: int, turn: int) -> Picture:
         """Tissue and floor as a camera sees them in even or in odd turns."""
-        assert self._state is not None  # nothing is drawn before it is posed
         if self._background_of != (self._state.offset_m, self._organ):
             self._backgrounds.clear()
             self._background_of = self._state.offset_m, self._organ
@@ -314,7 +312,6 @@ class Renderer:
         """A picture in the light of its lamp; `behind` is the depth buffer of tissue and floor alone."""
         if self._shader is None:
             return picture.image_bgr
-        assert self._state is not None  # nothing is drawn before it is posed
         part, T_world_part = world.parts(picture)
         T_camera_world = inverse(self._T_world_cameras[camera])
         surfaces = Surfaces(

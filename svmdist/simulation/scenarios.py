@@ -8,12 +8,12 @@ differentiable.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.errors import UsageError, did_you_mean
+from svmdist.errors import UsageError
 from svmdist.transforms import Array
 
 
@@ -52,10 +52,8 @@ def wander(rng: np.random.Generator, s: Array, cycles: float = 1.5) -> Array:
     """A gentle wave between -1 and 1 with a random phase and frequencies about `cycles`, shape (n,)."""
     phases = rng.uniform(0.0, 2.0 * np.pi, 2)
     first = cycles * rng.uniform(0.85, 1.15)
-    return np.asarray(
-        0.65 * np.sin(2 * np.pi * first * s + phases[0])
-        + 0.35 * np.sin(2 * np.pi * 2.3 * first * s + phases[1])
-    )
+    slow, fast = 2 * np.pi * first * s + phases[0], 2 * np.pi * 2.3 * first * s + phases[1]
+    return np.asarray(0.65 * np.sin(slow) + 0.35 * np.sin(fast))
 
 
 Progress = Array
@@ -71,13 +69,6 @@ class Scenario:
     rate_hz: float = 10.0
 
     def __post_init__(self) -> None:
-        if self.name not in SCENARIOS:
-            raise UsageError(f"no scenario named {self.name}: {did_you_mean(self.name, SCENARIOS)}")
-        if self.seed < 0:
-            raise UsageError(f"a seed is a whole number from 0, found {self.seed}")
-        for what, value, limit in (("duration", self.duration_s, 3600.0), ("rate", self.rate_hz, 1000.0)):
-            if not 0.0 < value <= limit:
-                raise UsageError(f"{what} is above 0 and at most {limit:g}, found {value:g}")
         if self.frame_count < 1:
             raise UsageError(
                 f"{self.duration_s:g} s at {self.rate_hz:g} Hz hold no frame: give a longer duration or a higher rate"
@@ -116,8 +107,6 @@ class Motion:
     lowest_at: float = 1.0
 
 
-Plan = Callable[[np.random.Generator, Progress, Stage], Motion]
-
 FIELD_M = (0.0455, 0.0335)
 """Half of what the camera sees in the working plane, less a margin for the distal marker and its virtual marker."""
 
@@ -125,26 +114,30 @@ FIELD_M = (0.0455, 0.0335)
 def plan_motion(scenario: Scenario, progress: Progress, stage: Stage) -> Motion:
     """Sample a scenario's motion at values of progress, shape (n,)."""
     rng = np.random.default_rng([scenario.seed, zlib.crc32(scenario.name.encode())])
-    return SCENARIOS[scenario.name][1](rng, progress, stage)
+    return SCENARIOS[scenario.name](rng, progress, stage)
 
 
 def _calibration(rng: np.random.Generator, s: Progress, stage: Stage) -> Motion:
+    """A closed figure that crosses the whole field nine times each way.
+
+    Heights run on their own frequency, so that they do not go with the position.
+    """
     phases = rng.uniform(0.0, 2.0 * np.pi, 3)
-    # 5 and 4 cycles: a closed figure that crosses the field nine times each way.
-    x_m = FIELD_M[0] * np.sin(2 * np.pi * 5 * s + phases[0])
-    y_m = FIELD_M[1] * np.sin(2 * np.pi * 4 * s + phases[1])
-    # Heights run on their own frequency, so that they do not go with the position.
-    z_m = stage.working_height_m + 0.002 * np.sin(2 * np.pi * 7.3 * s + phases[2])
-    return Motion(np.stack([x_m, y_m, z_m], -1), gentle_wrist(rng, s))
+    return Motion(_waves(s, stage, phases, (*FIELD_M, 0.002), (5, 4, 7.3)), gentle_wrist(rng, s))
 
 
 def _sweep(rng: np.random.Generator, s: Progress, stage: Stage) -> Motion:
     phases = rng.uniform(0.0, 2.0 * np.pi, 3)
-    cycles_x, cycles_y = ((3, 2), (2, 3), (3, 4))[rng.integers(3)]
-    x_m = 0.034 * np.sin(2 * np.pi * cycles_x * s + phases[0])
-    y_m = 0.024 * np.sin(2 * np.pi * cycles_y * s + phases[1])
-    z_m = stage.working_height_m + 0.0015 * np.sin(2 * np.pi * 4.4 * s + phases[2])
-    return Motion(np.stack([x_m, y_m, z_m], -1), gentle_wrist(rng, s))
+    cycles = ((3, 2), (2, 3), (3, 4))[rng.integers(3)]
+    return Motion(_waves(s, stage, phases, (0.034, 0.024, 0.0015), (*cycles, 4.4)), gentle_wrist(rng, s))
+
+
+def _waves(
+    s: Progress, stage: Stage, phases: Array, amplitudes_m: Sequence[float], cycles: Sequence[float]
+) -> Array:
+    p_m = amplitudes_m * np.sin(2 * np.pi * np.array(cycles) * s[:, None] + phases)
+    p_m[:, 2] += stage.working_height_m
+    return np.asarray(p_m)
 
 
 def _approach(rng: np.random.Generator, s: Progress, stage: Stage) -> Motion:
@@ -169,9 +162,8 @@ def _descent(
     sag = 0.004 * np.sin(np.pi * there) ** 2 * rng.uniform(-1.0, 1.0)
     p_m = start + there[:, None] * (target - start)
     p_m[:, 1] += sag
-    wrist = gentle_wrist(rng, s) * (
-        1.0 - there[:, None]
-    )  # still at the lowest point, so that it is the lowest
+    # The wrist is still at the lowest point, so that it is the lowest.
+    wrist = gentle_wrist(rng, s) * (1.0 - there[:, None])
     wrist[:, 2] -= 0.25 * there  # the jaws bend down to the tissue
     # The last millimetres come last: `there` cubed is still smooth, and late.
     return Motion(p_m, wrist, clearance_m=clearance_m, lowering=there**3, lowest_at=lowest_at)
@@ -216,12 +208,11 @@ def gentle_wrist(rng: np.random.Generator, s: Progress) -> Array:
     return np.stack([amplitude * wander(rng, s) for amplitude in amplitudes], -1)
 
 
-SCENARIOS: dict[str, tuple[str, Plan]] = {
-    "calibration": ("covers the whole field of view in the working plane", _calibration),
-    "sweep": ("a Lissajous figure in the working plane, height within 2 mm", _sweep),
-    "approach": ("from the image border down to 2 mm from the tissue", _approach),
-    "contact": ("approaches, touches the tissue and retreats", _contact),
-    "occlusion": ("passes in front of the tissue; a retractor and the border hide it at times", _occlusion),
-    "random": ("smooth random waypoints in a box of 40 x 30 x 20 mm", _random),
+SCENARIOS: dict[str, Callable[[np.random.Generator, Progress, Stage], Motion]] = {
+    "calibration": _calibration,
+    "sweep": _sweep,
+    "approach": _approach,
+    "contact": _contact,
+    "occlusion": _occlusion,
+    "random": _random,
 }
-"""Every scenario with a line for a person and its plan."""

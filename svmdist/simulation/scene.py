@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.errors import SimulationError, UsageError
+from svmdist.errors import SimulationError
 from svmdist.kinematics.dh import DHChain, chain_of, frame_transforms
 from svmdist.perturbations.calibration import plane_tilt, right_turn, zoomed_camera
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, World
@@ -25,7 +25,6 @@ from svmdist.simulation.textures import floor_texture, tissue_texture
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
 from svmdist.vision.degradations import require_degradation
 
-MAX_ARMS = 2
 FLOOR_HALF_M = 0.16
 TISSUE_SHIFT_M = 0.0015
 """By seed, the organ stands this far from the camera's axis at most, along x and along y."""
@@ -57,12 +56,6 @@ class Options:
     world: World = World.IDEAL
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.kinematic_error <= 20.0:
-            raise UsageError(
-                f"the scale of the kinematic error is from 0 to 20, found {self.kinematic_error:g}"
-            )
-        if not 1 <= self.arms <= MAX_ARMS:
-            raise UsageError(f"a recording has 1 to {MAX_ARMS} arms, found {self.arms}")
         for name, severity in self.degradations:
             require_degradation(name, severity)
 
@@ -175,20 +168,16 @@ def make_scene(profile: Profile, seed: int, options: Options | None = None) -> S
             f"profile {profile.name} cannot be simulated: it needs [robot], [instrument] and [simulation]"
         )
     chain, settings = chain_of(profile.robot), profile.simulation
-    missing = [name for name in chain.joint_names if name not in settings.posture]
+    missing = ", ".join(name for name in chain.joint_names if name not in settings.posture)
     if missing or len(chain.rows) < 4:
-        lack = (
-            f"simulation.posture lacks {', '.join(missing)}" if missing else "an instrument needs four joints"
-        )
-        raise SimulationError(f"profile {profile.name} cannot be simulated: {lack}")
+        reason = f"simulation.posture lacks {missing}" if missing else "an instrument needs four joints"
+        raise SimulationError(f"profile {profile.name} cannot be simulated: {reason}")
     if options.tag and profile.fiducial is None:
         raise SimulationError(f"profile {profile.name} has no tag to mount: it needs [fiducial]")
     # One stream for each thing, so that one of them can change without moving the others.
     place, shape, red, dull = (np.random.default_rng([seed, stream]) for stream in range(4))
-    T_world_tissue = make_transform(
-        rotation_z(place.uniform(-np.pi, np.pi)),
-        [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0],
-    )
+    R_world_tissue = rotation_z(place.uniform(-np.pi, np.pi))
+    T_world_tissue = make_transform(R_world_tissue, [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0])
     camera = Camera.from_horizontal_fov(
         settings.width_px, settings.height_px, settings.horizontal_fov_rad, profile.frames.camera
     )
@@ -240,8 +229,8 @@ def make_floor() -> DrawnMesh:
     vertices_m = np.stack([x.ravel(), y.ravel(), np.zeros(count * count)], -1)
     row, column = np.meshgrid(np.arange(count - 1), np.arange(count - 1), indexing="ij")
     a = (row * count + column).ravel()
-    faces = np.concatenate(
-        [np.stack([a, a + 1, a + count + 1], -1), np.stack([a, a + count + 1, a + count], -1)]
+    faces = np.vstack(
+        [a[:, None] + np.array(corners) for corners in ((0, 1, count + 1), (0, count + 1, count))]
     )
     uv = 0.5 + vertices_m[:, :2] / (2.0 * FLOOR_HALF_M)
     return DrawnMesh(vertices_m, faces, smooth_normals(vertices_m, faces), uv)
@@ -250,9 +239,6 @@ def make_floor() -> DrawnMesh:
 def make_retractor() -> DrawnMesh:
     """A flat steel blade along +x from its tip at the origin; `occlusion` swings it over the instrument."""
     x_m = np.array([0.0, 0.0008, 0.002, 0.004, 0.008, 0.09])
-    return loft(
-        x_m,
-        np.array([0.0035, 0.0052, 0.0062, 0.0068, 0.007, 0.007]),
-        np.array([0.0006, 0.0007, 0.0008, 0.0008, 0.0008, 0.0008]),
-        roundness=3.0,
-    )
+    half_y_m = np.array([0.0035, 0.0052, 0.0062, 0.0068, 0.007, 0.007])
+    half_z_m = np.array([0.0006, 0.0007, 0.0008, 0.0008, 0.0008, 0.0008])
+    return loft(x_m, half_y_m, half_z_m, roundness=3.0)

@@ -14,14 +14,12 @@ from svmdist.camera import Camera, stereo_transform
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera, zoomed_camera
 from svmdist.perturbations.images import subsampled
 from svmdist.perturbations.table import Place
-from svmdist.profile import Profile
 from svmdist.samples import CameraSample, Image, ImageSample, Sample, TransformSample, TransformsSample
 from svmdist.simulation.arm import distances
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
 from svmdist.simulation.effects import field_delays_ns, weave
-from svmdist.simulation.plan import Block, Plan, SceneState, between_topic, make_plan
+from svmdist.simulation.plan import Block, Plan, SceneState, between_topic
 from svmdist.simulation.render import Renderer
-from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Options, raised
 from svmdist.transforms import Array, inverse
 from svmdist.vision.degradations import Degradation, degrade, image_seed
@@ -77,19 +75,6 @@ class Sensors:
             seed = image_seed(name, camera, self._seed, _DEGRADATION_STREAM, place, frame)
             image = degrade(image, name, severity, seed)
         return image
-
-
-def simulate(
-    scenario: Scenario, profile: Profile, *, noise: float = 0.0, options: Options | None = None
-) -> Iterator[tuple[str, Sample]]:
-    """Yield (topic, sample) in the order of time; `noise` is a standard deviation in 8-bit levels.
-
-    Raises SimulationError where PyBullet is missing or the profile cannot be simulated.
-    """
-    plan = make_plan(scenario, profile, noise=noise, options=options)
-    with Simulator(plan) as simulator:
-        for block in plan.blocks:
-            yield from simulator.samples(block, simulator.sensors.draw_noise())
 
 
 class Simulator:

@@ -38,9 +38,7 @@ def smooth_noise(rng: np.random.Generator, cell_count: int, stretch: float = 1.0
     """
     columns = max(2, round(cell_count / stretch))
     cells = rng.uniform(-1.0, 1.0, (cell_count, columns))
-    return np.asarray(
-        cv2.resize(cells, (TEXTURE_PX, TEXTURE_PX), interpolation=cv2.INTER_CUBIC), dtype=np.float64
-    )
+    return np.asarray(cv2.resize(cells, (TEXTURE_PX, TEXTURE_PX), interpolation=cv2.INTER_CUBIC), np.float64)
 
 
 def _vessels(rng: np.random.Generator) -> Array:
@@ -69,5 +67,4 @@ def _grow_vessel(
 
 
 def _as_image(colour: Array) -> Image:
-    rounded = np.rint(colour)
-    return np.clip(rounded, 0, 255, out=rounded).astype(np.uint8)
+    return np.clip(np.rint(colour), 0, 255).astype(np.uint8)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import cv2
@@ -62,7 +62,7 @@ class HsvMasks(Masks):
     """The masks of one image by colour, each made when it is first asked for."""
 
     def __init__(self, hsv: Image, rules: HsvSegmentation) -> None:
-        self._channels = _Channels(hsv)
+        self._channels = _channels_of(hsv)
         self._rules = rules
 
     @cached_property
@@ -98,39 +98,29 @@ class HsvSegmenter:
 
 def colour_mask(image_hsv: Image, region: ColourRegion) -> Image:
     """Mask, shape (h, w) with 0 or 255, of the pixels inside an HSV box whose hue may wrap around 0."""
-    return _mask(_Channels(image_hsv), region)
+    return _mask(_channels_of(image_hsv), region)
 
 
-class _Channels:
-    """Hue, saturation and value of an image, shape (h, w) each; only those that a box bounds are taken out."""
-
-    def __init__(self, image_hsv: Image) -> None:
-        self._image_hsv = image_hsv
-
-    @cached_property
-    def hue(self) -> Image:
-        return np.asarray(cv2.extractChannel(self._image_hsv, 0), np.uint8)
-
-    @cached_property
-    def saturation(self) -> Image:
-        return np.asarray(cv2.extractChannel(self._image_hsv, 1), np.uint8)
-
-    @cached_property
-    def value(self) -> Image:
-        return np.asarray(cv2.extractChannel(self._image_hsv, 2), np.uint8)
+HUE, SATURATION, VALUE = range(3)
+_Channels = Callable[[int], Image]
 
 
-def _mask(channels: _Channels, region: ColourRegion) -> Image:
+def _channels_of(image_hsv: Image) -> _Channels:
+    """The channels of an image, shape (h, w) each; only those that a box bounds are taken out, once."""
+    return cache(lambda channel: np.asarray(cv2.extractChannel(image_hsv, channel), np.uint8))
+
+
+def _mask(channel: _Channels, region: ColourRegion) -> Image:
     """Channel by channel: a test of one channel takes an eighth of what one of three channels at once takes."""
     first, last = region.hue
-    mask = cv2.inRange(channels.value, *region.value)
+    mask = cv2.inRange(channel(VALUE), *region.value)
     if tuple(region.saturation) != (0, 255):
-        cv2.bitwise_and(mask, cv2.inRange(channels.saturation, *region.saturation), mask)
+        cv2.bitwise_and(mask, cv2.inRange(channel(SATURATION), *region.saturation), mask)
     if first <= last:
         if (first, last) != (0, 179):
-            cv2.bitwise_and(mask, cv2.inRange(channels.hue, first, last), mask)
+            cv2.bitwise_and(mask, cv2.inRange(channel(HUE), first, last), mask)
     elif last + 1 < first:  # else the two ends meet, and every hue is inside
-        between = cv2.inRange(channels.hue, last + 1, first - 1)
+        between = cv2.inRange(channel(HUE), last + 1, first - 1)
         cv2.bitwise_and(mask, cv2.bitwise_not(between, between), mask)
     return np.asarray(mask, np.uint8)
 

@@ -158,7 +158,6 @@ def _disc(radius_px: float) -> Array:
 
 
 def _line(length_px: float, angle_rad: float) -> Array:
-    """A line about the middle, spread over its neighbours bilinearly, normalised to a sum of 1."""
     half = int(np.ceil(length_px / 2.0)) + 1
     kernel = np.zeros((2 * half + 1, 2 * half + 1))
     for along_px in np.linspace(-length_px / 2.0, length_px / 2.0, 16 * half):

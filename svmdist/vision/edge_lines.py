@@ -80,9 +80,7 @@ def profiles_across(
     # A slope is made of samples to both sides: all of them must be picture.
     wide = np.ones((1, 2 * int(2.0 * sigma_px / STEP_PX) + 1), np.uint8)
     seen = cv2.erode(np.asarray(seen, np.uint8), wide, borderValue=1) > 0
-    left, top = (
-        int(np.clip(least, 0, size - 1)) for least, size in ((x.min() - 1, width), (y.min() - 1, height))
-    )
+    left, top = (int(np.clip(v.min() - 1, 0, size - 1)) for v, size in ((x, width), (y, height)))
     window = bgr[top : max(int(y.max()) + 3, top + 1), left : max(int(x.max()) + 3, left + 1)]
     places = ((x - left).astype(np.float32), (y - top).astype(np.float32))
     values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -121,10 +119,8 @@ def straightest(profiles: Profiles, where: Array, reach_px: float, turn_px: floa
     best, reached = float(total[slant, offset]), int(last[slant, offset]) + 1
     if not best > 0.0:
         return None
-    support = best / reached + MIN_SUPPORT
-    return LineAcross(
-        float(offsets[candidates[offset]]), float(slants[slant]), support, float(reached / count)
-    )
+    place = float(offsets[candidates[offset]])
+    return LineAcross(place, float(slants[slant]), best / reached + MIN_SUPPORT, float(reached / count))
 
 
 def points_near(profiles: Profiles, place: Array, reach_px: float) -> Array:
@@ -210,17 +206,8 @@ class _Segment:
         return np.asarray(self.start_px + at[:, None] * self.along + off_px[:, None] * self.across)
 
 
-@dataclass(frozen=True, slots=True)
-class _Line:
-    """A straight part of an edge: its offset at the segment's start, its slope, and the place where it ends."""
-
-    offset_px: float
-    slope: float
-    end_at: float
-
-    def at(self, at: Array) -> Array:
-        """Its offsets at places, shape (n,)."""
-        return np.asarray(self.offset_px + self.slope * at)
+_Line = tuple[float, float, float]
+"""A straight part of an edge: its offset at the segment's start, its slope, and the place where it ends."""
 
 
 def edge_line(bgr: Image, rough: Array, width_px: float, picture: Image | None = None) -> EdgeLine | None:
@@ -235,24 +222,25 @@ def edge_line(bgr: Image, rough: Array, width_px: float, picture: Image | None =
     off_px = np.full(len(at), np.nan)
     # Its points are sought about the line through them, which may lie beyond what was looked at before, farther on.
     for _ in range(REFINEMENTS):
-        place = line.at(at)
+        place = line[0] + line[1] * at
         profiles = profiles_across(
             bgr, segment.points(at, place), segment.across, reach_px, sigma_px, picture
         )
         off_px = place + points_near(profiles, np.zeros(len(at)), reach_px)
-        line = _ending_line(at, off_px, line.end_at, straight_px, END_SHARE)
+        line = _ending_line(at, off_px, line[2], straight_px)
         if line is None:
             return None
-    before = at <= line.end_at
+    offset_px, slope, end_at = line
+    before = at <= end_at
     used = np.isfinite(off_px) & before
-    on_line = used & (np.abs(np.where(used, off_px, np.inf) - line.at(at)) < straight_px)
+    on_line = used & (np.abs(np.where(used, off_px, np.inf) - (offset_px + slope * at)) < straight_px)
     # A line through texture has its points here and there: most of what is seen beside it is not on it.
     count, least = np.count_nonzero(on_line), MIN_SEEN * np.count_nonzero(before)
     if count < max(MIN_POINTS, least, MIN_FOUND * np.count_nonzero(used)):
         return None
-    ends_at = np.array([0.0, line.end_at])
-    first, last = segment.points(ends_at, line.at(ends_at))
-    ends = bool(line.end_at < at[-1] - 2.0 * SPACING_PX)
+    ends_at = np.array([0.0, end_at])
+    first, last = segment.points(ends_at, offset_px + slope * ends_at)
+    ends = bool(end_at < at[-1] - 2.0 * SPACING_PX)
     return EdgeLine(first, last, segment.points(at[used], off_px[used]), ends)
 
 
@@ -270,20 +258,17 @@ def _first_line(bgr: Image, segment: _Segment, width_px: float, picture: Image |
     if rough is None:
         return None
     place, reach_px = rough.at(where), REFINED_PER_SCALE * coarse_px
-    profiles = profiles_across(
-        bgr, segment.points(at, place), across, 2.0 * reach_px, SLOPE_SIGMA_PX, picture
-    )
+    feet_px = segment.points(at, place)
+    profiles = profiles_across(bgr, feet_px, across, 2.0 * reach_px, SLOPE_SIGMA_PX, picture)
     fine = straightest(profiles.first(side), where[:side], reach_px, reach_px)
     if fine is None:
         return None
     off_px = place + points_near(profiles, fine.at(where), max(PEAK_REACH_PX, coarse_px))
     straight_px = max(STRAIGHT_PX, STRAIGHT_WIDTHS * width_px)
-    return _ending_line(at, off_px, fine.part * segment.length_px, straight_px, END_SHARE)
+    return _ending_line(at, off_px, fine.part * segment.length_px, straight_px)
 
 
-def _ending_line(
-    at: Array, off_px: Array, length_px: float, straight_px: float, end_share: float
-) -> _Line | None:
+def _ending_line(at: Array, off_px: Array, length_px: float, straight_px: float) -> _Line | None:
     """The straight part from the border on, of offsets, shape (n,), at places, shape (n,); NaN is no edge."""
     end_at = START_PART * length_px
     found = np.isfinite(off_px)
@@ -297,12 +282,12 @@ def _ending_line(
         on_line = residual < straight_px
         # The sum is largest where the part with more points on the line than off it ends. Where nothing is seen, as
         # of a dark shaft before dark tissue, little is said.
-        total = np.cumsum(np.where(on_line, 1.0 - end_share, np.where(found, -end_share, -UNSEEN_SHARE)))
+        total = np.cumsum(np.where(on_line, 1.0 - END_SHARE, np.where(found, -END_SHARE, -UNSEEN_SHARE)))
         best = int(np.argmax(total))
         if not total[best] > 0.0:
             return None
         end_at = float(at[best])
-    return _Line(line[0], line[1], end_at)
+    return *line, end_at
 
 
 def _robust_line(x: Array, y: Array) -> tuple[float, float]:
@@ -319,8 +304,7 @@ def _robust_line(x: Array, y: Array) -> tuple[float, float]:
         if not total > 0.0:
             break
         centre, height = float(weight @ x) / total, float(weight @ y) / total
-        slope = float(weight @ ((x - centre) * (y - height))) / max(
-            float(weight @ np.square(x - centre)), 1e-9
-        )
+        spread = max(float(weight @ np.square(x - centre)), 1e-9)
+        slope = float(weight @ ((x - centre) * (y - height))) / spread
         offset = height - slope * centre
     return offset, slope

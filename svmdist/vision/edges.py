@@ -22,8 +22,8 @@ MIN_AGREEING_FRACTION = 0.5  # of rays on the border's circle: with less the cir
 
 DEFAULT = ShaftSettings()
 STEP_PX = 0.5  # between samples across the edge: half a pixel loses nothing of what the pixels hold
+# An edge's blur is the median over so many places, each the mean of so many neighbouring profiles
 BLUR_PLACES, BLUR_STRIPS = 8, 7
-"""An edge's blur is the median over so many places, each the mean of so many neighbouring profiles."""
 
 
 def edge_points(
@@ -113,7 +113,6 @@ def slope_sigma_px(blur_px: float) -> float:
 
 
 def _feet(start_px: Array, end_px: Array, outward: Array, at: Array) -> tuple[Array, Array]:
-    """Points on a segment at distances `at`, shape (n,), from its start, and the unit vector across it outward."""
     along = (end_px - start_px) / np.linalg.norm(end_px - start_px)
     across = np.array([-along[1], along[0]])
     return start_px + at[:, None] * along, across if across @ outward > 0 else -across
@@ -128,27 +127,19 @@ def profiles_across(
     y = feet_px[:, 1, None] + offsets * across[1]
     height, width = brightness.shape
     left, right, top, bottom = x.min(), x.max(), y.min(), y.max()
-    if left >= 0 and top >= 0 and right <= width - 1 and bottom <= height - 1:
-        inside = np.ones(x.shape, np.bool_)
-    else:
-        inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
     # Only what the profiles cross is turned into floats; cubic interpolation reads two pixels beyond.
     column, row = (int(np.clip(least - 2, 0, size - 1)) for least, size in ((left, width), (top, height)))
     window = brightness[row : max(int(bottom) + 4, row + 1), column : max(int(right) + 4, column + 1)]
-    return _sampled(window, x, y, column, row), offsets, inside
+    # Subtracted in single precision, where the difference is exact: the image's own coordinates decide.
+    places = (x.astype(np.float32) - np.float32(column), y.astype(np.float32) - np.float32(row))
+    values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(values, np.float64), offsets, inside
 
 
 def least_slope(min_contrast: float, sigma_px: float) -> float:
     """A step of height c smoothed by σ has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ."""
     return float(min_contrast / (np.sqrt(2.0 * np.pi) * 2.0 * sigma_px))
-
-
-def _sampled(window: Image, x: Array, y: Array, column: int, row: int) -> Array:
-    """Brightness at places, shape (n, k) in px, with cubic interpolation; the border is repeated."""
-    # Subtracted in single precision, where the difference is exact: the image's own coordinates decide.
-    places = (x.astype(np.float32) - np.float32(column), y.astype(np.float32) - np.float32(row))
-    values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(values, np.float64)
 
 
 @lru_cache(maxsize=16)
@@ -225,38 +216,31 @@ class Disc:
     agreeing: float
 
 
-def strength_of(image_hsv: Image, hue: float) -> Array:
-    """Chroma along a hue (OpenCV's 0 to 179), shape (h, w) in levels: 0 for grey, negative for the opposite hue."""
-    hsv = image_hsv.astype(np.float32)
-    angle = (hsv[..., 0] - hue) * np.float32(np.pi / 90.0)
-    return np.asarray(hsv[..., 1] * hsv[..., 2] / 255.0 * np.cos(angle), np.float64)
-
-
 def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) -> Disc | None:
     """The disc near a rough one; None where its border is not to be found. `mask`, shape (h, w), has its colour."""
     half = int(np.ceil(2.0 * radius_px)) + 2
     x0, y0 = (np.floor(centre_px).astype(int) - half).tolist()
     height, width = mask.shape
-    rows, columns = (
-        slice(max(y0, 0), min(y0 + 2 * half + 1, height)),
-        slice(max(x0, 0), min(x0 + 2 * half + 1, width)),
-    )
+    rows = slice(max(y0, 0), min(y0 + 2 * half + 1, height))
+    columns = slice(max(x0, 0), min(x0 + 2 * half + 1, width))
     window, inside = image_hsv[rows, columns], mask[rows, columns] > 0
     if np.count_nonzero(inside) < 8:
         return None
     turns = window[..., 0][inside] * (np.pi / 90.0)
     hue = float(np.arctan2(np.sin(turns).mean(), np.cos(turns).mean()) * 90.0 / np.pi)
-    strength = strength_of(window, hue).astype(np.float32)
+    # Chroma along the hue: 0 for grey, negative for the opposite hue.
+    hsv = window.astype(np.float32)
+    angle = (hsv[..., 0] - hue) * np.float32(np.pi / 90.0)
+    strength = (hsv[..., 1] * hsv[..., 2] / 255.0 * np.cos(angle)).astype(np.float32)
     origin_px = np.array([columns.start, rows.start], np.float64)
     centre_px = centre_px - origin_px
     angles = np.linspace(0.0, 2.0 * np.pi, RAYS, endpoint=False)
     directions = np.stack([np.cos(angles), np.sin(angles)], -1)
     reach_px = np.arange(0.0, OUTSIDE[1] * radius_px, STEP_PX_DISC)
     places = (centre_px + reach_px[None, :, None] * directions[:, None, :]).astype(np.float32)
-    values = np.asarray(
-        cv2.remap(strength, places[..., 0], places[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE),
-        np.float64,
-    )
+    places_x, places_y = places[..., 0], places[..., 1]
+    values = cv2.remap(strength, places_x, places_y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    values = np.asarray(values, np.float64)
     within = (reach_px >= INSIDE[0] * radius_px) & (reach_px <= INSIDE[1] * radius_px)
     # Along each ray: one side of a sphere is in shade.
     high = np.asarray(np.median(values[:, within], axis=1), np.float64)
@@ -265,12 +249,11 @@ def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) 
     usable = np.isfinite(half_px) & (high - low > MIN_CHROMA)
     if np.count_nonzero(usable) < MIN_AGREEING_FRACTION * RAYS:
         return None
-    spread_px = _crossing(values, reach_px, 0.16 * high + 0.84 * low) - _crossing(
-        values, reach_px, 0.84 * high + 0.16 * low
-    )
+    outer_px = _crossing(values, reach_px, 0.16 * high + 0.84 * low)
+    spread_px = outer_px - _crossing(values, reach_px, 0.84 * high + 0.16 * low)
     blur_px = float(np.nanmedian(spread_px[usable])) / 2.0 if np.isfinite(spread_px[usable]).any() else 0.0
     points_px = centre_px + half_px[usable, None] * directions[usable]
-    return _circle(points_px, centre_px, max(blur_px, 0.0), origin_px, MIN_AGREEING_FRACTION)
+    return _circle(points_px, centre_px, max(blur_px, 0.0), origin_px)
 
 
 def _crossing(values: Array, reach_px: Array, level: Array) -> Array:
@@ -285,9 +268,7 @@ def _crossing(values: Array, reach_px: Array, level: Array) -> Array:
     return np.where(found, reach_px[index - 1] + part * STEP_PX_DISC, np.nan)
 
 
-def _circle(
-    points_px: Array, centre_px: Array, blur_px: float, origin_px: Array, min_agreeing: float
-) -> Disc | None:
+def _circle(points_px: Array, centre_px: Array, blur_px: float, origin_px: Array) -> Disc | None:
     """The circle through most points, shape (n, 2), by Gauss-Newton with Huber's weights."""
     radius_px = median(np.linalg.norm(points_px - centre_px, axis=1))
     weight, scale_px = np.ones(len(points_px)), 0.1
@@ -301,9 +282,8 @@ def _circle(
         step = np.linalg.solve(J.T @ (weight[:, None] * J) + 1e-9 * np.eye(3), J.T @ (weight * residual_px))
         centre_px, radius_px = centre_px + step[:2], radius_px + float(step[2])
     agreeing = float(np.count_nonzero(np.abs(residual_px) < 3.0 * scale_px)) / RAYS
-    if not radius_px > 1.0 or agreeing < min_agreeing:
+    if not radius_px > 1.0 or agreeing < MIN_AGREEING_FRACTION:
         return None
     # Blur of deviation σ draws the level of one half inwards by σ² / 2R on a border of radius R.
-    return Disc(
-        centre_px + origin_px, radius_px + blur_px**2 / (2.0 * radius_px), scale_px, blur_px, agreeing
-    )
+    whole_px = radius_px + blur_px**2 / (2.0 * radius_px)
+    return Disc(centre_px + origin_px, whole_px, scale_px, blur_px, agreeing)

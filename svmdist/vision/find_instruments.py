@@ -60,11 +60,8 @@ def learnt_appearance(images: Sequence[WorkingImage]) -> Appearance | None:
         if found:
             mask = np.asarray(np.any([one.mask for one in found], axis=0), np.uint8) * 255
             inside, near = cv2.erode(mask, SQUARE_3), cv2.dilate(mask, SQUARE_9)
-            examples.append(
-                Example(
-                    image, np.asarray(inside, np.uint8), np.asarray(cv2.subtract(image.core, near), np.uint8)
-                )
-            )
+            beside = np.asarray(cv2.subtract(image.core, near), np.uint8)
+            examples.append(Example(image, np.asarray(inside, np.uint8), beside))
     return learnt_from(examples) or first
 
 
@@ -75,9 +72,8 @@ def search_bars(image: WorkingImage) -> list[JudgedBar]:
         values = channel[image.core > 0]
         for level in np.percentile(values, PERCENTILES) if len(values) else ():
             low = np.asarray(255 * ((channel < level) & (image.core > 0)), np.uint8)
-            sought += _judged_bars(
-                np.asarray(cv2.morphologyEx(low, cv2.MORPH_OPEN, SQUARE_3), np.uint8), image, 1
-            )
+            low = np.asarray(cv2.morphologyEx(low, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+            sought += _judged_bars(low, image, 1)
     return _apart(sought, image)
 
 
@@ -209,13 +205,10 @@ def seen_instrument(found: Found, image: WorkingImage, size: tuple[int, int]) ->
     axis = end_px - sides[:, 0].mean(axis=0)
     axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
     x, y = np.arange(size[1], dtype=np.float32)[None, :], np.arange(size[0], dtype=np.float32)[:, None]
-    before = (x - np.float32(end_px[0])) * np.float32(axis[0]) + (y - np.float32(end_px[1])) * np.float32(
-        axis[1]
-    ) < 0
-    shaft = np.where(before, mask, 0).astype(np.uint8)
-    return SeenInstrument(
-        mask, shaft, np.asarray(cv2.subtract(mask, shaft), np.uint8), sides, end_px, tip_px, found.evidence
-    )
+    end, along = end_px.astype(np.float32), axis.astype(np.float32)
+    shaft = np.where((x - end[0]) * along[0] + (y - end[1]) * along[1] < 0, mask, 0).astype(np.uint8)
+    distal = np.asarray(cv2.subtract(mask, shaft), np.uint8)
+    return SeenInstrument(mask, shaft, distal, sides, end_px, tip_px, found.evidence)
 
 
 def outline_geometry(mask: NDArray[np.bool_], sides: Array) -> tuple[Array, Array, Array]:
@@ -244,26 +237,20 @@ def outline_geometry(mask: NDArray[np.bool_], sides: Array) -> tuple[Array, Arra
     is_cylinder = (np.abs(low - lower) < within) & (np.abs(high - upper) < within)
     end = _last_of_run(steps, is_cylinder, LONGEST_GAP * float(np.median(width)))
     cut = [_at(side, start, axis, end) for side in sides]
-    return (
-        np.stack([np.stack([side[0], inner]) for side, inner in zip(sides, cut, strict=True)]),
-        np.mean(cut, axis=0),
-        tip,
-    )
+    cut_sides = np.stack([np.stack([side[0], inner]) for side, inner in zip(sides, cut, strict=True)])
+    return cut_sides, np.mean(cut, axis=0), tip
 
 
 def _offsets(side: Array, start: Array, axis: Array, normal: Array, steps: NDArray[np.int_]) -> Array:
-    """How far a line is to the side of the axis at each step along it."""
     along = side[1] - side[0]
     slope = float(along @ normal) / max(abs(float(along @ axis)), 1e-9)
     return np.asarray(float((side[0] - start) @ normal) + slope * (steps - float((side[0] - start) @ axis)))
 
 
 def _at(side: Array, start: Array, axis: Array, end: float) -> Array:
-    """The point of a line, shape (2,), that is `end` along the axis."""
     along = side[1] - side[0]
-    return np.asarray(
-        side[0] + along * ((end - float((side[0] - start) @ axis)) / max(float(along @ axis), 1e-9))
-    )
+    share = (end - float((side[0] - start) @ axis)) / max(float(along @ axis), 1e-9)
+    return np.asarray(side[0] + along * share)
 
 
 def _last_of_run(steps: NDArray[np.int_], good: NDArray[np.bool_], longest_gap: float) -> float:

@@ -54,11 +54,8 @@ def first_field(bgr: Image, settings: InterlaceSettings = DEFAULT) -> Image:
         return bgr
     places = cv2.dilate(is_combed.astype(np.uint8), np.ones((REACH * side, REACH * side), np.uint8))
     mended = bgr.copy()
-    above = bgr[0:-2:2]
-    below = bgr[2::2]
-    odd = mended[1:-1:2]
-    between = cv2.addWeighted(above, 0.5, below, 0.5, 0.0)
-    np.copyto(odd, between, where=places[1:-1:2, :, None] > 0)
+    between = cv2.addWeighted(bgr[0:-2:2], 0.5, bgr[2::2], 0.5, 0.0)
+    np.copyto(mended[1:-1:2], between, where=places[1:-1:2, :, None] > 0)
     return mended
 
 
@@ -90,12 +87,10 @@ def as_pinholes(observation: Observation, row_offset_px: float = 0.0) -> Observa
 
 
 def _raised(image: Image, rows_px: float) -> Image:
-    """An image moved up by a number of rows, not a whole one in general."""
     height, width = image.shape[:2]
     moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -rows_px]])
-    return np.asarray(
-        cv2.warpAffine(image, moved, (width, height), None, cv2.INTER_CUBIC, cv2.BORDER_CONSTANT), np.uint8
-    )
+    raised = cv2.warpAffine(image, moved, (width, height), None, cv2.INTER_CUBIC, cv2.BORDER_CONSTANT)
+    return np.asarray(raised, np.uint8)
 
 
 def seen_through(camera: Camera, pinhole_px: Array) -> Array:
@@ -107,7 +102,6 @@ def seen_through(camera: Camera, pinhole_px: Array) -> Array:
 
 
 def _is_rectified(left: Camera, right: RightView) -> bool:
-    """Whether rows of both views correspond as they are."""
     same_K = np.allclose(np.delete(left.K - right.camera.K, 2, axis=1), 0.0, atol=1e-3)
     return (
         not left.has_distortion

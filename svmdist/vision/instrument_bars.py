@@ -195,16 +195,14 @@ def _chords(points: Array, free: NDArray[np.bool_]) -> tuple[Array, Array]:
         end = (begin + length) % count
         chord = points[end] - points[begin]
         long = np.linalg.norm(chord, axis=1)
-        good = (
-            (long > 0.78 * length) & free[begin] & free[end]
-        )  # 8-connected steps along a line are 0.71 to 1 long
+        # 8-connected steps along a line are 0.71 to 1 long.
+        good = (long > 0.78 * length) & free[begin] & free[end]
         starts.append(points[begin][good])
         along.append(chord[good] / long[good, None])
     return np.vstack(starts), np.vstack(along)
 
 
 def _are_beside(first: Array, second: Array, axis: Array, width_px: int) -> bool:
-    """Whether points of two lines, shape (n, 2) each, lie side by side, as far apart as an instrument is wide."""
     a, b = first @ axis, second @ axis
     common = min(a.max(), b.max()) - max(a.min(), b.min())
     if common < 0.35 * max(np.ptp(a), np.ptp(b)):
@@ -215,7 +213,6 @@ def _are_beside(first: Array, second: Array, axis: Array, width_px: int) -> bool
 
 
 def _line_of(points: Array, axis: Array) -> Array:
-    """Both ends, shape (2, 2), of the line through points, shape (n, 2), in the direction of an axis."""
     middle = points.mean(axis=0)
     _, _, directions = np.linalg.svd(points - middle, full_matrices=False)
     along = directions[0] * np.sign(directions[0] @ axis)
@@ -254,10 +251,8 @@ def _sharpened_side(bar: Bar, side: int, reach_px: float, image: WorkingImage) -
     seen = height > 1.0
     if np.count_nonzero(seen) < LEAST_AGREEING * PLACES:
         return np.asarray(bar.sides[side])
-    vx, vy, x0, y0 = (
-        float(v)
-        for v in np.ravel(cv2.fitLine(points[seen].astype(np.float32), cv2.DIST_WELSCH, 0, 0.01, 0.01))
-    )
+    line = cv2.fitLine(points[seen].astype(np.float32), cv2.DIST_WELSCH, 0, 0.01, 0.01)
+    vx, vy, x0, y0 = (float(value) for value in np.ravel(line))
     direction, at = np.array([vx, vy]), np.array([x0, y0])
     off = np.abs((points[seen] - at) @ np.array([-vy, vx]))
     if np.mean(off < LINE_WITHIN_PX) < LEAST_AGREEING:

@@ -53,26 +53,25 @@ def judged(bar: Bar, part: Image, image: WorkingImage, ratio: Floats | None = No
     inwards = _from_border(bar, part, image)
     if inwards is None:
         return None
-    first, second = _steps(inwards, 0, image, ratio), _steps(inwards, 1, image, ratio)
-    if first is None or second is None:
+    sides = [_steps(inwards, side, image, ratio) for side in (0, 1)]
+    if sides[0] is None or sides[1] is None:
         return None
-    fraction = min(first.fraction, second.fraction)
-    cooler, darker = min(first.cooler, second.cooler), min(first.darker, second.darker)
+    steps = np.array(sides)
+    fraction, cooler, darker, likelier = (float(value) for value in steps.min(0)[:4])
+    chroma, yellower, yellow = steps.max(0)[4:]
     is_cooler = cooler > LEAST_COOLER
-    is_grey = max(first.chroma, second.chroma) < GREY_CHROMA
-    is_darker = darker > LEAST_DARKER and (cooler > -MOST_WARMER or is_grey)
-    is_yellow = max(first.yellow, second.yellow) > YELLOW_FROM
-    if is_yellow and max(first.yellower, second.yellower) > MOST_YELLOWER:
+    is_darker = darker > LEAST_DARKER and (cooler > -MOST_WARMER or chroma < GREY_CHROMA)
+    if yellow > YELLOW_FROM and yellower > MOST_YELLOWER:
         return None
-    is_known = min(first.likelier, second.likelier) > LEAST_RATIO_STEP
+    is_known = likelier > LEAST_RATIO_STEP
     if fraction < LEAST_STEP_FRACTION or not (is_cooler or is_darker or is_known):
         return None
     lengths = np.linalg.norm(inwards.sides[:, 1] - inwards.sides[:, 0], axis=1)
     straight = min(1.0, float((np.array(inwards.support) / np.maximum(lengths, 1.0)).min()))
     straight *= min(1.0, inwards.length_px / (1.2 * inwards.width_px))
     long = min(1.0, inwards.length_px / (0.25 * settings.working_px)) ** 0.5
-    mean_cooler = max(0.5 * (first.cooler + second.cooler), -MOST_WARMER)
-    likelier = max(min(first.likelier, second.likelier), 0.0)
+    mean_cooler = max(0.5 * float(steps[0, 1] + steps[1, 1]), -MOST_WARMER)
+    likelier = max(likelier, 0.0)
     distinct = min(1.0, 0.4 + 2.0 * min(mean_cooler, 0.3) + 0.4 * max(darker, 0.0) + 0.1 * likelier)
     return JudgedBar(inwards, float(fraction * straight * long * max(distinct, 0.0)))
 
@@ -101,20 +100,8 @@ def _way_out(start: Array, along: Array, part: Image, image: WorkingImage, longe
     return float(length)
 
 
-@dataclass(frozen=True)
-class _Steps:
-    """Along one side: the part of it with a step, and what the inside is."""
-
-    fraction: float
-    cooler: float
-    darker: float
-    chroma: float
-    likelier: float
-    yellower: float
-    yellow: float
-
-
-def _steps(bar: Bar, side: int, image: WorkingImage, ratio: Floats | None) -> _Steps | None:
+def _steps(bar: Bar, side: int, image: WorkingImage, ratio: Floats | None) -> list[float] | None:
+    """Along one side: the part with a step; how much cooler, darker, likelier, chromatic, yellower; how yellow."""
     inside = np.rint(bar.places(side, REACH_PX)).astype(int)
     outside = np.rint(bar.places(side, -REACH_PX)).astype(int)
     seen = (_values(image.core, inside) > 0) & (_values(image.core, outside) > 0)
@@ -129,18 +116,15 @@ def _steps(bar: Bar, side: int, image: WorkingImage, ratio: Floats | None) -> _S
         rise = _values(ratio, inside[seen]) - _values(ratio, outside[seen])
         steps |= rise > LEAST_RATIO_STEP
         likelier = float(np.median(rise))
-    fraction = float(np.mean(steps))
-    cooler = float(np.median(step[:, 0] + 0.5 * step[:, 1]))
-    chroma = float(np.median(np.hypot(own[:, 0], own[:, 1])))
-    return _Steps(
-        fraction,
-        cooler,
+    return [
+        float(np.mean(steps)),
+        float(np.median(step[:, 0] + 0.5 * step[:, 1])),
         float(np.median(step[:, 2])),
-        chroma,
         likelier,
-        yellower=-float(np.median(step[:, 1])),
-        yellow=float(np.median(own[:, 1])),
-    )
+        float(np.median(np.hypot(own[:, 0], own[:, 1]))),
+        -float(np.median(step[:, 1])),
+        float(np.median(own[:, 1])),
+    ]
 
 
 def _values(field: NDArray[Value], places: NDArray[np.int_]) -> NDArray[Value]:
@@ -192,10 +176,8 @@ def with_missed_parts(
     rest = np.asarray(((ratio > RATIO_SURE) & image.inner & ~mask).astype(np.uint8))
     rest = np.asarray(cv2.morphologyEx(rest, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(rest)
-    touching = [
-        np.bincount(labels[cv2.dilate(one.astype(np.uint8), SQUARE_5) > 0], minlength=count) > 0
-        for one in masks
-    ]
+    near_each = [cv2.dilate(one.astype(np.uint8), SQUARE_5) > 0 for one in masks]
+    touching = [np.bincount(labels[near], minlength=count) > 0 for near in near_each]
     size = stats[:, cv2.CC_STAT_AREA]
     parts = range(1, count)
     apart = sum(int(size[part]) for part in parts if not any(near[part] for near in touching))

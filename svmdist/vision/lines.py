@@ -51,16 +51,11 @@ def undistorted(camera: Camera, points_px: Array) -> Array:
         y = (points_px[:, 1] - cy) / fy
         return np.stack([(points_px[:, 0] - cx - skew * y) / fx, y], -1)
     criteria = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
-    points = cv2.undistortPoints(
-        np.ascontiguousarray(points_px, np.float64).reshape(-1, 1, 2),
-        camera.K,
-        camera.D,
-        None,
-        None,
-        None,
-        criteria,
+    points = np.ascontiguousarray(points_px, np.float64).reshape(-1, 1, 2)
+    points = np.asarray(
+        cv2.undistortPoints(points, camera.K, camera.D, None, None, None, criteria), np.float64
     )
-    return np.asarray(points, np.float64).reshape(-1, 2)
+    return points.reshape(-1, 2)
 
 
 def fit_line(
@@ -70,21 +65,19 @@ def fit_line(
     inlier_px: float = 1.0,
     systematic_px: float = 0.0,
     correlation_px: float = POINT_CORRELATION_PX,
-    min_point_std_px: float = MIN_POINT_STD_PX,
 ) -> Line | None:
     """The line through most of the points, shape (n, 2): RANSAC, then total least squares with Huber's weights.
 
     `unit` is the size of a pixel in the unit of the points. None where fewer than `min_count` points agree
     within `inlier_px`, or less than half of them. `systematic_px` is an error that the points share: it shifts
-    the line, and may shift its two ends differently. Points closer than `correlation_px` err alike; none errs less
-    than `min_point_std_px`.
+    the line, and may shift its two ends differently. Points closer than `correlation_px` err alike.
     """
     chosen = _consensus(points, inlier_px * unit)
     if np.count_nonzero(chosen) < max(min_count, len(points) // 2):
         return None
     points = points[chosen]
     weight = np.ones(len(points))
-    floor = min_point_std_px * unit
+    floor = MIN_POINT_STD_PX * unit
     for _ in range(FIT_STEPS):
         centre = weight @ points / weight.sum()
         direction = _main_direction(points - centre, weight)
@@ -104,7 +97,6 @@ def fit_line(
 
 
 def _main_direction(offsets: Array, weight: Array) -> Array:
-    """The unit vector (2,) along which weighted points about their centre, shape (n, 2), scatter most."""
     x, y = offsets.T
     twice = np.arctan2(2.0 * (weight * x) @ y, (weight * x) @ x - (weight * y) @ y)
     return np.array([np.cos(0.5 * twice), np.sin(0.5 * twice)])

@@ -266,7 +266,6 @@ def _normalised(points_px: Array) -> tuple[Array, Array] | None:
 
 
 def _inverse_similarity(S: Array) -> Array:
-    """The inverse of a similarity without rotation, shape (3, 3)."""
     size, x, y = S[0, 0], S[0, 2], S[1, 2]
     return np.asarray(np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, size]]) / size)
 

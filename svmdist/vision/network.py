@@ -83,7 +83,6 @@ class ClassMasks(Masks):
 
     @cached_property
     def _from_border(self) -> Image | None:
-        """What of the instruments reaches the border of the picture; None where all of it counts."""
         if not self._rules.from_border:
             return None
         union = np.maximum(self._of(self._rules.instrument), self._of(self._rules.shaft))
@@ -120,9 +119,8 @@ class OnnxSegmenter:
         if output.ndim == 4 and output.shape[1] > 1:
             return best_class(np.asarray(output[0], np.float32), (width, height))
         labels = np.asarray(output.reshape(output.shape[-2:]), np.int32)
-        return np.asarray(
-            cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST_EXACT), np.int32
-        )
+        enlarged = cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
+        return np.asarray(enlarged, np.int32)
 
     def scores(self, image_bgr: Image) -> NDArray[np.float32]:
         """The classes' scores, (C, h', w'), of a BGR image; raises ProfileError for a network that gives labels."""
@@ -173,10 +171,8 @@ def network_input(image_bgr: Image, rules: OnnxSegmentation) -> NDArray[np.float
     if (image_bgr.shape[1], image_bgr.shape[0]) != size:
         # Averaging over a pixel's area keeps what is thinner than a pixel from flickering.
         shrinks = image_bgr.shape[1] >= size[0] and image_bgr.shape[0] >= size[1]
-        image_bgr = np.asarray(
-            cv2.resize(image_bgr, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR),
-            np.uint8,
-        )
+        how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        image_bgr = np.asarray(cv2.resize(image_bgr, size, interpolation=how), np.uint8)
     pixels = image_bgr[..., ::-1] if rules.channels == "rgb" else image_bgr
     mean, scale = np.array(rules.mean, np.float32), np.array(rules.scale, np.float32)
     scaled = (pixels.astype(np.float32) - mean) * scale
@@ -258,7 +254,6 @@ def _why_not_run(problem: Exception, rules: OnnxSegmentation) -> str:
 
 
 def _first_words(problem: Exception) -> str:
-    """What OpenCV says, without the source line it says it from, in one line."""
     text = " ".join(str(getattr(problem, "err", "") or problem).replace(">", " ").split())
     return text if len(text) <= 160 else f"{text[:157]}..."
 

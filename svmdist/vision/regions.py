@@ -97,13 +97,11 @@ def _is_outline(
     shoulder = min(SHOULDER_SAMPLES, (len(hidden) - 1) // 2)
     outline = ~_any_of(hidden, shoulder, shoulder)
     outline &= (column >= BORDER_PX) & (column < width - BORDER_PX)
-    outline &= (row >= BORDER_PX) & (row < height - BORDER_PX)
-    return np.asarray(outline)
+    return np.asarray(outline & (row >= BORDER_PX) & (row < height - BORDER_PX))
 
 
 @lru_cache(maxsize=4)
 def _disc(radius_px: float) -> NDArray[np.uint8]:
-    """The pixels within a radius of the middle one, as a structuring element."""
     offset = np.arange(-int(radius_px), int(radius_px) + 1)
     return np.asarray(offset**2 + offset[:, None] ** 2 <= radius_px**2).astype(np.uint8)
 
@@ -121,9 +119,8 @@ def _is_straight(points_px: Array, length: int, within_px: float) -> NDArray[np.
     off = chord_x * (y[middle] - y[:count]) - chord_y * (x[middle] - x[:count])
     start = np.flatnonzero(np.abs(off) < bound)
     within = start[:, None] + np.arange(1, length)
-    off = chord_x[start, None] * (y[within] - y[start, None]) - chord_y[start, None] * (
-        x[within] - x[start, None]
-    )
+    along_x, along_y = x[within] - x[start, None], y[within] - y[start, None]
+    off = chord_x[start, None] * along_y - chord_y[start, None] * along_x
     straight = np.zeros(count, np.bool_)
     straight[start] = (np.abs(off) < bound[start, None]).all(1)
     return _any_of(straight, length, 0)
@@ -210,7 +207,6 @@ def _series(unit: NDArray[np.complex128], harmonics: int) -> Array:
 
 @lru_cache(maxsize=4)
 def _circle(harmonics: int) -> tuple[NDArray[np.complex128], Array]:
-    """All corners of the curve as a polygon: e^(iθ), shape (n,), from θ = -π on, and the terms of the series there."""
     unit = np.exp(1j * np.linspace(-np.pi, np.pi, CURVE_POINTS, endpoint=False))
     return unit, _series(unit, harmonics)
 

@@ -40,7 +40,6 @@ def network_hint(bgr: Image) -> Floats:
 
 @lru_cache(maxsize=1)
 def _network() -> OnnxSegmenter:
-    """Read when it is first asked for, once in a process."""
     return OnnxSegmenter(OnnxSegmentation.model_validate({"method": "onnx", "model": f"{PREFIX}instruments"}))
 
 
@@ -125,9 +124,6 @@ class AutoSegmenter:
         return AutoMasks(bgr, self._appearance, self._settings)
 
 
-DEFAULT_AUTO = AutoSettings()
-
-
 class Segmenter(Protocol):
     """What every method of segmentation is: one image to its masks, at the image's own resolution."""
 
@@ -139,7 +135,7 @@ class Segmenter(Protocol):
         """The masks of an image, shape (h, w, 3) in BGR as recorded; `hsv` is it as HSV, for one that uses colours."""
 
 
-def make_segmenter(rules: Segmentation, auto: AutoSettings = DEFAULT_AUTO) -> Segmenter:
+def make_segmenter(rules: Segmentation, auto: AutoSettings = DEFAULT) -> Segmenter:
     """Make the segmenter that a profile asks for; raises ProfileError where its network cannot be used."""
     if isinstance(rules, AutoSegmentation):
         return AutoSegmenter(auto)

@@ -57,11 +57,9 @@ class ShaftRegion:
     @property
     def is_stub(self) -> bool:
         """Whether less of the shaft's length is to be seen than it is wide, by a quarter more."""
-        lengths_px = [
-            float(np.linalg.norm(side.end_px - side.start_px)) for side in (self.first, self.second)
-        ]
+        lengths_px = [np.linalg.norm(side.end_px - side.start_px) for side in (self.first, self.second)]
         width_px = float(np.linalg.norm(self.first.start_px - self.second.start_px))
-        return min(lengths_px) < 2.0 * width_px
+        return bool(min(lengths_px) < 2.0 * width_px)
 
     @property
     def middle_px(self) -> Array:
@@ -117,15 +115,14 @@ def _sides_of(
     contour: NDArray[np.int32], inside: NDArray[np.bool_]
 ) -> tuple[Side, Side, Array | None] | None:
     """The two sides of a closed contour, shape (n, 2), and the middle of its distal end."""
-    arcs = _arcs_inside(contour, inside, MIN_SIDE_PX)
+    arcs = sorted(_arcs_inside(contour, inside), key=len, reverse=True)
     if not arcs:
         return None
-    arcs.sort(key=len, reverse=True)
     if len(arcs) > 1 and len(arcs[1]) > 0.4 * len(arcs[0]):
         # Through the whole image: one arc along each side, run in opposite directions.
         first, second = _fitted_side(arcs[0]), _fitted_side(arcs[1][::-1])
         return (first, second, None) if _are_sides(first, second) else None
-    split = _split(arcs[0], MIN_SIDE_PX)
+    split = _split(arcs[0])
     if split is None:
         return None
     first, second = split
@@ -135,7 +132,6 @@ def _sides_of(
 
 
 def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> bool:
-    """Whether nothing mounted is within a half width of the distal end."""
     first, second, end_px = sides
     if end_px is None or covered is None:
         return True
@@ -146,7 +142,7 @@ def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> b
     return bool(np.all(np.hypot(x + left - end_px[0], y + top - end_px[1]) > radius_px))
 
 
-def _arcs_inside(contour: NDArray[np.int32], inside: NDArray[np.bool_], min_side_px: float) -> list[Array]:
+def _arcs_inside(contour: NDArray[np.int32], inside: NDArray[np.bool_]) -> list[Array]:
     """The stretches of a closed contour away from the border, each an array of shape (n, 2)."""
     if inside.all() or not inside.any():
         return []
@@ -155,15 +151,15 @@ def _arcs_inside(contour: NDArray[np.int32], inside: NDArray[np.bool_], min_side
     edges = np.flatnonzero(np.diff(inside.astype(np.int8)))
     starts, ends = edges[0::2] + 1, [*(edges[1::2] + 1), len(contour)]
     arcs = [contour[start:end].astype(np.float64) for start, end in zip(starts, ends, strict=False)]
-    return [arc for arc in arcs if len(arc) >= 2 * min_side_px]
+    return [arc for arc in arcs if len(arc) >= 2 * MIN_SIDE_PX]
 
 
-def _split(arc: Array, min_side_px: float) -> tuple[Side, Side] | None:
+def _split(arc: Array) -> tuple[Side, Side] | None:
     """Cut an arc, shape (n, 2), at the two corners that leave three pieces closest to straight lines."""
     points = arc[np.round(np.linspace(0, len(arc) - 1, min(len(arc), MAX_SAMPLES))).astype(int)]
     count = len(points)
     step_px = len(arc) / count
-    shortest = max(3, int(np.ceil(min_side_px / step_px)))
+    shortest = max(3, int(np.ceil(MIN_SIDE_PX / step_px)))
     if count < 3 * shortest:
         return None
     first = np.arange(shortest, count - 2 * shortest + 1)
@@ -177,7 +173,6 @@ def _split(arc: Array, min_side_px: float) -> tuple[Side, Side] | None:
 
 
 def _prefix_moments(points: Array) -> Array:
-    """The moments 1, x, y, x², y², xy of the first i points, shape (6, n + 1), of points of shape (n, 2)."""
     x, y = (points - points.mean(0)).T
     moments = np.stack([np.ones(len(points)), x, y, x * x, y * y, x * y])
     return np.hstack([np.zeros((6, 1)), np.cumsum(moments, axis=1)])
@@ -203,7 +198,6 @@ def _fitted_side(points: Array) -> Side:
 
 
 def _are_sides(first: Side, second: Side) -> bool:
-    """Whether two lines run alike and side by side."""
     lengths = [float(np.linalg.norm(side.end_px - side.start_px)) for side in (first, second)]
     if min(lengths) < MIN_SIDE_PX:
         return False
@@ -216,10 +210,8 @@ def _disc(radius_px: int) -> NDArray[np.uint8]:
 
 
 def _eroded(mask: Image, radius_px: int) -> Image:
-    """A mask without what is closer to its edge, or to the image's, than a radius."""
-    return np.asarray(
-        cv2.erode(mask, _disc(radius_px), borderType=cv2.BORDER_CONSTANT, borderValue=0), np.uint8
-    )
+    disc = _disc(radius_px)
+    return np.asarray(cv2.erode(mask, disc, borderType=cv2.BORDER_CONSTANT, borderValue=0), np.uint8)
 
 
 def _closed(mask: Image, radius_px: int) -> Image:
@@ -252,15 +244,12 @@ class _Box:
 
     @property
     def rectangle(self) -> tuple[int, int, int, int]:
-        """As OpenCV has it: x, y, width, height."""
         return self.left, self.top, self.right - self.left, self.bottom - self.top
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """The index of its pixels in the image."""
         return slice(self.top, self.bottom), slice(self.left, self.right)
 
     def inside(self, wide: _Box) -> tuple[slice, slice]:
-        """The index of its pixels in an array of a wider box."""
         top, left = self.top - wide.top, self.left - wide.left
         return slice(top, top + self.bottom - self.top), slice(left, left + self.right - self.left)

@@ -128,7 +128,6 @@ def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray
 
 
 def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The part of a body, shape (m, n), that hangs on the shaft, without specks."""
     opened = cv2.morphologyEx(np.asarray(body, np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     _, labels = cv2.connectedComponents(closed, connectivity=8)
@@ -183,8 +182,7 @@ def find_silhouette(
     bgr: Image, seen: SeenInstrument, picture: Image | None, wrist: WristShape
 ) -> Silhouette | None:
     """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges."""
-    found = [edge_line(bgr, side, seen.width_px, picture) for side in seen.sides]
-    first, second = found
+    first, second = (edge_line(bgr, side, seen.width_px, picture) for side in seen.sides)
     if first is None or second is None or not _are_a_pair(first, second):
         return None
     width_px = _width_px(first, second)
@@ -200,15 +198,12 @@ def find_silhouette(
     place = float(np.mean(places)) if agree else max(places)
     middle_px = 0.5 * (first.end_px + second.end_px)
     end_px = middle_px + (place - float(middle_px @ along)) * along
-    std_px = MIN_END_STD_WIDTHS * width_px + (
-        ENDS_APART * apart_px if len(places) == 2 else ENDS_APART * width_px
-    )
+    std_px = MIN_END_STD_WIDTHS * width_px + ENDS_APART * (apart_px if len(places) == 2 else width_px)
     point = wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
     return Silhouette((first, second), end_px, std_px, point)
 
 
 def _are_a_pair(first: EdgeLine, second: EdgeLine) -> bool:
-    """Whether two edges run alike, side by side, and are long enough to tell where."""
     if first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
         return False
     width_px = _width_px(first, second)
@@ -219,6 +214,5 @@ def _are_a_pair(first: EdgeLine, second: EdgeLine) -> bool:
 def _width_px(first: EdgeLine, second: EdgeLine) -> float:
     along = first.direction + second.direction
     along /= np.linalg.norm(along)
-    return abs(
-        float(along[0] * (second.end_px - first.end_px)[1] - along[1] * (second.end_px - first.end_px)[0])
-    )
+    apart_px = second.end_px - first.end_px
+    return abs(float(along[0] * apart_px[1] - along[1] * apart_px[0]))

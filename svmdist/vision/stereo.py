@@ -99,12 +99,14 @@ def rectified_pair(left: Camera, right: RightView) -> RectifiedPair | Failure:
         return Failure("the right camera is not to the right of the left one: are the topics swapped?")
     if not np.allclose(T[:3, :3], np.eye(3), atol=1e-6):
         return Failure("the pair is not rectified: the right camera is turned")
-    baseline_m = float(np.linalg.norm(T[:3, 3]))
+    R_rows_left, baseline_m = None, float(np.linalg.norm(T[:3, 3]))
     if np.linalg.norm(T[1:3, 3]) > MAX_TURN * baseline_m:
         return Failure("the right camera is not beside the left one: it is above, below, before or behind it")
-    R_rows_left = None
-    if np.abs(T[1:3, 3]).max() > MAX_OFF_AXIS * T[0, 3]:
-        R_rows_left = _rows_along(T[:3, 3] / baseline_m)
+    if np.abs(T[1:3, 3]).max() > MAX_OFF_AXIS * T[0, 3]:  # as cameras with x along the baseline see it
+        x = T[:3, 3] / baseline_m
+        y = np.cross([0.0, 0.0, 1.0], x)
+        y /= np.linalg.norm(y)
+        R_rows_left = np.stack([x, y, np.cross(x, y)])
     same_focal = np.allclose(np.delete(K - K_right, 2, axis=1), 0.0, atol=1e-3)
     if not same_focal or abs(K[1, 2] - K_right[1, 2]) > 1e-3:
         return Failure("the pair is not rectified: focal lengths or rows of the principal points differ")
@@ -112,13 +114,6 @@ def rectified_pair(left: Camera, right: RightView) -> RectifiedPair | Failure:
         return Failure("the pair is not rectified: the images are distorted")
     along_m = float(T[0, 3]) if R_rows_left is None else baseline_m
     return RectifiedPair(K, along_m, float(K[0, 2] - K_right[0, 2]), R_rows_left)
-
-
-def _rows_along(x: Array) -> Array:
-    """The rotation, shape (3, 3), from the left camera to one whose x axis is `x`, with little else turned."""
-    y = np.cross([0.0, 0.0, 1.0], x)
-    y /= np.linalg.norm(y)
-    return np.stack([x, y, np.cross(x, y)])
 
 
 DEFAULT = StereoSettings()
@@ -217,7 +212,10 @@ def match_region(
         return None
     window = np.s_[y : y + step * shape[0], left_px : left_px + step * shape[1]]
     left, right = (_reduced(image[window], step) for image in (left_grey, right_grey))
-    disparity_px = step * _match(left, right, low, high, settings.block_px, max(1, SPECKLE_PX2 // step**2))
+    speckle_px2 = max(1, SPECKLE_PX2 // step**2)
+    disparity_px = np.full(left.shape, np.nan)
+    if left.shape[1] >= _least_width_px(low, high, settings.block_px):
+        disparity_px = step * _matched(left, right, low, high, settings.block_px, 64, 2, 3, speckle_px2)
     middle = (step - 1) // 2
     is_core = core[window][middle::step, middle::step] > 0
     columns_px, rows_px = (
@@ -227,21 +225,26 @@ def match_region(
     return Matches(columns_px, rows_px, np.where(is_core, disparity_px, np.nan), is_core, step)
 
 
-def _match(
-    left_grey: Image, right_grey: Image, min_px: int, max_px: int, block_px: int, speckle_px2: int
+def _matched(
+    left_grey: Image,
+    right_grey: Image,
+    min_px: int,
+    max_px: int,
+    block_px: int,
+    smoothness: int,
+    max_difference_px: int,
+    uniqueness: int,
+    speckle_px2: int,
 ) -> Array:
-    """Disparity of every left pixel, shape (h, w) in px; NaN where there is none."""
-    if left_grey.shape[1] < _least_width_px(min_px, max_px, block_px):
-        return np.full(left_grey.shape, np.nan)
-    count = 16 * int(np.ceil((max_px - min_px) / 16))
+    """Disparity of every left pixel by semi-global matching, shape (h, w) in px; NaN where there is none."""
     matcher = cv2.StereoSGBM.create(
         minDisparity=min_px,
-        numDisparities=count,
+        numDisparities=16 * int(np.ceil((max_px - min_px) / 16)),
         blockSize=block_px,
         P1=8 * block_px**2,
-        P2=64 * block_px**2,
-        disp12MaxDiff=2,
-        uniquenessRatio=3,
+        P2=smoothness * block_px**2,
+        disp12MaxDiff=max_difference_px,
+        uniquenessRatio=uniqueness,
         speckleWindowSize=speckle_px2,
         speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
@@ -256,7 +259,6 @@ def _least_width_px(min_px: int, max_px: int, block_px: int) -> int:
 
 
 def _reduced(image: Image, step: int) -> Image:
-    """An image of which each pixel is the mean of `step` squared ones; its sides are multiples of that."""
     size = (image.shape[1] // step, image.shape[0] // step)
     return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
@@ -284,13 +286,19 @@ class StereoPlane:
 def fit_plane(left_bgr: Image, right_bgr: Image, K: Array, baseline_m: float) -> StereoPlane | None:
     """The plane of a rectified pair, by RANSAC and Geman and McClure's loss on disparities; None where none fits."""
     step = max(1, round(left_bgr.shape[1] / WIDTH_PX))
-    left, right = (_small_grey(image, step) for image in (left_bgr, right_bgr))
+    left, right = (
+        _reduced(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8), step)
+        for image in (left_bgr, right_bgr)
+    )
     fb_px_m = float(K[0, 0]) / step * baseline_m
     low = max(1, int(fb_px_m / FURTHEST_M))
     high = min(int(np.ceil(fb_px_m / NEAREST_M)), low + MAX_DISPARITIES, left.shape[1] // 2)
     if high - low < 3:
         return None
-    found = [(_disparities(left, np.roll(right, offset, 0), low, high), offset) for offset in ROW_OFFSETS_PX]
+    found = [
+        (_matched(left, np.roll(right, offset, 0), low, high, 7, 32, 1, 10, 100), offset)
+        for offset in ROW_OFFSETS_PX
+    ]
     disparity_px, offset = max(found, key=lambda one: int(np.isfinite(one[0]).sum()))
     rows, columns = np.nonzero(np.isfinite(disparity_px))
     if len(rows) < MIN_MATCHED_FRACTION * disparity_px.size:
@@ -331,28 +339,3 @@ def _robust_plane(rays: Array, values: Array, rng: np.random.Generator) -> Array
         weighted = rays * weights[:, None]
         best = np.asarray(np.linalg.solve(weighted.T @ rays, weighted.T @ values), np.float64)
     return best
-
-
-def _disparities(left: Image, right: Image, low: int, high: int) -> Array:
-    """Disparity of each left pixel in px; NaN where nothing matched."""
-    block = 7
-    matcher = cv2.StereoSGBM.create(
-        minDisparity=low,
-        numDisparities=16 * int(np.ceil((high - low) / 16)),
-        blockSize=block,
-        P1=8 * block**2,
-        P2=32 * block**2,
-        disp12MaxDiff=1,
-        uniquenessRatio=10,
-        speckleWindowSize=100,
-        speckleRange=2,
-        mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
-    )
-    fixed_point = np.asarray(matcher.compute(left, right), np.float64)
-    return np.where(fixed_point >= 16 * low, fixed_point / 16.0, np.nan)
-
-
-def _small_grey(image: Image, step: int) -> Image:
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    size = (image.shape[1] // step, image.shape[0] // step)
-    return np.asarray(grey if step == 1 else cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)

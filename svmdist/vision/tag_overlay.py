@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -73,9 +74,7 @@ class TagPattern:
         )
         return np.asarray(cv2.merge(planes), np.float32)
 
-    def _profiles(
-        self, blur_cells: float
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    def _profiles(self, blur_cells: float) -> Iterator[NDArray[np.float32]]:
         """How much of each sample is each cell's, and derivatives by place and blur, (samples, cells) each."""
         samples = (self.cell_count + 2 * PAD_CELLS) * CELL_SAMPLES
         place = (np.arange(samples) + 0.5) / CELL_SAMPLES - PAD_CELLS
@@ -83,8 +82,7 @@ class TagPattern:
         integral = np.interp(u, NORMAL_AT, NORMAL_INTEGRAL)
         density = np.exp(-0.5 * u * u) / (math.sqrt(2.0 * math.pi) * blur_cells)
         steps = (integral, density, -u * density)
-        along, by_place, by_blur = ((s[:, :-1] - s[:, 1:]).astype(np.float32) for s in steps)
-        return along, by_place, by_blur
+        return ((s[:, :-1] - s[:, 1:]).astype(np.float32) for s in steps)
 
 
 NORMAL_AT = np.linspace(-6.0, 6.0, 12001)
@@ -160,12 +158,11 @@ class LaidPattern(NormalEquations):
     xy_cells: Array
     slope: tuple[Array, Array]
     clusters_across: int
-    edge_slope: float
 
     @property
     def std(self) -> float:
         """The residual's standard deviation on the pattern's edges, in grey levels."""
-        return _std_on_edges(self.residual, *self.slope, self.edge_slope)
+        return _std_on_edges(self.residual, *self.slope)
 
     @property
     def cell(self) -> NDArray[np.int64]:
@@ -219,7 +216,7 @@ def start_overlay(
         contrast = float(centred @ brightness) / max(float(centred @ centred), 1e-12)
         residual = brightness - contrast * centred
         offset = float(on_tag.brightness.mean() - contrast * model.mean())
-        std = _std_on_edges(residual, by_x, by_y, EDGE_SLOPE)
+        std = _std_on_edges(residual, by_x, by_y)
         starts.append((float(residual @ residual), std, Overlay(T_camera_tag, blur_px, offset, contrast)))
     _, std, overlay = min(starts, key=lambda start: start[0])
     return overlay, std
@@ -250,24 +247,13 @@ def lay_pattern(pixels: TagPixels, overlay: Overlay, pattern: TagPattern, loss: 
     # The ridge keeps the blur's row regular where an image is sharper than any blur is seen.
     information = weighted @ J.T + RIDGE
     clusters_across = pattern.cell_count + 3 + 2 * int(MARGIN_CELLS)
-    return LaidPattern(
-        cost,
-        weighted @ residual,
-        information,
-        overlay,
-        residual,
-        J,
-        weight,
-        on_tag.xy_cells,
-        (by_x, by_y),
-        clusters_across,
-        EDGE_SLOPE,
-    )
+    laid = (overlay, residual, J, weight, on_tag.xy_cells, (by_x, by_y), clusters_across)
+    return LaidPattern(cost, weighted @ residual, information, *laid)
 
 
-def _std_on_edges(residual: Array, by_x: Array, by_y: Array, edge_slope: float) -> float:
+def _std_on_edges(residual: Array, by_x: Array, by_y: Array) -> float:
     steepness = by_x * by_x + by_y * by_y
-    return scale_of(residual[steepness > edge_slope**2 * steepness.max()]) + TINY_LEVEL
+    return scale_of(residual[steepness > EDGE_SLOPE**2 * steepness.max()]) + TINY_LEVEL
 
 
 def _pixels_on_tag(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> _PixelsOnTag | None:
@@ -285,9 +271,8 @@ def _pixels_on_tag(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) 
         return None
     share = np.minimum(1.0, inward_cells[inside] / FADE_CELLS)
     xy_cells = np.stack([x[inside], y[inside]])
-    return _PixelsOnTag(
-        pixels.brightness[inside], share, (xy_cells + t_cells[:2, None]) / t_cells[2], xy_cells
-    )
+    slope = (xy_cells + t_cells[:2, None]) / t_cells[2]
+    return _PixelsOnTag(pixels.brightness[inside], share, slope, xy_cells)
 
 
 def _px_per_cell(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> float:

@@ -139,27 +139,21 @@ def find_every_tag(image_grey: Image, family: str, settings: TagSettings = DEFAU
     """Every tag of a family in an image, shape (h, w), also where several have one number."""
     # OpenCV takes the smallest perimeter relative to the image's longer side.
     min_perimeter = 4.0 * settings.min_side_px / max(image_grey.shape)
-    detector = _detector(
-        family, settings.error_correction_rate, CELL_SAMPLES, CELL_MARGIN, min_perimeter, get_ident()
-    )
+    rules = settings.error_correction_rate, min_perimeter
+    detector = _detector(family, *rules, get_ident())
     corners, ids, _ = detector.detectMarkers(image_grey)
     cell_count = detector.getDictionary().markerSize + 2
+    rough = [np.asarray(seen, np.float64).reshape(4, 2) for seen in corners]
+    numbers = [] if ids is None else [int(number) for number in ids.ravel()]
     return [
-        FoundTag(
-            int(number), refine_corners(image_grey, np.asarray(seen, np.float64).reshape(4, 2), cell_count)
-        )
-        for seen, number in zip(corners, [] if ids is None else ids.ravel(), strict=True)
+        FoundTag(number, refine_corners(image_grey, corners_px, cell_count))
+        for number, corners_px in zip(numbers, rough, strict=True)
     ]
 
 
 @lru_cache(maxsize=32)
 def _detector(
-    family: str,
-    error_correction_rate: float,
-    cell_samples: int,
-    cell_margin: float,
-    min_perimeter: float,
-    _thread: int,
+    family: str, error_correction_rate: float, min_perimeter: float, _thread: int
 ) -> cv2.aruco.ArucoDetector:
     """The detector of a family; each thread has its own, since it keeps state while it works."""
     dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
@@ -168,8 +162,8 @@ def _detector(
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     parameters.errorCorrectionRate = error_correction_rate
-    parameters.perspectiveRemovePixelPerCell = cell_samples
-    parameters.perspectiveRemoveIgnoredMarginPerCell = cell_margin
+    parameters.perspectiveRemovePixelPerCell = CELL_SAMPLES
+    parameters.perspectiveRemoveIgnoredMarginPerCell = CELL_MARGIN
     parameters.minMarkerPerimeterRate = min_perimeter
     return cv2.aruco.ArucoDetector(dictionary, parameters)
 
@@ -186,12 +180,10 @@ def square_corners_m(size_m: float) -> Array:
 
 def pose_candidates(corners_px: Array, size_m: float, K: Array, D: Array) -> list[Array]:
     """Both poses that four corners allow, shape (4, 4) each, the better one first (Collins and Bartoli 2014)."""
+    flags, square_m = cv2.SOLVEPNP_IPPE_SQUARE, square_corners_m(size_m)
+    D_or_none = D if len(D) else None
     _, rotations, translations, _ = cv2.solvePnPGeneric(
-        square_corners_m(size_m),
-        np.ascontiguousarray(corners_px),
-        K,
-        D if len(D) else None,
-        flags=cv2.SOLVEPNP_IPPE_SQUARE,
+        square_m, np.ascontiguousarray(corners_px), K, D_or_none, flags=flags
     )
     poses = []
     for rotation, translation in zip(rotations, translations, strict=True):

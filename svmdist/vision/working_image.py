@@ -176,7 +176,6 @@ def learnt_from(examples: Iterable[Example]) -> Appearance | None:
 
 
 def _bins_of(colours: Floats) -> NDArray[np.int32]:
-    """The bin of each colour, shape (...,), of colours, shape (..., 3)."""
     scaled = (colours - LOWEST) * (np.array(BINS, np.float32) / (HIGHEST - LOWEST))
     at = np.clip(scaled, 0, np.array(BINS, np.float32) - 1).astype(np.int32)
     return np.asarray((at[..., 0] * BINS[1] + at[..., 1]) * BINS[2] + at[..., 2], np.int32)

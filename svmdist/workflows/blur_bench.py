@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -43,6 +44,8 @@ class PrintedRow:
     contour_area_px: int
 
 
+MEANS = ("keypoint_count", "contour_area_px", "marker_keypoint_count", "match_count", "inlier_count")
+"""Columns that are means over the frames."""
 TABLE_I: Mapping[Blur, PrintedRow] = {
     Blur.EROSION: PrintedRow(7, 221),
     Blur.DILATION: PrintedRow(2, 219),
@@ -74,21 +77,12 @@ class BlurRow:
 
 @dataclass
 class BlurTally:
-    """What one blur collects while the frames pass by: numbers only, no image."""
+    """What one blur collects while the frames pass by: `values` by the column that has their mean."""
 
     frame_count: int = 0
     measured_count: int = 0
-    keypoints: list[int] = field(default_factory=list)
-    areas: list[int] = field(default_factory=list)
-    marker_keypoints: list[int] = field(default_factory=list)
-    matches: list[int] = field(default_factory=list)
-    inliers: list[int] = field(default_factory=list)
+    values: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     squared_errors_m2: list[float] = field(default_factory=list)
-
-    def add(self, other: BlurTally) -> None:
-        """Take in what was collected on another recording."""
-        for one in fields(self):
-            setattr(self, one.name, getattr(self, one.name) + getattr(other, one.name))
 
 
 def blur_tallies(
@@ -98,10 +92,9 @@ def blur_tallies(
     jobs: int | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> dict[Blur, BlurTally]:
-    """Degrade every frame of one recording by every blur, measure it, and count; images are decoded once.
+    """Degrade every frame of one recording by every blur, measure it, and count; `advance` is called for each image.
 
-    The marker is virtual: it is pasted on the degraded image and is not degraded itself. `advance` is called for
-    each image.
+    The marker is virtual: it is pasted on the degraded image and is not degraded itself.
     """
     tallies = {blur: BlurTally() for blur in kernels_px}
     conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
@@ -112,7 +105,7 @@ def blur_tallies(
             (result,) = lane.results
             tallies[blur].frame_count += 1
             for frame in lane.frames:
-                _count(frame, result, tallies[blur])
+                _count(frame, result, tallies[blur].values)
             if result.measured:
                 measured[blur].append(result)
         advance()
@@ -124,30 +117,47 @@ def blur_tallies(
 
 def blur_rows(parts: Sequence[Mapping[Blur, BlurTally]], kernels_px: Mapping[Blur, int]) -> list[BlurRow]:
     """A row a blur, over all recordings; RecordingError where there is no image."""
-    tallies = {blur: BlurTally() for blur in kernels_px}
-    for part in parts:
-        for blur, tally in part.items():
-            tallies[blur].add(tally)
-    if not any(tally.frame_count for tally in tallies.values()):
-        raise RecordingError("there is no image to measure in these recordings")
-    return [_row(blur, kernels_px[blur], tally) for blur, tally in tallies.items()]
+    found = []
+    for blur, kernel_px in kernels_px.items():
+        tallies = [part[blur] for part in parts]
+        frame_count = sum(tally.frame_count for tally in tallies)
+        if not frame_count:
+            raise RecordingError("there is no image to measure in these recordings")
+        squares_m2 = [square for tally in tallies for square in tally.squared_errors_m2]
+        values = {
+            name: [value for tally in tallies for value in tally.values.get(name, ())] for name in MEANS
+        }
+        found.append(
+            BlurRow(
+                blur=blur,
+                kernel_px=kernel_px,
+                frame_count=frame_count,
+                coverage=sum(tally.measured_count for tally in tallies) / frame_count,
+                rmse_m=float(np.sqrt(np.mean(squares_m2))) if squares_m2 else None,
+                printed=TABLE_I.get(blur),
+                **{name: float(np.mean(each)) if each else None for name, each in values.items()},
+            )
+        )
+    return found
 
 
-def _count(frame: Frame, result: FrameResult, tally: BlurTally) -> None:
+def _count(frame: Frame, result: FrameResult, values: dict[str, list[float]]) -> None:
     profile, masks, context = frame.arm.profile, frame.left.masks_as_recorded, frame.left.context
     instrument = find_region(masks.instrument, profile.segmentation.instrument, profile.settings.outline)
     if instrument is None:
         return
-    feature_count = profile.features.feature_count
-    tally.keypoints.append(len(detect_orb(context.grey, feature_count, masks.instrument)))
-    tally.areas.append(instrument.area_px)
-    tally.marker_keypoints.append(
-        _marker_keypoint_count(context.bgr_as_recorded, instrument.centroid_px, profile)
-    )
-    if result.image.match_count is not None:
-        tally.matches.append(result.image.match_count)
-    if result.image.inlier_count is not None:
-        tally.inliers.append(result.image.inlier_count)
+    counts = {
+        "keypoint_count": len(detect_orb(context.grey, profile.features.feature_count, masks.instrument)),
+        "contour_area_px": instrument.area_px,
+        "marker_keypoint_count": _marker_keypoint_count(
+            context.bgr_as_recorded, instrument.centroid_px, profile
+        ),
+        "match_count": result.image.match_count,
+        "inlier_count": result.image.inlier_count,
+    }
+    for name, count in counts.items():
+        if count is not None:
+            values[name].append(count)
 
 
 def _marker_keypoint_count(image_bgr: Image, centre_px: Array, profile: Profile) -> int:
@@ -165,24 +175,3 @@ def _squared_errors_m2(recording: Recording, setup: Setup, results: Sequence[Fra
     )
     truth = distance_truth(recording, setup.profile, Reference.GROUND_TRUTH, stamps_ns)
     return [float(value) for value in (distance_m - truth.planar_m)[truth.valid] ** 2]
-
-
-def _row(blur: Blur, kernel_px: int, tally: BlurTally) -> BlurRow:
-    errors = tally.squared_errors_m2
-    return BlurRow(
-        blur=blur,
-        kernel_px=kernel_px,
-        frame_count=tally.frame_count,
-        keypoint_count=_mean(tally.keypoints),
-        contour_area_px=_mean(tally.areas),
-        marker_keypoint_count=_mean(tally.marker_keypoints),
-        match_count=_mean(tally.matches),
-        inlier_count=_mean(tally.inliers),
-        coverage=tally.measured_count / tally.frame_count if tally.frame_count else 0.0,
-        rmse_m=float(np.sqrt(np.mean(errors))) if errors else None,
-        printed=TABLE_I.get(blur),
-    )
-
-
-def _mean(values: Sequence[int]) -> float | None:
-    return float(np.mean(values)) if values else None

@@ -43,10 +43,7 @@ class CalibrationPart:
 def collect_part(
     recording: Recording, profile: Profile, method: str, jobs: int | None = None, steps: Steps | None = None
 ) -> CalibrationPart:
-    """Pairs of tool pixel and true position in the camera's plane, of all frames that have both.
-
-    `steps` counts the images. Raises RecordingError where the recording has no true tool pose.
-    """
+    """Pairs of tool pixel and true position in the camera's plane; RecordingError where the log has no true pose."""
     setup = Setup(profile, method, "corrected", None, PIXELS_AS_THEY_ARE)
     rows = (steps or Steps(None, None)).of(estimate(recording, setup, recording.instruments[:1], jobs))
     results = [result for result in rows if result.measured]
@@ -63,16 +60,12 @@ def collect_part(
 
 
 def fit_parts(parts: Sequence[CalibrationPart], method: str) -> Calibration:
-    """Fit a calibration to the samples of recordings.
-
-    Raises CalibrationError for recordings of different cameras, too few frames or too little of the image covered.
-    """
+    """Fit a calibration; CalibrationError for different cameras, too few frames or too little of the image covered."""
     first = parts[0]
     for part in parts:
         if not first.camera.same_optics(part.camera):
             raise CalibrationError(
-                "recordings of different cameras cannot be calibrated together:"
-                f" {first.name} and {part.name} differ"
+                f"recordings of different cameras cannot be calibrated together: {first.name} and {part.name} differ"
             )
     return fit_calibration(
         CalibrationSamples(

@@ -28,8 +28,7 @@ COMMANDS = {
 """What each command but `estimate` needs: topics by role, and inputs as of a method."""
 PARTS = ("fiducial", "instrument", "robot", "tissue")
 """Tables of a profile that methods need."""
-DEFAULT_METHOD = "overlay"
-"""Of `estimate`."""
+DEFAULT_METHOD = "overlay"  # of `estimate`
 TAG_IMAGES = 8
 """Images that a tag is looked for in, spread over the log."""
 
@@ -117,21 +116,18 @@ def instruments_in(summary: RecordingSummary, profile: Profile) -> tuple[str, ..
 
 
 def _seen_by_first(summary: RecordingSummary, profile: Profile) -> Profile:
-    """The profile as the first instrument of the log sees it."""
     first = instruments_in(summary, profile)[0]
     return profile if first == profile.instrument_name else profile.for_instrument(first)
 
 
 def _estimate(images: tuple[str, ...], methods: tuple[Capability, ...]) -> Capability:
-    """`estimate` runs where its default method does, or else with another one that is named."""
-    default = next(method for method in methods if method.name == DEFAULT_METHOD)
-    others = [method.name for method in methods if method.served]
+    (default,) = (method for method in methods if method.name == DEFAULT_METHOD)
     if images or default.served:
         return Capability("estimate", images)
     lacks = f"the default method {DEFAULT_METHOD} lacks {'; '.join(default.missing)}"
-    if not others:
-        return Capability("estimate", (f"a method that log and profile serve ({lacks})",))
-    return Capability("estimate", (), f"with --method {' or '.join(others)}; {lacks}")
+    if others := " or ".join(method.name for method in methods if method.served):
+        return Capability("estimate", (), f"with --method {others}; {lacks}")
+    return Capability("estimate", (f"a method that log and profile serve ({lacks})",))
 
 
 def _missing(
@@ -166,20 +162,16 @@ def _missing(
 
 
 def _missing_reference(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
-    """A reference is ground truth, or a pose of the tool together with that of the tissue."""
     if "ground_truth_distance" in summary.roles:
         return ()
     tissue = profile.frames.tissue
-    has_tissue = "ground_truth_tf" in summary.roles or tissue in summary.frames
-    has_tool = (
-        "pose" in summary.roles
-        or profile.frames.tool in summary.frames
-        or ("joints" in summary.roles and not _missing_chain(summary, profile))
-    )
-    missing = () if has_tool else ("the tool's pose (transforms, a pose topic or joint states)",)
-    return (
-        missing if has_tissue else (*missing, f"the tissue's place (a transform to {tissue}, or --truth-tf)")
-    )
+    missing = []
+    has_chain = "joints" in summary.roles and not _missing_chain(summary, profile)
+    if not (has_chain or "pose" in summary.roles or profile.frames.tool in summary.frames):
+        missing.append("the tool's pose (transforms, a pose topic or joint states)")
+    if not ("ground_truth_tf" in summary.roles or tissue in summary.frames):
+        missing.append(f"the tissue's place (a transform to {tissue}, or --truth-tf)")
+    return tuple(missing)
 
 
 def _missing_chain(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
@@ -188,10 +180,5 @@ def _missing_chain(summary: RecordingSummary, profile: Profile) -> tuple[str, ..
     topic = summary.roles.get("joints")
     if topic is None:
         return ()
-    there = set(summary.joint_names.get(topic, ()))
-    missing = [
-        joint.name
-        for joint in profile.robot.joints
-        if joint.type != "fixed" and not there & {joint.name, *joint.aliases}
-    ]
+    missing = profile.robot.missing_joints(summary.joint_names.get(topic, ()))
     return (f"the joints {', '.join(missing)} of profile {profile.name}",) if missing else ()

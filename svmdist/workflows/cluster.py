@@ -39,8 +39,7 @@ def measured_on_cluster(
             measure_on_worker, packed, expected=version("svmdist"), pure=False, retries=RETRIES
         )
         places = {future.key: place for place, future in enumerate(futures)}
-        ended = as_completed(futures, loop=client.loop, raise_errors=False)  # type: ignore[no-untyped-call]
-        for future in ended:
+        for future in as_completed(futures, loop=client.loop, raise_errors=False):
             if future.status == "finished":
                 yield places[future.key], future.result()
             elif future.status != "error":  # cancelled: its scheduler is gone
@@ -81,11 +80,9 @@ def _connected(address: str) -> Any:
     ):  # they print tracebacks of what is handled here
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        client: Any = Client(address, timeout=f"{CONNECT_S}s", set_as_default=False)  # type: ignore[no-untyped-call]
+        client: Any = Client(address, timeout=f"{CONNECT_S}s", set_as_default=False)
     except ValueError as problem:
-        raise UsageError(
-            f"--scheduler {address}: {problem}; expected an address as in tcp://host:8786"
-        ) from None
+        raise UsageError(f"--scheduler {address}: {problem}; expected one as in tcp://host:8786") from None
     except (OSError, TimeoutError) as problem:
         reason = " ".join(str(problem).split())
         raise SvmdistError(f"--scheduler {address}: cannot connect: {reason}") from None

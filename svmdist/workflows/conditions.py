@@ -28,10 +28,7 @@ class ReplayCondition(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """A degradation of a severity of 1 to 5, or nothing.
-
-    It comes on top of what the log's images already have. Raises UsageError for a wrong name or severity.
-    """
+    """A degradation of a severity of 1 to 5, or nothing; raises UsageError for a wrong name or severity."""
 
     name: Degradation | None = None
     severity: int = 0
@@ -66,10 +63,7 @@ CLEAN = Condition()
 
 @dataclass(frozen=True, slots=True)
 class PerturbedCondition:
-    """A world that is not as log and profile say, on top of what the log already has of it.
-
-    Raises UsageError for what cannot be done to a log that is recorded already.
-    """
+    """A world that is not as log and profile say; raises UsageError for what cannot be done to a recorded log."""
 
     perturbations: Perturbations
 

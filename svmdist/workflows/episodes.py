@@ -15,7 +15,7 @@ from svmdist.recording.log import open_recording
 from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Options
 from svmdist.workflows.parallel import WorkerDiedError, each_in_processes, usable_cores
-from svmdist.workflows.record import record, recorded_metadata
+from svmdist.workflows.record import Recorded, record, recorded_metadata
 
 SEED, NUMBER = "{seed}", "{episode}"
 
@@ -32,18 +32,6 @@ class Episodes:
     jpeg_quality: int | None = None
     force: bool = False
     skip_existing: bool = False
-
-
-@dataclass(frozen=True)
-class Episode:
-    """A recorded episode: what was written, or was there already; `failure` says why there is no recording."""
-
-    path: Path
-    frame_count: int = 0
-    message_count: int = 0
-    size_bytes: int = 0
-    was_there: bool = False
-    failure: str | None = None
 
 
 def episode_paths(output: Path, scenario: str, first_seed: int, count: int) -> list[Path]:
@@ -77,7 +65,7 @@ def record_episodes(
     paths: Sequence[Path],
     jobs: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
-) -> list[Episode]:
+) -> list[Recorded]:
     """Record an episode to each path, with the scenario's seed and those after it; what came of them, in order.
 
     An episode that cannot be recorded does not stop the others. The files are the same for any number of jobs. Raises
@@ -90,7 +78,7 @@ def record_episodes(
                     raise UsageError(
                         f"{there} exists; --skip-existing leaves episodes that are whole, --force replaces all"
                     )
-    found: dict[int, Episode] = {}
+    found: dict[int, Recorded] = {}
     try:
         with closing(_recorded(episodes, paths, usable_cores() if jobs is None else jobs)) as done:
             for number, episode in done:
@@ -105,17 +93,17 @@ def record_episodes(
     return [found[number] for number in range(len(paths))]
 
 
-def _recorded(episodes: Episodes, paths: Sequence[Path], jobs: int) -> Generator[tuple[int, Episode]]:
+def _recorded(episodes: Episodes, paths: Sequence[Path], jobs: int) -> Generator[tuple[int, Recorded]]:
     numbered, workers = list(enumerate(paths)), min(jobs, len(paths))
     if workers <= 1:
         for number, path in numbered:
             yield number, record_episode(episodes, jobs, (number, path))
         return
-    died = Episode(Path(), failure=str(WorkerDiedError()))
+    died = Recorded(Path(), failure=str(WorkerDiedError()))
     yield from each_in_processes(partial(record_episode, episodes, 1), numbered, workers, died=died)
 
 
-def record_episode(episodes: Episodes, jobs: int, numbered: tuple[int, Path]) -> Episode:
+def record_episode(episodes: Episodes, jobs: int, numbered: tuple[int, Path]) -> Recorded:
     """Record one episode, or leave it where it is there already. Raises UsageError for what no episode can have."""
     number, path = numbered
     seed = episodes.scenario.seed + number
@@ -125,7 +113,7 @@ def record_episode(episodes: Episodes, jobs: int, numbered: tuple[int, Path]) ->
     try:
         if episodes.skip_existing and path.exists():
             return _there(episodes, scenario, options, path)
-        done = record(
+        return record(
             scenario,
             episodes.profile,
             path,
@@ -139,24 +127,23 @@ def record_episode(episodes: Episodes, jobs: int, numbered: tuple[int, Path]) ->
     except SvmdistError as problem:
         if isinstance(problem, UsageError) and number == 0 and not path.exists():
             raise  # all others would meet it too
-        return Episode(path, failure=str(problem))
-    return Episode(path, done.frame_count, done.message_count, done.size_bytes)
+        return Recorded(path, failure=str(problem))
 
 
-def _there(episodes: Episodes, scenario: Scenario, options: Options, path: Path) -> Episode:
+def _there(episodes: Episodes, scenario: Scenario, options: Options, path: Path) -> Recorded:
     """An episode that is there already, unless the file is another recording."""
     expected = recorded_metadata(scenario, episodes.profile, episodes.noise, options, episodes.jpeg_quality)
     try:
         recording = open_recording(path, episodes.profile)
         found = recording.metadata
     except RecordingError as problem:
-        return Episode(path, failure=f"{problem}; --force replaces it")
+        return Recorded(path, failure=f"{problem}; --force replaces it")
     other = sorted(key for key in expected.keys() | found.keys() if expected.get(key) != found.get(key))
     if other:
         reason = f"{path}: is another recording: {', '.join(other)} differ; --force replaces it"
-        return Episode(path, failure=reason)
+        return Recorded(path, failure=reason)
     message_count = sum(info.message_count or 0 for info in recording.topics())
-    return Episode(path, recording.image_count() or 0, message_count, recording.size_bytes(), was_there=True)
+    return Recorded(path, recording.image_count() or 0, message_count, recording.size_bytes(), was_there=True)
 
 
 def _part(path: Path) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -84,7 +85,6 @@ def drawn_frames(
 
     Images after the last of these numbers are not read. `on_image` is called for every image that is.
     """
-    last = max(numbers, default=-1) if numbers is not None else None
     watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
     for (replayed,) in replay(recording, [setup], wanted=wanted, jobs=jobs):
         number, seconds = replayed.results[0].number, replayed.results[0].seconds
@@ -96,9 +96,8 @@ def drawn_frames(
         if on_image is not None:
             on_image()
         if numbers is None or number in numbers:
-            drawing = frame_drawing(replayed, setup, alarms)
-            yield DrawnFrame(number, seconds, replayed, alarms, drawing)
-        if last is not None and number >= last:
+            yield DrawnFrame(number, seconds, replayed, alarms, frame_drawing(replayed, setup, alarms))
+        if numbers is not None and number >= max(numbers, default=-1):
             return
 
 
@@ -130,105 +129,84 @@ def spread(count: int, wanted: int) -> Sequence[int]:
 def frame_drawing(
     replayed: Replayed, setup: Setup, alarms: Mapping[str, AlarmState] | None = None
 ) -> FrameDrawing:
-    """Draw one image of a replay, with the alarms of its instruments by name; pixels are those of the recorded image.
-
-    An image that could not be read has only lines that say so.
-    """
+    """Draw one image of a replay in its recorded pixels; one that could not be read has only lines that say so."""
     frames, results = replayed.frames, replayed.results
-    lines = tuple(
-        status_line(result, setup.method, (alarms or {}).get(result.instrument)) for result in results
-    )
+    alarms = alarms or {}
+    lines = tuple(status_line(result, setup.method, alarms.get(result.instrument)) for result in results)
     if not frames:
         return FrameDrawing(results[0].stamp_ns, lines=lines)
     lens = frames[0].scene.lens
     shapes = list(_through_lens(_detected(frames, results, setup), lens))
-    labels: list[Label] = []
+    labels: dict[tuple[Part, str], Label] = {}
     for result in results:
-        shapes += place_shapes(result)
-        for drawn in distance_shapes(result, lens):
-            if isinstance(drawn, Label):
-                # Two instruments share the distance between them: it is written once.
-                if all(drawn.text != known.text or drawn.part is not known.part for known in labels):
-                    labels.append(drawn)
-            else:
-                shapes.append(drawn)
-    scene = scene_drawing(frames, results)
-    return FrameDrawing(results[0].stamp_ns, tuple(shapes), tuple(labels), lines, scene)
+        where = (
+            (Part.TIP, result.image.tool_px, result.instrument),
+            (Part.TISSUE, result.image.tissue_px, ""),
+        )
+        shapes += [
+            Shape(part, Form.POINTS, np.array([px]), name) for part, px, name in where if px is not None
+        ]
+        for line, label in distance_shapes(result, lens):
+            shapes.append(line)
+            labels.setdefault((label.part, label.text), label)  # that between two instruments is written once
+    scene = _scene_drawing(frames, results)
+    return FrameDrawing(results[0].stamp_ns, tuple(shapes), tuple(labels.values()), lines, scene)
 
 
 def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup: Setup) -> Iterable[Shape]:
-    yield from scene_shapes(frames[0])
+    tissue = frames[0].scene.found.get("tissue")
+    if tissue is not None:
+        yield from _contours(frames[0].scene.left.masks.tissue, tissue.region, Part.TISSUE)
+        yield Shape(Part.TISSUE, Form.LOOP, np.asarray(tissue.outline.curve_px, np.float64))
     for frame, result in zip(frames, results, strict=True):
-        yield from tool_shapes(frame, result.instrument)
-        if setup.method == "overlay":
-            found = virtual_marker(frame, frame.arm.profile)
-            if found is not None:
-                yield from marker_shapes(found, result.instrument)
+        yield from _tool_shapes(frame, result.instrument)
+        found = virtual_marker(frame, frame.arm.profile) if setup.method == "overlay" else None
+        if found is None:
+            continue
+        if found.corners_px is not None:
+            yield Shape(Part.MARKER, Form.LOOP, found.corners_px, result.instrument)
+        for part, chosen in ((Part.MATCH, ~found.inliers), (Part.INLIER, found.inliers)):
+            if chosen.any():
+                yield Shape(part, Form.POINTS, found.matched_px[chosen], result.instrument)
 
 
 def _through_lens(shapes: Iterable[Shape], lens: Camera) -> Iterable[Shape]:
     """The shapes where the lens shows them: detectors looked at an image without distortion."""
-    if not lens.has_distortion:
-        yield from shapes
-        return
     for shape in shapes:
         points_px = shape.points_px
-        if shape.form is not Form.POINTS:
+        if lens.has_distortion and shape.form is not Form.POINTS:
             points_px = _in_pieces(points_px, is_closed=shape.form is Form.LOOP)
-        yield replace(shape, points_px=seen_through(lens, points_px))
+        yield replace(shape, points_px=seen_through(lens, points_px)) if lens.has_distortion else shape
 
 
 def _in_pieces(points_px: Array, *, is_closed: bool) -> Array:
     """The polyline with points no further apart than a step, shape (m, 2)."""
-    starts = points_px if is_closed else points_px[:-1]
-    ends = np.roll(points_px, -1, axis=0) if is_closed else points_px[1:]
+    path_px = np.vstack([points_px, points_px[:1]]) if is_closed else points_px
     pieces = []
-    for start, end in zip(starts, ends, strict=True):
+    for start, end in pairwise(path_px):
         count = max(1, int(np.ceil(np.linalg.norm(end - start) / BEND_STEP_PX)))
-        pieces.append(start + np.linspace(0.0, 1.0, count, endpoint=False)[:, None] * (end - start))
-    if not is_closed:
-        pieces.append(points_px[-1:])
-    return np.concatenate(pieces)
+        pieces.append(np.linspace(start, end, count, endpoint=False))
+    return np.concatenate(pieces if is_closed else [*pieces, path_px[-1:]])
 
 
-def scene_shapes(frame: Frame) -> Iterator[Shape]:
-    """What belongs to no instrument: the tissue's contours and its outline, completed behind the instrument."""
-    tissue = frame.scene.found.get("tissue")
-    if tissue is not None:
-        yield from _contours(frame.scene.left.masks.tissue, tissue.region, Part.TISSUE)
-        yield Shape(Part.TISSUE, Form.LOOP, np.asarray(tissue.outline.curve_px, np.float64))
-
-
-def tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
+def _tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
     """What belongs to one instrument: contours, distal marker, shaft, tag."""
     found = frame.left.found
-    regions: tuple[Region | None, Region | None] = found.get("regions_as_recorded") or (None, None)
-    tissue, instrument = regions
+    tissue, instrument = found.get("regions_as_recorded") or (None, None)
     if tissue is not None:
         yield from _contours(frame.left.masks_as_recorded.tissue, tissue, Part.TISSUE)
         yield Shape(Part.TISSUE, Form.POINTS, np.atleast_2d(tissue.centroid_px))
     if instrument is not None:
         yield from _contours(frame.left.masks_as_recorded.instrument, instrument, Part.INSTRUMENT, name)
-    region = found.get("region")
-    if region is not None:
+    if (region := found.get("region")) is not None:
         yield from _contours(frame.left.masks.instrument, region, Part.INSTRUMENT, name)
-    marker = found.get("distal_marker")
-    if marker is not None:
+    if (marker := found.get("distal_marker")) is not None:
         yield _distal_marker(marker, name)
-    shaft = found.get("shaft")
-    if shaft is not None:
-        yield from _shaft(frame, shaft, found.get("shaft_region"), name)
+    if (shaft := found.get("shaft")) is not None and (outline := found.get("shaft_region")) is not None:
+        yield from _shaft(frame, shaft, outline, name)
     corners_px = frame.left.tag_corners_px if "tags" in vars(frame.scene.left) else None
     if corners_px is not None:
         yield Shape(Part.TAG, Form.LOOP, np.asarray(corners_px, np.float64), name)
-
-
-def place_shapes(result: FrameResult) -> Iterator[Shape]:
-    """Where tool and tissue are, by a result, in px of the recorded image."""
-    if result.image.tool_px is not None:
-        yield Shape(Part.TIP, Form.POINTS, np.array([result.image.tool_px]), result.instrument)
-    if result.image.tissue_px is not None:
-        yield Shape(Part.TISSUE, Form.POINTS, np.array([result.image.tissue_px]))
 
 
 def _contours(mask: Image, region: Region, part: Part, name: str = "") -> Iterator[Shape]:
@@ -262,10 +240,8 @@ def _distal_marker(marker: DistalMarker, name: str) -> Shape:
     return Shape(Part.MARKER, Form.LOOP, centre_px + radius_px * around, name)
 
 
-def _shaft(frame: Frame, shaft: ShaftDetection, region: ShaftRegion | None, name: str) -> Iterator[Shape]:
+def _shaft(frame: Frame, shaft: ShaftDetection, region: ShaftRegion, name: str) -> Iterator[Shape]:
     """The measured edges, as long as the shaft is visible, and its end across its middle line."""
-    if region is None:
-        return
     half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
     for contour in shaft.contours:
         ends_px = _edge(contour, region, frame.left.camera.K)
@@ -307,11 +283,11 @@ class VirtualMarker:
 
 def virtual_marker(frame: Frame, profile: Profile) -> VirtualMarker | None:
     """Search for the marker as `overlay` did in this frame; None where it pasted none."""
-    regions = frame.left.found.get("regions_as_recorded")
-    if regions is None or regions[0] is None or regions[1] is None:
+    tissue, instrument = frame.left.found.get("regions_as_recorded") or (None, None)
+    if tissue is None or instrument is None:
         return None
     rules, settings = profile.features, profile.settings.marker
-    window = mark(frame.left.context.bgr_as_recorded, regions[1].centroid_px, profile.marker)
+    window = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, profile.marker)
     origin_px = np.array(window.origin_px, np.float64)
     features = detect_orb(to_grey(window.window_bgr), rules.feature_count)
     matches = match_features(template_features(profile.marker, rules), features, rules.ratio)
@@ -321,36 +297,16 @@ def virtual_marker(frame: Frame, profile: Profile) -> VirtualMarker | None:
         if homography is not None and is_plausible(homography.H, profile.marker.size_px, settings):
             inliers = homography.inliers
             corners_px = transfer(homography.H, square_corners(profile.marker.size_px)) + origin_px
-    return VirtualMarker(
-        window,
-        features.points_px + origin_px,
-        matches.template_px,
-        matches.frame_px + origin_px,
-        inliers,
-        corners_px,
-    )
+    found_px, matched_px = features.points_px + origin_px, matches.frame_px + origin_px
+    return VirtualMarker(window, found_px, matches.template_px, matched_px, inliers, corners_px)
 
 
-def marker_shapes(found: VirtualMarker, name: str) -> Iterator[Shape]:
-    """The outline, and the matches: inliers apart from the others."""
-    if found.corners_px is not None:
-        yield Shape(Part.MARKER, Form.LOOP, found.corners_px, name)
-    for part, chosen in ((Part.MATCH, ~found.inliers), (Part.INLIER, found.inliers)):
-        if chosen.any():
-            yield Shape(part, Form.POINTS, found.matched_px[chosen], name)
-
-
-def shown_distance(result: FrameResult) -> tuple[str, Distance] | None:
+def _shown_distance(result: FrameResult) -> tuple[str, Distance] | None:
     """The distance that says most: the clearance, else the spatial, else the planar one; None without any."""
     if not result.measured:
         return None
-    distances = result.distances
-    named = (
-        ("clearance", distances.clearance),
-        ("spatial", distances.spatial),
-        ("planar", distances.planar),
-    )
-    return next(((name, found) for name, found in named if found is not None), None)
+    names = ("clearance", "spatial", "planar")
+    return next(((name, found) for name in names if (found := getattr(result.distances, name))), None)
 
 
 def interval_m(distance: Distance) -> tuple[float, float] | None:
@@ -371,14 +327,13 @@ def in_words(distance: Distance) -> str:
 def status_line(result: FrameResult, method: str, alarm: AlarmState | None = None) -> StatusLine:
     """One line about one instrument's result."""
     who = f"{result.instrument} {method}".strip()
-    shown = shown_distance(result)
+    shown = _shown_distance(result)
     if shown is None:
         detail = f" ({result.detail})" if result.detail else ""
         return StatusLine(f"{who}: not measured: {result.status}{detail}", False)
     is_alarm = bool(alarm and alarm.alarm)
-    return StatusLine(
-        f"{who}: {shown[0]} {in_words(shown[1])}{'  ALARM' if is_alarm else ''}", True, is_alarm
-    )
+    raised = "  ALARM" if is_alarm else ""
+    return StatusLine(f"{who}: {shown[0]} {in_words(shown[1])}{raised}", True, is_alarm)
 
 
 def segments(result: FrameResult) -> Iterator[Segment]:
@@ -394,23 +349,28 @@ def segments(result: FrameResult) -> Iterator[Segment]:
         yield Segment(f"{result.instrument} {part}".strip(), part, start_m, end_m, in_words(distance))
 
 
-def distance_shapes(result: FrameResult, lens: Camera) -> Iterator[Shape | Label]:
+def distance_shapes(result: FrameResult, lens: Camera) -> list[tuple[Shape, Label]]:
     """The lines of a result's distances in the recorded image, with their lengths beside them."""
-    drawn = [one for one in segments(result) if min(one.start_m[2], one.end_m[2]) > 0.0]
-    for one in drawn:
-        ends_px = lens.project(np.stack([one.start_m, one.end_m]))
-        yield Shape(one.part, Form.LINE, ends_px, result.instrument)
-        yield Label(one.part, ends_px.mean(0), one.text)
-    if any(one.part is Part.DISTANCE for one in drawn):
-        return
-    shown, (tool_px, tissue_px) = shown_distance(result), (result.image.tool_px, result.image.tissue_px)
-    if shown is not None and shown[0] != "clearance" and tool_px is not None and tissue_px is not None:
-        ends_px = np.array([tool_px, tissue_px])
-        yield Shape(Part.DISTANCE, Form.LINE, ends_px, result.instrument)
-        yield Label(Part.DISTANCE, ends_px.mean(0), f"{shown[0]} {in_words(shown[1])}")
+    drawn = [
+        (one.part, lens.project(np.stack([one.start_m, one.end_m])), one.text)
+        for one in segments(result)
+        if min(one.start_m[2], one.end_m[2]) > 0.0
+    ]
+    shown, ends = _shown_distance(result), (result.image.tool_px, result.image.tissue_px)
+    if (
+        shown
+        and shown[0] != "clearance"
+        and None not in ends
+        and Part.DISTANCE not in (one[0] for one in drawn)
+    ):
+        drawn.append((Part.DISTANCE, np.array(ends), f"{shown[0]} {in_words(shown[1])}"))
+    return [
+        (Shape(part, Form.LINE, ends_px, result.instrument), Label(part, ends_px.mean(0), text))
+        for part, ends_px, text in drawn
+    ]
 
 
-def scene_drawing(frames: tuple[Frame, ...], results: tuple[FrameResult, ...]) -> SceneDrawing:
+def _scene_drawing(frames: tuple[Frame, ...], results: tuple[FrameResult, ...]) -> SceneDrawing:
     """Instruments, tissue and distances in space, as far as the method knows them."""
     bodies = []
     for frame, result in zip(frames, results, strict=True):
@@ -418,9 +378,7 @@ def scene_drawing(frames: tuple[Frame, ...], results: tuple[FrameResult, ...]) -
         if tool is not None and body is not None and result.measured:
             posed = body.posed(tool.pose, tool.joints, tool.has_plate)
             bodies.append(Body(result.instrument, posed.start_m, posed.end_m, posed.radius_m))
-    tissue = frames[0].scene.found.get("tissue") if frames else None
-    surface = None
-    if tissue is not None and tissue.pose is not None and isinstance(tissue.pose.surface, Mesh):
-        mesh = tissue.pose.surface
-        surface = Surface("tissue", mesh.vertices_m, mesh.faces)
+    tissue = frames[0].scene.found.get("tissue")
+    mesh = tissue.pose.surface if tissue is not None and tissue.pose is not None else None
+    surface = Surface("tissue", mesh.vertices_m, mesh.faces) if isinstance(mesh, Mesh) else None
     return SceneDrawing(tuple(bodies), surface, tuple(one for result in results for one in segments(result)))

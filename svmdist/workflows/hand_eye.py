@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.errors import KinematicsError, RecordingError, UsageError
+from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.kinematics.dh import chain_of, shaft_of
@@ -59,11 +58,10 @@ class HandEyeResult:
 
 @dataclass(frozen=True)
 class ReportedTool:
-    """What the robot reports at stamps: poses in the base's frame (n, 4, 4), which are known, and their errors.
+    """Poses in the base's frame (n, 4, 4) as the robot reports them, which of them are known, and their errors.
 
     `axes` (n, 3) are the shaft's directions, NaN where not known; `noise` (n, 3, 3) the error that differs from frame
-    to frame; `shared` (n, 6, m) the effects of errors that all frames share, of the constants `names`, on position and
-    direction.
+    to frame; `shared` (n, 6, m) the effects of the errors `names`, the same in all frames, on position and direction.
     """
 
     T_base_tool: Array
@@ -87,13 +85,8 @@ def hand_eye(
     The method of the setup sees the tool, without any transform of the log. `against` is what the robot reports:
     kinematics of its joints, or poses; None takes the joints where log and profile have them. With joints, a second
     pass measures again with the orientation of the wrist by the transform of the first pass. `on_progress` counts the
-    images of both. Raises UsageError for a method that needs kinematics, RecordingError where the log lacks joints and
-    poses.
+    images of both. Raises RecordingError where the log lacks joints and poses.
     """
-    if setup.method not in SEEING_METHODS:
-        raise UsageError(
-            f"--method {setup.method}: hand-eye needs the tool as images show it: {', '.join(SEEING_METHODS)}"
-        )
     setup = replace(setup, profile=setup.profile.model_copy(update={"hand_eye": None}))
     profile = setup.profile.for_instrument(instrument)
     own = recording.for_instrument(instrument)
@@ -101,33 +94,29 @@ def hand_eye(
     twice = against == "kinematics" and setup.method != "fiducial"
     steps = Steps(on_progress, image_total([recording], lambda _: 2 if twice else 1))
 
-    def fit_to(log: Recording) -> _Fitted | Failure:
+    def fit_to(log: Recording) -> HandEyeResult | Failure:
         lanes = steps.of(replay(log, [setup], wanted=[instrument], jobs=jobs))
         rows = [replayed.results[0] for (replayed,) in lanes]
         seen = [row for row in rows if row.measured and row.tool is not None]
-        stamps_ns = np.array([row.stamp_ns for row in seen], np.int64)
-        fitted = _fit(seen, reported_tool(own, profile, against, stamps_ns), setup.method, profile, focal_px)
-        if isinstance(fitted, Failure) and len(seen) < profile.settings.hand_eye.min_count:
+        found = _fit(seen, own, setup.method, profile, against)
+        if isinstance(found, Failure) and len(seen) < profile.settings.hand_eye.min_count:
             said = Counter(row.detail or row.status for row in rows if not row.measured).most_common(1)
-            return Failure(fitted.reason + "".join(f"; {count} frames say: {why}" for why, count in said))
-        return fitted
+            return Failure(found.reason + "".join(f"; {count} frames say: {why}" for why, count in said))
+        return found
 
-    focal_px = float(recording.camera.K[0, 0])
     blind = recording.with_bases({name: FixedTransform(None) for name in recording.instruments})
-    fitted = fit_to(blind)
-    if isinstance(fitted, _Fitted) and twice:
-        second = fit_to(blind.with_bases({instrument: FixedTransform(fitted.fit.T_camera_base)}))
-        fitted = second if isinstance(second, _Fitted) else fitted
-    return fitted if isinstance(fitted, Failure) else _result(fitted, own, setup.method, profile, against)
+    found = fit_to(blind)
+    if isinstance(found, HandEyeResult) and twice:
+        second = fit_to(blind.with_bases({instrument: FixedTransform(found.fit.T_camera_base)}))
+        found = second if isinstance(second, HandEyeResult) else found
+    return found
 
 
 def default_reference(recording: Recording, profile: Profile) -> Against:
     """The joints where log and profile have them, else the poses; raises RecordingError where the log lacks both."""
-    if profile.robot is not None and recording.topic_of("joints") is not None:
-        there = set(recording.joint_track().names)
-        moving = [joint for joint in profile.robot.joints if joint.type != "fixed"]
-        if all(there & {joint.name, *joint.aliases} for joint in moving):
-            return "kinematics"
+    robot, has_joints = profile.robot, recording.topic_of("joints") is not None
+    if robot is not None and has_joints and not robot.missing_joints(recording.joint_track().names):
+        return "kinematics"
     if recording.topic_of("pose") is not None:
         return "pose"
     raise RecordingError(
@@ -181,24 +170,17 @@ def reported_tool(
     return ReportedTool(T_base_tool, sampled.valid, axes, noise, shared, tuple(model.constant_columns))
 
 
-@dataclass(frozen=True)
-class _Fitted:
-    """A fit, the mean position of the frames that agree with it, and the effects of calibration errors on it."""
-
-    fit: HandEyeFit
-    middle_m: Array
-    effects: tuple[ConstantEffect, ...]
-
-
 def _fit(
-    rows: list[FrameResult], reported: ReportedTool, method: str, profile: Profile, focal_px: float
-) -> _Fitted | Failure:
+    rows: list[FrameResult], recording: Recording, method: str, profile: Profile, against: Against
+) -> HandEyeResult | Failure:
+    stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
+    reported = reported_tool(recording, profile, against, stamps_ns)
     known = np.flatnonzero(reported.valid)
     tools = [rows[at].tool.pose for at in known]  # type: ignore[union-attr]  # rows of a seen tool
     seen_m = np.reshape([tool.position_m for tool in tools], (-1, 3))
-    camera = _camera_errors(seen_m, method, profile, focal_px)
+    camera = _camera_errors(seen_m, method, profile, float(recording.camera.K[0, 0]))
     places = ToolPlaces(
-        np.array([rows[at].stamp_ns for at in known], np.int64),
+        stamps_ns[known],
         seen_m,
         np.reshape([tool.position_covariance for tool in tools], (-1, 3, 3)),
         reported.T_base_tool[known, :3, 3],
@@ -212,7 +194,39 @@ def _fit(
     fit = fit_hand_eye(places, profile.settings.hand_eye)
     if isinstance(fit, Failure):
         return fit
-    return _Fitted(fit, seen_m[fit.agrees].mean(0), tuple(_effects(fit, reported, camera, profile)))
+    # The effect of each calibration parameter on the fit, for estimators that use it; without exact ones.
+    counts = dict.fromkeys(reported.names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
+    names = [name for name, count in counts.items() for _ in range(count)]
+    std = stated_deviations(profile)
+    effects = tuple(
+        ConstantEffect(
+            constant=name, deviation=std[name], effects=fit.effects[:, [n == name for n in names]].T.tolist()
+        )
+        for name in counts
+        if std.get(name, 0.0) > 0.0
+    )
+    hand_eye_of_fit = HandEye.model_validate(
+        {
+            "instrument": profile.instrument_name,
+            "camera": profile.frames.camera,
+            "base": profile.frames.base,
+            "rotation": fit.T_camera_base[:3, :3].tolist(),
+            "translation_m": fit.T_camera_base[:3, 3].tolist(),
+            "covariance": (0.5 * (fit.covariance + fit.covariance.T)).tolist(),
+            "method": method,
+            "reference": against,
+            "frame_count": len(fit.agrees),
+            "inlier_count": int(fit.agrees.sum()),
+            "constants": effects,
+            "residual_rms_m": float(np.sqrt(np.mean(fit.residuals_m[fit.agrees] ** 2))),
+        }
+    )
+    middle_m = seen_m[fit.agrees].mean(0)
+    covariance_m2 = hand_eye_of_fit.covariance_at(middle_m)[:3, :3]
+    from_log = _from_log(recording, profile, fit.T_camera_base, middle_m)
+    return HandEyeResult(
+        hand_eye_of_fit, fit, float(np.sqrt(np.linalg.eigvalsh(covariance_m2)[-1])), from_log
+    )
 
 
 def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> dict[str, Array]:
@@ -233,43 +247,6 @@ def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float
         name: np.stack([np.hstack([offset_m, np.zeros_like(offset_m)]) for offset_m in of_name], -1)
         for name, of_name in offsets.items()
     }
-
-
-def _effects(
-    fit: HandEyeFit, reported: ReportedTool, camera: Mapping[str, Array], profile: Profile
-) -> Iterator[ConstantEffect]:
-    """The effect of each calibration parameter on a fit, for estimators that use it; without exact ones."""
-    counts = dict.fromkeys(reported.names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
-    std, at = stated_deviations(profile), 0
-    for name, count in counts.items():
-        rows, at = fit.effects[:, at : at + count].T, at + count
-        if std.get(name, 0.0) > 0.0:
-            yield ConstantEffect(constant=name, deviation=std[name], effects=rows.tolist())
-
-
-def _result(
-    fitted: _Fitted, recording: Recording, method: str, profile: Profile, against: Against
-) -> HandEyeResult:
-    fit, frames = fitted.fit, profile.frames
-    found = HandEye.model_validate(
-        {
-            "instrument": profile.instrument_name,
-            "camera": frames.camera,
-            "base": frames.base,
-            "rotation": fit.T_camera_base[:3, :3].tolist(),
-            "translation_m": fit.T_camera_base[:3, 3].tolist(),
-            "covariance": (0.5 * (fit.covariance + fit.covariance.T)).tolist(),
-            "method": method,
-            "reference": against,
-            "frame_count": len(fit.agrees),
-            "inlier_count": int(fit.agrees.sum()),
-            "constants": fitted.effects,
-            "residual_rms_m": float(np.sqrt(np.mean(fit.residuals_m[fit.agrees] ** 2))),
-        }
-    )
-    tool_std_m = float(np.sqrt(np.linalg.eigvalsh(found.covariance_at(fitted.middle_m)[:3, :3])[-1]))
-    from_log = _from_log(recording, profile, fit.T_camera_base, fitted.middle_m)
-    return HandEyeResult(found, fit, tool_std_m, from_log)
 
 
 def _from_log(

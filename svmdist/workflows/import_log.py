@@ -79,7 +79,7 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class ImportResult:
-    """What was written: numbers of messages by topic, the size in bytes, and whether a pair has a known baseline."""
+    """What was written: numbers of messages by topic, and whether a pair has a known baseline."""
 
     path: Path
     counts: dict[str, int]
@@ -89,10 +89,7 @@ class ImportResult:
 
 @dataclass(frozen=True)
 class View:
-    """One stream of pictures: names and stamps in ns of all of them, the size in px of one, and how to read them.
-
-    `read` gives (place, picture) of every `ViewOptions.every`-th of them, in order.
-    """
+    """One stream of pictures of one size; `read` gives (place, picture) of every `ViewOptions.every`-th in order."""
 
     names: list[str]
     stamps_ns: list[int]
@@ -110,22 +107,27 @@ def import_log(
 ) -> ImportResult:
     """Write a log of files; `on_progress` gets (images done, images in all).
 
-    Decoded pictures become PNG, or JPEG of `jpeg_quality`, 1 to 100. Raises UsageError, SourceError or OutputError in
-    one line, and leaves no file then.
+    Raises UsageError, SourceError or OutputError, and leaves no file then.
     """
     limits = limits or Limits()
-    count = options.views.count
-    stated = stated_cameras(options.calibration, count)
-    views = _open_views(options.views, limits)
-    halved = 2 if options.views.side_by_side else 1
-    sizes = [(view.size_px[0] // halved, view.size_px[1]) for view in views] * (count // len(views))
-    cameras = complete(stated, sizes, FRAMES[:count])
+    given = options.views
+    stated = stated_cameras(options.calibration, given.count)
+    views = _open_views(given, limits)
+    halved = 2 if given.side_by_side else 1
+    sizes = [(view.size_px[0] // halved, view.size_px[1]) for view in views] * halved
+    cameras = complete(stated, sizes, FRAMES[: given.count])
     tables = _table_messages(options, ImageTimes(views[0].names, views[0].stamps_ns))
     images = [_image_messages(views, at, cameras, options, limits) for at in range(len(views))]
-    total = sum(len(range(0, len(view.names), options.views.every)) for view in views)
+    total = sum(len(range(0, len(view.names), given.every)) for view in views)
+    sources = (given.source, given.right, *options.poses.values(), *options.joints.values())
+    metadata = {
+        "imported_from": ", ".join(path.name for path in sources if path is not None),
+        "side_by_side": "yes" if given.side_by_side else "no",
+        "version_svmdist": version("svmdist"),
+    }
     counts: dict[str, int] = {}
     done = 0
-    writer = RecordingWriter(output, _metadata(options), force=force, jpeg_quality=options.jpeg_quality)
+    writer = RecordingWriter(output, metadata, force=force, jpeg_quality=options.jpeg_quality)
     try:
         with writer:
             for _, topic, sample in heapq.merge(*images, *tables, key=lambda message: message[0]):
@@ -133,20 +135,19 @@ def import_log(
                 counts[topic] = counts.get(topic, 0) + 1
                 if topic.endswith("/image") and on_progress is not None:
                     done += 1
-                    on_progress(done // (count // len(views)), total)
+                    on_progress(done // halved, total)
     except SvmdistError:
         with suppress(OSError):
             if writer.opened:
                 writer.part_path.unlink(missing_ok=True)
         raise
-    has_baseline = None if count == 1 else bool(np.any(np.asarray(cameras[1].P)[:2, 3]))
+    has_baseline = None if given.count == 1 else bool(np.any(np.asarray(cameras[1].P)[:2, 3]))
     return ImportResult(output, counts, output.stat().st_size, has_baseline)
 
 
 def _image_messages(
     views: Sequence[View], at: int, cameras: Sequence[Camera], options: ImportOptions, limits: Limits
 ) -> Iterator[Message]:
-    """Calibration and images of one view, or of both that a picture has side by side."""
     view = views[at]
     for place, picture in view.read():
         stamp_ns, parts = view.stamps_ns[place], [picture]
@@ -164,12 +165,10 @@ def _image_messages(
 
 
 def _table_messages(options: ImportOptions, times: ImageTimes) -> list[list[Message]]:
-    """The poses and joints of each table."""
     found: list[list[Message]] = []
     for name, path in options.poses.items():
         poses = read_poses(path, times, options.calibration.unit_m, f"{name}_base")
-        stamps = poses.stamps_ns.tolist()
-        rows = zip(stamps, poses.T_frame_pose, strict=True)
+        rows = zip(poses.stamps_ns.tolist(), poses.T_frame_pose, strict=True)
         found.append([(ns, f"/{name}/measured_cp", PoseSample(ns, poses.frame_id, T)) for ns, T in rows])
     for name, path in options.joints.items():
         joints = read_joints(path, times, options.joint_names)
@@ -178,23 +177,8 @@ def _table_messages(options: ImportOptions, times: ImageTimes) -> list[list[Mess
     return found
 
 
-def _metadata(options: ImportOptions) -> dict[str, str]:
-    """The log's origin: names of files, without folders."""
-    views = options.views
-    sources = [views.source, *([views.right] if views.right is not None else [])]
-    tables = (*options.poses.values(), *options.joints.values())
-    return {
-        "imported_from": ", ".join(path.name for path in (*sources, *tables)),
-        "side_by_side": "yes" if views.side_by_side else "no",
-        "version_svmdist": version("svmdist"),
-    }
-
-
 def _open_views(options: ViewOptions, limits: Limits) -> list[View]:
-    """One view, or the left and the right one; a single view that is side by side has both.
-
-    Raises SourceError and UsageError in one line.
-    """
+    """One view, or the left and the right one; a single view that is side by side has both."""
     if options.side_by_side and options.has_right_source:
         raise UsageError("--side-by-side has both views in one picture: it takes no second source")
     if options.rate_hz is not None and options.times is not None:
@@ -208,13 +192,11 @@ def _open_views(options: ViewOptions, limits: Limits) -> list[View]:
                 f"{source}: {'is' if source.is_dir() else 'is no'} folder, and {options.source}"
                 f" {'a video' if source.is_dir() else 'is one'}: both views come in one form"
             )
-    views = (
-        _file_views(options, limits) if options.source.is_dir() else _video_views(options, sources, limits)
-    )
-    if options.side_by_side and views[0].size_px[0] % 2:
-        raise SourceError(
-            f"{views[0].names[0]}: {views[0].size_px[0]} px wide: two views side by side have one width"
-        )
+    is_folder = options.source.is_dir()
+    views = _file_views(options, limits) if is_folder else _video_views(options, sources, limits)
+    name, width_px = views[0].names[0], views[0].size_px[0]
+    if options.side_by_side and width_px % 2:
+        raise SourceError(f"{name}: {width_px} px wide: two views side by side have one width")
     return views
 
 
@@ -228,41 +210,40 @@ def _file_views(options: ViewOptions, limits: Limits) -> list[View]:
     if set(right) & set(left):
         raise UsageError("both views have the same images: tell them apart by --pattern and --right-pattern")
     right_names = [path.name for path in right]
-    own_stamps = None  # each image has a stamp of its own where the names of both views have times
-    if options.rate_hz is None and options.times is None and stamps_from_names(names):
-        own_stamps = stamps_from_names(right_names)
-    right = right if own_stamps else matching(left, right)
-    stamps = _stamps(options, names)
-    if own_stamps:
-        require_rising(own_stamps, right_names, str(folder))
+    stamps = right_stamps = _stamps(options, names)
+    own = stamps_from_names(right_names)
+    if options.rate_hz is None and options.times is None and own:
+        require_rising(own, right_names, str(folder))  # the names of both views have times
+        right_stamps = own
+    else:
+        right = matching(left, right)
     return [
         _file_view(left, stamps, options.every, limits),
-        _file_view(right, own_stamps or stamps, options.every, limits),
+        _file_view(right, right_stamps, options.every, limits),
     ]
 
 
 def _file_view(paths: Sequence[Path], stamps_ns: list[int], every: int, limits: Limits) -> View:
+    def picture_of(path: Path) -> tuple[Picture, tuple[int, int]]:
+        picture = read_file(path, limits)
+        try:
+            if isinstance(picture, bytes):
+                return picture, still_size(picture, limits)
+        except ImageError as problem:
+            raise SourceError(f"{path.name}: {problem}") from None
+        return picture, (picture.shape[1], picture.shape[0])
+
     def read() -> Iterator[tuple[int, Picture]]:
         for place in range(0, len(paths), every):
-            picture = read_file(paths[place], limits)
-            width_px, height_px = _size(picture, paths[place].name, limits)
+            picture, (width_px, height_px) = picture_of(paths[place])
             if (width_px, height_px) != size_px:
                 raise SourceError(
                     f"{paths[place].name}: {width_px}x{height_px} px; {paths[0].name} has {size_px[0]}x{size_px[1]} px"
                 )
             yield place, picture
 
-    size_px = _size(read_file(paths[0], limits), paths[0].name, limits)
+    _, size_px = picture_of(paths[0])
     return View([path.name for path in paths], stamps_ns, size_px, read)
-
-
-def _size(picture: Picture, name: str, limits: Limits) -> tuple[int, int]:
-    if not isinstance(picture, bytes):
-        return picture.shape[1], picture.shape[0]
-    try:
-        return still_size(picture, limits)
-    except ImageError as problem:
-        raise SourceError(f"{name}: {problem}") from None
 
 
 def _video_views(options: ViewOptions, sources: Sequence[Path], limits: Limits) -> list[View]:
@@ -283,7 +264,6 @@ def _video_views(options: ViewOptions, sources: Sequence[Path], limits: Limits) 
 
 
 def _stamps(options: ViewOptions, names: list[str], times_ns: Sequence[int] | None = None) -> list[int]:
-    """The stamps of all images of the left view."""
     if options.rate_hz is not None:
         return [options.start_ns + round(number * 1e9 / options.rate_hz) for number in range(len(names))]
     if options.times is None and times_ns is not None:

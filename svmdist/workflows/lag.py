@@ -34,41 +34,27 @@ def with_lag(
     rules: TruthRules | None = None,
     on_image: Callable[[], None] | None = None,
 ) -> tuple[Recording, LagEstimate]:
-    """Put the clocks of a recording right by a lag; the recording as it is where none is given or found.
-
-    `auto` is one pass over the images ahead of all else; it keeps 72 bytes a frame and instrument, and `on_image`
-    hears of each.
-    """
+    """Correct the clocks of a recording by a lag; `auto` is one pass over the images, and calls `on_image` for each."""
     if lag is None:
         return recording, LagEstimate(0.0, None, 1.0)
-    found = (
-        find_lag(recording, profile, wanted, jobs, rules, on_image)
-        if lag == "auto"
-        else LagEstimate(float(lag), None, 1.0)
-    )
-    return (recording.with_lag(known_lag(found), profile) if found.told else recording), found
+    found = LagEstimate(float(lag), None, 1.0) if lag != "auto" else None
+    found = found or _find_lag(recording, profile, wanted, jobs, rules, on_image)
+    if not found.told:
+        return recording, found
+    std_s = 0.0 if found.std_s is None else float(np.hypot(found.std_s, FOUND_LAG_STD_S))
+    return recording.with_lag(KnownLag(found.lag_s, std_s), profile), found
 
 
-def known_lag(found: LagEstimate) -> KnownLag:
-    """What is known of a lag that was given or found."""
-    return KnownLag(
-        found.lag_s, 0.0 if found.std_s is None else float(np.hypot(found.std_s, FOUND_LAG_STD_S))
-    )
-
-
-def find_lag(
+def _find_lag(
     recording: Recording,
     profile: Profile,
-    wanted: Sequence[str] | None = None,
-    jobs: int | None = None,
-    rules: TruthRules | None = None,
-    on_image: Callable[[], None] | None = None,
+    wanted: Sequence[str] | None,
+    jobs: int | None,
+    rules: TruthRules | None,
+    on_image: Callable[[], None] | None,
 ) -> LagEstimate:
-    """Estimate the lag of a recording for any method: from where the middle of each instrument is seen.
-
-    Nothing of the joints is in that, which a method in 3D could not say. Of several instruments, which share a clock,
-    the one that tells most confidently counts.
-    """
+    # From where the middle of each instrument is seen, whatever the method: nothing of the joints is in that. Of
+    # several instruments, which share a clock, the most confident one counts.
     seen = Setup(profile, "centroid", "corrected", None, PUBLISHED_MAPPING)
     names = recording.instruments if wanted is None else tuple(wanted)
     readings = {name: Readings() for name in names}
@@ -78,7 +64,7 @@ def find_lag(
         if on_image is not None:
             on_image()
     found = [
-        lag_of_readings(
+        recording_lag(
             readings[name],
             recording.for_instrument(name),
             profile.for_instrument(name),
@@ -90,19 +76,13 @@ def find_lag(
 
 
 def recording_lag(
-    rows: Iterable[FrameResult], recording: Recording, profile: Profile, rules: TruthRules
+    rows: Iterable[FrameResult] | Readings, recording: Recording, profile: Profile, rules: TruthRules
 ) -> LagEstimate:
-    """Estimate the lag of a recording from where its measured rows saw the tool."""
-    return lag_of_readings(Readings(rows), recording, profile, rules)
-
-
-def lag_of_readings(
-    readings: Readings, recording: Recording, profile: Profile, rules: TruthRules
-) -> LagEstimate:
-    """Estimate the lag of a recording from where the tool was seen.
+    """Estimate the lag of a recording from where its measured rows saw the tool.
 
     The tool's motion is taken from kinematics, else from the strongest other reference that the log has.
     """
+    readings = rows if isinstance(rows, Readings) else Readings(rows)
     seen = np.isfinite(readings.tool_px).all(axis=1)
     problems = []
     for reference in (Reference.KINEMATICS, Reference.POSE, Reference.TF, Reference.GROUND_TRUTH):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +17,7 @@ from svmdist.least_squares import scale_of
 from svmdist.profile import Profile, Robot, load_profile
 from svmdist.profile.profile import Topics
 from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
-from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.log import open_recording
 from svmdist.recording.source import sanitize, sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
@@ -44,7 +45,7 @@ LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 3e-3, 0.05, 1e-3
 
 @dataclass(frozen=True)
 class InstrumentDraft:
-    """An instrument: its topics, frames, and the shipped profile with its chain; None where no chain fits the joints.
+    """An instrument: its topics, frames, and the shipped profile whose chain fits its joints.
 
     `entry` is the side of the picture that it comes in from, where nothing else distinguishes instruments.
     """
@@ -96,21 +97,24 @@ class LogRoles(NamedTuple):
 
 
 def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDraft:
-    """Look at a log and draft its profile; `topics` chooses some by role.
-
-    Raises RecordingError where the log has no images or calibration, or several of which the user must choose one.
-    """
+    """Look at a log and draft its profile; `topics` chooses some by role, where `find_roles` would raise."""
     blank = _blank({})
     summary = inspect_recording(path, blank)
     roles = find_roles(summary, topics)
     recording = open_recording(path, _blank(roles.topics))
     camera = recording.camera
     count = next(topic.message_count for topic in summary.topics if topic.topic == roles.topics["image"])
-    images, planes = _look(recording, count // LOOKED_AT)
+    images: list[Image] = []
+    planes: list[StereoPlane | None] = []
+    for observation in observations_of(recording, count // LOOKED_AT):
+        seen = as_pinholes(observation)
+        images.append(seen.image_bgr)
+        if seen.right is not None and (baseline_m := float(seen.right.T_left_right[0, 3])) > 0:
+            planes.append(fit_plane(seen.image_bgr, seen.right.image_bgr, seen.camera.K, baseline_m))
     instruments = tuple(
         _instrument(name, own, summary, path, blank, len(roles.instruments))
         for name, own in roles.instruments.items()
-    ) or _by_sides(_entry_sides(images))
+    ) or _instruments_by_sides(images)
     return ProfileDraft(
         name,
         path.name,
@@ -120,7 +124,7 @@ def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDr
         camera.frame_id or "camera",
         instruments,
         find_distinct_colour(images, len(instruments)),
-        _plane(planes),
+        _plane([plane for plane in planes if plane is not None]),
         {camera.frame_id, instruments[0].base} <= set(summary.frames),
         len(images),
     )
@@ -129,8 +133,7 @@ def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDr
 def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
     """Find topics by schemas and by the names that recorders give; `given` chooses some by role.
 
-    Raises RecordingError where a choice is the user's to make, and for a given topic that is not in the log;
-    UsageError for an unknown role.
+    Raises RecordingError where topics are missing or the choice is the user's, UsageError for an unknown role.
     """
     there = [topic.topic for topic in summary.topics]
     for role, chosen in given.items():
@@ -164,10 +167,10 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
     if given.get("tf") or len(moving) == 1:
         topics["tf"] = given.get("tf") or moving[0]
     instruments: dict[str, dict[str, str]] = {}
-    for role, kind, preferred in (
+    for role, kind, preferred in [
         ("joints", "joint states", "measured_js"),
         ("pose", "poses", "measured_cp"),
-    ):
+    ]:
         tools = [topic for topic in carrying(kind, "jaw", "ground_truth") if not OTHER_ARMS.search(topic)]
         named = [topic for topic in tools if topic.rpartition("/")[2] == preferred]
         for topic in [given[role]] if role in given else named or tools:
@@ -184,22 +187,20 @@ def _left_image(images: Sequence[str], summary: RecordingSummary) -> str:
         lambda topic: "left" in topic.lower(),
         lambda topic: "rect" in topic.lower(),
     )
-    lefts = list(images)
-    for preferred in preferences:
-        lefts = [topic for topic in lefts if preferred(topic)] or lefts
-    if len(lefts) == 1:
-        return lefts[0]
-    name = summary.path.name
+    name, lefts = summary.path.name, list(images)
     if not lefts:
         there = sanitize_list(topic.topic for topic in summary.topics)
         raise RecordingError(f"{name}: no topic with images; the topics are {there or 'none'}")
-    raise RecordingError(
-        f"{name}: several topics carry images: choose one with --topic image=TOPIC: {sanitize_list(lefts)}"
-    )
+    for preferred in preferences:
+        lefts = [topic for topic in lefts if preferred(topic)] or lefts
+    if len(lefts) > 1:
+        raise RecordingError(
+            f"{name}: several topics carry images: choose one with --topic image=TOPIC: {sanitize_list(lefts)}"
+        )
+    return lefts[0]
 
 
 def _right_of(left: str, images: Sequence[str]) -> str | None:
-    """The topic that differs from a left one by saying right."""
     for one, other in SIDES:
         name = left.replace(one, other)
         if name != left and name in images:
@@ -231,31 +232,13 @@ def _instrument_name(topic: str) -> str:
 
 
 def _blank(topics: Mapping[str, str]) -> Profile:
-    """A profile that knows nothing but topics."""
     any_pixel = ColourRegion(hue=(0, 179), min_area_px=1)
-    return Profile(
-        name="blank",
-        topics=Topics(**topics),
-        segmentation=HsvSegmentation(tissue=any_pixel, instrument=any_pixel),
-    )
+    segmentation = HsvSegmentation(tissue=any_pixel, instrument=any_pixel)
+    return Profile(name="blank", topics=Topics(**topics), segmentation=segmentation)
 
 
-def _look(recording: Recording, stride: int) -> tuple[list[Image], list[StereoPlane]]:
-    """Each n-th image of the log, and the planes that pairs of them show."""
-    images: list[Image] = []
-    planes: list[StereoPlane] = []
-    for observation in observations_of(recording, stride):
-        seen = as_pinholes(observation)
-        images.append(seen.image_bgr)
-        right = seen.right
-        if right is not None and right.T_left_right[0, 3] > 0:
-            plane = fit_plane(seen.image_bgr, right.image_bgr, seen.camera.K, float(right.T_left_right[0, 3]))
-            planes += [] if plane is None else [plane]
-    return images, planes
-
-
-def _entry_sides(images: Sequence[Image]) -> list[str]:
-    """The sides of the picture that instruments come in from in most images, from right to left."""
+def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...]:
+    """Instruments by the sides of the picture that they come in from in most images; one where no two are seen."""
     segmenter = AutoSegmenter().adapted_to(images)
     sides: Counter[str] = Counter()
     for image in images:
@@ -266,12 +249,8 @@ def _entry_sides(images: Sequence[Image]) -> list[str]:
             here.add(("left" if x < 0 else "right") if abs(x) > abs(y) else ("above" if y < 0 else "below"))
         sides.update(here)
     order = ("right", "left", "above", "below")
-    return [side for side in order if sides[side] and sides[side] >= MOST_IMAGES * len(images)]
-
-
-def _by_sides(sides: Sequence[str]) -> tuple[InstrumentDraft, ...]:
-    """Instruments that only images show; one where no image shows several."""
-    entries: Sequence[str | None] = sides if len(sides) > 1 else [None]
+    found = [side for side in order if sides[side] and sides[side] >= MOST_IMAGES * len(images)]
+    entries: Sequence[str | None] = found if len(found) > 1 else [None]
     return tuple(
         InstrumentDraft(f"PSM{number}", None, None, f"PSM{number}_base", f"PSM{number}", None, entry=entry)
         for number, entry in enumerate(entries, 1)
@@ -290,13 +269,13 @@ def _plane(planes: Sequence[StereoPlane]) -> PlaneDraft | None:
         return None
     tilts_rad = np.arccos(np.clip(normals @ normal, -1.0, 1.0))
     distance_m = float(np.median(distances_m))
-    surface_std_m = float(np.median([plane.surface_std_m for plane in planes]))
+    x, y, z = normal.tolist()
     return PlaneDraft(
-        (float(normal[0]), float(normal[1]), float(normal[2])),
+        (x, y, z),
         distance_m,
         max(scale_of(distances_m - distance_m), LEAST_PLANE_STD_M),
         max(scale_of(tilts_rad), LEAST_TILT_STD_RAD),
-        max(surface_std_m, LEAST_SURFACE_STD_M),
+        max(float(np.median([plane.surface_std_m for plane in planes])), LEAST_SURFACE_STD_M),
     )
 
 
@@ -304,34 +283,23 @@ def _instrument(
     name: str, topics: Mapping[str, str], summary: RecordingSummary, path: Path, blank: Profile, count: int
 ) -> InstrumentDraft:
     joints, pose = topics.get("joints"), topics.get("pose")
-    joint_names = summary.joint_names.get(joints or "", ())
-    frames = set(summary.frames)
-    base = _pose_frame(pose, path, blank) if pose else None
+    joint_names = tuple(summary.joint_names.get(joints or "", ()))
+    base, frames = None, set(summary.frames)
+    if pose:
+        with suppress(RecordingError):  # poses in several frames, or in one without a name
+            base = open_recording(path, blank, topics={"pose": pose}).pose_track().frame_id or None
     if base is None:
         own = f"{name}_base"
         base = "base" if count == 1 and own not in frames and "base" in frames else own
     tools = (f"{name}_tool", f"{name}_ee", name, "tool")
     tool = next((frame for frame in tools if frame in frames and frame != base), name)
-    return InstrumentDraft(name, joints, pose, base, tool, _chain_of(joint_names), tuple(joint_names))
-
-
-def _pose_frame(topic: str, path: Path, blank: Profile) -> str | None:
-    """The frame that poses are in; None where they are in several, or in one without a name."""
-    try:
-        return open_recording(path, blank, topics={"pose": topic}).pose_track().frame_id or None
-    except RecordingError:
-        return None
+    return InstrumentDraft(name, joints, pose, base, tool, _chain_of(joint_names), joint_names)
 
 
 def _chain_of(joint_names: Sequence[str]) -> str | None:
     """The shipped profile with the longest chain whose joints are all among the log's."""
-    there = set(joint_names)
     robots = {name: shipped_robot(name) for name in CHAIN_PROFILES}
-    fitting = [
-        name
-        for name, robot in robots.items()
-        if all(there & {joint.name, *joint.aliases} for joint in robot.joints)
-    ]
+    fitting = [name for name, robot in robots.items() if not robot.missing_joints(joint_names)]
     return max(fitting, key=lambda name: len(robots[name].joints), default=None)
 
 

@@ -9,7 +9,6 @@ import multiprocessing
 import os
 import shutil
 import signal
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -126,9 +125,7 @@ def each_in_processes(
     with _pools() as make:
         steps = _context().Value("q", 0) if on_step else None
         seen = 0
-        idle: list[
-            ProcessPoolExecutor
-        ] = []  # each with one process: one that is killed takes only its own item
+        idle: list[ProcessPoolExecutor] = []  # of one process each: a killed one takes only its own item
         while waiting or running:
             while waiting and len(running) < workers:
                 place, attempt = waiting.popleft()
@@ -190,7 +187,7 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
         from multiprocessing import forkserver
 
         context.set_forkserver_preload(PRELOADED)
-        with _no_interrupts():
+        with _quiet_start():
             forkserver.ensure_running()
     pools: list[ProcessPoolExecutor] = []
     others = set(multiprocessing.active_children())
@@ -212,10 +209,7 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
 
 
 def _begin(
-    environment: dict[str, str],
-    folder: str,
-    begin: Callable[..., object] | None,
-    arguments: tuple[Any, ...],
+    environment: dict[str, str], folder: str, begin: Callable[..., object] | None, arguments: tuple[Any, ...]
 ) -> None:
     """Prepare a worker: the process that began it handles interrupts, and takes it along where it is killed."""
     os.environ.update(environment)  # it may have changed since the server began that forks workers
@@ -236,16 +230,20 @@ def _end_with_parent(folder: str) -> None:
 
 
 @contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """Hold interrupts back: a process that begins meanwhile never gets any, nor do its children."""
-    if sys.platform == "win32":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+def _quiet_start() -> Iterator[None]:
+    """A process that begins meanwhile gets no interrupts and has no stderr, nor have its children.
+
+    Where the process that began them is gone, Python would print tracebacks of them all; errors travel as results.
+    """
+    mask, stderr = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}), os.dup(2)
     try:
+        with open(os.devnull, "w") as null:
+            os.dup2(null.fileno(), 2)
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 class Steps:

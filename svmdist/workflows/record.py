@@ -14,9 +14,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from svmdist.errors import UsageError
 from svmdist.profile import Profile
-from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_all
+from svmdist.recording.writer import EncodedSample, RecordingWriter, encode
 from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.plan import Block, Plan, make_plan
 from svmdist.simulation.scenarios import Scenario
@@ -34,18 +33,22 @@ VERSIONED_PACKAGES = ("svmdist", "pybullet", "numpy", "opencv-python-headless")
 FRAMES_PER_WORKER = 12
 """What a worker's start costs, about a second, is what so many images take: below this, one worker less is faster."""
 
-Task = tuple[tuple[Block, ...], NoiseStates]
-Encoded = list[tuple[str, EncodedSample]]
+Task = tuple[list[Block], NoiseStates]
 
 
 @dataclass(frozen=True)
-class RecordResult:
-    """What was written: the numbers of (left) images and messages, the size in bytes, and where."""
+class Recorded:
+    """A recording that was written, or was there already: the numbers of (left) images and messages, and the size.
+
+    `failure` says why there is no recording.
+    """
 
     path: Path
-    frame_count: int
-    message_count: int
-    size_bytes: int
+    frame_count: int = 0
+    message_count: int = 0
+    size_bytes: int = 0
+    was_there: bool = False
+    failure: str | None = None
 
 
 def record(
@@ -59,21 +62,14 @@ def record(
     jpeg_quality: int | None = None,
     jobs: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
-) -> RecordResult:
+) -> Recorded:
     """Simulate a scenario and write it to `output`; `on_progress` is called with (images done, images in all).
 
-    Images are PNG, without loss, or JPEG of a quality from 1 to 100. `jobs` is the largest number of processes that
-    draw images; None stands for that of usable cores. The file is the same for any number.
-
-    Raises UsageError where the file exists and `force` is not set, OutputError where it cannot be written,
-    SimulationError where PyBullet is missing or the profile cannot be simulated, and WorkerDiedError, which leaves no
-    file.
+    Images are PNG, without loss, or JPEG of a quality from 1 to 100. At most `jobs` processes draw images, by default
+    as many as there are usable cores; the file is the same for any number. Raises UsageError where the file exists and
+    `force` is not set, OutputError, SimulationError, and WorkerDiedError, which leaves no file.
     """
     options = options or Options()
-    if jpeg_quality is not None and not 1 <= jpeg_quality <= 100:
-        raise UsageError(f"the quality of JPEG is from 1 to 100, found {jpeg_quality}")
-    if jobs is not None and jobs < 1:
-        raise UsageError(f"the number of jobs is from 1, found {jobs}")
     metadata = recorded_metadata(scenario, profile, noise, options, jpeg_quality)
     frame_count = message_count = 0
     writer = RecordingWriter(output, metadata, force=force, jpeg_quality=jpeg_quality)
@@ -91,7 +87,7 @@ def record(
     except WorkerDiedError:
         writer.part_path.unlink(missing_ok=True)
         raise
-    return RecordResult(output, frame_count, message_count, output.stat().st_size)
+    return Recorded(output, frame_count, message_count, output.stat().st_size)
 
 
 def recorded_metadata(
@@ -133,13 +129,12 @@ def encoded_samples(
         if workers <= 1:
             with Simulator(plan) as simulator:
                 for block in plan.blocks:
-                    yield from encode_all(
-                        simulator.samples(block, simulator.sensors.draw_noise()), jpeg_quality
-                    )
+                    for topic, sample in simulator.samples(block, simulator.sensors.draw_noise()):
+                        yield topic, encode(sample, jpeg_quality)
             return
         with process_pool(workers, _begin, (plan, jpeg_quality)) as pool:
-            for samples in in_order(_work, _tasks(plan), workers, pool):
-                yield from samples
+            for encoded in in_order(_work, _tasks(plan), workers, pool):
+                yield from encoded
 
 
 def _tasks(plan: Plan) -> Iterator[Task]:
@@ -151,7 +146,7 @@ def _tasks(plan: Plan) -> Iterator[Task]:
     all_blocks = plan.blocks
     size = 1 if plan.options.stereo else 2
     for begin in range(0, len(all_blocks), size):
-        blocks = tuple(all_blocks[begin : begin + size])
+        blocks = all_blocks[begin : begin + size]
         yield blocks, sensors.noise_states
         for _ in blocks:
             sensors.draw_noise()
@@ -174,11 +169,11 @@ def _worlds() -> Simulator:
     return Simulator(_plan)
 
 
-def _work(task: Task) -> Encoded:
+def _work(task: Task) -> list[tuple[str, EncodedSample]]:
     simulator = _worlds()
     blocks, simulator.sensors.noise_states = task
-    noises = [simulator.sensors.draw_noise() for _ in blocks]
-    samples: Encoded = []
-    for block, noise in zip(blocks, noises, strict=True):
-        samples += encode_all(simulator.samples(block, noise), _jpeg_quality)
-    return samples
+    encoded: list[tuple[str, EncodedSample]] = []
+    for block in blocks:
+        for topic, sample in simulator.samples(block, simulator.sensors.draw_noise()):
+            encoded.append((topic, encode(sample, _jpeg_quality)))
+    return encoded

@@ -149,10 +149,6 @@ class Setup:
         """Another process makes its own segmenter: a network cannot be sent there."""
         return {key: value for key, value in self.__dict__.items() if key != "segmenter"}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore what was sent."""
-        self.__dict__.update(state)
-
 
 @dataclass(frozen=True)
 class Request:
@@ -200,35 +196,24 @@ def prepare(
     if equations not in ("corrected", "printed"):
         raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
     loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
-    setup = _resolve(profile, loaded, method, equations, calibration)
+    is_planar, is_printed = method in PLANAR_METHODS, equations == "printed"
+    if not is_planar and (is_printed or calibration is not None):
+        option = "--equations printed" if is_printed else "--calibration"
+        planar = " and ".join(PLANAR_METHODS)
+        raise UsageError(f"{option} is for the planar methods {planar}; {method} measures in 3D")
+    if is_printed and calibration is not None:
+        raise UsageError(
+            "--equations printed takes the paper's numbers: it cannot be used with a calibration"
+        )
+    setup = Setup(loaded, method, equations, None, PUBLISHED_MAPPING if is_printed else None)
+    if is_planar and not is_printed:
+        found = load_calibration(calibration or _beside(profile, loaded))
+        setup = replace(setup, calibration=found, mapping=found.mapping)
     # A network or a mesh that cannot be used is told before a recording is opened.
     _ = setup.segmenter
-    if method not in PLANAR_METHODS:
+    if not is_planar:
         require_tissue(loaded)
     return setup
-
-
-def _resolve(
-    profile: str | Path | Profile,
-    loaded: Profile,
-    method: str,
-    equations: Equations,
-    calibration: Path | None,
-) -> Setup:
-    if method not in PLANAR_METHODS:
-        if equations == "printed" or calibration is not None:
-            option = "--equations printed" if equations == "printed" else "--calibration"
-            planar = " and ".join(PLANAR_METHODS)
-            raise UsageError(f"{option} is for the planar methods {planar}; {method} measures in 3D")
-        return Setup(loaded, method, equations, None)
-    if equations == "printed":
-        if calibration is not None:
-            raise UsageError(
-                "--equations printed takes the paper's numbers: it cannot be used with a calibration"
-            )
-        return Setup(loaded, method, equations, None, PUBLISHED_MAPPING)
-    found = load_calibration(calibration or _beside(profile, loaded))
-    return Setup(loaded, method, equations, found, found.mapping)
 
 
 def _beside(profile: str | Path | Profile, loaded: Profile) -> Path:

@@ -22,7 +22,6 @@ from svmdist.workflows.scoring.score import CLEARANCE, PLANAR, SPATIAL, Distance
 from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth
 
 PREFERRED = (CLEARANCE, SPATIAL, PLANAR)
-"""The distance that says most stands first."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,6 @@ class Series:
     reference: Reference | None = None
 
     def __len__(self) -> int:
-        """Count the frames."""
         return len(self.number)
 
     @property
@@ -76,10 +74,6 @@ class Series:
             badness_m = self.half_m
         return np.asarray(np.where(np.isfinite(badness_m), badness_m, -1.0))
 
-    def worst(self, count: int) -> list[int]:
-        """Indices of the worst frames, the worst first. Frames that were not measured come last."""
-        return [int(at) for at in np.argsort(-self.badness_m, kind="stable")[:count]]
-
 
 @dataclass(frozen=True, slots=True)
 class WorstFrame:
@@ -102,24 +96,24 @@ class WorstFrame:
         if not series.measured[at]:
             detail = f" ({series.detail[at]})" if series.detail[at] else ""
             return f"{where}: not measured: {series.status[at]}{detail}"
+        interval = f"interval ±{series.half_m[at] * 1e3:.2f} mm" if np.isfinite(series.half_m[at]) else ""
         if np.isfinite(series.error_m[at]):
-            half = f", interval ±{series.half_m[at] * 1e3:.2f} mm" if np.isfinite(series.half_m[at]) else ""
-            return f"{where}: {series.distance} error {series.error_m[at] * 1e3:+.2f} mm{half}"
-        if np.isfinite(series.half_m[at]):
-            return f"{where}: {series.distance} interval ±{series.half_m[at] * 1e3:.2f} mm"
-        return f"{where}: {series.distance} {series.estimate_m[at] * 1e3:.2f} mm"
+            error = f"{where}: {series.distance} error {series.error_m[at] * 1e3:+.2f} mm"
+            return f"{error}, {interval}" if interval else error
+        return f"{where}: {series.distance} {interval or f'{series.estimate_m[at] * 1e3:.2f} mm'}"
 
 
 def worst_frames(series: Sequence[Series], count: int) -> list[WorstFrame]:
     """The worst frames of several instruments, each image once, the worst first."""
-    found: dict[int, WorstFrame] = {}
-    for one in series:
-        badness_m = one.badness_m
-        for at in one.worst(count):
-            worse = WorstFrame(at, one, float(badness_m[at]))
-            known = found.get(worse.number, worse)
-            found[worse.number] = max(known, worse, key=lambda frame: frame.badness_m)
-    return sorted(found.values(), key=lambda frame: -frame.badness_m)[:count]
+    frames = [
+        WorstFrame(at, one, badness_m)
+        for one in series
+        for at, badness_m in enumerate(one.badness_m.tolist())
+    ]
+    worst: dict[int, WorstFrame] = {}
+    for frame in sorted(frames, key=lambda frame: -frame.badness_m):
+        worst.setdefault(frame.number, frame)
+    return list(worst.values())[:count]
 
 
 def series_of(
@@ -147,78 +141,49 @@ def make_series(
     The distance is the clearance where there is any, else the spatial, else the planar one. The truth is by
     `reference`; None takes the simulator's truth where the log has it. `lag` is taken off the stamps of images before.
     """
-    names = list(dict.fromkeys(row.instrument for row in rows))
-    return [
-        _series(
-            [row for row in rows if row.instrument == name],
-            recording.for_instrument(name),
-            setup.for_instrument(name),
-            name,
-            rules,
-            reference,
-            lag,
+    found = []
+    for name in dict.fromkeys(row.instrument for row in rows):
+        own = [row for row in rows if row.instrument == name]
+        view, seen = recording.for_instrument(name), setup.for_instrument(name)
+        asked = reference or Reference.GROUND_TRUTH
+        stamps_ns = np.array([row.stamp_ns for row in own], np.int64)
+        at_ns = stamps_ns - truth_lag_ns(view, seen, asked, lag)
+        truth: SampledDistances | None = None
+        try:
+            truth = distance_truth(view, seen.profile, asked, at_ns, seen.equations, rules)
+        except (RecordingError, KinematicsError):
+            if reference is not None:
+                raise
+        distance = _most_telling(own, truth)
+        read = np.array([distance.read(row) if row.measured else (np.nan, np.nan) for row in own])
+        truth_m = np.full(len(own), np.nan)
+        if truth is not None:
+            truth_m = np.where(truth.valid, distance.truth_of(truth), np.nan)
+        found.append(
+            Series(
+                recording=recording.name,
+                instrument=name,
+                method=seen.method,
+                distance=distance.name,
+                number=np.array([row.number for row in own], np.int64),
+                stamps_ns=stamps_ns,
+                seconds=np.array([row.seconds for row in own]),
+                status=tuple(str(row.status) for row in own),
+                detail=tuple(row.detail for row in own),
+                estimate_m=read[:, 0],
+                std_m=read[:, 1],
+                truth_m=truth_m,
+                tool_px=np.array([row.image.tool_px or (np.nan, np.nan) for row in own]),
+                consistency=np.array([np.nan if row.consistency is None else row.consistency for row in own]),
+                reference=None if truth is None else asked,
+            )
         )
-        for name in names
-    ]
+    return found
 
 
-def _series(
-    rows: Sequence[FrameResult],
-    recording: Recording,
-    setup: Setup,
-    name: str,
-    rules: TruthRules | None,
-    reference: Reference | None,
-    lag: LagEstimate | None,
-) -> Series:
-    stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
-    late_ns = truth_lag_ns(recording, setup, reference or Reference.GROUND_TRUTH, lag)
-    truth, known = _truth(recording, setup, stamps_ns - late_ns, rules, reference)
-    distance = _told(rows, truth)
-    read = np.array([distance.read(row) if row.measured else (np.nan, np.nan) for row in rows]).reshape(-1, 2)
-    truth_m = np.full(len(rows), np.nan)
-    if truth is not None:
-        truth_m = np.where(truth.valid, distance.truth_of(truth), np.nan)
-    return Series(
-        recording.name,
-        name,
-        setup.method,
-        distance.name,
-        np.array([row.number for row in rows], np.int64),
-        stamps_ns,
-        np.array([row.seconds for row in rows]),
-        tuple(str(row.status) for row in rows),
-        tuple(row.detail for row in rows),
-        read[:, 0],
-        read[:, 1],
-        truth_m,
-        np.array([row.image.tool_px or (np.nan, np.nan) for row in rows]).reshape(-1, 2),
-        np.array([np.nan if row.consistency is None else row.consistency for row in rows]),
-        known,
-    )
-
-
-def _truth(
-    recording: Recording,
-    setup: Setup,
-    stamps_ns: NDArray[np.int64],
-    rules: TruthRules | None,
-    reference: Reference | None,
-) -> tuple[SampledDistances | None, Reference | None]:
-    asked = reference or Reference.GROUND_TRUTH
-    try:
-        return distance_truth(recording, setup.profile, asked, stamps_ns, setup.equations, rules), asked
-    except (RecordingError, KinematicsError):
-        if reference is not None:
-            raise
-        return None, None
-
-
-def _told(rows: Sequence[FrameResult], truth: SampledDistances | None) -> Distance:
-    """The distance that says most of those that the rows have, and the truth, where there is one."""
+def _most_telling(rows: Sequence[FrameResult], truth: SampledDistances | None) -> Distance:
     for distance in PREFERRED:
-        if not any(row.measured and distance.of(row.distances) is not None for row in rows):
-            continue
-        if truth is None or np.isfinite(distance.truth_of(truth)[truth.valid]).any():
+        has_values = any(row.measured and distance.of(row.distances) is not None for row in rows)
+        if has_values and (truth is None or np.isfinite(distance.truth_of(truth)[truth.valid]).any()):
             return distance
     return PLANAR

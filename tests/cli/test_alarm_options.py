@@ -27,17 +27,6 @@ def test_bad_lengths(text: str) -> None:
 
 
 @pytest.mark.parametrize("command", ["estimate", "validate"])
-@pytest.mark.parametrize("method", ["overlay", "centroid"])
-def test_a_planar_method_cannot_alarm(cli: Cli, command: str, method: str) -> None:
-    """A method without clearance is refused in one line that names those with one: silence would look safe."""
-    outcome = cli(command, "x.mcap", "--method", method, "--alarm-below", "5mm")
-    assert outcome.code == 2
-    (line,) = outcome.err.splitlines()
-    assert method in line
-    assert "fused" in line
-
-
-@pytest.mark.parametrize("command", ["estimate", "validate"])
 def test_an_instrument_without_sizes_cannot_alarm(
     cli: Cli, tmp_path: Path, synthetic_log: Path, command: str
 ) -> None:
@@ -49,19 +38,3 @@ def test_an_instrument_without_sizes_cannot_alarm(
     assert (outcome.code, outcome.out) == (1, "")
     (line,) = outcome.err.splitlines()
     assert "no [instrument]" in line
-
-
-def test_confidence_without_a_threshold_is_refused(cli: Cli) -> None:
-    """An option that would do nothing is an error."""
-    outcome = cli("validate", "x.mcap", "--alarm-confidence", "0.5")
-    assert outcome.code == 2
-    assert "--alarm-below" in outcome.err
-
-
-@pytest.mark.parametrize("confidence", ["1.5", "-0.1", "often"])
-def test_a_confidence_is_a_probability(cli: Cli, confidence: str) -> None:
-    """Beyond 0 to 1 it is refused."""
-    arguments = ("--method", "fused", "--alarm-below", "5mm", "--alarm-confidence", confidence)
-    outcome = cli("validate", "x.mcap", *arguments)
-    assert outcome.code == 2
-    assert "Traceback" not in outcome.err

@@ -43,18 +43,3 @@ def test_an_annotated_recording_is_replaced_only_by_force(cli: Cli, log: Path, t
     assert refused.code == 2
     assert "--force" in refused.err
     assert cli("estimate", log, "-o", output, "--force").code == 0
-
-
-def test_two_recordings_do_not_go_into_one(cli: Cli, log: Path, tmp_path: Path) -> None:
-    other = tmp_path / "other.mcap"
-    other.write_bytes(log.read_bytes())
-    refused = cli("estimate", log, other, "-o", tmp_path / "out.mcap")
-    assert refused.code == 2
-    assert "holds one recording" in refused.err
-    assert not (tmp_path / "out.mcap").exists()
-
-
-def test_a_format_against_an_ending_that_is_no_text_is_refused(cli: Cli, log: Path, tmp_path: Path) -> None:
-    refused = cli("estimate", log, "-f", "csv", "-o", tmp_path / "out.mcap")
-    assert refused.code == 2
-    assert "leave out one of them" in refused.err

@@ -33,14 +33,6 @@ def test_a_full_stdout(synthetic_log: Path, synthetic_calibration: Path, argumen
     assert one_line(done.stderr) == "svmdist: stdout: cannot write: No space left on device"
 
 
-@pytest.mark.parametrize("command", ["info", "estimate"])
-def test_a_closed_stdout(synthetic_log: Path, synthetic_calibration: Path, command: str) -> None:
-    options = ["--calibration", synthetic_calibration] if command == "estimate" else []
-    done = ended(command, synthetic_log, *options, before=lambda: os.close(1))
-    assert done.returncode == 1
-    assert "stdout" in one_line(done.stderr)
-
-
 def limited(what: int, amount: int) -> Callable[[], None]:
     """A limit that holds from the start of the process."""
     return lambda: resource.setrlimit(what, (amount, amount))
@@ -59,20 +51,6 @@ def test_a_limit_of_file_sizes(tmp_path: Path, synthetic_log: Path, synthetic_ca
     assert [path.name for path in tmp_path.iterdir()] == ["stdout"]
 
 
-def test_a_recording_that_grows_too_large(tmp_path: Path) -> None:
-    """What was recorded until then stays, and is named; so it is where the scene itself cannot be put down."""
-    pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-    path = tmp_path / "r.mcap"
-    done = ended(
-        "record", "--duration", 20, "-j", 1, "-o", path, before=limited(resource.RLIMIT_FSIZE, 2 * MIB)
-    )
-    assert done.returncode == 1
-    line = one_line(done.stderr)
-    assert "File too large" in line
-    assert f"what was recorded until then is in {path}.part" in line
-    assert list(tmp_path.iterdir()) == [path.with_name("r.mcap.part")]
-
-
 @pytest.mark.parametrize("memory_mib", [150, 250, 350, 450, 600])
 def test_a_limit_of_memory(synthetic_log: Path, synthetic_calibration: Path, memory_mib: int) -> None:
     """`ulimit -v`: it works, or says in a line that memory is what it lacks; libraries may add lines of their own."""
@@ -83,18 +61,6 @@ def test_a_limit_of_memory(synthetic_log: Path, synthetic_calibration: Path, mem
     if done.returncode != 0:
         assert done.returncode == 1
         assert "memory" in done.stderr.strip().splitlines()[-1]
-
-
-@pytest.mark.parametrize("count", [5, 8, 12, 20])
-def test_a_limit_of_open_files(tmp_path: Path, synthetic_log: Path, count: int) -> None:
-    """`ulimit -n`."""
-    limit = limited(resource.RLIMIT_NOFILE, count)
-    done = ended("info", synthetic_log, "-f", "csv", "-o", tmp_path / "rows.csv", before=limit)
-    assert "Traceback" not in done.stderr, done.stderr
-    if done.returncode != 0:
-        assert done.returncode == 1
-        assert "Too many open files" in one_line(done.stderr)
-        assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])

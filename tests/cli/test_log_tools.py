@@ -66,6 +66,7 @@ def check_lag(cli: Cli, path: Path, lag_s: float) -> float:
     return abs(float(score["lag_s"]) - lag_s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "lag_s"), [("sweep", -2.5), ("random", 0.4)])
 def test_an_injected_lag_is_recovered(
     cli: Cli, tmp_path: Path, golden_samples: Logs, name: str, lag_s: float
@@ -108,13 +109,6 @@ def test_a_still_tool_cannot_tell_a_lag(cli: Cli, tmp_path: Path, synthetic_cali
     assert "the lag cannot be told and 0 is used" in outcome.err
     for score in json.loads(outcome.out)["recordings"]:
         assert (score["lag_s"], score["lag_confidence"]) == (0.0, 0.0)
-
-
-@pytest.mark.parametrize("lag", ["soon", "nan", "1e9", ""])
-def test_a_wrong_lag_is_a_usage_error(cli: Cli, synthetic_log: Path, lag: str) -> None:
-    outcome = cli("validate", synthetic_log, "--lag", lag)
-    assert outcome.code == 2
-    assert "expected auto or seconds" in outcome.err
 
 
 def tracked(topic: str, sample: Sample) -> Sample:

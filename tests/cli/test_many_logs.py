@@ -109,6 +109,7 @@ def test_a_glob_without_a_match_and_a_log_twice(cli: Cli, folder: Path) -> None:
     assert twice.out == cli("estimate", folder, "-f", "csv").out
 
 
+@pytest.mark.slow
 def test_resume_takes_what_is_there(cli: Cli, with_bad: Path, tmp_path: Path) -> None:
     """The same rows; of another method nothing is taken; a log that is mended is measured."""
     results = tmp_path / "results"
@@ -143,6 +144,7 @@ def test_the_summary_ranks_logs_and_groups_them(cli: Cli, with_bad: Path, tmp_pa
     assert together[-1]["reason"] == "1 of 5 logs failed"
 
 
+@pytest.mark.slow
 def test_groups_of_validate_and_compare(cli: Cli, folder: Path) -> None:
     scores = rows_of(cli("validate", folder, "-f", "csv", "--group", "scenario").out)
     frames = {(row["recording"], row["reference"]): int(row["frame_count"]) for row in scores}
@@ -178,27 +180,3 @@ def test_fk_of_several_logs_names_them(cli: Cli, folder: Path) -> None:
         row.pop("recording")
     assert several == alone
     assert cli("fk", folder, "-f", "tum").code == 2
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "leave out one of them"),
-        (("--resume", "results", "-o", "a.mcap"), "go with rows: write a.mcap by itself"),
-        (("--summary", "s.csv", "-o", "a.mp4"), "go with rows: write a.mp4 by itself"),
-        (("--group", "scenario"), "say where they go with --summary FILE"),
-    ],
-)
-def test_options_that_would_be_ignored_are_refused(
-    cli: Cli,
-    folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    options: tuple[str, ...],
-    said: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    outcome = cli("estimate", folder / "log0.mcap", *options)
-    assert outcome.code == 2
-    assert said in outcome.err
-    assert not list(tmp_path.iterdir())

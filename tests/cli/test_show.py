@@ -82,3 +82,14 @@ def test_choices_that_exclude_each_other_are_refused(golden: Path, cli: Cli) -> 
     far = cli("show", log, "--frame", 1000)
     assert far.code == 2
     assert "0 to 79" in far.err
+
+
+def test_masks_are_a_picture_of_the_chosen_image(cli: Cli, synthetic_log: Path, tmp_path: Path) -> None:
+    """The file's name has the image's number; the picture holds the image and a caption."""
+    outcome = cli("show", synthetic_log, "--masks", "--frame", "3", "-o", tmp_path)
+    path = tmp_path / "synthetic-00003.png"
+    assert (outcome.code, outcome.out.strip()) == (0, str(path))
+    picture = cv2.imread(str(path))
+    assert picture is not None
+    assert picture.shape[1] >= 900
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 10

@@ -43,9 +43,7 @@ RIGHT = right_of(LEFT)
 
 def pair(text: str) -> np.ndarray:
     chosen = parse_perturbations(text)
-    T = stereo_transform(stated_camera(LEFT, chosen), stated_right_camera(RIGHT, chosen))
-    assert T is not None
-    return T
+    return stereo_transform(stated_camera(LEFT, chosen), stated_right_camera(RIGHT, chosen))
 
 
 def test_focal_length_and_principal_point_are_off_in_K_and_P_and_leave_the_pair() -> None:
@@ -54,8 +52,6 @@ def test_focal_length_and_principal_point_are_off_in_K_and_P_and_leave_the_pair(
     expected = LEFT.K * [[1.01, 1.0, 1.0], [1.0, 1.01, 1.0], [1.0] * 3] + 5.0 * np.eye(3, k=2)
     expected[1, 2] += 5.0
     np.testing.assert_allclose(left.K, expected)
-    assert left.P is not None
-    assert right.P is not None
     np.testing.assert_allclose(left.P, np.hstack([expected, np.zeros((3, 1))]))
     np.testing.assert_allclose(right.P[:, :3], expected)
     np.testing.assert_allclose(pair("focal=1,principal_point=5"), pair("lag=1"), atol=1e-12)
@@ -117,10 +113,6 @@ def test_what_is_said_of_what_is_built_is_the_profile(strengths: tuple[float, ..
 def numbers(profile: Profile) -> np.ndarray:
     """All numbers of a profile that perturbations change."""
     robot, instrument, tag, tissue = profile.robot, profile.instrument, profile.fiducial, profile.tissue
-    assert robot is not None
-    assert instrument is not None
-    assert tag is not None
-    assert tissue is not None
     sizes = (instrument.shaft_radius_m, instrument.knuckle_radius_m, tag.size_m, tissue.plane_distance_m)
     links = [joint.a_m for joint in robot.joints]
     return np.array([*sizes, *links, *tag.T_link_tag.ravel(), *tissue.plane_normal])
@@ -129,11 +121,6 @@ def numbers(profile: Profile) -> np.ndarray:
 def test_each_name_changes_its_own_length() -> None:
     chosen = parse_perturbations(EVERYTHING.format(p=1, t=2, s=5, w=1, k=5, g=2, m=0.5))
     said = stated_profile(PROFILE, chosen, 7)
-    assert said.instrument is not None
-    assert said.fiducial is not None
-    assert said.tissue is not None
-    assert said.robot is not None
-    assert PROFILE.fiducial is not None
     assert said.instrument.shaft_radius_m == pytest.approx(0.0042)
     assert said.instrument.knuckle_radius_m == pytest.approx(0.0018375)
     assert said.fiducial.size_m == pytest.approx(0.00714)
@@ -147,14 +134,11 @@ def test_each_name_changes_its_own_length() -> None:
     turned = rotation_angle(said.fiducial.T_link_tag[:3, :3], PROFILE.fiducial.T_link_tag[:3, :3])
     assert np.degrees(turned) == pytest.approx(0.5 * TURN_DEG_PER_MM)
     other = stated_profile(PROFILE, chosen, 8)
-    assert other.fiducial is not None
     assert other.fiducial.position_m != said.fiducial.position_m
-    assert other.tissue is not None
     assert other.tissue.plane_normal != said.tissue.plane_normal
 
 
 def test_a_plane_stays_before_the_camera() -> None:
-    assert PROFILE.tissue is not None
     near = PROFILE.model_copy(update={"tissue": PROFILE.tissue.model_copy(update={"plane_distance_m": 0.01})})
     with pytest.raises(UsageError, match="10 mm behind the camera"):
         stated_profile(near, parse_perturbations("plane=-20"), 1)
@@ -168,7 +152,5 @@ def test_other_instruments_are_built_alike() -> None:
     view = stated_profile(profile, parse_perturbations("shaft_radius=5,wrist_length=1"), 1).for_instrument(
         "PSM2"
     )
-    assert view.instrument is not None
-    assert view.robot is not None
     assert view.instrument.shaft_radius_m == pytest.approx(0.0042)
     assert max(joint.a_m for joint in view.robot.joints[-3:]) == pytest.approx(0.0101)

@@ -92,7 +92,7 @@ def test_an_instrument_is_known_by_its_topics() -> None:
 def test_limits_are_bounded_themselves() -> None:
     """No profile can ask for an image that OpenCV refuses, or for a limit that lets nothing through."""
     assert Limits().image_pixels <= 1 << 26
-    for wrong in ({"image_pixels": (1 << 26) + 1}, {"chunk_records": 0}, {"record_bytes": 1}):
+    for wrong in ({"image_pixels": (1 << 26) + 1}, {"image_pixels": 0}, {"record_bytes": 1}):
         with pytest.raises(ValidationError):
             Limits(**wrong)  # type: ignore[arg-type]
 

@@ -268,8 +268,8 @@ def test_a_misspelt_name_lists_the_profiles():
 
 def test_limits_are_numbers_of_bytes_or_text_with_a_unit(tmp_path):
     """A profile's [limits] override the defaults; text carries its unit, and nonsense is named."""
-    profile = load_text(tmp_path, MINIMAL + '[limits]\nchunk_bytes = "512 MiB"\nchunk_records = 5\n')
-    assert (profile.limits.chunk_bytes, profile.limits.chunk_records) == (512 << 20, 5)
+    profile = load_text(tmp_path, MINIMAL + '[limits]\nchunk_bytes = "512 MiB"\nimage_pixels = 5\n')
+    assert (profile.limits.chunk_bytes, profile.limits.image_pixels) == (512 << 20, 5)
     assert profile.limits.record_bytes == 256 << 20
     for line, expected in (
         ('chunk_bytes = "512 MB"', "limits.chunk_bytes: expected bytes"),

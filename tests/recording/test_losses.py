@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from svmdist.profile import Limits, Profile
+from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import MAX_LISTED_LOSSES, Health, Loss, LossKind
 
@@ -134,12 +134,3 @@ def test_reports_of_losses_stay_short() -> None:
     lines = health.describe(5)
     assert len(lines) == 6
     assert all(line.isprintable() for line in lines)
-
-
-def test_a_profile_sets_the_limits(native: Path, profile: Profile) -> None:
-    """What asks for more than the profile allows is a loss; a caller's limits replace the profile's."""
-    strict = profile.model_copy(update={"limits": Limits(chunk_bytes=1024)})
-    recording = open_recording(native, strict)
-    assert list(recording.raw_messages()) == []
-    assert "the limit is 1024" in recording.health.describe()[0]
-    assert list(open_recording(native, strict, limits=Limits()).raw_messages())

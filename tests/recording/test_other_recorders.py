@@ -1,23 +1,31 @@
-"""Logs of other recorders hold the same scene: the same images, joints, camera and transforms come out."""
+"""Logs of other recorders hold the same scene; broken ones end in a result, a counted loss or a clear error."""
 
 from __future__ import annotations
 
+import random
 import sqlite3
+import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError
-from svmdist.profile import Profile
+from svmdist.profile import Limits, Profile
+from svmdist.recording.images import ImageError
 from svmdist.recording.log import open_recording
+from svmdist.recording.messages import KINDS, DecodeError, Decoder, EncodedImage
+from svmdist.recording.source import RawMessage
 from svmdist.samples import Observation
 
 from .builders import Entry, pose, scene
+from .faults import mutate_body
 from .other_recorders import (
     header,
     rigid,
@@ -26,6 +34,7 @@ from .other_recorders import (
     write_rosbag1,
     write_rosbag2,
 )
+from .test_faults import read_everything
 
 WRITERS: dict[str, Callable[[Path, list[Entry]], Path]] = {
     "ros2 mcap": lambda folder, entries: write_ros2_mcap(folder / "a.mcap", ros_messages(entries)),
@@ -164,3 +173,39 @@ def test_an_unsupported_rosbag2_says_what_it_is(
         metadata.write_text(changed)
         with pytest.raises(RecordingError, match=reason):
             open_recording(folder, profile)
+
+
+@pytest.mark.parametrize("count", [150, pytest.param(4000, marks=pytest.mark.fault)])
+@pytest.mark.parametrize("kind", ["ros1 bag", "ros1 bag bz2", "ros1 bag lz4", "bare db3", "ros2 mcap"])
+def test_mutants_of_other_recorders_logs(tmp_path: Path, profile: Profile, kind: str, count: int) -> None:
+    rng = random.Random(6)
+    data = WRITERS[kind](tmp_path, scene(3)).read_bytes()
+    path = tmp_path / "mutant"
+    for number in range(count):
+        mutant = data
+        for _ in range(rng.choice((1, 1, 3))):
+            start = rng.randrange(len(mutant))
+            end = min(len(mutant), start + rng.choice((8, 64, 512)))
+            mutant = mutant[:start] + mutate_body(mutant[start:end], rng) + mutant[end:]
+        path.write_bytes(mutant if rng.random() < 0.8 else mutant[: rng.randrange(1, len(mutant))])
+        started_s = time.process_time()
+        read_everything(path, profile)
+        assert time.process_time() - started_s < 5.0, number
+
+
+def decode_anything(raw: RawMessage) -> None:
+    """Decode a message with all its pixels; only the two expected errors may come out."""
+    with suppress(DecodeError, ImageError):
+        sample = Decoder(Limits()).decode(raw)
+        if isinstance(sample, EncodedImage):
+            sample.decode()
+
+
+ALL_SCHEMAS = [(encoding, schema) for encoding, schemas in KINDS.items() for schema in schemas]
+
+
+@settings(max_examples=300)
+@given(st.sampled_from(ALL_SCHEMAS), st.binary(max_size=200), st.integers(0, 2**64 - 1))
+def test_random_bytes_as_any_message(kind: tuple[str, str], data: bytes, log_time_ns: int) -> None:
+    decode_anything(RawMessage("/t", kind[1], kind[0], log_time_ns, data))
+    decode_anything(RawMessage("/t", kind[1], kind[0], log_time_ns, b"\0\1\0\0" + data))

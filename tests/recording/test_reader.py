@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import gzip
 from pathlib import Path
 
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
-from svmdist.errors import RecordingError, UsageError
+from svmdist.errors import RecordingError
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import LossKind
-from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import encode
 from svmdist.samples import (
     CameraSample,
@@ -27,84 +25,20 @@ from svmdist.samples import (
 )
 from svmdist.transforms import inverse
 
-from .builders import CAMERA, Entry, pose, scene, write_messages, write_scene
+from .builders import CAMERA, Entry, pose, write_messages, write_scene
 
 IMAGE = "foxglove.CompressedImage"
 
 
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        (None, "no such file"),
-        (b"", "is empty"),
-        (b"hello, this is text", "is not a recording; expected an MCAP file"),
-        (b"\x89MCAP", "truncated at byte 5"),
-        (gzip.compress(b"x"), "gzip-compressed"),
-        (b"#ROSBAG V1.2\n", "version 1"),
-        (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
-        (b"SQLite format 3\x00" + bytes(100), "no usable rosbag2 database"),
-    ],
-    ids=["missing", "empty", "text", "MCAP magic", "gzip", "bag of version 1", "LFS pointer", "bare SQLite"],
-)
-def test_what_is_no_recording_is_one_clear_line(
-    tmp_path: Path, profile: Profile, content: bytes | None, reason: str
-) -> None:
-    path = tmp_path / "a.mcap"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(RecordingError, match=reason) as caught:
-        open_recording(path, profile)
-    assert "\n" not in str(caught.value)
-    assert str(path) in str(caught.value)
-
-
-def test_a_missing_topic_lists_the_topics_there_are(tmp_path: Path, profile: Profile) -> None:
-    entries = [entry for entry in scene(2) if "image" not in entry.topic]
-    recording = open_recording(write_scene(tmp_path / "a.mcap", entries), profile)
-    with pytest.raises(RecordingError, match=r"images for image.*/PSM1/measured_js.*/tf"):
-        recording.observations()
-    with pytest.raises(RecordingError, match="images for image"):
-        recording.images()
-
-
-def test_topics_are_found_by_role(tmp_path: Path, profile: Profile) -> None:
-    image = encode(ImageSample(1, "camera", np.zeros((24, 32, 3), np.uint8)))
-    camera = encode(CameraSample(1, CAMERA))
-    rows = [
-        ("/left", IMAGE, "protobuf", image, 1),
-        ("/info", "foxglove.CameraCalibration", "protobuf", camera, 1),
-    ]
-    only = open_recording(write_messages(tmp_path / "one.mcap", rows), profile)
-    assert len(list(only.observations())) == 1  # the single candidate, whatever its name
-    both = write_messages(tmp_path / "two.mcap", [*rows, ("/right", IMAGE, "protobuf", image, 2)])
-    with pytest.raises(RecordingError, match="choose one of /left, /right"):
-        open_recording(both, profile).images()
-    chosen = open_recording(both, profile, topics={"image": "/right"})
-    assert [sample.stamp_ns for sample in chosen.images()] == [1]
-    with pytest.raises(RecordingError, match="topic /info carries no images"):
-        open_recording(both, profile, topics={"image": "/info"}).images()
-    with pytest.raises(UsageError, match="did you mean image"):
-        open_recording(both, profile, topics={"imagge": "/left"})
-
-
 def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path: Path, profile: Profile) -> None:
-    good = encode(ImageSample(1, "camera", np.zeros((24, 32, 3), np.uint8)))
-    last = encode(ImageSample(5, "camera", np.zeros((24, 32, 3), np.uint8)))
-    small = encode(ImageSample(4, "camera", np.zeros((10, 10, 3), np.uint8)))
+    good = encode(ImageSample(1, "camera", np.zeros((24, 32, 3), np.uint8))).data
+    last = encode(ImageSample(5, "camera", np.zeros((24, 32, 3), np.uint8))).data
+    small = encode(ImageSample(4, "camera", np.zeros((10, 10, 3), np.uint8))).data
     broken = CompressedImage(data=CompressedImage.FromString(good).data[:-20]).SerializeToString()
-    rows = [
-        (
-            "/ECM/left/camera_info",
-            "foxglove.CameraCalibration",
-            "protobuf",
-            encode(CameraSample(1, CAMERA)),
-            1,
-        )
-    ]
-    rows += [
-        ("/ECM/left/image", IMAGE, "protobuf", data, number)
-        for number, data in enumerate((good, broken, b"\xff\xff", small, last), 1)
-    ]
+    camera = encode(CameraSample(1, CAMERA)).data
+    rows = [("/ECM/left/camera_info", "foxglove.CameraCalibration", "protobuf", camera, 1)]
+    for number, data in enumerate((good, broken, b"\xff\xff", small, last), 1):
+        rows.append(("/ECM/left/image", IMAGE, "protobuf", data, number))
     recording = open_recording(write_messages(tmp_path / "a.mcap", rows), profile)
     found = list(recording.observations())
     assert [type(item) for item in found] == [Observation, Rejection, Rejection, Rejection, Observation]
@@ -113,46 +47,29 @@ def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path: Path, profil
     assert {loss.topic for loss in recording.health.losses} == {"/ECM/left/image"}
 
 
+@pytest.mark.parametrize("offset_ns", [-2_000_000_000, 0, 1_234_567, 2_000_000_000])
 def test_joints_meet_the_image_stamps_whatever_the_order_in_the_file(
-    tmp_path: Path, profile: Profile
+    tmp_path: Path, profile: Profile, offset_ns: int
 ) -> None:
-    """Images stamped two seconds late or early still find their joints; where there are none, there are none."""
-    entries: list[Entry] = [Entry("/ECM/left/camera_info", CameraSample(0, CAMERA))]
-    image = np.zeros((24, 32, 3), np.uint8)
-    for step in range(1000):
-        stamp_ns = step * 10_000_000
-        entries.append(Entry("/PSM1/measured_js", JointSample(stamp_ns, ("a",), np.array([stamp_ns / 1e9]))))
-    path = tmp_path / "a.mcap"
-    for offset_ns in (-2_000_000_000, 0, 1_234_567, 2_000_000_000):
-        mixed = list(entries)
-        for frame in range(9, -1, -1):
-            logged_ns = 500_000_000 + frame * 900_000_000
-            sample = ImageSample(max(logged_ns + offset_ns, 0), "camera", image)
-            mixed.insert(2 + logged_ns // 10_000_000, Entry("/ECM/left/image", sample))
-        recording = open_recording(_write_in_order(path, mixed), profile)
-        for item in recording.observations():
-            assert isinstance(item, Observation)
-            if item.stamp_ns <= 9_990_000_000:
-                assert item.joints is not None
-                np.testing.assert_allclose(item.joints.positions, [item.stamp_ns / 1e9], atol=1e-12)
-            else:
-                assert item.joints is None
+    """Images stamped two seconds late or early still find their joints; where there are none, there are none.
 
-
-def _write_in_order(path: Path, entries: list[Entry]) -> Path:
-    """Write with log times that follow the order, as a recorder's clock does, beside the samples' own stamps."""
-    names = {
-        ImageSample: IMAGE,
-        JointSample: "foxglove.JointStates",
-        CameraSample: "foxglove.CameraCalibration",
-    }
-    rows = []
-    log_time_ns = 0
-    for entry in entries:
-        if isinstance(entry.sample, JointSample):
-            log_time_ns = entry.sample.stamp_ns
-        rows.append((entry.topic, names[type(entry.sample)], "protobuf", encode(entry.sample), log_time_ns))
-    return write_messages(path, rows)
+    Log times follow the order in the file, as a recorder's clock does.
+    """
+    rows = [("/ECM/left/camera_info", "foxglove.CameraCalibration", encode(CameraSample(0, CAMERA)).data, 0)]
+    for at_ns in range(0, 10_000_000_000, 10_000_000):
+        joints = encode(JointSample(at_ns, ("a",), np.array([at_ns / 1e9]))).data
+        rows.append(("/PSM1/measured_js", "foxglove.JointStates", joints, at_ns))
+        if at_ns % 900_000_000 == 500_000_000:
+            image = ImageSample(max(at_ns + offset_ns, 0), "camera", np.zeros((24, 32, 3), np.uint8))
+            rows.append(("/ECM/left/image", IMAGE, encode(image).data, at_ns))
+    logged = [(topic, schema, "protobuf", data, at_ns) for topic, schema, data, at_ns in rows]
+    found = list(open_recording(write_messages(tmp_path / "a.mcap", logged), profile).observations())
+    assert len(found) >= 9
+    for item in found:
+        assert isinstance(item, Observation)
+        assert (item.joints is not None) == (item.stamp_ns <= 9_990_000_000)
+        if item.joints is not None:
+            np.testing.assert_allclose(item.joints.positions, [item.stamp_ns / 1e9], atol=1e-12)
 
 
 def test_transforms_are_composed_along_the_tree(tmp_path: Path, profile: Profile) -> None:
@@ -186,26 +103,6 @@ def test_transforms_are_composed_along_the_tree(tmp_path: Path, profile: Profile
         recording.transform_track("camera", "thing")
     with pytest.raises(RecordingError, match=r"no frame tol.*did you mean tool"):
         recording.transform_track("camera", "tol")
-
-
-def test_inspection_tells_rates_gaps_and_disorder(tmp_path: Path, profile: Profile) -> None:
-    entries = [entry for entry in scene(50) if not (20 <= entry.sample.stamp_ns // 40_000_000 - 25 < 25)]
-    late = JointSample(1_000_000_005, ("yaw", "pitch"), np.zeros(2))
-    path = write_scene(tmp_path / "a.mcap", [*entries, Entry("/PSM1/measured_js", late)])
-    summary = inspect_recording(path, profile)
-    topics = {topic.topic: topic for topic in summary.topics}
-    joints, images = topics["/PSM1/measured_js"], topics["/ECM/left/image"]
-    assert (joints.message_count, joints.out_of_order_count, joints.gap_count) == (181, 1, 1)
-    assert joints.largest_gap_s == pytest.approx(0.21)
-    assert (images.message_count, images.gap_count) == (45, 1)
-    assert images.rate_hz == pytest.approx(44 / 1.96)
-    assert summary.duration_s == pytest.approx(1.99)
-    assert summary.frames == ("camera", "tool")
-    assert summary.joint_names == {"/PSM1/measured_js": ("yaw", "pitch")}
-    assert summary.roles["image"] == "/ECM/left/image"
-    assert summary.cameras["/ECM/left/camera_info"].same_optics(CAMERA)
-    assert summary.health.is_clean
-    assert summary.size_bytes == path.stat().st_size
 
 
 def test_joint_values_that_mean_nothing_are_losses(tmp_path: Path, profile: Profile) -> None:

@@ -156,30 +156,12 @@ def test_a_chunk_that_is_damaged_is_a_loss(log: Path) -> None:
     assert any(str(loss.kind) == "statistics" for loss in far.health.losses)
 
 
-def test_a_log_without_an_end_is_read_from_its_begin(log: Path) -> None:
-    log.write_bytes(log.read_bytes()[:-40])
-    near, far = McapSource(log, Limits()), McapSource(RemoteFile(f"counted://{log}"), Limits())
-    assert everything(far) == everything(near)
-    assert far.health.losses == near.health.losses
-
-
 @pytest.mark.parametrize(("harm", "said"), [("gone", "the store is gone"), ("short", "bytes came of")])
 def test_a_store_that_fails_is_one_line(log: Path, harm: str, said: str) -> None:
     HARM[str(log)] = harm
     with pytest.raises(RecordingError, match=f"cannot read: .*{said}") as raised:
         open_recording(f"counted://{log}", PROFILE)
     assert "\n" not in str(raised.value)
-
-
-def test_memory_and_observations(log: Path) -> None:
-    """What an estimator sees is the same, to the last bit."""
-    fsspec.filesystem("memory").pipe_file("/logs/log.mcap", log.read_bytes())
-    near, far = open_recording(log, PROFILE), open_recording("memory://logs/log.mcap", PROFILE)
-    assert far.sha256() == near.sha256()
-    assert far.size_bytes() == near.size_bytes()
-    for a, b in zip(near.observations(), far.observations(), strict=True):
-        assert a.stamp_ns == b.stamp_ns
-        assert (a.image_bgr == b.image_bgr).all()  # type: ignore[union-attr]
 
 
 class Quiet(SimpleHTTPRequestHandler):

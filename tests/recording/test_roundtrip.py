@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from google.protobuf.descriptor_pb2 import FileDescriptorProto
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -17,11 +17,9 @@ from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthD
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import Decoder, EncodedImage, to_sample
 from svmdist.recording.source import RawMessage
-from svmdist.recording.writer import encode, message_type
+from svmdist.recording.writer import encode, message_class_of
 from svmdist.samples import (
-    CameraSample,
     ImageSample,
-    JointSample,
     Observation,
     PoseSample,
     Sample,
@@ -34,15 +32,14 @@ from .builders import CAMERA, Entry
 
 SCHEMAS = Path(__file__).parents[2] / "schemas"
 stamps = st.integers(0, 2**62)
-numbers = st.floats(-1e12, 1e12)
 names = st.text(st.characters(codec="utf-8"), min_size=1, max_size=20)
 lengths = st.floats(-1e3, 1e3)
 
 
 def there_and_back(sample: Sample) -> Any:
     """Encode and decode a sample."""
-    schema = message_type(type(sample)).name
-    raw = RawMessage("/t", schema, "protobuf", sample.stamp_ns, encode(sample))
+    schema = message_class_of(type(sample)).DESCRIPTOR.full_name
+    raw = RawMessage("/t", schema, "protobuf", sample.stamp_ns, encode(sample).data)
     return to_sample(Decoder(Limits()).decode(raw))
 
 
@@ -51,14 +48,6 @@ def rigid(draw: st.DrawFn) -> np.ndarray:
     """A rigid transform, shape (4, 4)."""
     q = draw(arrays(np.float64, 4, elements=st.floats(-1, 1)).filter(lambda q: np.linalg.norm(q) > 0.01))
     return make_transform(rotation_from_quaternion_xyzw(q), draw(arrays(np.float64, 3, elements=lengths)))
-
-
-@given(stamps, st.dictionaries(names, numbers, min_size=1, max_size=13))
-def test_joints_survive_exactly(stamp_ns: int, joints: dict[str, float]) -> None:
-    sample = JointSample(stamp_ns, tuple(joints), np.array(list(joints.values())))
-    back = there_and_back(sample)
-    assert (back.stamp_ns, back.names) == (sample.stamp_ns, sample.names)
-    np.testing.assert_array_equal(back.positions, sample.positions)
 
 
 @given(stamps, names, names, rigid())
@@ -72,29 +61,16 @@ def test_transforms_survive_to_rounding(stamp_ns: int, parent: str, child: str, 
     np.testing.assert_allclose(pose.T_frame_pose, T, rtol=0, atol=1e-14)
 
 
-@settings(max_examples=30)
-@given(stamps, arrays(np.uint8, st.tuples(st.integers(1, 40), st.integers(1, 40), st.just(3))))
-def test_images_survive_exactly(stamp_ns: int, image: np.ndarray) -> None:
-    back = there_and_back(ImageSample(stamp_ns, "camera", image))
-    assert back.stamp_ns == stamp_ns
-    np.testing.assert_array_equal(back.image_bgr, image)
-
-
 def test_a_jpeg_image_survives_nearly() -> None:
     """Colour at full resolution: at the edge of a saturated red nothing bleeds by more than a few levels."""
     image = np.full((48, 64, 3), (60, 160, 60), np.uint8)
     image[:, 33:] = (40, 40, 220)
-    data = encode(ImageSample(5, "camera", image), jpeg_quality=95)
-    sample = Decoder(Limits()).decode(RawMessage("/t", message_type(ImageSample).name, "protobuf", 5, data))
+    data = encode(ImageSample(5, "camera", image), jpeg_quality=95).data
+    sample = Decoder(Limits()).decode(
+        RawMessage("/t", message_class_of(ImageSample).DESCRIPTOR.full_name, "protobuf", 5, data)
+    )
     assert isinstance(sample, EncodedImage)
     assert np.abs(sample.decode().astype(int) - image).max() <= 12
-
-
-def test_camera_survives_exactly() -> None:
-    back = there_and_back(CameraSample(5, CAMERA)).camera
-    assert (back.width_px, back.height_px, back.frame_id) == (CAMERA.width_px, CAMERA.height_px, "camera")
-    for ours, theirs in ((back.K, CAMERA.K), (back.D, CAMERA.D), (back.P, CAMERA.P)):
-        np.testing.assert_array_equal(ours, theirs)
 
 
 def test_a_recording_gives_everything_back(native: Path, entries: list[Entry], profile: Profile) -> None:

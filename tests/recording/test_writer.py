@@ -101,29 +101,6 @@ def test_an_interrupted_recording_keeps_its_part(tmp_path: Path, profile: Profil
         write_scene(path, scene(1))
 
 
-def test_at_most_a_quarter_of_a_second_is_only_in_memory(tmp_path: Path, profile: Profile) -> None:
-    path = tmp_path / "a.mcap"
-    with RecordingWriter(path, {}) as writer:
-        for entry in scene(50):
-            writer.write(entry.topic, entry.sample)
-        on_disk = open_recording(writer.part_path, profile).distance_track().stamps_ns
-    assert entries_end(path, profile) - on_disk[-1] <= 300_000_000
-
-
-def entries_end(path: Path, profile: Profile) -> int:
-    """Stamp of the last distance."""
-    return int(open_recording(path, profile).distance_track().stamps_ns[-1])
-
-
-def test_one_topic_carries_one_type(tmp_path: Path) -> None:
-    with RecordingWriter(tmp_path / "a.mcap", {}) as writer:
-        writer.write("/t", DistanceSample(1, 1.0, 1.0, 1.0))
-        with pytest.raises(ValueError, match="/t carries DistanceSample, not ImageSample"):
-            writer.write("/t", ImageSample(1, "camera", np.zeros((2, 2, 3), np.uint8)))
-        with pytest.raises(ValueError, match="cannot record a str"):
-            writer.write("/u", "text")  # type: ignore[arg-type]
-
-
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs RLIMIT_FSIZE")
 def test_a_full_disk_leaves_no_file_under_the_final_name(tmp_path: Path) -> None:
     full_bytes = write_scene(tmp_path / "full.mcap", scene(40)).stat().st_size

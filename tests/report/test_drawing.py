@@ -56,9 +56,7 @@ def test_words_and_lines_of_a_distance() -> None:
     assert (in_words(CLEARANCE), in_words(Distance(0.02))) == ("10.00 mm [8.04, 11.96]", "20.00 mm")
     alarmed = status_line(RESULT, "fused", AlarmState(alarm=True))
     assert (alarmed.text, alarmed.alarm) == ("PSM1 fused: clearance 10.00 mm [8.04, 11.96]  ALARM", True)
-    line, label = distance_shapes(RESULT, CAMERA)
-    assert isinstance(line, Shape)
-    assert isinstance(label, Label)
+    ((line, label),) = distance_shapes(RESULT, CAMERA)
     np.testing.assert_allclose(line.points_px, [[320.0, 240.0], [370.0, 240.0]])
     np.testing.assert_allclose(label.place_px, [345.0, 240.0])
 
@@ -72,7 +70,7 @@ def test_a_penetration_runs_back_into_the_instrument(
     deep = FrameResult(0, Status.OK, distances=Distances(clearance=clearance))
     (segment,) = segments(deep)
     assert segment.end_m[2] == pytest.approx(end_z_m)
-    assert bool(list(distance_shapes(deep, CAMERA))) is is_drawn
+    assert bool(distance_shapes(deep, CAMERA)) is is_drawn
 
 
 def test_annotations_keep_forms_texts_and_stamps() -> None:
@@ -133,14 +131,12 @@ def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(
     setup, replayed = duo
     drawing = frame_drawing(replayed, setup)
     for result, body in zip(replayed.results, drawing.scene.bodies, strict=True):
-        (segment,) = (
-            one for one in drawing.scene.segments if one.name == f"{result.instrument} {Part.DISTANCE}"
-        )
+        name = f"{result.instrument} {Part.DISTANCE}"
+        (segment,) = (one for one in drawing.scene.segments if one.name == name)
         clearance = result.distances.clearance
         assert clearance is not None
-        assert np.linalg.norm(segment.end_m - segment.start_m) == pytest.approx(
-            abs(clearance.value_m), abs=1e-12
-        )
+        length_m = np.linalg.norm(segment.end_m - segment.start_m)
+        assert length_m == pytest.approx(abs(clearance.value_m), abs=1e-12)
         along = body.end_m - body.start_m
         share = ((segment.start_m - body.start_m) * along).sum(1) / np.maximum((along**2).sum(1), 1e-18)
         nearest = body.start_m + np.clip(share, 0.0, 1.0)[:, None] * along
@@ -148,19 +144,16 @@ def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(
         assert off_m.min() < 1e-9
         assert f"{clearance.value_m * 1e3:.2f} mm" in segment.text
         lens = replayed.frames[0].scene.lens
-        line = next(
-            shape
-            for shape in drawing.shapes
-            if shape.part is Part.DISTANCE and shape.instrument == result.instrument
-        )
+        line_px = points_of(drawing, Part.DISTANCE, result.instrument)
         expected_px = lens.project(np.stack([segment.start_m, segment.end_m]))
-        np.testing.assert_allclose(line.points_px, expected_px, atol=1e-9)
+        np.testing.assert_allclose(line_px, expected_px, atol=1e-9)
 
 
 def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo: tuple[Setup, Replayed]) -> None:
     setup, replayed = duo
     drawing = frame_drawing(replayed, setup)
     assert [line.text.split(":")[0] for line in drawing.lines] == ["PSM1 fused", "PSM2 fused"]
+    edge_count = 0
     for frame, result in zip(replayed.frames, replayed.results, strict=True):
         corners_px = frame.left.tag_corners_px
         assert corners_px is not None
@@ -170,45 +163,26 @@ def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo: tuple[Setup
         contours_px = points_of(drawing, Part.INSTRUMENT, result.instrument)
         low, high = region.hull.reshape(-1, 2).min(0), region.hull.reshape(-1, 2).max(0)
         np.testing.assert_allclose([contours_px.min(0), contours_px.max(0)], [low, high], atol=1.0)
-
-
-def test_edges_of_the_shaft_lie_in_their_tangent_planes(duo: tuple[Setup, Replayed]) -> None:
-    setup, replayed = duo
-    drawing = frame_drawing(replayed, setup)
-    checked = 0
-    for frame, result in zip(replayed.frames, replayed.results, strict=True):
-        lines = [
-            shape.points_px
-            for shape in drawing.shapes
-            if (shape.part, shape.instrument) == (Part.SHAFT, result.instrument)
-        ]
-        for contour, ends_px in zip(frame.left.shaft.contours, lines, strict=False):
+        # The shaft's edges lie in their tangent planes.
+        edges_px = points_of(drawing, Part.SHAFT, result.instrument).reshape(-1, 2, 2)
+        for contour, ends_px in zip(frame.left.shaft.contours, edges_px, strict=False):
             rays = np.column_stack([ends_px, np.ones(2)]) @ np.linalg.inv(frame.left.camera.K).T
             np.testing.assert_allclose(rays @ contour.plane.normal, 0.0, atol=1e-9)
-            checked += 1
-    assert checked >= 1
+            edge_count += 1
+    assert edge_count >= 1
 
 
 def test_the_markers_matches_are_those_that_overlay_counted(sweep: tuple[Setup, Replayed]) -> None:
+    """And the line of a planar distance runs from tool to tissue."""
     setup, replayed = sweep
     found = virtual_marker(replayed.frames[0], setup.profile)
     image = replayed.results[0].image
     assert found is not None
-    assert (len(found.keypoints_px), len(found.matched_px), int(found.inliers.sum())) == (
-        image.keypoint_count,
-        image.match_count,
-        image.inlier_count,
-    )
-    inliers_px = points_of(frame_drawing(replayed, setup), Part.INLIER, "PSM1")
-    assert len(inliers_px) == image.inlier_count
-
-
-def test_the_line_of_a_planar_method_runs_from_tool_to_tissue(sweep: tuple[Setup, Replayed]) -> None:
-    setup, replayed = sweep
-    (line,) = (shape for shape in frame_drawing(replayed, setup).shapes if shape.part is Part.DISTANCE)
-    np.testing.assert_allclose(
-        line.points_px, [replayed.results[0].image.tool_px, replayed.results[0].image.tissue_px]
-    )
+    counts = len(found.keypoints_px), len(found.matched_px), int(found.inliers.sum())
+    assert counts == (image.keypoint_count, image.match_count, image.inlier_count)
+    drawing = frame_drawing(replayed, setup)
+    assert len(points_of(drawing, Part.INLIER, "PSM1")) == image.inlier_count
+    np.testing.assert_allclose(points_of(drawing, Part.DISTANCE, "PSM1"), [image.tool_px, image.tissue_px])
 
 
 def test_a_rejected_frame_says_why_and_has_no_distance(sweep: tuple[Setup, Replayed]) -> None:
@@ -227,7 +201,6 @@ def test_shapes_follow_the_lens(sweep: tuple[Setup, Replayed]) -> None:
     shapes = [shape for shape in frame_drawing(replayed, setup).shapes if shape.form is Form.LOOP]
     camera = replayed.frames[0].scene.lens
     bent = replace(camera, D=np.array([-0.3, 0.1, 0.0, 0.0, 0.0]))
-    assert isinstance(bent, Camera)
     for before, after in zip(shapes, _through_lens(shapes, bent), strict=True):
         corners_px = seen_through(bent, before.points_px)
         gaps_px = np.linalg.norm(after.points_px[:, None] - corners_px, axis=2).min(0)
@@ -246,10 +219,8 @@ def test_a_picture_changes_where_the_drawing_is_and_nowhere_else(sweep: tuple[Se
     low, high = outline.points_px.min(0) - 3, outline.points_px.max(0) + 3
     rows, columns = np.nonzero(changed)
     assert len(rows) > 4 * 40  # four sides of a marker of 64 px or more
-    assert (columns >= low[0]).all()
-    assert (columns <= high[0]).all()
-    assert (rows >= low[1]).all()
-    assert (rows <= high[1]).all()
+    places = np.column_stack([columns, rows])
+    assert ((places >= low) & (places <= high)).all()
 
 
 def test_masks_are_drawn_on_the_chosen_frames(tmp_path: Path) -> None:

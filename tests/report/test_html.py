@@ -161,9 +161,8 @@ def test_validate_writes_a_report_with_its_plots_and_worst_frames(
     golden: Path, cli: Cli, tmp_path: Path
 ) -> None:
     output, log = tmp_path / "report.html", golden / "occlusion.mcap"
-    outcome = cli(
-        "validate", log, "--truth", "ground_truth", "--lag", "auto", "-f", "json", "--report", output
-    )
+    options = ("--truth", "ground_truth", "--lag", "auto", "-f", "json", "--report", output)
+    outcome = cli("validate", log, *options)
     assert outcome.code == 0
     text = output.read_text()
     score = json.loads(outcome.out)["recordings"][0]
@@ -211,13 +210,11 @@ def test_ten_thousand_frames_are_shown_in_a_browser(
     path = tmp_path / "report.html"
     write_report(make_report(make_series(10_000, every=every)), path)
     assert path.stat().st_size < 10e6
-    shown = browser.new_context(
-        offline=True, color_scheme=scheme, viewport={"width": 390, "height": 800}
-    ).new_page()
+    phone = {"width": 390, "height": 800}
+    shown = browser.new_context(offline=True, color_scheme=scheme, viewport=phone).new_page()
+    said: list[Any] = []
     problems: list[str] = []
-    shown.on(
-        "console", lambda line: problems.append(line.text) if line.type in ("error", "warning") else None
-    )
+    shown.on("console", said.append)
     shown.on("pageerror", lambda error: problems.append(str(error)))
     shown.goto(path.as_uri())
     shown.locator("#distance-0").scroll_into_view_if_needed()
@@ -250,11 +247,10 @@ def test_ten_thousand_frames_are_shown_in_a_browser(
     shown.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"], steps=5)
     shown.mouse.up()
     shown.wait_for_function("document.getElementById('error-0').layout.xaxis.range[0] > 1")
-    ranges = [
-        shown.evaluate(f"document.getElementById('{name}').layout.xaxis.range")
-        for name in ("distance-0", "error-0", "consistency-0")
-    ]
+    names = ("distance-0", "error-0", "consistency-0")
+    ranges = [shown.evaluate(f"document.getElementById('{name}').layout.xaxis.range") for name in names]
     assert ranges[0] == ranges[1] == ranges[2]
     np.testing.assert_allclose(ranges[0], [0.25 * 999.9, 0.5 * 999.9], atol=20.0)
     assert shown.locator("[role=img]:not([aria-label])").count() == 0
     assert problems == []
+    assert [line.text for line in said if line.type in ("error", "warning")] == []

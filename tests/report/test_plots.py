@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.report.charts import LEVELS, pooled, rejected_spans
+from svmdist.report.charts import pooled, rejected_spans
 from svmdist.report.plots import COLUMN_IN, PAGE_IN, SeriesPlot, draw, draw_compare, draw_series, save_plot
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
 from svmdist.workflows.scoring.score import DistanceScore, Pairs, score_pairs
@@ -51,20 +51,17 @@ def test_the_plot_is_written_in_the_format_of_its_suffix(tmp_path: Path, suffix:
 
 
 @pytest.mark.parametrize(
-    ("name", "reference", "reason"),
+    ("name", "reason"),
     [
-        ("plot.jpg", None, r"cannot draw a \.jpg: the choices are png, svg, pdf$"),
-        ("plot", None, r"cannot draw a file without an ending"),
-        ("no folder/plot.png", None, r"plot\.png: cannot write: No such file"),
-        ("plot.png", Reference.KINEMATICS, "nothing to draw"),
+        ("plot.jpg", r"cannot draw a \.jpg: the choices are png, svg, pdf$"),
+        ("plot", r"cannot draw a file without an ending"),
+        ("no folder/plot.png", r"plot\.png: cannot write: No such file"),
     ],
 )
-def test_what_cannot_be_drawn_is_one_line(
-    tmp_path: Path, name: str, reference: Reference | None, reason: str
-) -> None:
+def test_what_cannot_be_drawn_is_one_line(tmp_path: Path, name: str, reason: str) -> None:
     """And nothing is written."""
     with pytest.raises(OutputError, match=reason):
-        save_plot(validation("sweep"), tmp_path / name, reference)
+        save_plot(validation("sweep"), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -112,10 +109,8 @@ def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval() -> None:
     stated = replace(
         planar.pairs, std_m=np.full(len(planar.pairs), 1e-3), truth_m=planar.pairs.truth_m - 0.02
     )
-    clearance, spatial = (
-        score_pairs(replace(stated, estimate_m=stated.estimate_m - 0.02)),
-        score_pairs(stated),
-    )
+    spatial = score_pairs(stated)
+    clearance = score_pairs(replace(stated, estimate_m=stated.estimate_m - 0.02))
     for made, name, thresholds in (
         (replace(planar, spatial=spatial, clearance=clearance), "clearance", [5.0]),
         (replace(planar, spatial=spatial), "spatial distance", []),
@@ -125,9 +120,8 @@ def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval() -> None:
         assert f", {name}\nRMSE" in upper.get_title(loc="left")
         (band,) = lower.collections
         assert np.nanmax(band.get_paths()[0].vertices[:, 1]) == pytest.approx(1.96, abs=1e-3)
-        assert [
-            line.get_ydata()[0] for line in upper.get_lines() if line.get_linestyle() == ":"
-        ] == thresholds
+        dotted = [line for line in upper.get_lines() if line.get_linestyle() == ":"]
+        assert [line.get_ydata()[0] for line in dotted] == thresholds
 
 
 def test_time_plots_hold_estimate_truth_threshold_and_lost_spans() -> None:
@@ -153,8 +147,7 @@ def test_agreement_calibration_and_residuals() -> None:
     np.testing.assert_allclose(levels, [bias, bias - 1.96 * deviation, bias + 1.96 * deviation])
     assert figure.get_figwidth() == COLUMN_IN
     held = drawn(draw_series([series], SeriesPlot.CALIBRATION, NOWHERE).axes[0])["truths inside"]
-    inside = 100 * np.mean(np.abs(error_mm) <= 0.67449 * std_mm)
-    assert held[LEVELS.index(0.5)] == pytest.approx(inside, abs=1e-6)
+    assert held[0] == pytest.approx(100 * np.mean(np.abs(error_mm) <= 0.67449 * std_mm), abs=1e-6)
     over_time, _ = draw_series([series, make_series(40, "other")], SeriesPlot.RESIDUALS, NOWHERE).axes
     assert [text.get_text() for text in over_time.get_legend().get_texts()] == ["log PSM1", "other PSM1"]
     assert "fused" in over_time.get_title(loc="left")
@@ -188,22 +181,16 @@ def test_methods_stand_side_by_side_with_their_figures() -> None:
     figure = draw_compare(scores)
     above, below = figure.axes[:4], figure.axes[4:]
     assert figure.get_suptitle() == "overlay, fused: 20 frames"
-    measured = {
-        (method, str(group)): share
-        for method, share in (("overlay", 75.0), ("fused", 100.0))
-        for group in groups
-    }
+    shares = {"overlay": 75.0, "fused": 100.0}
+    measured = {(method, str(group)): share for method, share in shares.items() for group in groups}
     assert dots(above[0]) == pytest.approx(measured)
     assert dots(above[1])["overlay", "contact"] == pytest.approx(1.5)
     assert {method for method, _ in dots(above[2])} == {"fused"}
     assert set(dots(below[3]).values()) == {100.0}  # 0.25 mm inside of 1.96 times 0.2 mm
     assert dots(below[0])["fused", "all"] == 5.0
     looks = {line.get_label(): (line.get_marker(), line.get_color()) for line in above[0].get_lines()}
-    assert (
-        [text.get_text() for text in figure.legends[0].get_texts()]
-        == list(looks)
-        == ["sweep", "contact", "all"]
-    )
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == list(looks) == ["sweep", "contact", "all"]
     assert len(set(looks.values())) == 3
     assert all(len(set(matplotlib.colors.to_rgb(colour))) == 1 for _, colour in looks.values())
     assert draw_compare(scores[3:]).axes[1].get_xscale() == "linear"

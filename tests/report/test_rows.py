@@ -63,22 +63,21 @@ def test_the_columns_are_those_of_the_contract() -> None:
 def test_a_rejected_frame_has_empty_cells() -> None:
     """A frame without tissue has a status and its stamp, and nothing that was not measured."""
     row = estimate_row("a", FrameResult(5, Status.NO_TISSUE, instrument="PSM1"), "overlay", "corrected")
-    assert {key for key in ESTIMATE_KEYS if row[key] is not None} == {
-        *("recording", "stamp_ns", "status", "method", "equations", "instrument")
-    }
+    filled = {"recording", "stamp_ns", "status", "method", "equations", "instrument"}
+    assert {key for key in ESTIMATE_KEYS if row[key] is not None} == filled
 
 
 def test_the_message_has_the_numbers_of_the_row() -> None:
     """What an annotated log holds is read from the same columns, by the names of its schema."""
     values = estimate_values(MEASURED, "fused", (0.002, 0.006), AlarmState(False, None, None))
     numbers = {name: value for name, value in values.numbers.items() if value is not None}
-    assert numbers == {
-        "planar_m": 0.0123,
+    clearance = {
         "clearance_m": 0.004,
         "clearance_std_m": 1e-3,
         "clearance_low_m": 0.002,
         "clearance_high_m": 0.006,
     }
+    assert numbers == {"planar_m": 0.0123, **clearance}
     assert values.alarm is False
 
 
@@ -138,16 +137,19 @@ def test_the_page_explains_every_column_once() -> None:
     page = columns_page()
     assert (REPOSITORY / "docs" / "metrics.md").read_text("utf-8") == page
     of_rows, of_scores = (
-        [
-            key
-            for cell in re.findall(r"^\| (`.+?) \|", part, re.MULTILINE)
-            for key in re.findall(r"`(\w+)`", cell)
-        ]
+        re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`.+?) \|", part, re.MULTILINE)))
         for part in page.split("\n## Metrics")
     )
     assert sorted(of_rows) == sorted(ESTIMATE_KEYS)
     labels = {
-        *["recording", "method", "equations", "reference", "instrument", "group", "scenario", "degradation"]
+        "recording",
+        "method",
+        "equations",
+        "reference",
+        "instrument",
+        "group",
+        "scenario",
+        "degradation",
     }
     assert sorted(of_scores) == sorted({*keys_of(score_columns()), *keys_of(compare_columns())} - labels)
     assert "| 2e-05 m or 2 % |" in page

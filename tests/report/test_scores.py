@@ -1,4 +1,4 @@
-"""Scores as rows, documents and tables, from small synthetic results; what a log's summary says."""
+"""Scores as rows, documents and tables, from small synthetic results."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.profile import load_profile
-from svmdist.recording.summary import inspect_recording
-from svmdist.report.info import TOPIC_COLUMNS, info_results
 from svmdist.report.scores import (
     LOG_COLUMNS,
     LogFigures,
@@ -28,7 +25,7 @@ from svmdist.report.scores import (
     validation_results,
     validation_tables,
 )
-from svmdist.report.tables import csv_lines, keys_of, render, row_of
+from svmdist.report.tables import csv_lines, keys_of, render
 from svmdist.vision.degradations import Blur
 from svmdist.workflows.blur_bench import BlurRow, PrintedRow
 from svmdist.workflows.compare import Figures, Group, MethodScore
@@ -80,12 +77,8 @@ def test_the_document_has_the_fields_of_its_schema() -> None:
     assert statistics is not None
     assert set(row) == {*keys_of(score_columns())}
     assert other["recording"] == "random"
-    assert [row[key] for key in ("sample_count", "rejected_count", "frame_count", "unpaired_count")] == [
-        60,
-        10,
-        72,
-        2,
-    ]
+    counts = [row[key] for key in ("sample_count", "rejected_count", "frame_count", "unpaired_count")]
+    assert counts == [60, 10, 72, 2]
     assert row["rejected"] == {"no_instrument": 9, "no_tissue": 1}
     assert (row["r_squared"], row["rmse_m"]) == (statistics.r_squared, statistics.rmse)
     assert document["overall"]["recording"] == "overall"  # type: ignore[index]
@@ -100,9 +93,8 @@ def test_undefined_metrics_are_null(changes: dict[str, object]) -> None:
     results = validation_results(made)
     cells = next(csv.DictReader(io.StringIO("".join(csv_lines(results.keys, results.rows)))))
     assert None in row.values()
-    assert {key for key, cell in cells.items() if not cell} == {
-        key for key, value in row.items() if value is None
-    }
+    empty = {key for key, cell in cells.items() if not cell}
+    assert empty == {key for key, value in row.items() if value is None}
     assert "nan" not in render(results.tables[0])
 
 
@@ -116,28 +108,23 @@ def test_the_overall_score_is_against_the_strongest_reference() -> None:
 
 
 def test_the_table_shows_r_squared_with_rmse_sigma_and_n() -> None:
-    """R² never stands alone; names cannot drive a terminal, and remarks say what the table has no room for."""
+    """R² never stands alone; names cannot drive a terminal. Remarks say what the table has no room for.
+
+    Of a method in 3D nothing is said about the paper's plane.
+    """
     made = validation("[/no]\x1b", fitted_on=True)
     statistics = made.scores[0].statistics
     assert statistics is not None
     shown = render(validation_tables(made)[0])
     assert all(part in shown for part in ("in mm", "R²", "RMSE", "σ (of the truth)", "cov. %", "bias", " n "))
     row = next(line for line in shown.splitlines() if "[/no]\N{REPLACEMENT CHARACTER}" in line)
-    for value in (
-        f"{statistics.r_squared:.4f}",
-        f"{statistics.rmse * 1e3:.2f}",
-        f"{statistics.truth_std * 1e3:.2f}",
-    ):
-        assert value in row
+    lengths = [f"{value * 1e3:.2f}" for value in (statistics.rmse, statistics.truth_std)]
+    assert all(value in row for value in (f"{statistics.r_squared:.4f}", *lengths))
     remark, note = remarks(made)
     assert "fitted on this log" in remark
     assert "not measured: 9 no_instrument, 1 no_tissue of 72 frames" in remark
     assert "The paper reports R² = 78%" in note
-
-
-def test_of_a_method_in_3d_nothing_is_said_about_the_papers_plane() -> None:
-    """The title names the distance in place of the equations, and the paper's figure is left out."""
-    in_3d = replace(validation("a"), scores=(replace(score(), method="fused"),))
+    in_3d = replace(made, scores=(replace(score(), method="fused"),))
     assert render(validation_tables(in_3d)[0]).startswith("fused, planar distance; ")
     assert not any("paper" in remark for remark in remarks(in_3d))
 
@@ -146,9 +133,8 @@ def test_a_comparison_names_each_distance_once() -> None:
     """In SI in rows and in mm in tables; the distance over its first column, the method's time last, – for nothing."""
     truth_m = np.linspace(0.01, 0.02, 10)
     half_mm = score_pairs(Pairs(np.arange(10), truth_m + 5e-4, truth_m, np.full(10, np.nan)))
-    results = compare_results(
-        [MethodScore(Group("sweep"), "fused", Figures(20, 10, half_mm, None, half_mm, 0.068))]
-    )
+    figures = Figures(20, 10, half_mm, None, half_mm, 0.068)
+    results = compare_results([MethodScore(Group("sweep"), "fused", figures)])
     (row,), (table,) = results.rows, results.tables  # type: ignore[misc]
     assert (row["rmse_m"], row["coverage"], row["spatial_rmse_m"]) == (pytest.approx(5e-4), 0.5, None)
     assert results.keys[-3:] == ("scenario", "degradation", "instrument")
@@ -200,24 +186,6 @@ def test_groups_and_all_logs_count_every_frame_once() -> None:
     assert [row["rank"] for row in rows] == [1, 2, None, None, None]
     assert rows[0]["coverage"] is None
     assert rows[-1]["reason"] == "1 of 6 logs failed"
-
-
-def test_a_summary_says_what_a_log_holds_and_serves(synthetic_log: Path) -> None:
-    """The document is JSON, and the lines for a person name every topic, the methods, and the losses."""
-    profile = load_profile()
-    summary = inspect_recording(synthetic_log, profile)
-    results = info_results(summary, profile)
-    document = json.loads(json.dumps(results.document, allow_nan=False))
-    assert (document["schema"], document["is_clean"], document["losses"]) == ("svmdist.info/1", True, [])
-    topics = {topic["topic"]: topic for topic in document["topics"]}
-    assert topics[document["roles"]["image"]]["message_count"] == 40
-    assert document["methods"]["overlay"] == {"served": True, "missing": []}
-    assert [*results.rows] == [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics]
-    assert results.text is not None
-    text = "".join(results.text(None))
-    assert all(topic in text for topic in topics)
-    assert "health      clean" in text
-    assert "overlay" in text.split("methods ")[1].splitlines()[0]
 
 
 def test_summaries_are_written_in_markup(golden: Path, cli: Cli, tmp_path: Path) -> None:

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
 from svmdist.kinematics.inverse import solve_position
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, parse_perturbations
 from svmdist.profile import Profile, load_profile
+from svmdist.samples import Sample
+from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Options, Scene, make_scene
 from svmdist.transforms import Array, inverse, transform_points
 
@@ -26,6 +30,19 @@ def chosen(text: str) -> Perturbations:
 
 def perturbed(text: str, **options: object) -> Options:
     return Options(perturbations=chosen(text), **options)  # type: ignore[arg-type]
+
+
+def simulate(
+    scenario: Scenario, profile: Profile, noise: float = 0.0, options: Options | None = None
+) -> Iterator[tuple[str, Sample]]:
+    """Topics and samples of a recording."""
+    from svmdist.simulation.plan import make_plan
+    from svmdist.simulation.simulate import Simulator
+
+    plan = make_plan(scenario, profile, noise=noise, options=options)
+    with Simulator(plan) as simulator:
+        for block in plan.blocks:
+            yield from simulator.samples(block, simulator.sensors.draw_noise())
 
 
 def posed(scene: Scene, p_world_m: object, wrist_rad: object = 0.0) -> Array:

@@ -81,7 +81,6 @@ def test_raised_tissue_is_a_scene_built_there_and_the_plate_counts(profile: Prof
         q = posed(scene, [x_m, 0.002, 0.024])
         there = replace(scene, T_world_tissue=raised(offset_m) @ scene.T_world_tissue)
         assert clearance_m(scene, q, offset_m) == pytest.approx(clearance_m(there, q), abs=1e-12)
-    assert profile.fiducial is not None
     hanging = profile.fiducial.model_copy(update={"position_m": (0.0, 0.0085, -0.012)})
     plated = make_scene(profile.model_copy(update={"fiducial": hanging}), 2, Options(tag=True))
     q = posed(scene, [-0.015, 0.0, WORKING_HEIGHT_M])
@@ -124,14 +123,12 @@ def test_beside_a_dent_and_too_deep(pressed: Plan) -> None:
     assert clearance_m(rigid, hovering) == pytest.approx(0.0003, abs=TOLERANCE_M)
     both = TissueClearance([scene, scene])
     organ, found_m = both.indented([q, hovering]), both.clearances_m([q, hovering])
-    assert organ is not None
     assert found_m[0] == 0.0
     assert found_m[1] > 0.0013
     assert found_m[1] == pytest.approx(independent_clearance_m(scene, hovering, organ.mesh), abs=TOLERANCE_M)
     deep = q.copy()
     deep[insertion] += 0.0062
     organ = TissueClearance([scene]).indented([deep])
-    assert organ is not None
     assert clearance_m(rigid, deep) < clearance_m(scene, deep) < -1e-4
     expected_m = independent_clearance_m(scene, deep, organ.mesh)
     assert clearance_m(scene, deep) == pytest.approx(expected_m, abs=3e-5)
@@ -142,7 +139,7 @@ def test_scenarios_keep_their_clearances(seed: int, profile: Profile) -> None:
     """approach ends 2 mm from the tissue, contact touches by at most 0.5 mm, all others stay clear."""
     scene, progress = make_scene(profile, seed), np.linspace(0.0, 1.0, 61)
     for name in SCENARIOS:
-        q = make_trajectory(scene, Scenario(name, seed), WORKING_HEIGHT_M, progress).q
+        q, _ = make_trajectory(scene, Scenario(name, seed), WORKING_HEIGHT_M, progress)
         smallest_m = min(clearance_m(scene, each) for each in q)
         if name == "approach":
             assert smallest_m == pytest.approx(0.002, abs=1e-4)
@@ -173,19 +170,9 @@ def test_motions_stay_in_their_boxes_and_are_smooth(name: str) -> None:
     np.testing.assert_allclose(cubic_spline(knots, np.linspace(0, 1, 7)), knots, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("sweeep",), "did you mean sweep"),
-        (("sweep", -1), "whole number"),
-        (("sweep", 0, 0.0), "duration"),
-        (("sweep", 0, 1.0, -5.0), "rate"),
-        (("sweep", 0, 0.1, 1.0), "hold no frame"),
-    ],
-)
-def test_a_wrong_scenario_is_an_error(arguments: tuple, said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        Scenario(*arguments)
+def test_a_scenario_without_frames_is_an_error() -> None:
+    with pytest.raises(UsageError, match="hold no frame"):
+        Scenario("sweep", 0, 0.1, 1.0)
 
 
 @pytest.mark.parametrize("name", ["sweep", "contact", "random"])
@@ -193,18 +180,18 @@ def test_pictures_cross_and_bodies_keep_apart(name: str, profile: Profile) -> No
     """The distal markers come within their own diameter in the image, the surfaces never touch, as trimesh has it."""
     seed = 7 + len(name)
     scene, progress = make_scene(profile, seed), np.linspace(0.0, 1.0, 61)
-    q = make_trajectory(scene, Scenario(name, seed), WORKING_HEIGHT_M, progress).q
-    (arm,) = make_other_arms(profile, scene, Options(arms=2), q, progress, 8.0)
+    q, _ = make_trajectory(scene, Scenario(name, seed), WORKING_HEIGHT_M, progress)
+    ((_, other, q_other),) = make_other_arms(profile, scene, Options(arms=2), q, progress, 8.0)
     pixels = [
         view.camera.project((view.T_camera_base @ forward_kinematics(view.chain, at))[:, :3, 3])
-        for view, at in ((scene, q), (arm.scene, arm.q))
+        for view, at in ((scene, q), (other, q_other))
     ]
     assert np.linalg.norm(pixels[0] - pixels[1], axis=1).min() < 22.0
     assert np.all((pixels[1] > 0.0) & (pixels[1] < [640.0, 480.0]))
-    with InstrumentClearance(scene, arm.scene) as between:
-        found_m = [between.clearance_m(q[index], arm.q[index]) for index in range(0, len(q), 4)]
+    with InstrumentClearance(scene, other) as between:
+        found_m = [between.clearance_m(q[index], q_other[index]) for index in range(0, len(q), 4)]
     assert min(found_m) >= 0.9 * APART_M
-    assert found_m[5] == pytest.approx(independent_between_m(scene, q[20], arm.scene, arm.q[20]), abs=5e-5)
+    assert found_m[5] == pytest.approx(independent_between_m(scene, q[20], other, q_other[20]), abs=5e-5)
 
 
 def independent_between_m(first: Scene, q_first: Array, second: Scene, q_second: Array) -> float:

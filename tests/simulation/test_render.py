@@ -25,28 +25,14 @@ from svmdist.simulation.effects import (
 from svmdist.simulation.meshes import sphere
 from svmdist.simulation.organ import Organ
 from svmdist.simulation.scene import Options, Scene, make_scene
-from svmdist.transforms import (
-    Array,
-    inverse,
-    make_transform,
-    rotation_x,
-    rotation_z,
-    transform_points,
-)
+from svmdist.transforms import Array, inverse, make_transform, transform_points
 from tests.simulation.conftest import chosen, perturbed, posed, withdrawn
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation import render
 from svmdist.simulation.motion import make_trajectory
 from svmdist.simulation.plan import SceneState
-from svmdist.simulation.render import (
-    FAR_M,
-    PIXEL_SHIFT,
-    Renderer,
-    metric_depth_m,
-    projection_matrix,
-    view_matrix,
-)
+from svmdist.simulation.render import FAR_M, Renderer, metric_depth_m
 from svmdist.simulation.scenarios import Scenario
 
 CAMERA = Camera.from_horizontal_fov(320, 240, np.pi / 3)
@@ -76,20 +62,6 @@ def seen_px(image: Image, region: ColourRegion) -> Array:
     (s0, s1), (v0, v1) = region.saturation, region.value
     mask = in_hue & (saturation >= s0) & (saturation <= s1) & (value >= v0) & (value <= v1)
     return np.column_stack(np.nonzero(mask))[:, ::-1]
-
-
-def test_clip_coordinates_are_pixels() -> None:
-    """From -1 to 1 across the image, whose borders lie half a pixel outside of the outer pixels' centres."""
-    camera = Camera.from_horizontal_fov(640, 480, 1.1, "camera")
-    T_world_camera = make_transform(rotation_x(np.pi - 0.1) @ rotation_z(0.3), [0.01, 0.02, 0.1])
-    points_m = np.random.default_rng(0).uniform([-0.03, -0.02, 0.0], [0.03, 0.02, 0.03], (50, 3))
-    view = np.reshape(view_matrix(T_world_camera), (4, 4)).T
-    projection = np.reshape(projection_matrix(camera), (4, 4)).T
-    clip = np.column_stack([points_m, np.ones(50)]) @ (projection @ view).T
-    x, y = (clip[:, :2] / clip[:, 3:]).T
-    drawn_px = np.stack([(x + 1.0) * 320.0 - 0.5, (1.0 - y) * 240.0 - 0.5], -1)
-    expected_px = camera.project(transform_points(inverse(T_world_camera), points_m)) + PIXEL_SHIFT
-    np.testing.assert_allclose(drawn_px, expected_px, atol=1e-9)
 
 
 def contour_m(centre_m: Array, radius_m: float) -> Array:
@@ -165,7 +137,6 @@ def test_colours_separate_and_bodies_are_where_they_stand(scene: Scene, profile:
 def test_the_tag_is_decoded_where_the_profile_says(profile: Profile) -> None:
     """All over its field of view: OpenCV finds it, and every corner within 1 px of its projection."""
     scene, fiducial = make_scene(profile, 1, Options(tag=True)), profile.fiducial
-    assert fiducial is not None
     corners_m = 0.5 * fiducial.size_m * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
@@ -189,13 +160,13 @@ def test_what_is_drawn_apart_is_what_is_drawn_together(
 ) -> None:
     """Bit by bit: moving bodies before the tissue, against one picture of everything, also where they touch."""
     scene = make_scene(profile, 1, Options(tag=True))
-    trajectory = make_trajectory(scene, Scenario("contact", 1), 0.0245, np.linspace(0.4, 0.6, 3))
+    path, _ = make_trajectory(scene, Scenario("contact", 1), 0.0245, np.linspace(0.4, 0.6, 3))
     apart: list[Image] = []
     together: list[Image] = []
     for images, tie in ((apart, render.DEPTH_TIE), (together, 1.0)):
         monkeypatch.setattr(render, "DEPTH_TIE", tie)
         with Renderer([scene]) as renderer:
-            for q in trajectory.q:
+            for q in path:
                 images += [drawn(renderer, q), renderer.draw(1, 1)]
             assert (renderer._whole is not None) == (tie == 1.0)
     np.testing.assert_array_equal(apart, together)
@@ -204,16 +175,14 @@ def test_what_is_drawn_apart_is_what_is_drawn_together(
 def test_images_do_not_depend_on_what_was_drawn_before(profile: Profile) -> None:
     """The same turns in another order, and some twice, with a retractor that comes and goes."""
     scene = make_scene(profile, 1)
-    trajectory = make_trajectory(scene, Scenario("occlusion", 1), 0.0245, np.linspace(0.0, 0.2, 4))
-    poses = trajectory.T_world_retractor
-    assert poses is not None
+    path, poses = make_trajectory(scene, Scenario("occlusion", 1), 0.0245, np.linspace(0.0, 0.2, 4))
     forth: list[Image] = []
     with Renderer([scene]) as renderer:
-        for turn, (q, T) in enumerate(zip(trajectory.q, poses, strict=True)):
+        for turn, (q, T) in enumerate(zip(path, poses, strict=True)):
             forth.append(drawn(renderer, q, turn, 0, T))
     with Renderer([scene]) as renderer:
         for turn in (3, 1, 0, 2, 2):
-            image = drawn(renderer, trajectory.q[turn], turn, 0, poses[turn])
+            image = drawn(renderer, path[turn], turn, 0, poses[turn])
             np.testing.assert_array_equal(image, forth[turn])
 
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
 from svmdist.errors import SimulationError, UsageError
-from svmdist.kinematics.dh import frame_transforms
 from svmdist.profile import Profile
-from svmdist.simulation.instrument import BLACK, THICKNESS_M, WHITE, make_plate
+from svmdist.simulation.instrument import make_plate
 from svmdist.simulation.organ import LIMIT, OrganSurface, make_organ
 from svmdist.simulation.scene import BREATHING_HZ, PULSE_HZ, Options, Scene, make_scene
-from svmdist.simulation.textures import floor_texture, tissue_texture
 from svmdist.transforms import Array, polygon_centroid
 from tests.simulation.conftest import chosen, perturbed
 
@@ -26,21 +23,6 @@ def depth_in_hull_m(vertices_m: Array) -> float:
     planes = ConvexHull(vertices_m).equations
     blocks = np.array_split(vertices_m, len(vertices_m) // 16 + 1)
     return -min(float((block @ planes[:, :3].T + planes[:, 3]).max(axis=1).min()) for block in blocks)
-
-
-def test_transforms_multiply(scene: Scene) -> None:
-    np.testing.assert_allclose(scene.T_world_camera @ scene.T_camera_base, scene.T_world_base, atol=1e-15)
-    np.testing.assert_allclose(scene.T_world_camera @ scene.T_camera_tissue, scene.T_world_tissue, atol=1e-15)
-    last = scene.link_poses(scene.posture)[scene.chain.rows[-1].name]
-    expected = scene.T_world_base @ frame_transforms(scene.chain, scene.posture)[-1]
-    np.testing.assert_allclose(last, expected, atol=1e-15)
-
-
-def test_options_move_nothing_else(profile: Profile, scene: Scene) -> None:
-    other = make_scene(profile, 1, Options(stereo=True, tag=True))
-    np.testing.assert_array_equal(other.T_world_tissue, scene.T_world_tissue)
-    np.testing.assert_array_equal(other.floor_texture, scene.floor_texture)
-    assert [part.name for part in other.parts] == [*(part.name for part in scene.parts), "plate"]
 
 
 def test_the_ideal_bodies_are_convex(profile: Profile, scene: Scene) -> None:
@@ -114,30 +96,6 @@ def test_a_dent_goes_down_to_what_presses_and_leaves_the_rest(depth_m: float) ->
     assert (flat_m >= (1.0 - LIMIT) * organ.mesh.vertices_m[:, 2] - 1e-12).all()
 
 
-def test_the_plate_is_the_tag_and_has_its_size(profile: Profile) -> None:
-    fiducial = profile.fiducial
-    assert fiducial is not None
-    plate = make_plate(fiducial)
-    assert plate.texture_bgr is not None
-    assert set(np.unique(plate.texture_bgr)) == {BLACK, WHITE}
-    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{fiducial.family}"))
-    small = cv2.resize(plate.texture_bgr, None, fx=0.5, fy=0.5)
-    assert cv2.aruco.ArucoDetector(family).detectMarkers(small)[1].ravel().tolist() == [fiducial.id]
-    side_m = fiducial.plate_side_m
-    np.testing.assert_allclose(np.ptp(plate.mesh.vertices_m, axis=0), [side_m, side_m, THICKNESS_M])
-    a, b, c = np.moveaxis(plate.mesh.triangles_m, 1, 0)
-    volume_m3 = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0  # positive: all faces look outside
-    assert volume_m3 == pytest.approx(side_m**2 * THICKNESS_M)
-
-
-def test_tissue_is_saturated_and_the_floor_is_dull() -> None:
-    tissue, floor = (
-        cv2.cvtColor(make(np.random.default_rng(1)), cv2.COLOR_BGR2HSV)[..., 1]
-        for make in (tissue_texture, floor_texture)
-    )
-    assert np.percentile(tissue, 5) > np.percentile(floor, 95)
-
-
 def test_breath_and_pulse_have_their_amplitudes_and_frequencies(profile: Profile) -> None:
     """Two lines in the spectrum, of 2 mm at 0.25 Hz and of 0.4 mm at 1.2 Hz."""
     offset_m = make_scene(profile, 7, perturbed("breathing=2,pulse=0.4")).tissue_offset_m(T_S)
@@ -157,8 +115,6 @@ def test_breath_and_pulse_have_their_amplitudes_and_frequencies(profile: Profile
     [
         ({"robot": None}, {}, r"it needs \[robot\], \[instrument\] and \[simulation\]"),
         ({"fiducial": None}, {"tag": True}, r"it needs \[fiducial\]"),
-        ({}, {"kinematic_error": -1.0}, "from 0 to 20"),
-        ({}, {"arms": 3}, "a recording has 1 to 2 arms, found 3"),
         ({}, {"degradations": (("smok", 3),)}, "did you mean smoke"),
         ({}, {"degradations": (("smoke", 6),)}, "1 to 5"),
     ],

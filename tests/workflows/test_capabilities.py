@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.estimation.methods import METHODS
-from svmdist.profile import load_profile
+from svmdist.profile import Profile, load_profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import Health
 from svmdist.recording.summary import RecordingSummary, TopicSummary
@@ -67,57 +67,47 @@ def test_a_recording_that_has_everything_serves_everything() -> None:
     assert lacking(method_capabilities(FULL, PROFILE)) == {}
 
 
-@pytest.mark.parametrize("role", sorted(Role))
-def test_a_missing_topic_can_only_take_away(role: Role) -> None:
-    for found in (capabilities, method_capabilities):
-        for full, less in zip(found(FULL, PROFILE), found(without(role), PROFILE), strict=True):
-            assert set(less.missing) >= set(full.missing)
-            assert less.served == (less.missing == ())
+def poorer(table: str) -> Profile:
+    """The profile without one of its tables."""
+    return PROFILE.model_copy(update={table: None})
+
+
+IN_3D = {"fiducial", "shaft", "stereo", "kinematic", "fused"}
+BY_KINEMATICS = {"fiducial", "kinematic", "fused"}
+ONE_JOINT_LESS = replace(FULL, joint_names={f"/{Role.JOINTS}": JOINTS[1:]})
 
 
 @pytest.mark.parametrize(
-    ("summary", "methods", "words"),
+    ("summary", "profile", "methods", "words"),
     [
-        (without("image", "camera_info"), set(METHODS), "a topic for image"),
-        (without("joints"), {"fiducial", "kinematic", "fused"}, "a topic for joints"),
-        (without("right_image"), {"stereo"}, "a topic for right_image"),
-        (without("ground_truth_tf", "ground_truth_distance"), set(), ""),
-        (without(frames=(FRAMES.camera,)), {"kinematic", "fused"}, f"from {FRAMES.camera} to {FRAMES.base}"),
+        (without("image", "camera_info"), PROFILE, set(METHODS), "a topic for image"),
+        (without("joints"), PROFILE, BY_KINEMATICS, "a topic for joints"),
+        (without("right_image"), PROFILE, {"stereo"}, "a topic for right_image"),
+        (without("ground_truth_tf", "ground_truth_distance"), PROFILE, set(), ""),
         (
-            replace(FULL, joint_names={f"/{Role.JOINTS}": JOINTS[1:]}),
-            {"fiducial", "kinematic", "fused"},
-            f"the joints {JOINTS[0]} of profile {PROFILE.name}",
+            without(frames=(FRAMES.camera,)),
+            PROFILE,
+            {"kinematic", "fused"},
+            f"{FRAMES.camera} to {FRAMES.base}",
         ),
+        (ONE_JOINT_LESS, PROFILE, BY_KINEMATICS, f"the joints {JOINTS[0]} of profile {PROFILE.name}"),
+        (FULL, poorer("fiducial"), {"fiducial"}, f"[fiducial] in profile {PROFILE.name}"),
+        (FULL, poorer("tissue"), IN_3D, f"[tissue] in profile {PROFILE.name}"),
+        (FULL, poorer("instrument"), {"shaft"}, f"[instrument] in profile {PROFILE.name}"),
+        (FULL, poorer("calibration"), {"overlay", "centroid"}, f"a calibration in profile {PROFILE.name}"),
+        (FULL, poorer("robot"), IN_3D, f"[robot] in profile {PROFILE.name}"),
     ],
-    ids=["images", "joints", "right view", "truth", "transforms", "one joint"],
 )
-def test_each_part_of_a_log_is_needed_by_its_own_methods(
-    summary: RecordingSummary, methods: set[str], words: str
+def test_each_part_of_log_and_profile_is_needed_by_its_own_methods(
+    summary: RecordingSummary, profile: Profile, methods: set[str], words: str
 ) -> None:
     """Without images, of the commands only `fk` remains."""
-    found = lacking(method_capabilities(summary, PROFILE))
+    found = lacking(method_capabilities(summary, profile))
     assert set(found) == methods
     assert all(any(words in one for one in each) for each in found.values())
     if methods == set(METHODS):
         commands = {"estimate", "calibrate", "validate", "compare", "blur-bench"}
-        assert set(lacking(capabilities(summary, PROFILE))) == commands
-
-
-@pytest.mark.parametrize(
-    ("table", "methods"),
-    [
-        ("fiducial", {"fiducial"}),
-        ("tissue", {"fiducial", "shaft", "stereo", "kinematic", "fused"}),
-        ("instrument", {"shaft"}),
-        ("calibration", {"overlay", "centroid"}),
-        ("robot", {"fiducial", "shaft", "stereo", "kinematic", "fused"}),
-    ],
-)
-def test_what_the_profile_lacks_is_named(table: str, methods: set[str]) -> None:
-    poorer = PROFILE.model_copy(update={table: None})
-    found = lacking(method_capabilities(FULL, poorer))
-    assert set(found) == methods
-    assert all(table in words and PROFILE.name in words for each in found.values() for words in each)
+        assert set(lacking(capabilities(summary, profile))) == commands
 
 
 def test_the_reference_of_validation_is_truth_or_poses_of_tool_and_tissue() -> None:

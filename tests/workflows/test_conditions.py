@@ -9,8 +9,8 @@ import pytest
 
 from svmdist.errors import UsageError
 from svmdist.samples import Observation, RightView
-from svmdist.vision.degradations import Blur, Degradation, apply_blur
-from svmdist.workflows.conditions import CLEAN, BlurCondition, Condition, ReplayCondition
+from svmdist.vision.degradations import Blur, Degradation
+from svmdist.workflows.conditions import BlurCondition, Condition, ReplayCondition
 from tests.synthetic import make_scene
 
 SCENE = make_scene(320, 240)
@@ -35,11 +35,6 @@ def same(first: Observation, second: Observation) -> bool:
     return np.array_equal(first.image_bgr, second.image_bgr) and np.array_equal(
         first.right.image_bgr, second.right.image_bgr
     )
-
-
-def test_nothing_is_done_to_a_clean_observation() -> None:
-    assert CLEAN.apply(SEEN, 3) is SEEN
-    assert str(CLEAN) == ""
 
 
 @pytest.mark.parametrize("condition", EVERY, ids=str)
@@ -77,11 +72,6 @@ def test_what_is_drawn_changes_with_frame_and_log(name: Degradation) -> None:
     other[0, 0] ^= 1
     drawn = condition.apply(replace(SEEN, image_bgr=other), 3).image_bgr
     assert np.count_nonzero(drawn != once.image_bgr) > 100  # one pixel and its neighbours would be 3 to 30
-
-
-def test_a_blur_is_the_blur_of_each_image() -> None:
-    changed = BlurCondition(Blur.GAUSSIAN, 5).apply(SEEN, 3)
-    np.testing.assert_array_equal(changed.image_bgr, apply_blur(IMAGE, Blur.GAUSSIAN, 5))
 
 
 @pytest.mark.parametrize("severity", [-1, 0, 6])

@@ -80,14 +80,12 @@ def test_side_by_side(tmp_path: Path) -> None:
 
 def test_other_formats_are_decoded(tmp_path: Path) -> None:
     """BMP, TIFF and grey images become PNG with the same pixels."""
-    cv2.imwrite(str(tmp_path / "a1.bmp"), _picture(1))
-    cv2.imwrite(str(tmp_path / "a2.tiff"), _picture(2))
-    cv2.imwrite(str(tmp_path / "a3.pgm"), _picture(3)[..., 0])
+    pixels = [_picture(1), _picture(2), np.repeat(_picture(3)[..., :1], 3, axis=2)]
+    for name, image in zip(("a1.bmp", "a2.tiff", "a3.pgm"), pixels, strict=True):
+        cv2.imwrite(str(tmp_path / name), image[..., 0] if name.endswith("pgm") else image)
     result = import_log(ImportOptions(ViewOptions(tmp_path, rate_hz=1.0), ONE), tmp_path / "out.mcap")
-    images = _images(_open(result.path))
-    np.testing.assert_array_equal(images[0].image_bgr, _picture(1))
-    np.testing.assert_array_equal(images[1].image_bgr, _picture(2))
-    np.testing.assert_array_equal(images[2].image_bgr[..., 1], _picture(3)[..., 0])
+    for found, expected in zip(_images(_open(result.path)), pixels, strict=True):
+        np.testing.assert_array_equal(found.image_bgr, expected)
 
 
 def test_stamps_of_names_poses_and_joints(tmp_path: Path) -> None:

@@ -117,15 +117,6 @@ def test_plane_of_a_pair(row_offset_px: int) -> None:
     assert plane.row_offset_px == row_offset_px
 
 
-def test_no_plane_without_texture() -> None:
-    """Blank images and unrelated ones give no plane."""
-    blank = np.full((480, 640, 3), 128, np.uint8)
-    assert fit_plane(blank, blank, CAMERA.K, 0.005) is None
-    rng = np.random.default_rng(2)
-    unrelated = [cv2.cvtColor(_textured(rng, (480, 640)), cv2.COLOR_GRAY2BGR) for _ in range(2)]
-    assert fit_plane(unrelated[0], unrelated[1], CAMERA.K, 0.005) is None
-
-
 def _scene(places: list[tuple[int, int]], bgr: tuple[int, int, int]) -> np.ndarray:
     noise = np.random.default_rng(places[0][0]).normal(0.0, 12.0, (240, 320, 3))
     image = np.clip(np.array([95.0, 95.0, 190.0]) + noise, 0, 255).astype(np.uint8)

@@ -11,10 +11,6 @@ import pytest
 
 from svmdist.cli.main import run
 from svmdist.profile import DEFAULT_PROFILE, profile_path
-from svmdist.recording.log import open_recording
-from svmdist.samples import Observation
-from svmdist.workflows.request import prepare
-from tests.measuring import Measuring
 from tests.onnx_file import write_classifier
 
 # Scores of background, tissue (red), instrument (cyan) and shaft (dark), linear in RGB from 0 to 1.
@@ -39,22 +35,6 @@ def onnx_profile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = folder / "mine.toml"
     path.write_text(text.replace("[segmentation.tissue]", head + "[segmentation.tissue]", 1), "utf-8")
     return path
-
-
-@pytest.mark.parametrize("method", ["shaft", "fused"])
-def test_distances_are_those_of_the_colours(golden: Path, onnx_profile: Path, method: str) -> None:
-    """Where a network tells the same parts apart, every frame is measured, within 0.3 mm of the colours' distance."""
-    colours, network = (prepare(profile, method) for profile in (DEFAULT_PROFILE, onnx_profile))
-    recording = open_recording(golden / "contact.mcap", colours.profile)
-    seen = [each for each in recording.observations() if isinstance(each, Observation)][::8]
-    first, second = (Measuring(method, setup.profile) for setup in (colours, network))
-    rows = [(first.estimate(observation), second.estimate(observation)) for observation in seen]
-    assert all(a.status is b.status for a, b in rows)
-    pairs = [
-        (a.spatial_m, b.spatial_m) for a, b in rows if a.spatial_m is not None and b.spatial_m is not None
-    ]
-    assert len(pairs) >= 9
-    np.testing.assert_allclose(*np.array(pairs).T, atol=3e-4)
 
 
 def estimate(

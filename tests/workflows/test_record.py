@@ -60,8 +60,6 @@ def test_recording_is_complete_repeatable_and_never_replaced(tmp_path: Path, sma
     assert {"scenario": "approach", "seed": "2", "profile": "psm13"}.items() <= metadata.items()
     with pytest.raises(UsageError):
         record(SCENARIO, small, path)
-    with pytest.raises(UsageError, match="number of jobs is from 1, found 0"):
-        record(SCENARIO, small, tmp_path / "never.mcap", jobs=0)
     before = path.read_bytes()
     record(SCENARIO, small, path, force=True)
     assert path.read_bytes() == before
@@ -149,6 +147,7 @@ def test_nothing_is_left_in_the_temporary_folder(
     process = subprocess.Popen(
         [sys.executable, "-m", "svmdist", "record", "--rate", "10", "-j", "2", *command],
         cwd=folder,
+        stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -156,7 +155,7 @@ def test_nothing_is_left_in_the_temporary_folder(
         while process.poll() is None and not [p for p in folder.iterdir() if p.stat().st_size > 100_000]:
             time.sleep(0.02)
         process.send_signal(number)
-    process.communicate(timeout=120)
+    assert process.communicate(timeout=120)[0] == ""  # PyBullet's own chatter goes nowhere
     deadline = time.monotonic() + 10.0
     while number is not None and list(temporary.iterdir()) and time.monotonic() < deadline:
         time.sleep(0.1)  # workers notice that their parent was killed

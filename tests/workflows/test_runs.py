@@ -10,7 +10,7 @@ import pytest
 
 from svmdist.errors import RecordingError
 from svmdist.recording.log import Recording, open_recording
-from svmdist.recording.writer import RecordingWriter, encode_all
+from svmdist.recording.writer import RecordingWriter, encode
 from svmdist.samples import CameraSample, DistanceSample, ImageSample, Sample
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import Run, measure_runs, pooled_figures
@@ -71,7 +71,7 @@ def test_losses_are_listed_once_in_the_file_s_order(tmp_path: Path) -> None:
             frame += 1
             right = replace(sample, frame_id="camera_right")
             for side, to, image in (("left", topic, sample), ("right", "/ECM/right/image", right)):
-                ((_, encoded),) = encode_all([(to, image)])
+                encoded = encode(image)
                 data = encoded.data.replace(b"IHDR", b"XXXX") if (side, frame) in broken else encoded.data
                 writer.write(to, replace(encoded, data=data))
     losses = []

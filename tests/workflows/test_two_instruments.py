@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError
-from svmdist.profile import Profile, load_profile
+from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.workflows.compare import compare
@@ -150,8 +150,9 @@ def test_one_instrument_is_as_ever(synthetic_log: Path, cli: Cli) -> None:  # no
     assert cli("estimate", synthetic_log, "--method", "kinematic", "--instrument", "PSM2").code == 1
 
 
-def test_topics_of_another_arm_stand_in_for_nothing(two: Path, profile: Profile) -> None:
+def test_topics_of_another_arm_stand_in_for_nothing(two: Path) -> None:
     """A profile that leaves its own topics open does not take the second arm's; one chosen by hand is no other's."""
+    profile = load_profile()
     open_topics = profile.model_copy(
         update={"topics": profile.topics.model_copy(update={"joints": None, "pose": None})}
     )
@@ -159,8 +160,3 @@ def test_topics_of_another_arm_stand_in_for_nothing(two: Path, profile: Profile)
     chosen = open_recording(two, profile, topics={"joints": "/PSM2/measured_js", "pose": "/PSM2/measured_cp"})
     assert chosen.instruments == ("PSM1",)
     assert chosen.topic_of("joints") == "/PSM2/measured_js"
-
-
-@pytest.fixture
-def profile() -> Profile:
-    return load_profile()

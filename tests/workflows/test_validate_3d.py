@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +11,8 @@ import pytest
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.recording.log import Recording, open_recording
-from svmdist.report.scores import score_columns, validation_document, validation_tables
-from svmdist.report.tables import render, row_of
+from svmdist.report.scores import score_columns
+from svmdist.report.tables import row_of
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import DistanceSample, Sample, Status
 from svmdist.workflows.request import Request, prepare
@@ -128,20 +127,6 @@ def test_overall_figures_do_not_depend_on_the_order_of_the_files(recording: Reco
         assert other.statistics == first.statistics
         assert other.rmse_interval_m == first.rmse_interval_m
         assert other.r_squared_interval == first.r_squared_interval
-
-
-def test_tables_and_document_show_them(recording: Recording) -> None:
-    """Three tables of at most 100 columns each, and the same figures in JSON."""
-    score = scored(recording, rows_of(recording, 0.0), AlarmRules(BELOW_M))
-    made = Validation((score,), (pool_scores([score]),), (), AlarmRules(BELOW_M))
-    planar, spatial, alarms = (render(table) for table in validation_tables(made))
-    assert "clearance" not in planar
-    assert max(map(len, (spatial + alarms).splitlines())) <= 100
-    assert "in 95 %" in spatial
-    assert "below 12 mm" in alarms
-    row = json.loads(json.dumps(validation_document(made)))["overall"]
-    assert row["alarm_recall"] == 1.0
-    assert row["clearance_rmse_m"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_baseline_catches_worse_alarms_and_worse_clearance(recording: Recording) -> None:

@@ -221,7 +221,6 @@ def source_of(result: GatingResult) -> str:
 
 
 def _tallies(results: Iterable[GatingResult]) -> dict[str, Tally]:
-    """What each source measured."""
     tallies: dict[str, Tally] = {}
     for result in results:
         tallies.setdefault(source_of(result), Tally()).add(result)

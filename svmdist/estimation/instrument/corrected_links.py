@@ -45,7 +45,7 @@ class MovingJoints:
     @property
     def columns(self) -> ErrorColumns:
         """Where in the error state what stands."""
-        return ErrorColumns(len(self.turns), len(self.lengths))
+        return ErrorColumns.of(len(self.turns), len(self.lengths))
 
     @property
     def constant_columns(self) -> dict[str, int]:
@@ -67,35 +67,22 @@ class MovingJoints:
 
 @dataclass(frozen=True, slots=True)
 class ErrorColumns:
-    """Where in the error state (δp, δφ, δq, play, τ, δl) what stands, of so many moving joints and lengths."""
+    """Where in the error state (δp, δφ, δq, play, τ, δl) what stands, and its size."""
 
     joint_count: int
     length_count: int
+    offsets: slice
+    play: slice
+    time_offset: int
+    lengths: slice
+    size: int
 
-    @property
-    def offsets(self) -> slice:
-        """Constant joint offsets δq."""
-        return slice(6, 6 + self.joint_count)
-
-    @property
-    def play(self) -> slice:
-        """Joint errors that change with the motion."""
-        return slice(6 + self.joint_count, 6 + 2 * self.joint_count)
-
-    @property
-    def time_offset(self) -> int:
-        """By how much the joints' stamps are late."""
-        return 6 + 2 * self.joint_count
-
-    @property
-    def lengths(self) -> slice:
-        """Lengths of the chain."""
-        return slice(7 + 2 * self.joint_count, self.size)
-
-    @property
-    def size(self) -> int:
-        """Of the error state."""
-        return 7 + 2 * self.joint_count + self.length_count
+    @classmethod
+    def of(cls, joints: int, lengths: int) -> ErrorColumns:
+        """Of so many moving joints and lengths."""
+        late, size = 6 + 2 * joints, 7 + 2 * joints + lengths
+        offsets, play = slice(6, 6 + joints), slice(6 + joints, late)
+        return cls(joints, lengths, offsets, play, late, slice(late + 1, size), size)
 
 
 def _lengths(chain: DHChain, first_row: int) -> Iterator[RowLength]:
@@ -134,7 +121,7 @@ class Correction:
 
     def retract(self, step: Array) -> Correction:
         """The correction after an error state, shape (n,), was found in it (box-plus)."""
-        at = ErrorColumns(len(self.q_offset), len(self.length_m))
+        at = ErrorColumns.of(len(self.q_offset), len(self.length_m))
         return Correction(
             self.shift_m + step[:3],
             rotation_of(step[3:6]) @ self.turn,
@@ -146,16 +133,8 @@ class Correction:
 
     def vector(self) -> Array:
         """All of it as an error state about no correction, shape (n,)."""
-        return np.concatenate(
-            [
-                self.shift_m,
-                rotation_vector(self.turn),
-                self.q_offset,
-                self.play,
-                [self.time_offset_s],
-                self.length_m,
-            ]
-        )
+        turn, late_s = rotation_vector(self.turn), np.array([self.time_offset_s])
+        return np.concatenate([self.shift_m, turn, self.q_offset, self.play, late_s, self.length_m])
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,10 +238,9 @@ class CorrectedLinks:
 
     def link(self, name: str | None) -> CorrectedLink:
         """The frame of a DH row, or the tool for None; raises ValueError for a row that the chain lacks."""
-        found = self._links.get(name)
-        if found is None:
-            found = self._links[name] = self._corrected(name)
-        return found
+        if name not in self._links:
+            self._links[name] = self._corrected(name)
+        return self._links[name]
 
     def _corrected(self, name: str | None) -> CorrectedLink:
         row = len(self._joints.chain.rows) - 1 if name is None else row_index(self._joints.chain, name)

@@ -60,9 +60,8 @@ class ErrorModel:
 
     def time_offset_std_s(self, age_s: float) -> float:
         """Standard deviation of the joints' time offset after a time, by what the profile states."""
-        return float(
-            np.hypot(self._error.time_offset_std_s, self._drift[self.columns.time_offset] * np.sqrt(age_s))
-        )
+        drift_s = self._drift[self.columns.time_offset] * np.sqrt(age_s)
+        return float(np.hypot(self._error.time_offset_std_s, drift_s))
 
     def no_correction(self) -> Correction:
         """What is there before anything was measured."""
@@ -122,7 +121,6 @@ class ErrorModel:
         return {}
 
     def _transform_covariance(self, robot: RobotState) -> Array:
-        """Covariance of shift and turn at the anchor, shape (6, 6), by a wrong camera-to-base transform."""
         if isinstance(self._error, HandEyeError):
             return self._error.hand_eye.covariance_at(self.anchor_m(robot))
         turn_var = self._error.camera_base_std_rad**2
@@ -159,10 +157,8 @@ def nominal_tool(chain: DHChain, error: KinematicError, state: RobotState) -> To
     model = ErrorModel(chain, error)
     links = model.links(model.nominal(state), model.no_correction(), model.anchor_m(state))
     tool, shaft = links.link(None), shaft_of(chain)
-    axis = (
-        tool.T_camera_link[:3, 0]
-        if shaft is None
-        else links.link(shaft.link).T_camera_link[:3, :3] @ shaft.axis
-    )
+    axis = tool.T_camera_link[:3, 0]
+    if shaft is not None:
+        axis = links.link(shaft.link).T_camera_link[:3, :3] @ shaft.axis
     covariance = tool.derivative @ model.prior(state) @ tool.derivative.T
     return ToolPose(tool.T_camera_link, covariance, np.asarray(axis))

@@ -22,7 +22,7 @@ from svmdist.estimation.instrument.corrected_links import Correction
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
 from svmdist.estimation.instrument.state import ErrorState, Linearised, block_diagonal
-from svmdist.estimation.instrument.window import MeasurementsAt, Window
+from svmdist.estimation.instrument.window import Window
 from svmdist.kinematics.dh import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
@@ -217,14 +217,9 @@ class KinematicErrorFilter:
 
     def tool_pose(self) -> ToolPose:
         """The corrected pose of the tool and its covariance."""
-        tool = self._state.link(None)
-        covariance = tool.derivative @ self.covariance @ tool.derivative.T
-        return ToolPose(
-            tool.T_camera_link,
-            self.consistency.widening * covariance,
-            self.shaft_axis(),
-            self._axis_std_rad(),
-        )
+        tool, widening = self._state.link(None), self.consistency.widening
+        covariance = widening * (tool.derivative @ self.covariance @ tool.derivative.T)
+        return ToolPose(tool.T_camera_link, covariance, self.shaft_axis(), self._axis_std_rad())
 
     def corrected_joints(self) -> Array:
         """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
@@ -237,7 +232,6 @@ class KinematicErrorFilter:
         return np.asarray(self._state.link(self._shaft.link).T_camera_link[:3, :3] @ self._shaft.axis)
 
     def _axis_std_rad(self) -> float | None:
-        """Standard deviation of the shaft's direction, the worse of two across it."""
         if self._shaft is None:
             return None
         turn = self._state.link(self._shaft.link).derivative[3:]
@@ -275,10 +269,9 @@ class KinematicErrorFilter:
 
     def _keep_in_window(self, measurements: Sequence[LinkMeasurement]) -> None:
         """While the filter is young, keep what it was given, and solve it anew as a batch at growing intervals."""
-        solves = WINDOW_SOLVES
-        if len(self._window) < max(solves):
-            self._window.add(MeasurementsAt(self._state.robot, tuple(measurements)))
-            if len(self._window) in solves:
+        if len(self._window) < max(WINDOW_SOLVES):
+            self._window.add(self._state.robot, tuple(measurements))
+            if len(self._window) in WINDOW_SOLVES:
                 solved = self._window.solve(self._state.correction)
                 if solved is not None:
                     self._take_solution(solved)
@@ -300,24 +293,22 @@ class KinematicErrorFilter:
         # What is to be added to `at`: at first all the way back to no correction.
         to_correction = self._window.step_to_prior(at)
         stamp_ns = None
-        for frame in self._window.linearised(at):
+        for robot, parts, weights in self._window.linearised(at):
             if stamp_ns is not None:
                 state.correction = at.retract(to_correction)
-                state.propagate(max(0.0, (frame.robot.stamp_ns - stamp_ns) / 1e9))
+                state.propagate(max(0.0, (robot.stamp_ns - stamp_ns) / 1e9))
                 play = state.model.columns.play
                 to_correction[play] = state.correction.play - at.play
-            stamp_ns = frame.robot.stamp_ns
-            if not frame.parts:
+            stamp_ns = robot.stamp_ns
+            if not parts:
                 continue
-            state.augment_state(frame.parts)
-            H = state.full_jacobian(frame.parts)
-            R = block_diagonal(
-                [part.noise / weight for part, weight in zip(frame.parts, frame.weights, strict=True)]
-            )
+            state.augment_state(parts)
+            H = state.full_jacobian(parts)
+            R = block_diagonal([part.noise / weight for part, weight in zip(parts, weights, strict=True)])
             x = np.concatenate([to_correction, state.bias_mean])
             HP = H @ state.P
             K = np.asarray(np.linalg.solve(HP @ H.T + R, HP).T, np.float64)
-            x = x + K @ (np.concatenate([part.residual for part in frame.parts]) - H @ x)
+            x = x + K @ (np.concatenate([part.residual for part in parts]) - H @ x)
             state.update_covariance(K, H, R)
             to_correction, state.bias_mean = x[:size], x[size:]
         state.correction = at.retract(to_correction)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,7 @@ from svmdist.transforms import Array, cross, skew
 
 FOR_EVER_S = np.inf
 MIN_DEPTH_M = 1e-3  # what is nearer to the camera, or behind it, has no image
-AHEAD_M = np.array(
-    [0.0, 0.0, 1.0]
-)  # stands in for a point that cannot be seen, so that its projection is a number
+AHEAD_M = np.array([0.0, 0.0, 1.0])  # in place of a point that cannot be seen, so that it has a projection
 NEAR_M = 1e-3  # A camera is no nearer to an edge than this: it bounds a derivative
 
 
@@ -171,53 +170,34 @@ class PoseResidual:
         )
 
 
-class LinkMeasurement(Protocol):
+class LinkMeasurement(ABC):
     """A measurement of the frame of the DH row `link`, or of the tool where that is None.
 
-    `covariance` is that of what changes from frame to frame, the noise. What stays alike, the bias, is a vector of
-    numbers of variance one that fade with the time constant `correlation_time_s`.
+    `covariance` is that of what changes from frame to frame, the noise, shape (..., m, m). What stays alike, the
+    bias, is a vector of numbers of variance one that fade with the time constant `correlation_time_s`.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
     STACKED: ClassVar[tuple[str, ...]]  # fields with a leading axis in a stack
     source: ClassVar[str]  # the detection that it is made of
-
-    @property
-    def name(self) -> str:
-        """What was measured, for a person."""
-
-    @property
-    def link(self) -> str | None:
-        """The DH row whose frame was measured."""
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the residual's noise, shape (..., m, m)."""
+    name: str  # what was measured, for a person
+    link: str | None
+    covariance: Array
+    correlation_time_s: float
 
     @property
     def bias_name(self) -> str:
         """Measurements of one such name share one bias."""
+        return self.name
 
-    @property
-    def correlation_time_s(self) -> float:
-        """How long the bias lasts: the time constant of its fading."""
-
+    @abstractmethod
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Residual and derivative about poses of the link, shape (..., 4, 4)."""
 
+    @abstractmethod
     def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
         """Derivative of the residual by the bias, (..., m, k), from the pose and the pose's derivative."""
 
+    @abstractmethod
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """What errors of constants do to the residual."""
-
-
-class ConstantBias:
-    """What measurements have in common whose bias Jacobian is the same for all poses: a bias of their own name."""
-
-    name: str
-
-    @property
-    def bias_name(self) -> str:
-        """It shares its bias with measurements of the same name only."""
-        return self.name

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
@@ -14,8 +13,8 @@ from svmdist.estimation.instrument.measurement import (
     AHEAD_M,
     EXACT,
     MIN_DEPTH_M,
-    ConstantBias,
     Deviations,
+    LinkMeasurement,
     PoseResidual,
     SharedBias,
     edge_by_radius,
@@ -28,10 +27,10 @@ MARKER = "distal marker"
 POINT_CORRELATION_TIME_S = FilterSettings().point_correlation_time_s
 
 
-class _PointBias(ABC):
+class _PointBias(LinkMeasurement):
     """The bias of a point: an offset in its link's frame, and what shading does to its pixels."""
 
-    source: ClassVar[str] = MARKER
+    source = MARKER
     point_std_m: float
     shading_bias_px: float
 
@@ -58,13 +57,7 @@ class PointsMeasurement(_PointBias):
     the pixels outward by `shading_bias_px` (a deviation) times the tilt of their ray.
     """
 
-    STACKED: ClassVar[tuple[str, ...]] = (
-        "p_link_m",
-        "pixels",
-        "covariance",
-        "point_std_m",
-        "shading_bias_px",
-    )
+    STACKED = ("p_link_m", "pixels", "covariance", "point_std_m", "shading_bias_px")
 
     name: str
     link: str | None
@@ -116,15 +109,9 @@ class DisparityMeasurement(_PointBias):
     The point may be off as in `PointsMeasurement`: the two rays differ in tilt by the disparity over the focal length.
     """
 
-    STACKED: ClassVar[tuple[str, ...]] = (
-        "T_right_left",
-        "disparity_px",
-        "covariance",
-        "point_std_m",
-        "shading_bias_px",
-        "lasting_std_px",
-        "p_link_m",
-    )
+    STACKED = (
+        "T_right_left", "disparity_px", "covariance", "point_std_m", "shading_bias_px", "lasting_std_px", "p_link_m",
+    )  # fmt: skip
 
     name: str
     link: str | None
@@ -175,11 +162,11 @@ class DisparityMeasurement(_PointBias):
 
 
 @dataclass(frozen=True)
-class SizeMeasurement(ConstantBias):
+class SizeMeasurement(LinkMeasurement):
     """The radius in px of the disc that a sphere about a link's origin shows; `bias_std_px` lasts."""
 
-    STACKED: ClassVar[tuple[str, ...]] = ("radius_m", "radius_px", "covariance", "bias_std_px")
-    source: ClassVar[str] = MARKER
+    STACKED = ("radius_m", "radius_px", "covariance", "bias_std_px")
+    source = MARKER
 
     name: str
     link: str | None
@@ -218,7 +205,7 @@ EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s
 POSE_CORRELATION_TIME_S = 0.5
 
 
-class _MatrixBias(ConstantBias):
+class _MatrixBias(LinkMeasurement):
     """A bias of the residual itself, of covariance `bias_covariance`, shape (m, m)."""
 
     bias_covariance: Array
@@ -248,10 +235,10 @@ class ContourMeasurement(_MatrixBias):
     stays as long as the light falls on the edge so.
     """
 
-    STACKED: ClassVar[tuple[str, ...]] = (
+    STACKED = (
         "normal", "across", "covariance", "p_axis_m", "axis", "radius_m", "side", "bias_covariance",
     )  # fmt: skip
-    source: ClassVar[str] = "shaft"
+    source = "shaft"
 
     name: str
     link: str | None
@@ -309,8 +296,8 @@ class ContourMeasurement(_MatrixBias):
 class PoseMeasurement(_MatrixBias):
     """A pose measured as a whole: `T_camera_frame` of a frame fixed on a link by `T_link_frame`, (4, 4)."""
 
-    STACKED: ClassVar[tuple[str, ...]] = ("T_link_frame", "T_camera_frame", "covariance", "bias_covariance")
-    source: ClassVar[str] = "tag"
+    STACKED = ("T_link_frame", "T_camera_frame", "covariance", "bias_covariance")
+    source = "tag"
 
     name: str
     link: str | None

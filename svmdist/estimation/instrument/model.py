@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,7 +89,8 @@ class WristKinematics:
         jaw_axis, opening_rad = pivot, 0.0
         if self.rows.jaw is not None:
             jaw_axis, _ = joint_axis(self.chain, frames, self.rows.jaw)
-            opening_rad = float(q[_joint_index(self.chain, self.rows.jaw)])
+            joints_before = sum(other.joint != "fixed" for other in self.chain.rows[: self.rows.jaw])
+            opening_rad = float(q[joints_before])
         hinge_m, shaft, pivot, jaw_axis = np.stack([hinge_m - tool_m, shaft, pivot, jaw_axis]) @ R
         return Wrist(hinge_m, np.zeros(3), shaft, pivot, jaws_of(self.straight, jaw_axis, opening_rad))
 
@@ -121,10 +123,6 @@ def jaws_of(along: Array, axis: Array, opening_rad: float) -> tuple[Jaw, Jaw]:
 
 def _jaw(along: Array, outward: Array) -> Jaw:
     return Jaw(along, outward, cross(along, outward))
-
-
-def _joint_index(chain: DHChain, row: int) -> int:
-    return sum(other.joint != "fixed" for other in chain.rows[:row])
 
 
 def _turned(vector: Array, axis: Array, angle_rad: float) -> Array:
@@ -196,15 +194,13 @@ class InstrumentModel:
         return body.transformed(pose.T_camera_tool)
 
     def _straight_wrist(self, pose: ToolPose) -> Wrist:
-        tool_m, axis, length_m = pose.position_m, pose.axis, self._wrist_length_m()
+        tool_m, axis = pose.position_m, pose.axis
+        length_m = WRIST_LENGTH_PER_RADIUS * self._instrument.wrist_radius_m
+        if self._kinematics is not None:
+            length_m = self._kinematics.length_m
         side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         pivot = side / np.linalg.norm(side)
         return Wrist(tool_m - length_m * axis, tool_m, axis, pivot, jaws_of(axis, pivot, 0.0))
-
-    def _wrist_length_m(self) -> float:
-        if self._kinematics is None:
-            return WRIST_LENGTH_PER_RADIUS * self._instrument.wrist_radius_m
-        return self._kinematics.length_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +224,6 @@ class Rods:
 
 
 def _rods(instrument: Instrument, wrist: Wrist) -> list[tuple[Array, Array, float]]:
-    """Start, end and radius of every rod."""
     shaft_m, wrist_m, marker_m = (
         instrument.shaft_radius_m,
         instrument.wrist_radius_m,
@@ -262,13 +257,11 @@ def plate_capsules(fiducial: Fiducial) -> Capsules:
     return Capsules(starts, ends, np.full(PLATE_RODS, PLATE_RADIUS_M))
 
 
-def _blade(instrument: Instrument, tool: Array, jaw: Jaw) -> list[tuple[Array, Array, float]]:
+def _blade(instrument: Instrument, tool: Array, jaw: Jaw) -> Iterator[tuple[Array, Array, float]]:
     length_m, half_width_m = instrument.jaw_length_m, instrument.jaw_radius_m
     base = tool + BLADE_OFFSET * half_width_m * jaw.outward
-    rods = []
     for start, end, offset, radius in BLADE_RODS:
         radius_m = radius * half_width_m
         end_m = end * length_m - (radius_m if end == 1.0 else 0.0)
         axis = base + offset * half_width_m * jaw.beside
-        rods.append((axis + start * length_m * jaw.along, axis + max(end_m, 0.0) * jaw.along, radius_m))
-    return rods
+        yield axis + start * length_m * jaw.along, axis + max(end_m, 0.0) * jaw.along, radius_m

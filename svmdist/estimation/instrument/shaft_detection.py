@@ -12,10 +12,8 @@ from svmdist.least_squares import median, scale_of
 from svmdist.profile.settings import DistalMarkerSettings, ShaftSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edge_lines import EdgeLine
 from svmdist.vision.edges import Disc, edge_blur_px, edge_points, fit_disc, shading_shift_px
 from svmdist.vision.lines import (
-    MIN_POINT_STD_PX,
     POINT_CORRELATION_PX,
     TangentPlane,
     fit_line,
@@ -111,7 +109,6 @@ def marker_centre(
 
 
 def _median_saturation(image_hsv: Image, mask: Image) -> float:
-    """Median over a mask, shape (h, w), from a histogram of the levels."""
     x, y, width, height = cv2.boundingRect(mask)
     window = np.s_[y : y + height, x : x + width]
     counts = cv2.calcHist([image_hsv[window]], [1], mask[window], [256], [0, 256]).ravel()
@@ -171,7 +168,8 @@ def detect_shaft(
     towards_tip = region.first.direction + region.second.direction
     towards_tip /= np.linalg.norm(towards_tip)
     sides = (region.first, region.second)
-    blurs_px = [_blur_px(brightness, side, region, settings) for side in sides]
+    reach_px = BLUR_REACH_FRACTION * brightness.shape[1]
+    blurs_px = [edge_blur_px(brightness, *_trimmed(side, region), reach_px, settings) for side in sides]
     contours: list[Contour] = []
     for side, blur_px, other_px in zip(sides, blurs_px, blurs_px[::-1], strict=True):
         # Both edges of a shaft are as sharp as each other; a shadow beside it ends in a penumbra.
@@ -192,7 +190,11 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera) -> ShaftDet
     towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
     contours: list[Contour] = []
     for edge in silhouette.edges:
-        contour = _edge_contour(edge, silhouette.width_px, middle_px, towards_tip, camera)
+        outward = 0.5 * (edge.start_px + edge.end_px) - middle_px
+        inlier_px = max(LINE_INLIER_PX, LINE_INLIER_PER_WIDTH * silhouette.width_px)
+        contour = _contour_through(
+            edge.points_px, middle_px, outward, towards_tip, camera, inlier_px, OUTLINE_SHADING_STD_PX
+        )
         if contour is not None and all(contour.side != other.side for other in contours):
             contours.append(contour)
     end_px = silhouette.end_px
@@ -206,22 +208,23 @@ def wrist_marker(shaft: ShaftDetection) -> DistalMarker | None:
     return None if wrist is None else DistalMarker(wrist.pixel, wrist.std_px, None, 0.0)
 
 
-def _edge_contour(
-    edge: EdgeLine, width_px: float, middle_px: Array, towards_tip: Array, camera: Camera
+def _contour_through(
+    points_px: Array,
+    middle_px: Array,
+    outward: Array,
+    towards_tip: Array,
+    camera: Camera,
+    inlier_px: float,
+    systematic_px: float,
+    correlation_px: float = POINT_CORRELATION_PX,
 ) -> Contour | None:
-    line = fit_line(
-        undistorted(camera, edge.points_px),
-        1.0 / float(camera.K[0, 0]),
-        min_count=MIN_LINE_POINTS,
-        inlier_px=max(LINE_INLIER_PX, LINE_INLIER_PER_WIDTH * width_px),
-        systematic_px=OUTLINE_SHADING_STD_PX,
-        correlation_px=POINT_CORRELATION_PX,
-        min_point_std_px=MIN_POINT_STD_PX,
-    )
+    """The contour through most points, shape (n, 2); `middle_px` is on the shaft, `outward` leads off it, (2,)."""
+    unit = 1.0 / float(camera.K[0, 0])
+    points = undistorted(camera, points_px)
+    line = fit_line(points, unit, MIN_LINE_POINTS, inlier_px, systematic_px, correlation_px)
     if line is None:
         return None
     plane = tangent_plane(line, undistorted(camera, middle_px[None])[0])
-    outward = 0.5 * (edge.start_px + edge.end_px) - middle_px
     right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
     return Contour(plane, 1 if right > 0 else -1)
 
@@ -231,12 +234,6 @@ def _trimmed(side: Side, region: ShaftRegion) -> tuple[Array, Array, Array]:
     trim = SIDE_TRIM_FRACTION * (side.end_px - side.start_px)
     outward = 0.5 * (side.start_px + side.end_px) - region.middle_px
     return side.start_px + trim, side.end_px - trim, outward
-
-
-def _blur_px(brightness: Image, side: Side, region: ShaftRegion, settings: ShaftSettings) -> float:
-    """The blur of the edge along a side, as its deviation in px."""
-    reach_px = BLUR_REACH_FRACTION * brightness.shape[1]
-    return edge_blur_px(brightness, *_trimmed(side, region), reach_px, settings)
 
 
 def _contour(
@@ -262,21 +259,16 @@ def _contour(
     across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
     across = across if across @ outward > 0.0 else -across
     points_px = points_px - shading_shift_px(brightness, points_px, across, blur_px) * across
-    unit = 1.0 / float(camera.K[0, 0])
-    line = fit_line(
-        undistorted(camera, points_px),
-        unit,
-        min_count=MIN_LINE_POINTS,
-        inlier_px=LINE_INLIER_PX + LINE_INLIER_PER_BLUR * blur_px,
-        systematic_px=float(np.hypot(SHADING_STD_PX, SHADING_STD_PER_BLUR * blur_px)),
-        correlation_px=max(POINT_CORRELATION_PX, 2.0 * blur_px),
-        min_point_std_px=MIN_POINT_STD_PX,
+    return _contour_through(
+        points_px,
+        region.middle_px,
+        outward,
+        towards_tip,
+        camera,
+        LINE_INLIER_PX + LINE_INLIER_PER_BLUR * blur_px,
+        float(np.hypot(SHADING_STD_PX, SHADING_STD_PER_BLUR * blur_px)),
+        max(POINT_CORRELATION_PX, 2.0 * blur_px),
     )
-    if line is None:
-        return None
-    plane = tangent_plane(line, undistorted(camera, region.middle_px[None])[0])
-    right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
-    return Contour(plane, 1 if right > 0 else -1)
 
 
 def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: ShaftSettings) -> Rim | None:

@@ -126,10 +126,8 @@ def _along_axis(
 ) -> Array | None:
     """The hinge: where the axis passes the landmark's ray, less the landmark's place on the straight tool."""
     if shaft.rim is not None:
-        ray, ahead_m = (
-            _ray(shaft.rim.pixel, camera),
-            model.outline_end_m if shaft.rim.is_outline else -model.neck_m,
-        )
+        ray = _ray(shaft.rim.pixel, camera)
+        ahead_m = model.outline_end_m if shaft.rim.is_outline else -model.neck_m
     elif marker is not None:
         ray, ahead_m = _ray(marker.centre_px, camera), float(model.T_shaft_tool[2, 3])
     else:
@@ -143,7 +141,6 @@ def _along_axis(
 
 
 def _frame_about(d: Array, R_nominal: Array | None) -> Array:
-    """A rotation whose z is `d`, with the nominal x, or any."""
     x = np.eye(3)[int(np.argmin(np.abs(d)))] if R_nominal is None else R_nominal[:, 0]
     y = np.cross(d, x)
     y /= np.linalg.norm(y)
@@ -240,12 +237,23 @@ def _fit(
     worst = int(np.argmax(squares))
     if squares[worst] > GATE_CHI2:
         return Failure(f"{found[worst].name} does not fit the rest")
-    tool = BentTool.of(least.state, model)
-    of_state = np.asarray(np.linalg.inv(least.equations.information))
+    pose = pose_at(least.state, least.equations.information, model)
+    return ShaftFit(pose, least.state.T, tuple(residual.name for residual in found))
+
+
+def pose_at(state: ShaftState, information: Array, model: ShaftModel) -> ToolPose:
+    """The tool's pose at a minimum, with its covariance by the information, shape (8, 8)."""
+    tool, axis = BentTool.of(state, model), state.T[:3, 2].copy()
+    of_state = np.asarray(np.linalg.inv(information))
     covariance = tool.derivative @ of_state @ tool.derivative.T
-    T = least.state.T
-    pose = ToolPose(tool.T, covariance, T[:3, 2].copy(), across_std_rad(of_state[3:6, 3:6], T[:3, 2]))
-    return ShaftFit(pose, T, tuple(residual.name for residual in found))
+    return ToolPose(tool.T, covariance, axis, across_std_rad(of_state[3:6, 3:6], axis))
+
+
+def doubted(pose: ToolPose, variance: float) -> ToolPose:
+    """The pose with a variance added along the line of sight, over the depth's square."""
+    covariance = pose.covariance.copy()
+    covariance[:3, :3] += variance * np.outer(pose.position_m, pose.position_m)
+    return replace(pose, covariance=covariance)
 
 
 def _with_doubt(
@@ -254,12 +262,9 @@ def _with_doubt(
     """The fit, as uncertain in depth as the size of a whole marker contradicts it, whether it took that or not."""
     if marker is None or marker.radius_px is None:
         return fit
-    tool_m = fit.pose.position_m
-    expected_px = float(apparent_radius_px(tool_m, model.knuckle_radius_m, camera))
+    expected_px = float(apparent_radius_px(fit.pose.position_m, model.knuckle_radius_m, camera))
     off_px = marker.radius_px - expected_px
     std_px = float(np.hypot(marker.radius_std_px, deviations.marker_radius_fraction * expected_px))
     if off_px**2 < DOUBT_SQUARE * std_px**2:
         return fit
-    covariance = fit.pose.covariance.copy()
-    covariance[:3, :3] += (off_px / expected_px) ** 2 * np.outer(tool_m, tool_m)
-    return replace(fit, pose=replace(fit.pose, covariance=covariance))
+    return replace(fit, pose=doubted(fit.pose, (off_px / expected_px) ** 2))

@@ -80,7 +80,8 @@ def shaft_model(
         # How much the wrist is bent is known, but not to which side in the camera frame.
         tool = T_shaft_tool[:3, 3]
         bend_std_rad = max(0.05, float(np.arctan2(np.hypot(tool[0], tool[1]), tool[2])))
-        T_shaft_tool = make_transform(np.eye(3), [0.0, 0.0, float(np.linalg.norm(tool))]) @ make_transform(
+        straight_m = [0.0, 0.0, float(np.linalg.norm(tool))]
+        T_shaft_tool = make_transform(np.eye(3), straight_m) @ make_transform(
             T_shaft_tool[:3, :3], np.zeros(3)
         )
     return ShaftModel(
@@ -212,9 +213,8 @@ def contour_residual(
     derivative[:, 3:6] = -whitening @ by_direction @ skew(d)
     by_radius = edge_by_radius(state.T[:3, 3], d, np.array(radius_m), np.array(contour.side))
     constants = deviations.of_edge(contour.plane.normal, whitening, by_radius, np.array(radius_m), focal_px)
-    return Residual(
-        f"side {contour.side:+d}", whitening @ (contour.plane.normal - normal), derivative, constants
-    )
+    off = whitening @ (contour.plane.normal - normal)
+    return Residual(f"side {contour.side:+d}", off, derivative, constants)
 
 
 def rim_residual(
@@ -253,34 +253,19 @@ def marker_residuals(
     """The marker's middle at the tool's origin, and its radius where the whole of it is visible."""
     tool_m, by_state = tool.T[:3, 3], tool.derivative[:3]
     pixel, by_point = camera.project_with_derivative(tool_m)
-    found = [
-        Residual(
-            "distal marker",
-            (marker.centre_px - pixel) / marker.std_px,
-            by_point @ by_state / marker.std_px,
-            tuple(
-                bias.scaled(1.0 / marker.std_px)
-                for bias in (
-                    *deviations.of_pixels(marker.centre_px, camera),
-                    SharedBias("marker place", model.marker_std_m * by_point),
-                )
-            ),
-        )
-    ]
+    biases = deviations.of_pixels(marker.centre_px, camera)
+    place = SharedBias("marker place", model.marker_std_m * by_point)
+    constants = tuple(bias.scaled(1.0 / marker.std_px) for bias in (*biases, place))
+    off = (marker.centre_px - pixel) / marker.std_px
+    found = [Residual("distal marker", off, by_point @ by_state / marker.std_px, constants)]
     if marker.radius_px is not None:
         radius_px = float(apparent_radius_px(tool_m, model.knuckle_radius_m, camera))
         slope = radius_px * 0.5 * tool_m / float(tool_m @ tool_m)
         slope[2] -= 1.5 * radius_px / tool_m[2]
         off = np.array([(marker.radius_px - radius_px) / marker.radius_std_px])
-        constants = deviations.of_radius(np.array(radius_px))
-        found.append(
-            Residual(
-                "size",
-                off,
-                (slope @ by_state / marker.radius_std_px)[None],
-                tuple(bias.scaled(1.0 / marker.radius_std_px) for bias in constants),
-            )
-        )
+        biases = deviations.of_radius(np.array(radius_px))
+        constants = tuple(bias.scaled(1.0 / marker.radius_std_px) for bias in biases)
+        found.append(Residual("size", off, (slope @ by_state / marker.radius_std_px)[None], constants))
     return found
 
 

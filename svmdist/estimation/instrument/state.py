@@ -41,9 +41,10 @@ class Linearised:
     @property
     def bias_jacobian(self) -> Array:
         """Derivative by all biases, one beside the other, shape (..., m, k)."""
-        shape = self.residual.shape
+        shapes = [(*self.residual.shape, bias.jacobian.shape[-1]) for bias in self.biases]
         return np.concatenate(
-            [np.broadcast_to(bias.jacobian, (*shape, bias.jacobian.shape[-1])) for bias in self.biases], -1
+            [np.broadcast_to(bias.jacobian, shape) for bias, shape in zip(self.biases, shapes, strict=True)],
+            -1,
         )
 
     def member(self, k: int) -> Linearised:
@@ -175,9 +176,8 @@ class ErrorState:
         self.P = grown
         self._bias_slices[bias.name] = slice(at, at + count)
         self.bias_mean = np.concatenate([self.bias_mean, np.zeros(count)])
-        self._correlation_times_s = np.concatenate(
-            [self._correlation_times_s, np.full(count, bias.correlation_time_s)]
-        )
+        times_s = np.full(count, bias.correlation_time_s)
+        self._correlation_times_s = np.concatenate([self._correlation_times_s, times_s])
 
     def bias(self, name: str) -> float:
         """The mean of a bias of one number, in units of its deviation; 0 for one that is not there."""

@@ -13,15 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.estimation.instrument.consistency import chi_square_bound
-from svmdist.estimation.instrument.measurement import EXACT, Deviations
+from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.shaft_fit import (
     DOUBT_SQUARE,
     GATE_CHI2,
-    ShaftFit,
     by_constants,
+    doubted,
     first_shaft,
     normal_equations,
     normalised_square,
+    pose_at,
     retracted,
 )
 from svmdist.estimation.instrument.shaft_model import (
@@ -42,9 +43,9 @@ from svmdist.estimation.instrument.two_views import (
     TwoViews,
     measurements,
 )
-from svmdist.least_squares import Steps, minimise
+from svmdist.least_squares import NormalEquations, Steps, minimise
 from svmdist.profile.settings import ShaftSettings, StereoSettings
-from svmdist.results import Failure, ToolPose, across_std_rad
+from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse, make_transform
 
 MISTAKEN_EDGE = 0.03  # how often a long edge belongs to something else; decides what to leave out
@@ -67,11 +68,10 @@ ONE_IN_400 = 2.807  # deviations that one in 400 normal numbers exceeds, to one 
 
 @dataclass(frozen=True, slots=True)
 class StereoFit:
-    """The fit, and the measurements that were left out of it because they contradict the rest."""
+    """The tool's pose, and how its disparity stands against the depth by the width of a long shaft."""
 
-    fit: ShaftFit
-    refused: tuple[str, ...]
-    check: DisparityCheck | None = None
+    pose: ToolPose
+    check: DisparityCheck | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,23 +83,18 @@ class _Solution:
     cost: float
     information: Array
 
-    def excess(self, gate_chi2: float) -> dict[str, float]:
+    def excess(self) -> dict[str, float]:
         """Each residual's normalised square over what one in 400 true ones exceeds."""
         return {
-            name: normalised_square(residual) / _bound(gate_chi2, len(residual.whitened))
+            name: normalised_square(residual) / _bound(len(residual.whitened))
             for name, residual in self.found.items()
         }
 
 
 def fit_two_views(
-    seen: TwoViews,
-    model: ShaftModel,
-    deviations: Deviations = EXACT,
-    settings: ShaftSettings | None = None,
-    stereo: StereoSettings | None = None,
+    seen: TwoViews, model: ShaftModel, deviations: Deviations, settings: ShaftSettings, stereo: StereoSettings
 ) -> StereoFit | Failure:
     """The pose that fits most of what both views show; or why there is none."""
-    settings, stereo = settings or ShaftSettings(), stereo or StereoSettings()
     measured = measurements(seen, model, deviations, settings)
     failure = Failure("nothing of the instrument is to be seen")
     whole = _is_disc_in_both(seen)
@@ -107,19 +102,18 @@ def fit_two_views(
         if isinstance(start, Failure):
             failure = start
             continue
-        agreed = _agreeing(start, measured, _penalties(seen), model, GATE_CHI2)
+        agreed = _agreeing(start, measured, _penalties(seen), model)
         found = agreed if isinstance(agreed, Failure) else _fitted(agreed, measured, seen, model)
-        if isinstance(found, StereoFit) and found.fit.pose.position_std_m <= stereo.max_depth_std_m:
+        if isinstance(found, StereoFit) and found.pose.position_std_m <= stereo.max_depth_std_m:
             return found
         if whole and MARKER in measured:
             # A disc at one place in both views is the tool, whatever stands beside it.
             only = {name: measured[name] for name in (MARKER, DISPARITY)}
             alone = _solve(start, only, model)
-            if alone is not None and max(alone.excess(GATE_CHI2).values()) <= 1.0:
+            if alone is not None and max(alone.excess().values()) <= 1.0:
                 return _fitted(alone, measured, seen, model)
         if isinstance(found, StereoFit):
-            std_m = found.fit.pose.position_std_m
-            found = Failure(f"the position is uncertain by {std_m * 1e3:.1f} mm")
+            found = Failure(f"the position is uncertain by {found.pose.position_std_m * 1e3:.1f} mm")
         failure = found
     return failure
 
@@ -132,20 +126,12 @@ def _is_disc_in_both(seen: TwoViews) -> bool:
 def _fitted(
     agreed: _Solution, measured: dict[str, Predicted], seen: TwoViews, model: ShaftModel
 ) -> StereoFit:
-    state = agreed.state
-    tool = BentTool.of(state, model)
-    of_state = np.asarray(np.linalg.inv(agreed.information))
-    covariance = tool.derivative @ of_state @ tool.derivative.T
-    T = state.T
-    pose = ToolPose(tool.T, covariance, T[:3, 2].copy(), across_std_rad(of_state[3:6, 3:6], T[:3, 2]))
-    refused = tuple(name for name in measured if name not in agreed.found)
     check = _check(agreed, measured, seen, model)
-    pose = _with_doubt(pose, measured, agreed, check)
-    return StereoFit(ShaftFit(pose, T, tuple(agreed.found)), refused, check)
+    pose = pose_at(agreed.state, agreed.information, model)
+    return StereoFit(_with_doubt(pose, measured, agreed, check), check)
 
 
 def _has_width(found: Mapping[str, object]) -> bool:
-    """Whether both sides of the shaft in one view are among what was found."""
     return any(all(f"{view} side {side}" in found for side in ("+1", "-1")) for view in VIEWS)
 
 
@@ -192,11 +178,7 @@ def _penalties(seen: TwoViews) -> dict[str, float]:
 
 
 def _agreeing(
-    start: Array,
-    measured: dict[str, Predicted],
-    penalties: dict[str, float],
-    model: ShaftModel,
-    gate_chi2: float,
+    start: Array, measured: dict[str, Predicted], penalties: dict[str, float], model: ShaftModel
 ) -> _Solution | Failure:
     """The fit to all measurements, or to those that are left when as few as needed are refused."""
     kept = dict(measured)
@@ -204,7 +186,7 @@ def _agreeing(
     if solution is None:
         return Failure("the fit to both views does not converge")
     for count in range(MAX_REFUSED + 1):
-        excess = solution.excess(gate_chi2)
+        excess = solution.excess()
         worst = max(excess, key=lambda name: excess[name])
         if excess[worst] <= 1.0:
             return solution
@@ -254,26 +236,22 @@ def first_poses(seen: TwoViews, model: ShaftModel) -> Iterator[Array | Failure]:
 
 
 def _solve(start: Array, measured: dict[str, Predicted], model: ShaftModel) -> _Solution | None:
-    """The state of least squares; None where the measurements are undefined at the start."""
-
     def residuals(state: ShaftState) -> dict[str, Residual]:
         found = {name: predict(state) for name, predict in measured.items()}
         return found | {PRIOR: prior_residual(state, start, model)}
 
-    least = minimise(
-        ShaftState(start, np.zeros(2)),
-        lambda state: normal_equations(list(residuals(state).values())),
-        retracted,
-        STEPS,
-    )
+    def linearised(state: ShaftState) -> NormalEquations:
+        return normal_equations(list(residuals(state).values()))
+
+    least = minimise(ShaftState(start, np.zeros(2)), linearised, retracted, STEPS)
     if least is None:
         return None
     return _Solution(least.state, residuals(least.state), least.equations.cost, least.equations.information)
 
 
-def _bound(gate_chi2: float, count: int) -> float:
+def _bound(count: int) -> float:
     """The gate of two numbers, for as many as a residual has, at one in 400."""
-    return gate_chi2 * chi_square_bound(count, ONE_IN_400) / chi_square_bound(2, ONE_IN_400)
+    return GATE_CHI2 * chi_square_bound(count, ONE_IN_400) / chi_square_bound(2, ONE_IN_400)
 
 
 def _with_doubt(
@@ -294,8 +272,4 @@ def _with_doubt(
             towards = np.concatenate([pose.position_m, np.zeros(5)])  # of a depth that is larger by its whole
             off = float(residual.whitened[0]) / float(residual.derivative[0] @ towards)
             variance = max(variance, off**2)
-    if variance == 0.0:
-        return pose
-    covariance = pose.covariance.copy()
-    covariance[:3, :3] += variance * np.outer(pose.position_m, pose.position_m)
-    return replace(pose, covariance=covariance)
+    return doubted(pose, variance) if variance else pose

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -115,7 +114,6 @@ class DisparityWatch:
     """The last checks of one instrument's disparities."""
 
     def __init__(self) -> None:
-        self._bound = WATCH_BOUND_STDS
         self._checks: deque[DisparityCheck] = deque(maxlen=WATCH_FRAMES)
 
     def add(self, check: DisparityCheck) -> None:
@@ -128,7 +126,7 @@ class DisparityWatch:
         if not self._checks:
             return 0.0
         stds = median(np.array([check.off / check.std for check in self._checks]))
-        if abs(stds) <= self._bound:
+        if abs(stds) <= WATCH_BOUND_STDS:
             return 0.0
         return abs(median(np.array([check.off for check in self._checks])))
 
@@ -168,9 +166,7 @@ def measurements(
     for view, landmarks, camera in views:
         rim, marker = landmarks.shaft.rim, landmarks.marker
         if rim is not None and RIM not in found:
-            found[RIM] = _in_view(
-                partial(_rim, rim=rim, camera=camera, model=model, settings=settings), view, seen, deviations
-            )
+            found[RIM] = _in_view(_rim(rim, camera, model, settings), view, seen, deviations)
         if marker is not None and MARKER not in found:
             found[MARKER] = _in_view(_marker(marker, 0, camera, model, deviations), view, seen, deviations)
         if marker is not None and marker.radius_px is not None and SIZE not in found:
@@ -185,8 +181,8 @@ def _edge(contour: Contour, camera: Camera, model: ShaftModel, deviations: Devia
     return lambda state: contour_residual(contour, whitening, state, model.radius_m, focal_px, deviations)
 
 
-def _rim(state: ShaftState, rim: Rim, camera: Camera, model: ShaftModel, settings: ShaftSettings) -> Residual:
-    return rim_residual(rim, state, model, camera, settings)
+def _rim(rim: Rim, camera: Camera, model: ShaftModel, settings: ShaftSettings) -> Predicted:
+    return lambda state: rim_residual(rim, state, model, camera, settings)
 
 
 def _marker(
@@ -222,8 +218,6 @@ def _in_view(predict: Predicted, view: str, seen: TwoViews, deviations: Deviatio
 
 
 def _disparity(seen: TwoViews, match: StereoMatch, model: ShaftModel, deviations: Deviations) -> Predicted:
-    """The disparity of the marker, about the tool's origin."""
-
     def predict(state: ShaftState) -> Residual:
         tool = BentTool.of(state, model)
         tool_m = tool.T[:3, 3]

@@ -38,22 +38,25 @@ def geman_mcclure(deviation: Array) -> tuple[Array, Array]:
     return deviation / height, 1.0 / height**2
 
 
-@dataclass(frozen=True, slots=True)
-class MeasurementStack:
-    """Measurements that differ in their numbers only: the stack of them, and where each of them is from."""
-
-    measurement: LinkMeasurement
-    frames: NDArray[np.intp]
-    places: NDArray[np.intp]
+Stack = tuple[LinkMeasurement, NDArray[np.intp], NDArray[np.intp]]
+"""Measurements that differ in their numbers only, as one; the frame of each, and its place there."""
 
 
-def stack(frames: Iterable[tuple[LinkMeasurement, ...]]) -> list[MeasurementStack]:
+def stack(frames: Iterable[tuple[LinkMeasurement, ...]]) -> list[Stack]:
     """Sort the measurements of frames into stacks."""
     groups: dict[tuple[object, ...], list[tuple[LinkMeasurement, int, int]]] = {}
     for index, measurements in enumerate(frames):
         for place, measurement in enumerate(measurements):
             groups.setdefault(_kind(measurement), []).append((measurement, index, place))
-    return [_join(members) for members in groups.values()]
+    stacks: list[Stack] = []
+    for members in groups.values():
+        alike, indices, places = zip(*members, strict=True)
+        first: LinkMeasurement = alike[0]
+        stacked = {
+            name: np.stack([np.asarray(getattr(one, name)) for one in alike]) for name in first.STACKED
+        }
+        stacks.append((replace(first, **stacked), np.array(indices), np.array(places)))
+    return stacks
 
 
 def _kind(measurement: LinkMeasurement) -> tuple[object, ...]:
@@ -69,40 +72,11 @@ def _kind(measurement: LinkMeasurement) -> tuple[object, ...]:
     return tuple(key)
 
 
-def _join(members: list[tuple[LinkMeasurement, int, int]]) -> MeasurementStack:
-    measurements, frames, places = zip(*members, strict=True)
-    first = measurements[0]
-    stacked = {
-        name: np.stack([np.asarray(getattr(measurement, name)) for measurement in measurements])
-        for name in first.STACKED
-    }
-    joined: LinkMeasurement = replace(first, **stacked)
-    return MeasurementStack(joined, np.array(frames), np.array(places))
-
-
 FIRST_DAMPING = 1e-4
 MAX_TIME_STEPS = 4
 # A joint that turns at 1 rad/s with 10 rad/s² leaves its tangent by 5 µrad within as long
 TIME_SETTLED_S = 1e-3
 COST_SETTLED = 1e-3  # A step that lowers a sum of squares by less moves nothing that a deviation would notice
-
-
-@dataclass(frozen=True, slots=True)
-class MeasurementsAt:
-    """The measurements of one frame, and the robot's state there."""
-
-    robot: RobotState
-    measurements: tuple[LinkMeasurement, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class WeightedFrame:
-    """What of a frame is visible, linearised, with the weights that a robust loss gives."""
-
-    robot: RobotState
-    measurements: tuple[LinkMeasurement, ...]
-    parts: tuple[Linearised, ...]
-    weights: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,17 +107,17 @@ class Window:
         self._prior = prior
         self._settings = settings
         self._prior_information = np.asarray(np.linalg.inv(prior + 1e-14 * np.eye(len(prior))), np.float64)
-        self._frames: list[MeasurementsAt] = []
-        self._stacks: list[MeasurementStack] = []
+        self._frames: list[tuple[RobotState, tuple[LinkMeasurement, ...]]] = []
+        self._stacks: list[Stack] = []
         self._nominal: NominalFrames | None = None
         self._time_offset_s = 0.0
 
     def __len__(self) -> int:
         return len(self._frames)
 
-    def add(self, frame: MeasurementsAt) -> None:
+    def add(self, robot: RobotState, measurements: tuple[LinkMeasurement, ...]) -> None:
         """Keep what one frame showed."""
-        self._frames.append(frame)
+        self._frames.append((robot, measurements))
         self._nominal = None
 
     def solve(self, start: Correction) -> Correction | None:
@@ -186,26 +160,20 @@ class Window:
         """The error state about a correction that leads to the prior's mean, shape (n,)."""
         return np.asarray(-np.linalg.solve(_tangent(at), at.vector()))
 
-    def linearised(self, at: Correction) -> Iterator[WeightedFrame]:
-        """Every frame's measurements about a correction with weights, without what is not visible or far off."""
+    def linearised(self, at: Correction) -> Iterator[tuple[RobotState, list[Linearised], list[float]]]:
+        """Each frame's measurements about a correction with weights, without what is not visible or far off."""
         found: dict[tuple[int, int], tuple[Linearised, float]] = {}
-        for members, weighed in self._weighed(at):
+        for (_, frames, places), weighed in self._weighed(at):
             weights = geman_mcclure(weighed.deviation)[1]
-            for k, (frame, place) in enumerate(zip(members.frames, members.places, strict=True)):
+            for k, place in enumerate(zip(frames, places, strict=True)):
                 # What the batch's solution does not explain is no noise, however large: it is left out.
                 if weighed.visible[k] and weighed.deviation[k] <= WINDOW_MAX_DEVIATION:
-                    found[int(frame), int(place)] = weighed.part.member(k), float(weights[k])
-        for index, frame in enumerate(self._frames):
-            visible = [place for place in range(len(frame.measurements)) if (index, place) in found]
-            yield WeightedFrame(
-                frame.robot,
-                tuple(frame.measurements[place] for place in visible),
-                tuple(found[index, place][0] for place in visible),
-                tuple(found[index, place][1] for place in visible),
-            )
+                    found[place] = weighed.part.member(k), float(weights[k])
+        for index, (robot, measurements) in enumerate(self._frames):
+            kept = [found[index, place] for place in range(len(measurements)) if (index, place) in found]
+            yield robot, [part for part, _ in kept], [weight for _, weight in kept]
 
     def _descend(self, start: Correction, loss: Loss) -> Minimum[Correction] | None:
-        """The minimum from a start; None where something is not visible there."""
         steps = Steps(WINDOW_MAX_STEPS, damping=FIRST_DAMPING, cost_settled=COST_SETTLED)
         return minimise(start, lambda at: self._normal(at, loss), Correction.retract, steps)
 
@@ -228,19 +196,16 @@ class Window:
             gradient += WH.T @ weighed.part.residual.ravel()
         return NormalEquations(cost, gradient, information)
 
-    def _weighed(self, at: Correction) -> Iterator[tuple[MeasurementStack, _Weighed]]:
-        """The stacks of measurements about a correction."""
+    def _weighed(self, at: Correction) -> Iterator[tuple[Stack, _Weighed]]:
         if self._nominal is None:
-            robots = [frame.robot.shifted(self._time_offset_s) for frame in self._frames]
+            robots = [robot.shifted(self._time_offset_s) for robot, _ in self._frames]
             self._nominal = self._model.nominal_of_many(robots)
-            self._stacks = stack(frame.measurements for frame in self._frames)
+            self._stacks = stack(measurements for _, measurements in self._frames)
         links = self._model.links(self._nominal, at, self._anchor_m)
         for members in self._stacks:
-            link = links.link(members.measurement.link)
-            rows = members.frames
-            part = linearise(
-                members.measurement, CorrectedLink(link.T_camera_link[rows], link.derivative[rows])
-            )
+            measurement, rows, _ = members
+            link = links.link(measurement.link)
+            part = linearise(measurement, CorrectedLink(link.T_camera_link[rows], link.derivative[rows]))
             visible = np.asarray(np.isfinite(part.residual).all(-1))
             H = part.H[..., self._model.columns.play]
             play = self._model.play_covariance[self._model.columns.play, self._model.columns.play]

@@ -51,7 +51,7 @@ class StoredScore(_Stored, extra="allow"):
 
     @property
     def key(self) -> tuple[str, str, str, str]:
-        """What the figures are of."""
+        """Recording, method, equations and reference of the figures."""
         return self.recording, self.method, self.equations, self.reference
 
 
@@ -97,10 +97,7 @@ def make_baseline(validation: Validation) -> Baseline:
 
 
 def require_same_alarms(baseline: Baseline, asked: AlarmRules | None) -> None:
-    """Refuse to compare alarms that were raised by other rules; raises UsageError that names the stored ones.
-
-    Alarms that are asked for and not stored are scored and compared with nothing.
-    """
+    """Raise UsageError for stored alarms that were raised by other rules."""
     stored = baseline.alarms
     if stored is not None and stored != _stored_rules(asked):
         raise UsageError(
@@ -113,7 +110,7 @@ def find_regressions(validation: Validation, baseline: Baseline, *, complete: bo
     """Compare a validation with the stored figures of the same method and equations.
 
     With `complete`, all of them must be there; without, those of other recordings (and the overall ones) are skipped.
-    Raises RecordingError where nothing can be compared, since a check that checks nothing must not pass.
+    Raises RecordingError where nothing can be compared.
     """
     found = {score.key: score for score in map(_stored, (*validation.scores, *validation.overall))}
     setups = {(score.method, score.equations) for score in found.values()}

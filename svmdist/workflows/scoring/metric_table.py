@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import Flag, StrEnum, auto
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -55,10 +56,9 @@ class Tolerance(BaseModel):
 class Metric:
     """One metric of a score, or of a part of it; `key` is its name in CSV, JSON and baselines.
 
-    A baseline stores it where it has a `tolerance`, which needs `better`. Of a metric of the three distances,
-    `outputs` and `tolerance` are those of the planar distance, and those `in_3d` are of the other two, whose keys
-    begin with `spatial_` and `clearance_`. `title` and `narrow_title` head its columns. `group` is the distance that
-    it is of; `is_late` moves its columns behind all others, where new columns belong.
+    A baseline stores it where it has a `tolerance`, which needs `better`. Of a metric of the three distances (`group`),
+    those `in_3d` are of the spatial distance and the clearance. `is_late` moves its columns behind all others, where
+    new columns belong.
     """
 
     key: str
@@ -123,18 +123,14 @@ IN_3D = SCORES | REPLAY
 R_SQUARED_TOLERANCE = Tolerance(absolute=0.002)
 RMSE_TOLERANCE = Tolerance(absolute=2e-5, relative=0.02)
 P95_TOLERANCE = Tolerance(absolute=5e-5, relative=0.05)
-COVERAGE_TOLERANCE = Tolerance(absolute=0.0)
 ALARM_TOLERANCE = Tolerance(absolute=0.005)
-
-KUENSCH = "moving-block bootstrap, Künsch 1989"
-
 
 # fmt: off
 FRAME_COUNT = Metric(
     "frame_count", COUNT, lambda s: s.frame_count, "Number of frames.", outputs=SCORES | FIGURES)
 COVERAGE = Metric(
     "coverage", SHARE, lambda s: s.coverage, "Share of the frames that were measured.",
-    HIGHER, "cov. %", SCORE_TABLE | REPLAY, COVERAGE_TOLERANCE)
+    HIGHER, "cov. %", SCORE_TABLE | REPLAY, Tolerance(absolute=0.0))
 
 COUNTS = (
     Metric("sample_count", COUNT, lambda s: s.sample_count, "Measured frames with a truth.",
@@ -181,16 +177,18 @@ FRAMES = (
     FRAME_COUNT,
     Metric("unpaired_count", COUNT, lambda s: s.unpaired_count, "Measured frames without a truth."),
 )
-RMSE_BOUNDS = (
-    Metric("rmse_low_m", LENGTH, lambda i: i.low, "Lower bound of the 95 % interval of `rmse_m`.", source=KUENSCH),
-    Metric("rmse_high_m", LENGTH, lambda i: i.high, "Upper bound of the 95 % interval of `rmse_m`.", source=KUENSCH),
-)
-R_SQUARED_BOUNDS = (
-    Metric("r_squared_low", RATIO, lambda i: i.low, "Lower bound of the 95 % interval of `r_squared`.",
-           source=KUENSCH),
-    Metric("r_squared_high", RATIO, lambda i: i.high, "Upper bound of the 95 % interval of `r_squared`.",
-           source=KUENSCH),
-)
+
+def bounds(key: str, unit: Unit) -> list[Metric]:
+    """Metrics of a bootstrap interval of a metric, which is a part of scores."""
+    name, suffix = key.removesuffix("_m"), "_m" if key.endswith("_m") else ""
+    declared = [
+        Metric(f"{name}_{side}{suffix}", unit, attrgetter(side), f"{word} bound of the 95 % interval of `{key}`.",
+               source="moving-block bootstrap, Künsch 1989")
+        for side, word in (("low", "Lower"), ("high", "Upper"))
+    ]
+    return of_part(declared, f"{name}_interval{suffix}")
+
+
 MARKS = (
     Metric("fitted_on", COUNT, lambda s: s.fitted_on,
            "Whether the calibration was fitted on this log, which is then left out of the overall score."),
@@ -259,8 +257,8 @@ def score_metrics() -> list[Metric]:
         *COUNTS,
         *of_distance(ERRORS, "planar"),
         *FRAMES,
-        *of_part(RMSE_BOUNDS, "rmse_interval_m"),
-        *of_part(R_SQUARED_BOUNDS, "r_squared_interval"),
+        *bounds("rmse_m", LENGTH),
+        *bounds("r_squared", RATIO),
         *MARKS,
         *of_part(LAG, "lag"),
         *of_part(UNCORRECTED, "uncorrected"),

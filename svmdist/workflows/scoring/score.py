@@ -36,6 +36,8 @@ from svmdist.transforms import Array, Stamps
 from svmdist.workflows.request import Setup
 from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth, truth_follows_images
 
+BOOTSTRAP_SEED = 36
+
 
 @dataclass(frozen=True, slots=True)
 class Distance:
@@ -69,22 +71,12 @@ class Pairs:
     std_m: Array
 
     def __len__(self) -> int:
-        """Count the pairs."""
         return len(self.stamps_ns)
-
-    @property
-    def interval_coverage(self) -> float | None:
-        """Share of truths inside the estimated 95 % interval; None without standard deviations."""
-        known = np.isfinite(self.std_m)
-        return interval_coverage(self.estimate_m[known], self.truth_m[known], self.std_m[known])
 
 
 @dataclass(frozen=True, slots=True)
 class DistanceScore:
-    """Error figures of one of the three distances in m, and the share of truths inside the 95 % interval.
-
-    `interval_coverage` is None for a method without standard deviations.
-    """
+    """Error figures of a distance in m, and the share of truths inside the 95 % interval (None without intervals)."""
 
     statistics: ErrorStatistics
     interval_coverage: float | None
@@ -103,7 +95,6 @@ class Readings:
             self.add(row)
 
     def __len__(self) -> int:
-        """Count the rows."""
         return len(self._stamps_ns)
 
     def add(self, row: FrameResult) -> None:
@@ -139,7 +130,7 @@ class Readings:
 
     @property
     def _table(self) -> Array:
-        # Shape (n, 1 + distances, 2): the tool's pixel, then value and deviation of each distance.
+        """Shape (n, 1 + distances, 2): the tool's pixel, then value and deviation of each distance."""
         return np.array(self._numbers, np.float64).reshape(-1, 1 + len(self._distances), 2)
 
 
@@ -151,8 +142,11 @@ def pooled(parts: Sequence[Pairs]) -> Pairs:
 
 def score_pairs(pairs: Pairs) -> DistanceScore | None:
     """The figures of pairs; None for no pairs."""
-    statistics = error_statistics(pairs.estimate_m, pairs.truth_m)
-    return DistanceScore(statistics, pairs.interval_coverage, pairs) if statistics else None
+    statistics, known = error_statistics(pairs.estimate_m, pairs.truth_m), np.isfinite(pairs.std_m)
+    if statistics is None:
+        return None
+    held = interval_coverage(pairs.estimate_m[known], pairs.truth_m[known], pairs.std_m[known])
+    return DistanceScore(statistics, held, pairs)
 
 
 def pooled_score(parts: Sequence[DistanceScore | None]) -> DistanceScore | None:
@@ -162,10 +156,7 @@ def pooled_score(parts: Sequence[DistanceScore | None]) -> DistanceScore | None:
 
 
 def require_clearance(method: str, profile: Profile | None = None) -> None:
-    """Refuse alarms where no clearance is estimated: no alarm would ever be raised, which looks like safety.
-
-    Raises UsageError that names the methods that estimate one, and ProfileError for a profile without [instrument].
-    """
+    """Refuse alarms where no clearance is estimated: no alarm would ever be raised, which looks like safety."""
     if method in PLANAR_METHODS:
         raise UsageError(
             f"alarms need a clearance, and {method} measures in the plane: the choices are"
@@ -182,35 +173,26 @@ def score_alarms(
 ) -> AlarmStatistics:
     """Score the alarms that all rows of a recording raise, measured or not, with the truth at their stamps.
 
-    A row without a clearance raises no alarm, which misses one where the frame is unsafe. Frames whose true
-    clearance is not known are left out. Raises RecordingError where those are all frames.
+    Frames whose true clearance is not known are left out; raises RecordingError where those are all frames.
     """
     known = truth.valid & np.isfinite(truth.clearance_m)
     if not known.any():
         raise RecordingError("there is no frame with a true clearance to score alarms against")
-    watch = AlarmWatch(rules)
-    order = np.argsort(stamps_ns, kind="stable")
-    states = [watch.watch(rows[index]).alarm for index in order]
-    alarms = np.array([state is True for state in states], np.bool_)
-    judged = np.array([state is not None for state in states], np.bool_)
-    kept = known[order]
-    seconds = (stamps_ns[order] - stamps_ns[order[0]])[kept] / 1e9
-    return alarm_statistics(
-        seconds, alarms[kept], truth.clearance_m[order][kept], rules.below_m, judged[kept]
-    )
-
-
-BOOTSTRAP_SEED = 36
+    watch, order = AlarmWatch(rules), np.argsort(stamps_ns, kind="stable")
+    states = {index: watch.watch(rows[index]).alarm for index in order.tolist()}
+    kept = order[known[order]].tolist()
+    seconds = (stamps_ns[kept] - stamps_ns[order[0]]) / 1e9
+    alarms, judged = [states[at] is True for at in kept], [states[at] is not None for at in kept]
+    return alarm_statistics(seconds, alarms, truth.clearance_m[kept], rules.below_m, judged)
 
 
 @dataclass(frozen=True)
 class Score:
     """The score of one method on one recording, or on all of them, against one reference.
 
-    `pairs` are of the planar distance. `rejected` counts the frames that could not be measured, by reason. `lag` was
-    subtracted from the image stamps before pairing; `uncorrected` are the planar figures without that. `spatial` and
-    `clearance` are None where method or reference does not have them; `alarms` where no rules were given.
-    `fitted_on` says that the calibration was fitted on this recording.
+    `pairs` are of the planar distance. `rejected` counts the frames that could not be measured, by reason. `fitted_on`
+    says that the calibration was fitted on this recording. `lag` was subtracted from the image stamps before pairing;
+    `uncorrected` are the planar figures without that.
     """
 
     recording: str
@@ -227,8 +209,7 @@ class Score:
     clearance: DistanceScore | None = None
     alarms: AlarmStatistics | None = None
     instrument: str = ""
-    start_ns: int = 0
-    """Stamp of the first image of the log."""
+    start_ns: int = 0  # stamp of the first image of the log
 
     @cached_property
     def planar(self) -> DistanceScore | None:
@@ -324,10 +305,7 @@ def score_rows(
 
 
 def pool_scores(scores: Sequence[Score], first_instrument: str = "") -> Score:
-    """One score over the pairs of several scores of one instrument: every frame counts the same.
-
-    It is called `overall`, with the instrument's name unless that is the first.
-    """
+    """One score `overall` over the pairs of several scores of one instrument: every frame counts the same."""
     # By name: the bootstrap draws blocks of neighbours, and the order of logs must not change its result.
     scores = sorted(scores, key=lambda score: (score.recording, score.pairs.stamps_ns[:1].tolist()))
     instrument = scores[0].instrument

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +16,12 @@ from svmdist.estimation.plane_mapping import Equations
 from svmdist.kinematics.dh import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
-from svmdist.tracks import MAX_GAP_NS, PoseTrack, Sampled, SampledDistances, TransformTrack
+from svmdist.tracks import MAX_GAP_NS, Sampled, SampledDistances
 
 KINEMATICS_PRINTED_NOTE = (
     "eq. (28) as printed is the zero matrix, which makes (31) zero everywhere: the identity stands in for it;"
     " eq. (30) as printed is a reflection; eqs. (33), (34) as printed divide metres by 100 and are 10^4 too small"
 )
-
-
 MAX_CLOCK_STAMPS = 500
 """So many moments tell on which of two clocks the truth is."""
 
@@ -42,19 +41,13 @@ class Reference(StrEnum):
 
 PoseAt = Callable[[NDArray[np.int64]], Sampled]
 """Stamps, shape (n,), to poses, shape (n, 4, 4), and which of them are known."""
-
 FramePair = tuple[str, str]
 """Parent and child frame of a transform."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruthRules:
-    """Which references to use, and where their parts come from.
-
-    `references` None means: every one the log has, of ground truth and kinematics; of tf instead of ground
-    truth where its frames are named. `tool_frames` and `tissue_frames` name transforms from the camera
-    (parent, child) to tool and tissue.
-    """
+    """Which references to use (None: all of the log), and the frames (parent, child) of tool and tissue."""
 
     references: tuple[Reference, ...] | None = None
     tool_frames: FramePair | None = None
@@ -77,14 +70,15 @@ def truth_rules(
     references: tuple[Reference, ...] | None,
     max_gap_ns: int = MAX_GAP_NS,
 ) -> TruthRules:
-    """Make rules from `parent:child` texts: the child that is the profile's tissue frame is the tissue.
-
-    With two pairs and neither child the profile's tissue, the first is the tool, the second the tissue.
-    Raises UsageError for a text of another form.
-    """
-    frames = [_parse_pair(pair) for pair in pairs]
-    if len(frames) > 2:
-        raise UsageError(f"--truth-tf names the tool and the tissue: two at most, found {len(frames)}")
+    """Make rules from `parent:child` texts: the tissue is the child of that name in the profile, or the second one."""
+    if len(pairs) > 2:
+        raise UsageError(f"--truth-tf names the tool and the tissue: two at most, found {len(pairs)}")
+    frames = []
+    for text in pairs:
+        parent, _, child = text.partition(":")
+        if not (parent and child) or ":" in child:
+            raise UsageError(f"--truth-tf {text}: expected PARENT:CHILD, as in camera:tool")
+        frames.append((parent, child))
     tissue = next((pair for pair in frames if pair[1] == profile.frames.tissue), None)
     if tissue is None and len(frames) == 2:
         tissue = frames[1]
@@ -100,45 +94,64 @@ def distance_truth(
     equations: Equations = "corrected",
     rules: TruthRules | None = None,
 ) -> SampledDistances:
-    """Distances between tool and tissue by a reference, interpolated to stamps, never extrapolated.
+    """Distances between tool and tissue by a reference, interpolated to stamps; what it does not give is NaN.
 
-    Only the simulator's truth knows a clearance, and the printed equations know no third dimension: what a
-    reference cannot tell is NaN. Raises RecordingError or KinematicsError where the log has no such reference.
+    Raises RecordingError or KinematicsError where the log has no such reference.
     """
     rules = rules or TruthRules()
+    unknown_m = np.full(len(stamps_ns), np.nan)
     if reference is Reference.GROUND_TRUTH:
         return recording.distance_track().at(stamps_ns, rules.max_gap_ns)
     if reference is Reference.KINEMATICS and equations == "printed":
-        return _from_printed_kinematics(recording, profile, stamps_ns, rules)
+        # eqs. (33)–(35) as published, on the tool in the base frame, which the identity for (28) leaves. The
+        # translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
+        tool = _kinematic_poses(recording, profile, rules.max_gap_ns)(stamps_ns)
+        displacement_cm = paper.displacement_cm_as_published(tool.values[:, :3, 3])
+        planar_m = paper.planar_distance_cm(displacement_cm) / 100.0
+        return SampledDistances(planar_m, unknown_m, unknown_m, tool.valid)
     tool = tool_track(recording, profile, reference, rules)(stamps_ns)
-    tissue = _tissue_track(recording, profile, rules).at(stamps_ns, rules.max_gap_ns)
+    frames = profile.frames
+    tissue_track = (
+        recording.transform_track(*rules.tissue_frames)
+        if rules.tissue_frames
+        else recording.transform_track(frames.camera, frames.tissue, ground_truth=True)
+    )
+    tissue = tissue_track.at(stamps_ns, rules.max_gap_ns)
     tool_m, tissue_m = tool.values[:, :3, 3], tissue.values[:, :3, 3]
     planar_m = paper.planar_distance_cm(paper.displacement_cm_corrected(tool_m, tissue_m)) / 100.0
     spatial_m = np.linalg.norm(tissue_m - tool_m, axis=-1)
-    return SampledDistances(planar_m, spatial_m, np.full(len(stamps_ns), np.nan), tool.valid & tissue.valid)
+    return SampledDistances(planar_m, spatial_m, unknown_m, tool.valid & tissue.valid)
 
 
 def tool_track(
     recording: Recording, profile: Profile, reference: Reference, rules: TruthRules | None = None
 ) -> PoseAt:
-    """`T_camera_tool` by a reference, as a function of stamps, shape (n,), to values of shape (n, 4, 4).
-
-    The log is read once, here. Raises RecordingError or KinematicsError where it has no such reference.
-    """
+    """`T_camera_tool` by a reference; raises RecordingError or KinematicsError where the log has no such one."""
     rules = rules or TruthRules()
     frames, gap_ns = profile.frames, rules.max_gap_ns
-    if reference is Reference.GROUND_TRUTH:
-        return _at(recording.transform_track(frames.camera, frames.tool, ground_truth=True), gap_ns)
-    if reference is Reference.TF:
-        return _at(recording.transform_track(*(rules.tool_frames or (frames.camera, frames.tool))), gap_ns)
+    if reference in (Reference.GROUND_TRUTH, Reference.TF):
+        is_truth = reference is Reference.GROUND_TRUTH
+        pair = (not is_truth and rules.tool_frames) or (frames.camera, frames.tool)
+        return partial(recording.transform_track(*pair, ground_truth=is_truth).at, max_gap_ns=gap_ns)
     if reference is Reference.POSE:
         poses = recording.pose_track()
-        return _in_camera(recording, profile, poses.frame_id, _at(poses, gap_ns), gap_ns)
-    return _in_camera(recording, profile, frames.base, kinematic_track(recording, profile, gap_ns), gap_ns)
+        frame: str = poses.frame_id
+        in_frame: PoseAt = partial(poses.at, max_gap_ns=gap_ns)
+    else:
+        frame, in_frame = frames.base, _kinematic_poses(recording, profile, gap_ns)
+    if frame == frames.camera:
+        return in_frame
+    nominal = recording.transform_track(frames.camera, frame)
+
+    def in_camera(stamps_ns: NDArray[np.int64]) -> Sampled:
+        T_camera_frame, T_frame_tool = nominal.at(stamps_ns, gap_ns), in_frame(stamps_ns)
+        return Sampled(T_camera_frame.values @ T_frame_tool.values, T_camera_frame.valid & T_frame_tool.valid)
+
+    return in_camera
 
 
-def kinematic_track(recording: Recording, profile: Profile, max_gap_ns: int = MAX_GAP_NS) -> PoseAt:
-    """`T_base_tool` by DH kinematics of the measured joints, eq. (31), as a function of stamps."""
+def _kinematic_poses(recording: Recording, profile: Profile, max_gap_ns: int) -> PoseAt:
+    """`T_base_tool` by DH kinematics of the measured joints, eq. (31)."""
     if profile.robot is None:
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)
@@ -178,48 +191,3 @@ def truth_follows_images(recording: Recording, profile: Profile) -> bool:
     errors = [found.values[known, :3, 3] - expected for found in moments]
     with_images, with_robot = (float(np.mean(np.var(error, axis=0))) for error in errors)
     return with_images < with_robot
-
-
-def _at(track: TransformTrack | PoseTrack, max_gap_ns: int) -> PoseAt:
-    return lambda stamps_ns: track.at(stamps_ns, max_gap_ns)
-
-
-def _in_camera(recording: Recording, profile: Profile, frame: str, tool: PoseAt, max_gap_ns: int) -> PoseAt:
-    """From a frame to the camera, by the nominal transforms of the log."""
-    if frame == profile.frames.camera:
-        return tool
-    camera_frame = recording.transform_track(profile.frames.camera, frame)
-
-    def at(stamps_ns: NDArray[np.int64]) -> Sampled:
-        T_camera_frame, T_frame_tool = camera_frame.at(stamps_ns, max_gap_ns), tool(stamps_ns)
-        return Sampled(T_camera_frame.values @ T_frame_tool.values, T_camera_frame.valid & T_frame_tool.valid)
-
-    return at
-
-
-def _tissue_track(recording: Recording, profile: Profile, rules: TruthRules) -> TransformTrack:
-    """From the named transform, else from the simulator's truth."""
-    if rules.tissue_frames is not None:
-        return recording.transform_track(*rules.tissue_frames)
-    return recording.transform_track(profile.frames.camera, profile.frames.tissue, ground_truth=True)
-
-
-def _from_printed_kinematics(
-    recording: Recording, profile: Profile, stamps_ns: NDArray[np.int64], rules: TruthRules
-) -> SampledDistances:
-    """eqs. (33)–(35) as published, on the tool in the base frame, which the identity for (28) leaves.
-
-    The translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
-    """
-    T_base_tool = kinematic_track(recording, profile, rules.max_gap_ns)(stamps_ns)
-    displacement_cm = paper.displacement_cm_as_published(T_base_tool.values[:, :3, 3])
-    planar_m = paper.planar_distance_cm(displacement_cm) / 100.0
-    unknown_m = np.full(len(stamps_ns), np.nan)
-    return SampledDistances(planar_m, unknown_m, unknown_m, T_base_tool.valid)
-
-
-def _parse_pair(text: str) -> FramePair:
-    parent, colon, child = text.partition(":")
-    if not (parent and colon and child) or ":" in child:
-        raise UsageError(f"--truth-tf {text}: expected PARENT:CHILD, as in camera:tool")
-    return parent, child

@@ -10,7 +10,6 @@ from pydantic import ValidationError
 
 from svmdist.errors import RecordingError
 from svmdist.workflows.scoring.baseline import (
-    Baseline,
     StoredScore,
     Tolerance,
     load_baseline,
@@ -70,15 +69,3 @@ def test_what_is_no_baseline_is_one_line(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(RecordingError, match=r"b\.json: not a baseline of schema svmdist\.baseline/1"):
         load_baseline(path)
-
-
-def test_a_tolerance_is_the_larger_of_two() -> None:
-    """Absolute 0.1 and 10 % of 2 allow a loss of 0.2."""
-    tolerance = Tolerance(absolute=0.1, relative=0.1)
-    assert tolerance.allows(0.2, 2.0)
-    assert not tolerance.allows(0.21, 2.0)
-    assert tolerance.allows(0.1, 0.0)
-    assert (
-        Baseline.model_validate({"schema": "svmdist.baseline/1", "tolerances": {}, "scores": ()}).alarms
-        is None
-    )

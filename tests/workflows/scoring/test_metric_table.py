@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,7 +23,6 @@ from svmdist.report.scores import (
 from svmdist.report.tables import csv_lines, keys_of, render
 from svmdist.workflows.compare import Figures, Group, MethodScore
 from svmdist.workflows.scoring import metric_table
-from svmdist.workflows.scoring.baseline import Baseline, find_regressions, make_baseline
 from svmdist.workflows.scoring.metric_table import (
     EVERYWHERE,
     IN_3D,
@@ -34,7 +32,6 @@ from svmdist.workflows.scoring.metric_table import (
     Output,
     Tolerance,
     figure_metrics,
-    of_part,
     score_metrics,
 )
 from svmdist.workflows.scoring.score import Pairs, Score, score_pairs
@@ -156,21 +153,3 @@ def test_a_new_metric_stands_in_replays(added: str) -> None:
     assert results.keys[-4:] == ("instrument", added, f"spatial_{added}", f"clearance_{added}")
     assert [{*row} for row in results.rows] == [{*results.keys}]
     assert render(results.tables[0]).count("p99") == 3
-
-
-def test_a_new_metric_is_in_baselines(added: str) -> None:
-    """It is stored with its tolerance and read again, and a loss of it is found."""
-    stored = make_baseline(validation())
-    assert stored.tolerances[added] == Tolerance(absolute=1e-5)
-    stored = Baseline.model_validate_json(json.dumps(stored.model_dump(mode="json", by_alias=True)))
-    assert stored.scores[0].figures[added] == pytest.approx(np.percentile(1e-3 * np.arange(20), 99))
-    assert find_regressions(validation(), stored, complete=True) == []
-    assert added in {r.metric for r in find_regressions(validation(2e-3), stored, complete=True)}
-
-
-def test_a_part_that_is_missing_has_no_figures() -> None:
-    """A metric of a part is None where the whole lacks the part, and the part's own where it has it."""
-    half = Metric("half", LENGTH, lambda value: value / 2, "Half of it.")
-    (of_first,) = of_part([half], "part")
-    assert of_first.of(SimpleNamespace(part=3.0)) == 1.5
-    assert of_first.of(SimpleNamespace(part=None)) is None
