@@ -19,7 +19,7 @@ from svmdist.results import FrameResult
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.estimate import estimate as _estimate
-from svmdist.workflows.lag import with_lag
+from svmdist.workflows.estimate import with_lag
 from svmdist.workflows.request import Lag, OwnMethod, Request, Setup, prepare
 from svmdist.workflows.scoring.truth import TruthRules
 from svmdist.workflows.validate import Validation

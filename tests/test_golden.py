@@ -16,7 +16,7 @@ from svmdist.estimation.plane_mapping import load_calibration
 from svmdist.profile import load_profile, profile_path
 from svmdist.recording.log import open_recording
 from svmdist.workflows.calibrate import collect_part, fit_parts
-from svmdist.workflows.lag import predictor
+from svmdist.workflows.estimate import predictor
 from svmdist.workflows.scoring.baseline import find_regressions, load_baseline
 from svmdist.workflows.scoring.score import Score
 from svmdist.workflows.scoring.truth import Reference, tool_track

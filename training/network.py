@@ -225,7 +225,7 @@ def predicted(net: InstrumentNet, images_bgr: Array) -> Array:
     full = functional.interpolate(
         torch.from_numpy(scores), scale_factor=2.0, mode="bilinear", align_corners=False
     )
-    return full.argmax(1).numpy().astype(np.uint8)
+    return np.asarray(full.argmax(1).numpy(), np.uint8)
 
 
 def export(net: InstrumentNet, path: Path) -> None:

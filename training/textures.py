@@ -106,7 +106,7 @@ def wandering(rng: np.random.Generator, size: Size, bend: float) -> Array:
     """Points, shape (24, 2) of int32, of a line that turns by about `bend` rad a step."""
     headings = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0.0, bend, 24))
     steps = np.stack([np.cos(headings), np.sin(headings)], -1) * size[1] * rng.uniform(0.005, 0.03)
-    return np.rint(rng.uniform(0.0, 1.0, 2) * size[::-1] + np.cumsum(steps, axis=0)).astype(np.int32)
+    return np.asarray(np.rint(rng.uniform(0.0, 1.0, 2) * size[::-1] + np.cumsum(steps, axis=0)), np.int32)
 
 
 def _vessels(rng: np.random.Generator, scene: Array) -> None:

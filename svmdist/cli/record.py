@@ -12,7 +12,7 @@ from svmdist.cli.output import LOG, ExitCode, progress_bar, require_output
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
-    from svmdist.workflows.episodes import Episodes
+    from svmdist.workflows.record import Episodes
 
 
 class RecordOptions(Options):
@@ -110,8 +110,7 @@ def record_command(given: RecordOptions) -> None:
     from svmdist.profile import load_profile
     from svmdist.simulation import scene
     from svmdist.simulation.scenarios import Scenario
-    from svmdist.workflows.episodes import Episodes
-    from svmdist.workflows.record import record
+    from svmdist.workflows.record import Episodes, record
 
     if given.renderer != "tiny":
         raise UsageError(f"--renderer {given.renderer}: images are drawn by tiny only; leave the option out")
@@ -156,7 +155,7 @@ def record_command(given: RecordOptions) -> None:
 
 
 def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | None) -> ExitCode:
-    from svmdist.workflows.episodes import episode_paths, record_episodes
+    from svmdist.workflows.record import episode_paths, record_episodes
 
     scenario = episodes.scenario
     paths = episode_paths(output, scenario.name, scenario.seed, count)

@@ -12,8 +12,7 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.recording.log import Recording
-from svmdist.workflows.estimate import Keep, Measured, estimate
-from svmdist.workflows.lag import recording_lag, with_lag
+from svmdist.workflows.estimate import Keep, Measured, estimate, recording_lag, with_lag
 from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.request import Request
 from svmdist.workflows.scoring.score import Score, pool_scores, require_clearance, score_rows

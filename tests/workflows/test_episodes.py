@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.errors import UsageError
-from svmdist.workflows.episodes import episode_paths
+from svmdist.workflows.record import episode_paths
 from tests.cli.conftest import Cli, cli  # noqa: F401  (a fixture)
 
 

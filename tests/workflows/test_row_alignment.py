@@ -16,8 +16,8 @@ from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, ImageSample
 from svmdist.workflows import replay
+from svmdist.workflows.replay import row_offset, row_offset_to_remove_px
 from svmdist.workflows.request import prepare
-from svmdist.workflows.row_alignment import row_offset, row_offset_to_remove_px
 
 CAMERA = Camera.from_horizontal_fov(420, 280, np.pi / 3)
 BASELINE_M = 0.005
@@ -54,7 +54,7 @@ def test_the_offset_of_a_log_is_found(
 ) -> None:
     """To a tenth of a pixel; none, or less than half a pixel, is left alone."""
     recording = open_recording(log(tmp_path / "pair.mcap", rows_px), PROFILE)
-    monkeypatch.setattr("svmdist.workflows.row_alignment.ROW_STRIDE", 2)
+    monkeypatch.setattr("svmdist.workflows.replay.ROW_STRIDE", 2)
     found = row_offset(recording, PROFILE)
     assert found is not None
     assert found.px == pytest.approx(rows_px, abs=0.1)
