@@ -17,7 +17,7 @@ from svmdist.recording.log import Recording, open_recording
 from svmdist.workflows.compare import Run, measure_runs
 from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.request import prepare
-from svmdist.workflows.scoring.score import Pairs, pooled
+from svmdist.workflows.scoring.score import Pairs, pooled_score
 
 METHODS = ("fiducial", "shaft", "stereo", "fused")
 WORLDS = (
@@ -69,13 +69,10 @@ def _cell(runs: Sequence[Run]) -> str:
     inconsistent = sum(run.statuses.get("inconsistent", 0) for run in runs) / sum(
         run.figures.frame_count for run in runs
     )
-    scored = [run.figures.spatial.pairs for run in runs if run.figures.spatial is not None]
     text = "–"
-    if scored:
-        pairs = pooled(scored)
-        rmse_mm = 1e3 * float(np.sqrt(np.mean((pairs.estimate_m - pairs.truth_m) ** 2)))
-        text = f"{rmse_mm:.2f} ({100 * (pairs.interval_coverage or 0.0):.0f})"
-        if (far := 100 * far_share(pairs)) >= 0.5:
+    if score := pooled_score([run.figures.spatial for run in runs]):
+        text = f"{1e3 * score.statistics.rmse:.2f} ({100 * (score.interval_coverage or 0.0):.0f})"
+        if (far := 100 * far_share(score.pairs)) >= 0.5:
             text += f", {far:.0f}% far off"
     return text + (f", {100 * inconsistent:.0f}% inconsistent" if inconsistent >= 0.005 else "")
 

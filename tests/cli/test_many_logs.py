@@ -72,7 +72,9 @@ def test_every_command_gives_the_same_for_any_number_of_processes(
         rows = rows_of(outcome.out)
         for row in rows:
             row.pop("ms_per_frame", None)
-        found.append((rows, outcome.err))
+        # A slow machine reports its progress, too.
+        said = [line for line in outcome.err.splitlines() if not line.startswith("svmdist: measuring")]
+        found.append((rows, said))
     assert all(one == found[0] for one in found)
     assert found[0][0]
 
