@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -174,9 +175,11 @@ def is_worker() -> bool:
 
 
 def _context() -> Any:
-    # Not fork: threads of this process, as that of a progress bar, do not survive one.
-    methods = multiprocessing.get_all_start_methods()
-    return multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    # Not fork: threads of this process, as that of a progress bar, do not survive one. A fork server listens at a
+    # socket in the temporary folder, whose path has at most 107 bytes, 32 of them behind the folder's.
+    has_server = "forkserver" in multiprocessing.get_all_start_methods()
+    is_short = len(os.fsencode(tempfile.gettempdir())) <= 107 - 32
+    return multiprocessing.get_context("forkserver" if has_server and is_short else "spawn")
 
 
 @contextmanager

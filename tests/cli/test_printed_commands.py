@@ -51,6 +51,8 @@ PRINTED = {
     for document in DOCUMENTS
     if document.name != "CHANGELOG.md" and (commands := commands_of(document))
 }
+FIRST = {"README.md", "docs/quick-start.md"}
+"""What a stranger runs first; the commands of other pages are slow tests."""
 WRITE_TO_RECORDINGS = {"recordings/README.md"}
 
 
@@ -119,7 +121,10 @@ def run(document: str, clone: Path, cli: Cli, done: set[str], *, short: bool) ->
                 shutil.copy2(REPOSITORY / target, clone / target)
 
 
-@pytest.mark.parametrize("document", PRINTED)
+@pytest.mark.parametrize(
+    "document",
+    [name if name in FIRST else pytest.param(name, marks=pytest.mark.slow) for name in PRINTED],
+)
 def test_printed_commands_run(document: str, clone: Path, cli: Cli, done: set[str]) -> None:
     """As printed, but on few frames."""
     run(document, clone, cli, done, short=True)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.cli.conftest import Cli
 from tests.conftest import REPOSITORY
 
 LOG = REPOSITORY / "recordings" / "3d" / "contact.mcap"
 
 
+@pytest.mark.slow
 def test_estimate_runs_with_it(cli: Cli, tmp_path: Path) -> None:
     """`info` finds every method served, and `fused` measures with the profile as it was written."""
     mine = tmp_path / "mine.toml"

@@ -201,6 +201,7 @@ def test_wild_detections_are_rejected() -> None:
     assert result.error_m[25:].max() < 0.4e-3
 
 
+@pytest.mark.slow
 def test_no_robot_is_too_wrong_to_start() -> None:
     """Of robots as the simulator draws them all but one in a hundred take the first measurement, whatever they report.
 

@@ -92,6 +92,7 @@ def test_noise_and_steps_have_their_size() -> None:
     assert np.abs(steps - q[:, WRIST]).max() <= np.radians(0.05) + 1e-12
 
 
+@pytest.mark.slow
 def test_drift_starts_at_zero_is_smooth_and_has_its_spread_after_8_s() -> None:
     paths = np.array(
         [(perturb("joint_drift=0.5", still(801), seed) - still(801))[:, WRIST] for seed in range(200)]

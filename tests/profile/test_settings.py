@@ -124,6 +124,7 @@ def test_the_tissue_has_moved_after_as_many_poses(moved_count: int) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_what_lasts_is_not_averaged_away(golden) -> None:
     """`fused` on a log with a tag: the larger the share of an error that lasts, the wider the interval in the end."""
     last_m = []

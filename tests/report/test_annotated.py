@@ -95,6 +95,7 @@ def test_no_frame_of_the_copy_has_two_parents(annotated: Annotated) -> None:
     assert {"tool", f"tool{TRUE_SUFFIX}", "PSM1_tool_estimate", "PSM2_tool_estimate"} <= set(parents)
 
 
+@pytest.mark.slow
 def test_the_numbers_are_those_of_estimate(annotated: Annotated) -> None:
     copy, _, setup = annotated
     rows = list(estimate(open_recording(DUO, setup.profile), setup))

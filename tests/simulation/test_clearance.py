@@ -61,6 +61,7 @@ def independent_clearance_m(scene: Scene, q: Array, surface: Mesh | None = None)
     return 1e-3 * min(found_mm)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["", "tissue_shape=0.4", "tissue_ellipsoid=1"])
 def test_clearance_is_that_of_the_meshes(profile: Profile, text: str) -> None:
     """From 8 mm away to 0.5 mm deep, whatever the organ's shape: within 0.02 mm of trimesh."""
@@ -92,6 +93,7 @@ def pressed(profile: Profile) -> Plan:
     return make_plan(Scenario("contact", 3, 8.0, 5.0), profile, options=perturbed("dent=3", tag=True))
 
 
+@pytest.mark.slow
 def test_soft_tissue_touches_what_presses(pressed: Plan) -> None:
     """Over contact the truth goes down to 0, stays there and comes up again; before and in it, it is trimesh's."""
     scene, q = pressed.scene, pressed.arms[0].q

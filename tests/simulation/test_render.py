@@ -155,6 +155,7 @@ def test_the_tag_is_decoded_where_the_profile_says(profile: Profile) -> None:
     assert np.abs(np.mean(errors_px, axis=(0, 1))).max() < 0.15
 
 
+@pytest.mark.slow
 def test_what_is_drawn_apart_is_what_is_drawn_together(
     profile: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -123,6 +123,7 @@ def test_the_plain_recording_is_that_of_the_golden_log(golden: Path, profile: Pr
             break
 
 
+@pytest.mark.slow
 def test_a_real_world_is_the_same_in_any_order_and_neutral_strengths_change_nothing(profile: Profile) -> None:
     """Blocks forth and back, as processes would make them: moving tissue, two fields and shadows among the rest."""
     simulation = profile.simulation.model_copy(update={"width_px": 160, "height_px": 120})
@@ -274,6 +275,7 @@ def test_images_and_truth_do_not_depend_on_what_is_reported_and_stated(
     np.testing.assert_array_equal(in_tf, T)
 
 
+@pytest.mark.slow
 def test_unstated_zoom_rotation_and_lens_are_drawn(plain: Stream, profile: Profile) -> None:
     """Calibrations are those of the plain log; the rotated right image is what a replay makes, to interpolation."""
     topics, text = profile.topics, "right_yaw=0.3,right_pitch=-0.2,right_roll=1"

@@ -153,5 +153,5 @@ def test_a_cluster_gives_the_same(cluster: DaskCluster, logs: list[LogFile], tmp
     cluster.kill_scheduler()
     with pytest.raises(SvmdistError, match="cannot connect"):
         measure_logs(job, logs, scheduler=cluster.address)
-    with pytest.raises(UsageError, match="expected an address as in tcp://host:8786"):
+    with pytest.raises(UsageError, match="expected one as in tcp://host:8786"):
         measure_logs(job, logs, scheduler="nonsense://x")

@@ -6,6 +6,8 @@ import gc
 import tracemalloc
 from pathlib import Path
 
+import pytest
+
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE
@@ -34,6 +36,7 @@ def _once_bytes(path: Path) -> int:
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     """Eight times the frames, and a peak that is no more than one frame higher."""
     short, long = (write_log(tmp_path / f"{n}.mcap", frame_count=n) for n in (10, 80))

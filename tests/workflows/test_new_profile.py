@@ -30,6 +30,7 @@ def _profile(path: Path, **topics: str) -> Profile:
     return Profile.model_validate(tomllib.loads(text))
 
 
+@pytest.mark.slow
 def test_of_a_simulated_log(tmp_path: Path) -> None:
     """Topics, frames, the chain, the marker's colour and the plane of a log with everything."""
     profile = _profile(REPOSITORY / "recordings" / "3d" / "contact.mcap")
@@ -47,6 +48,7 @@ def test_of_a_simulated_log(tmp_path: Path) -> None:
     assert profile.instrument.shaft_radius_m == 0.004
 
 
+@pytest.mark.slow
 def test_of_two_instruments() -> None:
     """Each arm with topics of its own is an instrument."""
     profile = _profile(REPOSITORY / "recordings" / "3d" / "duo.mcap")
