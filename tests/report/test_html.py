@@ -214,7 +214,7 @@ def test_ten_thousand_frames_are_shown_in_a_browser(
     shown = browser.new_context(offline=True, color_scheme=scheme, viewport=phone).new_page()
     said: list[Any] = []
     problems: list[str] = []
-    shown.on("console", lambda message: said.append(message))
+    shown.on("console", lambda message: said.append(message))  # noqa: PLW0108  (a builtin is refused)
     shown.on("pageerror", lambda error: problems.append(str(error)))
     shown.goto(path.as_uri())
     shown.locator("#distance-0").scroll_into_view_if_needed()
