@@ -12,6 +12,7 @@ from tests.cli.conftest import Cli
 from tests.synthetic import write_log
 
 pytest.importorskip("s3fs", reason="the extra cloud is not installed")
+pytest.importorskip("moto", reason="the group heavy is not installed")
 pytestmark = pytest.mark.filterwarnings("default")  # of boto's own
 
 
