@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.kinematics.dh import DHChain, forward_kinematics, link_transforms
+from svmdist.kinematics import DHChain, forward_kinematics, link_transforms
 from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.joints import JointPerturber, JointUnits, reported_late
 from svmdist.perturbations.table import Place

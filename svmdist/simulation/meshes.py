@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.geometry.surfaces import Mesh
+from svmdist.geometry import Mesh
 from svmdist.transforms import Array, transform_points
 
 SIDE_COUNT = 64

@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.errors import KinematicsError, SimulationError
-from svmdist.kinematics.dh import forward_kinematics
-from svmdist.kinematics.inverse import solve_position
+from svmdist.kinematics import forward_kinematics, solve_position
 from svmdist.perturbations.chosen import UNPERTURBED
 from svmdist.profile import Profile
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.kinematics.dh import chain_of
+from svmdist.kinematics import chain_of
 from svmdist.perturbations.calibration import built_profile
 from svmdist.profile import Profile
 from svmdist.simulation.arm import Arm, draw_nominal_kinematics, reported_joints

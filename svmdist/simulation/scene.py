@@ -12,7 +12,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import SimulationError
-from svmdist.kinematics.dh import DHChain, chain_of, frame_transforms
+from svmdist.kinematics import DHChain, chain_of, frame_transforms
 from svmdist.perturbations.calibration import plane_tilt, right_turn, zoomed_camera
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, World
 from svmdist.profile import Profile

@@ -18,7 +18,7 @@ from svmdist.estimation.plane_mapping import (
     SourceFile,
     fit_calibration,
 )
-from svmdist.geometry.surfaces import pixel_rays
+from svmdist.geometry import pixel_rays
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.workflows.estimate import estimate

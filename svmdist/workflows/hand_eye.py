@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.kinematics.dh import chain_of, shaft_of
+from svmdist.kinematics import chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile, stated_deviations
 from svmdist.profile.hand_eye import (

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.kinematics.dh import forward_kinematics
+from svmdist.kinematics import forward_kinematics
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
 from svmdist.samples import JointSample, Observation, Status

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from svmdist.kinematics.inverse import solve_position
+from svmdist.kinematics import solve_position
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, parse_perturbations
 from svmdist.profile import Profile, load_profile
 from svmdist.samples import Sample

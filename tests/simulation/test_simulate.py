@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import SimulationError
-from svmdist.kinematics.dh import forward_kinematics
+from svmdist.kinematics import forward_kinematics
 from svmdist.perturbations.calibration import plane_tilt, stated_profile
 from svmdist.perturbations.chosen import World, draw_world, parse_perturbations
 from svmdist.perturbations.images import perturbed_image, perturbed_right_view
