@@ -20,8 +20,8 @@ from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.estimate import estimate as _estimate
 from svmdist.workflows.estimate import with_lag
+from svmdist.workflows.references import TruthRules
 from svmdist.workflows.request import Lag, OwnMethod, Request, Setup, prepare
-from svmdist.workflows.scoring.truth import TruthRules
 from svmdist.workflows.validate import Validation
 from svmdist.workflows.validate import validate as _validate
 
