@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from svmdist.report.rows import ESTIMATE_COLUMNS
-from svmdist.workflows.scoring.metric_table import Output, Tolerance, figure_metrics, score_metrics
+from svmdist.workflows.metric_table import Output, Tolerance, figure_metrics, score_metrics
 
 COLUMNS_PAGE = """# Columns and metrics
 

@@ -18,6 +18,7 @@ from svmdist.recording.summary import RecordingSummary
 from svmdist.report.tables import Column, Table, render, row_of
 from svmdist.report.writers import Results
 from svmdist.transforms import quaternion_xyzw_from_rotation
+from svmdist.workflows.calibrate import HandEyeResult
 from svmdist.workflows.capabilities import (
     Capability,
     TagCheck,
@@ -25,7 +26,6 @@ from svmdist.workflows.capabilities import (
     instruments_in,
     method_capabilities,
 )
-from svmdist.workflows.hand_eye import HandEyeResult
 
 SCHEMA = "svmdist.info/1"
 

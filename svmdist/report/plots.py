@@ -26,8 +26,8 @@ from svmdist.report.charts import Chart, Curve, Role
 from svmdist.report.tables import counted
 from svmdist.report.writers import plot_format
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
-from svmdist.workflows.scoring.score import DistanceScore, Score
-from svmdist.workflows.scoring.truth import Reference
+from svmdist.workflows.references import Reference
+from svmdist.workflows.scores import DistanceScore, Score
 from svmdist.workflows.series import Series
 from svmdist.workflows.validate import Validation
 

@@ -20,7 +20,7 @@ from svmdist.metrics import COUNT, TEXT, Unit
 if TYPE_CHECKING:  # rows that are written as they come need no layout, and start sooner without it
     from rich.table import Table as RichTable
 
-    from svmdist.workflows.scoring.metric_table import Metric
+    from svmdist.workflows.metric_table import Metric
 
 Cell = str | int | float | None
 Row = Mapping[str, Cell]

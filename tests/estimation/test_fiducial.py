@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from svmdist import kinematics
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.one_view import tool_from_tag
-from svmdist.kinematics import dh
-from svmdist.kinematics.dh import DHChain
+from svmdist.kinematics import DHChain
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError, load_profile
 from svmdist.samples import JointSample, Observation, Status
@@ -90,8 +90,8 @@ def test_a_length_moves_the_tool_along_its_own_axis(name: str) -> None:
     profile, mounting = load_profile(name), PROFILE.fiducial
     assert profile.robot is not None
     assert mounting is not None
-    chain = dh.chain_of(profile.robot)
-    fiducial = mounting.model_copy(update={"link": chain.rows[dh.wrist_rows(chain).roll].name})
+    chain = kinematics.chain_of(profile.robot)
+    fiducial = mounting.model_copy(update={"link": chain.rows[kinematics.wrist_rows(chain).roll].name})
     q = 0.4 * chain.lower + 0.6 * chain.upper
     tag = TagPose(make_transform(rotation_x(2.0), [0.0, 0.0, 0.09]), np.zeros((6, 6)), 0.0, 0.8)
     error = KinematicError(joint_std_rad=0.0, joint_std_m=0.0, play_std_rad=0.0, length_std_m=4e-4)
@@ -101,7 +101,7 @@ def test_a_length_moves_the_tool_along_its_own_axis(name: str) -> None:
         return tool_from_tag(tag, fiducial, robot, error).position_m
 
     expected = np.zeros((3, 3))
-    for index in range(dh.row_index(chain, fiducial.link) + 1, len(chain.rows)):
+    for index in range(kinematics.row_index(chain, fiducial.link) + 1, len(chain.rows)):
         if chain.rows[index].a_m != 0.0:
             rows = list(chain.rows)
             rows[index] = replace(rows[index], a_m=rows[index].a_m + 1e-6)
@@ -121,8 +121,11 @@ def observation(joints: bool = True, tag: bool = True) -> tuple[Observation, Arr
     image = np.repeat(grey[..., None], 3, axis=2)
     ys, xs = np.mgrid[:480, :640]
     image[((xs - 150.0) / 110) ** 2 + ((ys - 200.0) / 90) ** 2 <= 1] = (70, 60, 200)
-    T_base_tag = dh.frame_transforms(CHAIN, POSTURE)[dh.row_index(CHAIN, fiducial.link)] @ fiducial.T_link_tag
-    T_camera_tool = T @ inverse(T_base_tag) @ dh.forward_kinematics(CHAIN, POSTURE)
+    T_base_tag = (
+        kinematics.frame_transforms(CHAIN, POSTURE)[kinematics.row_index(CHAIN, fiducial.link)]
+        @ fiducial.T_link_tag
+    )
+    T_camera_tool = T @ inverse(T_base_tag) @ kinematics.forward_kinematics(CHAIN, POSTURE)
     sample = JointSample(5, CHAIN.joint_names, POSTURE) if joints else None
     return Observation(5, image, CAMERA, sample), T_camera_tool
 
