@@ -26,19 +26,10 @@ T_CAMERA_BASE = make_transform(rotation_of([0.4, -0.7, 0.2]), [0.1, -0.2, 0.9])
 JOINTS = JointSample(7, tuple(reversed(CHAIN.joint_names)), POSTURE[::-1])
 
 
-def state_of(joints: JointSample | None = JOINTS, T_camera_base=T_CAMERA_BASE) -> RobotState:
-    """The state by a sample; it must be there."""
-    state = RobotState.of(CHAIN, joints, T_camera_base, 7)
+def state_of(T_camera_base=T_CAMERA_BASE) -> RobotState:
+    state = RobotState.of(CHAIN, JOINTS, T_camera_base, 7)
     assert isinstance(state, RobotState)
     return state
-
-
-def test_joints_are_brought_into_the_chains_order() -> None:
-    """A sample in another order gives the posture, at the stamp that was asked for."""
-    state = state_of()
-    np.testing.assert_array_equal(state.q, POSTURE)
-    assert state.stamp_ns == 7
-    assert state.camera_failure is None
 
 
 def test_what_a_sample_lacks_is_told() -> None:
@@ -60,8 +51,10 @@ def test_a_state_without_the_camera_still_knows_its_base_frame() -> None:
 
 
 def test_poses_are_those_of_forward_kinematics() -> None:
-    """Frames, tool and axes equal the functions of `dh` within 1e-13, and are kept."""
+    """Of a sample in another order: frames, tool and axes equal the functions of `dh` within 1e-13, and are kept."""
     state, link = state_of(), CHAIN.rows[8].name
+    np.testing.assert_array_equal(state.q, POSTURE)
+    assert (state.stamp_ns, state.camera_failure) == (7, None)
     frames = frame_transforms(CHAIN, POSTURE)
     np.testing.assert_allclose(state.frames, frames, atol=1e-13)
     np.testing.assert_allclose(state.T_base_tool, forward_kinematics(CHAIN, POSTURE), atol=1e-13)
@@ -89,10 +82,7 @@ BOUNDED = DHChain(
 @pytest.mark.parametrize(
     ("positions", "said"),
     [
-        (
-            [0.5, 1000.0],
-            "joint insertion is at 1000 m, outside its limits 0 to 0.24 m and the tolerance 0.01 m",
-        ),
+        ([0.5, 1e3], "joint insertion is at 1000 m, outside its limits 0 to 0.24 m and the tolerance 0.01 m"),
         ([0.5, 1e8], "joint insertion is at 1e+08 m"),
         ([-1.2, 0.1], "joint arm is at -1.2 rad, outside its limits -1 to 1 rad and the tolerance 0.1 rad"),
         ([1.05, 0.245], None),
@@ -103,11 +93,8 @@ def test_joints_outside_their_limits_are_not_believed(positions: list[float], sa
     """Beyond the limits by more than the tolerance, the first such joint is named."""
     joints = JointSample(0, ("arm", "insertion"), np.array(positions))
     state = RobotState.of(BOUNDED, joints, T_CAMERA_BASE, 0)
-    if said is None:
-        assert isinstance(state, RobotState)
-    else:
-        assert isinstance(state, Failure)
-        assert state.reason.startswith(said)
+    assert isinstance(state, RobotState if said is None else Failure)
+    assert said is None or state.reason.startswith(said)
 
 
 def test_a_stray_sample_beside_the_image_is_left_out() -> None:
@@ -142,13 +129,10 @@ def test_solution_reaches_the_target_and_moves_only_free_joints() -> None:
     assert np.array_equal(q[:, fixed], start[:, fixed])
 
 
-def test_a_target_beyond_the_limits_is_an_error_that_names_the_joint() -> None:
+def test_a_target_beyond_the_limits_or_out_of_reach_is_an_error() -> None:
     target_m = forward_kinematics(CHAIN, POSTURE)[:3, 3] + [0.0, 0.0, -0.4]
     with pytest.raises(KinematicsError, match="outside its limits"):
         solve_position(CHAIN, POSTURE[None], target_m[None], FREE)
-
-
-def test_a_target_out_of_reach_says_how_far_it_is() -> None:
     arm = DHChain((DHRow("a", "revolute", a_m=0.5), DHRow("b", "revolute", a_m=0.5)))
     with pytest.raises(KinematicsError, match=r"out of reach: .* m are left"):
         solve_position(arm, np.array([[0.1, 0.2]]), np.array([[2.0, 0.0, 0.0]]), ("a", "b"))
