@@ -5,16 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from svmdist import kinematics
 from svmdist.errors import KinematicsError
-from svmdist.kinematics import (
-    DHChain,
-    DHRow,
-    forward_kinematics,
-    frame_transforms,
-    joint_axis,
-    row_index,
-    solve_position,
-)
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure
 from svmdist.samples import JointSample
@@ -55,24 +47,24 @@ def test_poses_are_those_of_forward_kinematics() -> None:
     state, link = state_of(), CHAIN.rows[8].name
     np.testing.assert_array_equal(state.q, POSTURE)
     assert (state.stamp_ns, state.camera_failure) == (7, None)
-    frames = frame_transforms(CHAIN, POSTURE)
+    frames = kinematics.frame_transforms(CHAIN, POSTURE)
     np.testing.assert_allclose(state.frames, frames, atol=1e-13)
-    np.testing.assert_allclose(state.T_base_tool, forward_kinematics(CHAIN, POSTURE), atol=1e-13)
+    np.testing.assert_allclose(state.T_base_tool, kinematics.forward_kinematics(CHAIN, POSTURE), atol=1e-13)
     np.testing.assert_allclose(state.T_camera_tool, T_CAMERA_BASE @ state.T_base_tool, atol=1e-13)
     np.testing.assert_allclose(state.T_camera_link(link), T_CAMERA_BASE @ state.T_base_link(link), atol=1e-13)
-    np.testing.assert_allclose(state.T_base_link(link), frames[row_index(CHAIN, link)], atol=1e-13)
+    np.testing.assert_allclose(state.T_base_link(link), frames[kinematics.row_index(CHAIN, link)], atol=1e-13)
     np.testing.assert_allclose(state.T_camera_link(None), state.T_camera_tool, atol=1e-13)
     for row, (direction, point_m) in enumerate(state.joint_axes):
-        expected = joint_axis(CHAIN, frames, row)
+        expected = kinematics.joint_axis(CHAIN, frames, row)
         np.testing.assert_allclose(direction, expected[0], atol=1e-13)
         np.testing.assert_allclose(point_m, expected[1], atol=1e-13)
     assert state.frames is state.frames
 
 
-BOUNDED = DHChain(
+BOUNDED = kinematics.DHChain(
     (
-        DHRow("arm", "revolute", lower=-1.0, upper=1.0),
-        DHRow("insertion", "prismatic", lower=0.0, upper=0.24),
+        kinematics.DHRow("arm", "revolute", lower=-1.0, upper=1.0),
+        kinematics.DHRow("insertion", "prismatic", lower=0.0, upper=0.24),
     ),
     limit_tolerance_rad=0.1,
     limit_tolerance_m=0.01,
@@ -119,20 +111,22 @@ def test_solution_reaches_the_target_and_moves_only_free_joints() -> None:
     free = [CHAIN.joint_names.index(name) for name in FREE]
     wanted[:, free] += rng.uniform(-1.0, 1.0, (200, 3)) * (0.3, 0.2, 0.04)
     wanted[:, -4:] += rng.uniform(-0.1, 0.1, (200, 4))
-    targets_m = forward_kinematics(CHAIN, wanted)[:, :3, 3]
+    targets_m = kinematics.forward_kinematics(CHAIN, wanted)[:, :3, 3]
     start = wanted.copy()
     start[:, free] = POSTURE[free]
-    q = solve_position(CHAIN, start, targets_m, FREE)
-    np.testing.assert_allclose(forward_kinematics(CHAIN, q)[:, :3, 3], targets_m, atol=1e-9)
+    q = kinematics.solve_position(CHAIN, start, targets_m, FREE)
+    np.testing.assert_allclose(kinematics.forward_kinematics(CHAIN, q)[:, :3, 3], targets_m, atol=1e-9)
     np.testing.assert_allclose(q, wanted, atol=1e-6)
     fixed = [index for index in range(13) if index not in free]
     assert np.array_equal(q[:, fixed], start[:, fixed])
 
 
 def test_a_target_beyond_the_limits_or_out_of_reach_is_an_error() -> None:
-    target_m = forward_kinematics(CHAIN, POSTURE)[:3, 3] + [0.0, 0.0, -0.4]
+    target_m = kinematics.forward_kinematics(CHAIN, POSTURE)[:3, 3] + [0.0, 0.0, -0.4]
     with pytest.raises(KinematicsError, match="outside its limits"):
-        solve_position(CHAIN, POSTURE[None], target_m[None], FREE)
-    arm = DHChain((DHRow("a", "revolute", a_m=0.5), DHRow("b", "revolute", a_m=0.5)))
+        kinematics.solve_position(CHAIN, POSTURE[None], target_m[None], FREE)
+    arm = kinematics.DHChain(
+        (kinematics.DHRow("a", "revolute", a_m=0.5), kinematics.DHRow("b", "revolute", a_m=0.5))
+    )
     with pytest.raises(KinematicsError, match=r"out of reach: .* m are left"):
-        solve_position(arm, np.array([[0.1, 0.2]]), np.array([[2.0, 0.0, 0.0]]), ("a", "b"))
+        kinematics.solve_position(arm, np.array([[0.1, 0.2]]), np.array([[2.0, 0.0, 0.0]]), ("a", "b"))

@@ -11,14 +11,7 @@ import pytest
 
 from svmdist.errors import SourceError
 from svmdist.profile import Limits
-from svmdist.recording.images import (
-    RAW_ENCODINGS,
-    ImageError,
-    decode_file,
-    decode_raw,
-    decode_still,
-    read_file,
-)
+from svmdist.recording import images
 
 from .faults import flip_bit
 
@@ -36,9 +29,11 @@ JPEG = compress(".jpg", IMAGE)
 
 
 def test_png_is_lossless_and_jpeg_near() -> None:
-    np.testing.assert_array_equal(decode_still(PNG, LIMITS), IMAGE)
-    assert np.abs(decode_still(JPEG, LIMITS).astype(int) - IMAGE).mean() < 3
-    np.testing.assert_array_equal(decode_still(JPEG + bytes(10), LIMITS), decode_still(JPEG, LIMITS))
+    np.testing.assert_array_equal(images.decode_still(PNG, LIMITS), IMAGE)
+    assert np.abs(images.decode_still(JPEG, LIMITS).astype(int) - IMAGE).mean() < 3
+    np.testing.assert_array_equal(
+        images.decode_still(JPEG + bytes(10), LIMITS), images.decode_still(JPEG, LIMITS)
+    )
 
 
 NO_STILLS = {
@@ -56,16 +51,16 @@ NO_STILLS = {
 @pytest.mark.parametrize("name", NO_STILLS)
 def test_what_is_no_whole_still_is_refused(name: str) -> None:
     data, reason = NO_STILLS[name]
-    with pytest.raises(ImageError, match=reason):
-        decode_still(data, LIMITS)
+    with pytest.raises(images.ImageError, match=reason):
+        images.decode_still(data, LIMITS)
 
 
 def test_a_flipped_bit_in_a_png_never_gives_another_picture() -> None:
     rng = random.Random(5)
     for _ in range(500):
         try:
-            image = decode_still(flip_bit(PNG, rng), LIMITS)
-        except ImageError:
+            image = images.decode_still(flip_bit(PNG, rng), LIMITS)
+        except images.ImageError:
             continue
         np.testing.assert_array_equal(image, IMAGE)
 
@@ -84,14 +79,14 @@ def test_a_jpeg_is_decoded_as_opencv_does_but_for_damage(way: tuple[int, int, in
     kinds = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_PROGRESSIVE, cv2.IMWRITE_JPEG_RST_INTERVAL)
     data = compress(".jpg", LARGE, *(value for pair in zip(kinds, way, strict=True) for value in pair))
     expected = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    np.testing.assert_array_equal(decode_still(data, LIMITS), expected)
+    np.testing.assert_array_equal(images.decode_still(data, LIMITS), expected)
     begin = data.index(b"\xff\xda") + 14
     for share in (0.1, 0.5, 0.9):
         place = begin + int(share * (len(data) - begin))
         for broken in (data[:place] + data[-2:], data[: place - 400] + data[place:]):
             assert cv2.imdecode(np.frombuffer(broken, np.uint8), cv2.IMREAD_COLOR) is not None
-            with pytest.raises(ImageError):
-                decode_still(broken, LIMITS)
+            with pytest.raises(images.ImageError):
+                images.decode_still(broken, LIMITS)
 
 
 WIDTH_PX, HEIGHT_PX = 6, 4
@@ -120,7 +115,7 @@ def decode(encoding: str, pixels: np.ndarray, padding_bytes: int = 0) -> np.ndar
     rows = pixels.reshape(pixels.shape[0], -1)
     padded = np.pad(rows, ((0, 0), (0, padding_bytes)), constant_values=0xAA)
     size_px = (pixels.shape[1], pixels.shape[0])
-    return decode_raw(encoding, size_px, padded.shape[1], padded.tobytes(), LIMITS)
+    return images.decode_raw(encoding, size_px, padded.shape[1], padded.tobytes(), LIMITS)
 
 
 @pytest.mark.parametrize("padding_bytes", [0, 1, 5])
@@ -129,7 +124,9 @@ def test_pixels_come_out_in_bgr(encoding: str, padding_bytes: int) -> None:
     """To the bit: channels are put in order, grey is repeated, alpha and the padding of rows are dropped."""
     image = decode(encoding, LAYOUTS[encoding], padding_bytes)
     assert image.dtype == np.uint8
-    np.testing.assert_array_equal(image, np.repeat(GREY, 3, 2) if RAW_ENCODINGS[encoding][0] == 1 else BGR)
+    np.testing.assert_array_equal(
+        image, np.repeat(GREY, 3, 2) if images.RAW_ENCODINGS[encoding][0] == 1 else BGR
+    )
 
 
 @pytest.mark.parametrize("encoding", BAYER)
@@ -156,10 +153,10 @@ def test_yuv_is_that_of_bt601(encoding: str, bgr: tuple[int, ...], yuv: tuple[in
     np.testing.assert_allclose(image, np.broadcast_to(bgr, image.shape), atol=2)
 
 
-@pytest.mark.parametrize("encoding", RAW_ENCODINGS)
+@pytest.mark.parametrize("encoding", images.RAW_ENCODINGS)
 def test_sizes_that_contradict_each_other_are_refused(encoding: str) -> None:
     """A byte too few or too many, rows shorter than their pixels, or longer than the data."""
-    step_bytes = WIDTH_PX * RAW_ENCODINGS[encoding][0]
+    step_bytes = WIDTH_PX * images.RAW_ENCODINGS[encoding][0]
     size_bytes = step_bytes * HEIGHT_PX
     for step, length in (
         (step_bytes, size_bytes - 1),
@@ -168,18 +165,18 @@ def test_sizes_that_contradict_each_other_are_refused(encoding: str) -> None:
         (0, 0),
         ((1 << 32) - 1, size_bytes),
     ):
-        with pytest.raises(ImageError, match="do not hold 6x4 px"):
-            decode_raw(encoding, (WIDTH_PX, HEIGHT_PX), step, bytes(length), LIMITS)
+        with pytest.raises(images.ImageError, match="do not hold 6x4 px"):
+            images.decode_raw(encoding, (WIDTH_PX, HEIGHT_PX), step, bytes(length), LIMITS)
 
 
 def test_a_png_file_passes_through_and_others_are_decoded_or_refused(tmp_path: Path) -> None:
     for name, image in (("a.png", IMAGE), ("a.bmp", IMAGE), ("deep.tiff", IMAGE.astype(np.uint16))):
         cv2.imwrite(str(tmp_path / name), image)
-    data = read_file(tmp_path / "a.png", LIMITS)
+    data = images.read_file(tmp_path / "a.png", LIMITS)
     assert isinstance(data, bytes)
     assert data == (tmp_path / "a.png").read_bytes()
-    np.testing.assert_array_equal(decode_file(data, "a.png", LIMITS), IMAGE)
-    np.testing.assert_array_equal(read_file(tmp_path / "a.bmp", LIMITS), IMAGE)
+    np.testing.assert_array_equal(images.decode_file(data, "a.png", LIMITS), IMAGE)
+    np.testing.assert_array_equal(images.read_file(tmp_path / "a.bmp", LIMITS), IMAGE)
     (tmp_path / "no.bmp").write_bytes(b"BMno")
     for name, reason in (
         ("deep.tiff", "16 bits; 8 are expected"),
@@ -187,4 +184,4 @@ def test_a_png_file_passes_through_and_others_are_decoded_or_refused(tmp_path: P
         ("", "cannot read"),
     ):
         with pytest.raises(SourceError, match=reason):
-            read_file(tmp_path / name, LIMITS)
+            images.read_file(tmp_path / name, LIMITS)

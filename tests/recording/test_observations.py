@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
+from svmdist import samples
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
@@ -17,15 +18,6 @@ from svmdist.recording.log import open_recording
 from svmdist.recording.observations import LEFT_IMAGES
 from svmdist.recording.source import LossKind
 from svmdist.recording.writer import RecordingWriter, encode, message_class_of
-from svmdist.samples import (
-    CameraSample,
-    ImageSample,
-    JointSample,
-    Observation,
-    Rejection,
-    TransformSample,
-    TransformsSample,
-)
 from svmdist.transforms import Array, inverse, make_transform
 
 from .builders import CAMERA, PERIOD_NS, Entry, pose, scene, write_messages, write_scene
@@ -44,23 +36,23 @@ def right_camera() -> Camera:
 
 def with_right(entries: list[Entry], shift_ns: int = 0, late: int = 0) -> list[Entry]:
     """Add a negative of every image as the right one, `late` entries behind it, and the right camera."""
-    woven: list[Entry] = [Entry(RIGHT_INFO, CameraSample(entries[0].sample.stamp_ns, right_camera()))]
+    woven: list[Entry] = [Entry(RIGHT_INFO, samples.CameraSample(entries[0].sample.stamp_ns, right_camera()))]
     waiting: list[tuple[int, Entry]] = []
     for index, entry in enumerate(entries):
         woven.append(entry)
-        if isinstance(entry.sample, ImageSample):
+        if isinstance(entry.sample, samples.ImageSample):
             negative = np.asarray(255 - entry.sample.image_bgr, np.uint8)
-            sample = ImageSample(entry.sample.stamp_ns + shift_ns, "camera_right", negative)
+            sample = samples.ImageSample(entry.sample.stamp_ns + shift_ns, "camera_right", negative)
             waiting.append((index + late, Entry(RIGHT_IMAGE, sample)))
         while waiting and waiting[0][0] <= index:
             woven.append(waiting.pop(0)[1])
     return woven + [entry for _, entry in waiting]
 
 
-def observations(path: Path, profile: Profile, **topics: str) -> list[Observation]:
+def observations(path: Path, profile: Profile, **topics: str) -> list[samples.Observation]:
     found = list(open_recording(path, profile, topics=topics).observations())
-    assert all(isinstance(item, Observation) for item in found)
-    return [item for item in found if isinstance(item, Observation)]
+    assert all(isinstance(item, samples.Observation) for item in found)
+    return [item for item in found if isinstance(item, samples.Observation)]
 
 
 @pytest.mark.parametrize(("shift_ns", "late"), [(0, 0), (400_000, 1), (-500_000, 23), (600_000, 0)])
@@ -84,7 +76,7 @@ def test_a_pair_without_baseline_is_no_pair(tmp_path: Path, profile: Profile) ->
     entries = with_right(scene())
     no_info = write_scene(tmp_path / "a.mcap", [item for item in entries if item.topic != RIGHT_INFO])
     mono = replace(right_camera(), P=CAMERA.P)
-    entries[0] = Entry(RIGHT_INFO, CameraSample(entries[0].sample.stamp_ns, mono))
+    entries[0] = Entry(RIGHT_INFO, samples.CameraSample(entries[0].sample.stamp_ns, mono))
     no_baseline = write_scene(tmp_path / "b.mcap", entries)
     for path in (no_info, no_baseline):
         assert [item.right for item in observations(path, profile)] == [None] * 5
@@ -116,7 +108,9 @@ def test_the_believed_base_is_interpolated_along_the_tree(tmp_path: Path, profil
         return make_transform(np.eye(3), [x_m, 0.0, 0.0])
 
     def edge(topic: str, stamp_ns: int, parent: str, child: str, T: Array) -> Entry:
-        return Entry(topic, TransformsSample(stamp_ns, (TransformSample(stamp_ns, parent, child, T),)))
+        return Entry(
+            topic, samples.TransformsSample(stamp_ns, (samples.TransformSample(stamp_ns, parent, child, T),))
+        )
 
     entries = [entry for entry in scene() if entry.topic != "/tf"]
     start_ns = entries[0].sample.stamp_ns
@@ -132,17 +126,17 @@ def test_the_believed_base_is_interpolated_along_the_tree(tmp_path: Path, profil
 
 def damaged(path: Path) -> Path:
     """A log of 60 images, every third of them broken in a way of its own, among joints that are broken too."""
-    entries = [Entry("/ECM/left/camera_info", CameraSample(1, CAMERA))]
+    entries = [Entry("/ECM/left/camera_info", samples.CameraSample(1, CAMERA))]
     rng = np.random.default_rng(3)
     for stamp_ns in range(1, 61):
-        image = ImageSample(stamp_ns, "camera", rng.integers(0, 256, (24, 32, 3), np.uint8))
+        image = samples.ImageSample(stamp_ns, "camera", rng.integers(0, 256, (24, 32, 3), np.uint8))
         position = float("nan") if stamp_ns % 4 == 1 else 1.0
-        joints = JointSample(stamp_ns, ("a",), np.array([position]))
+        joints = samples.JointSample(stamp_ns, ("a",), np.array([position]))
         entries += [Entry("/ECM/left/image", image), Entry("/PSM1/measured_js", joints)]
     rows = []
     for topic, sample in ((entry.topic, entry.sample) for entry in entries):
         data = encode(sample).data
-        if isinstance(sample, ImageSample) and sample.stamp_ns % 3 == 1:
+        if isinstance(sample, samples.ImageSample) and sample.stamp_ns % 3 == 1:
             short = CompressedImage.FromString(data)
             short.data = short.data[: -19 - sample.stamp_ns]
             data = short.SerializeToString()
@@ -160,7 +154,7 @@ def test_losses_are_in_file_order_whenever_they_are_found(tmp_path: Path, profil
         decoded = list(pool.map(lambda one: one.decode(), ahead.encoded_observations(ahead.instruments)))
     others = [ahead.record_losses(one) for one in reversed(decoded)][::-1]
     for one, other in zip(mine, others, strict=True):
-        if isinstance(one, Rejection) or isinstance(other, Rejection):
+        if isinstance(one, samples.Rejection) or isinstance(other, samples.Rejection):
             assert one == other
         else:
             assert (one[0].stamp_ns, one[0].joints is None) == (other[0].stamp_ns, other[0].joints is None)
@@ -171,14 +165,14 @@ def test_losses_are_in_file_order_whenever_they_are_found(tmp_path: Path, profil
     planar = open_recording(path, profile)
     found = list(planar.observations_of(planar.instruments, LEFT_IMAGES))
     assert len(found) == 60
-    assert all(item[0].joints is None for item in found if not isinstance(item, Rejection))
+    assert all(item[0].joints is None for item in found if not isinstance(item, samples.Rejection))
     assert {loss.topic for loss in planar.health.losses} == {"/ECM/left/image", "/PSM1/measured_js"}
 
 
 def observed(path: Path, profile: Profile) -> tuple[list[int], int, bool]:
     """The stamps of the observations, how many have joints, and whether nothing was lost."""
     recording = open_recording(path, profile)
-    found = [one for one in recording.observations() if isinstance(one, Observation)]
+    found = [one for one in recording.observations() if isinstance(one, samples.Observation)]
     return (
         [one.stamp_ns for one in found],
         sum(one.joints is not None for one in found),
