@@ -118,6 +118,8 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
 
         writer = self.writer(self.paths, Holds.ROWS | Holds.FRAMES | Holds.REPORT)
         self._require_one_kind(writer)
+        if writer.holds is Holds.REPORT:
+            self.report = self.output
         keys = self.group_keys
         self.require_pictures(self.paths)
         if keys and self.summary is None:
@@ -147,7 +149,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         return run.exit_code() or code
 
     def _require_one_kind(self, writer: Writer) -> None:
-        """Raise UsageError where images go to a file, and rows or figures are asked for, too."""
+        """Raise UsageError where a file of images or a report is asked for, and something else, too."""
         name = self.output
         if writer.holds is Holds.FRAMES:
             if self.report or self.save_plot:
@@ -156,12 +158,10 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
                 raise UsageError(f"{name}: holds one recording, and {len(self.logs)} are given")
             if not self.is_one or self.summary is not None:
                 raise UsageError(f"--scheduler, --resume and --summary go with rows: write {name} by itself")
-        elif writer.holds is Holds.REPORT:
-            if self.report is not None:
-                raise UsageError(
-                    f"--report {self.report} and -o {name}: both are the report; leave out one of them"
-                )
-            self.report = name
+        elif writer.holds is Holds.REPORT and self.report is not None:
+            raise UsageError(
+                f"--report {self.report} and -o {name}: both are the report; leave out one of them"
+            )
 
     def _write_rows(self, run: Run[EstimateResult], request: Request, writer: Writer) -> None:
         from svmdist.report.rows import ESTIMATE_COLUMNS, shown_columns

@@ -11,7 +11,7 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.one_view import tool_from_tag
-from svmdist.kinematics.dh import (
+from svmdist.kinematics import (
     DHChain,
     chain_of,
     forward_kinematics,

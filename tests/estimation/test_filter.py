@@ -13,11 +13,10 @@ from svmdist.camera import Camera
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import ContourMeasurement, PointsMeasurement
-from svmdist.kinematics.dh import forward_kinematics, frame_transforms, row_index, shaft_of
-from svmdist.kinematics.inverse import solve_position
+from svmdist.kinematics import forward_kinematics, frame_transforms, row_index, shaft_of, solve_position
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
-from svmdist.simulation.arm import draw_nominal_kinematics
+from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_z, transform_points
 from svmdist.vision.lines import tangent_normal

@@ -7,11 +7,11 @@ import pytest
 from scipy.stats import chi2
 
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.kinematics.dh import forward_kinematics
+from svmdist.kinematics import forward_kinematics
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
 from svmdist.samples import JointSample, Observation, Status
-from svmdist.simulation.arm import draw_nominal_kinematics
+from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import make_scene as simulated_scene
 from svmdist.transforms import Array
 from tests.measuring import Measuring

@@ -31,7 +31,7 @@ from svmdist.estimation.instrument.shaft_model import (
     rim_residual,
     tip_residual,
 )
-from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics, frame_transforms, row_index
+from svmdist.kinematics import DHChain, DHRow, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
 from svmdist.profile.settings import ShaftSettings

@@ -8,7 +8,7 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.tag_pose import lay_coarsely, nudged, on_tag, refine_fit
-from svmdist.geometry.surfaces import pixel_rays
+from svmdist.geometry import pixel_rays
 from svmdist.transforms import Array, make_transform, rotation_vector, rotation_x, rotation_z
 from svmdist.vision.tag_overlay import (
     TagPattern,
