@@ -43,16 +43,14 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
     def _run(self) -> ExitCode:
         from svmdist.estimation.plane_mapping import save_calibration
         from svmdist.profile import load_profile
-        from svmdist.workflows.batch import Job
         from svmdist.workflows.calibrate import CalibrationPart, fit_parts
         from svmdist.workflows.request import Request, Setup
 
         output.require_output(self.output, self.paths, is_new=not self.force)
         setup = Setup(load_profile(self.profile, self.hand_eye), self.method, "corrected", None)
-        run = Run(
-            self, Job(collect_log, Request(setup, self.topics, self.window), CalibrationPart), "measuring"
-        )
-        calibration = fit_parts(run.finish(), setup.method)
+        request = Request(setup, self.topics, self.window)
+        run = Run(self, collect_log, request, CalibrationPart, "measuring")
+        calibration = fit_parts(run.finish(), self.method)
         save_calibration(calibration, self.output)
         fit = calibration.fit
         LOG.info(
@@ -89,8 +87,7 @@ class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOptio
 
     file: Path = argument(..., "FILE", "Recording to fit on.")
     method: Literal["fiducial", "stereo", "shaft"] | None = option(
-        "--method",
-        "What finds the tool: fiducial, stereo or shaft. Default: the first of these that finds it.",
+        "--method", "What finds the tool. Default: fiducial, stereo or shaft, the first that finds it."
     )
     against: Literal["kinematics", "pose"] | None = option(
         "--against",
@@ -99,8 +96,7 @@ class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOptio
     )
     form: str | None = options.format_option(Holds.TABLES)
     output: Path | None = option(
-        "--output -o FILE.toml",
-        'Store the transforms in this file; a profile names it: hand_eye = "FILE.toml".',
+        "--output -o FILE.toml", 'File for the transforms; a profile names it: hand_eye = "FILE.toml".'
     )
     force: bool = FORCE
     jobs: int | None = options.JOBS

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from svmdist.cli import options, output
 from svmdist.cli.estimate import corrected
 from svmdist.cli.logs import GoldenLogOptions, GroupOption, Run, group_name
-from svmdist.cli.options import PLOT, OutputOptions, WindowOptions, format_option, option
+from svmdist.cli.options import PLOT, CalibrationOption, LagOption, OutputOptions, WindowOptions, option
 from svmdist.cli.output import ExitCode
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.report.writers import Holds
@@ -25,15 +25,7 @@ if TYPE_CHECKING:
 MethodChoice = StrEnum("MethodChoice", "overlay centroid fiducial shaft stereo kinematic fused")
 
 
-class Compare(
-    GoldenLogOptions,
-    options.CalibrationOption,
-    options.ReadOptions,
-    options.LagOption,
-    WindowOptions,
-    GroupOption,
-    OutputOptions,
-):
+class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, GroupOption, OutputOptions):
     """Compare methods on the same frames.
 
     Error and coverage of each method are given per scenario, and over all of them. Every method measures the same
@@ -63,14 +55,13 @@ class Compare(
         "Also measure in a world that is not as log and profile say, as in focal=1 or lag=30. May be "
         "repeated; each is applied alone, NAME=STRENGTH,NAME=STRENGTH together. Names: docs/simulation.md.",
     )
-    form: str | None = format_option(Holds.FIGURES)
+    form: str | None = options.format_option(Holds.FIGURES)
     save_plot: Path | None = PLOT
     plot: Literal["compare"] | None = option("--plot", "What --save-plot draws.", hidden=True)
 
     def _run(self) -> ExitCode:
         from svmdist.report.scores import compare_results
         from svmdist.workflows import compare
-        from svmdist.workflows.batch import Job
         from svmdist.workflows.request import Request, prepare
 
         writer = self.writer(self.paths, Holds.FIGURES)
@@ -87,7 +78,7 @@ class Compare(
             for method in methods
         )
         request = Request(setups[0], self.topics, self.window, lag=lag, conditions=tuple(conditions))
-        run = Run(self, Job(compare_log, request, list[compare.Run], (setups, keys)), "comparing")
+        run = Run(self, compare_log, request, list[compare.Run], "comparing", (setups, keys))
         scores = compare.compared([one for runs in run.finish() for one in runs], methods)
         output.write_results(compare_results(scores), writer, self.output)
         if self.save_plot:
@@ -121,15 +112,12 @@ def compare_log(
 
     seen = corrected(recording, request, threads)
     by = partial(group_name, keys=keys) if keys else None
-    count = recording.image_count()
-    total = count and count * len(request.conditions) * len(setups)
-    with output.steps("comparing", "measurements", total) as steps:
+    each = len(request.conditions) * len(setups)
+    with output.steps("comparing", "measurements", recording.image_count(), each) as steps:
         return measure_runs(seen, setups, request.conditions, jobs=threads, by=by, advance=steps.advance)
 
 
-class BlurBench(
-    GoldenLogOptions, options.CalibrationOption, options.ReadOptions, WindowOptions, OutputOptions
-):
+class BlurBench(GoldenLogOptions, CalibrationOption, WindowOptions, OutputOptions):
     """Measure features and error under blur.
 
     This reproduces Table I of the paper with its method, overlay. For other methods and degradations see
@@ -145,12 +133,11 @@ class BlurBench(
     kernel: list[str] | None = option(
         "--kernel BLUR=PX", "Kernel size of one blur, an odd number; may be repeated."
     )
-    form: str | None = format_option(Holds.FIGURES)
+    form: str | None = options.format_option(Holds.FIGURES)
 
     def _run(self) -> ExitCode:
         from svmdist.report.scores import blur_results
         from svmdist.vision.degradations import Blur
-        from svmdist.workflows.batch import Job
         from svmdist.workflows.blur_bench import BlurTally, blur_rows
         from svmdist.workflows.request import Request, prepare
 
@@ -158,7 +145,7 @@ class BlurBench(
         kernels_px = self._kernels_px()
         setup = prepare(self.profile, calibration=self.calibration, hand_eye=self.hand_eye)
         request = Request(setup, self.topics, self.window)
-        run = Run(self, Job(blur_log, request, dict[Blur, BlurTally], (kernels_px,)), "measuring")
+        run = Run(self, blur_log, request, dict[Blur, BlurTally], "measuring", (kernels_px,))
         tallies = run.finish()
         output.write_results(blur_results(blur_rows(tallies, kernels_px), len(tallies)), writer, self.output)
         return run.exit_code()

@@ -114,8 +114,6 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
     )
 
     def _run(self) -> ExitCode:
-        from svmdist.workflows.batch import Job
-
         writer = self.writer(self.paths, Holds.ROWS | Holds.FRAMES | Holds.REPORT)
         self._require_one_kind(writer)
         if writer.holds is Holds.REPORT:
@@ -136,7 +134,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         if writer.holds is Holds.FRAMES:
             return self._write_drawn(request, writer)
         draws = self.report is not None or self.save_plot is not None
-        run = Run(self, Job(measure_rows, request, EstimateResult), "measuring", keeps=draws)
+        run = Run(self, measure_rows, request, EstimateResult, "measuring", keeps=draws)
         if writer.holds is Holds.REPORT:
             run.finish()
         else:
@@ -243,8 +241,7 @@ def measure_rows(
     watches = {name: AlarmWatch(request.alarms) for name in wanted} if request.alarms else {}
     tally: Tally = {}
     kept = []
-    total = recording.image_count()
-    with output.steps("measuring", "rows", total and total * len(wanted)) as steps:
+    with output.steps("measuring", "rows", recording.image_count(), len(wanted)) as steps:
         for row in steps.of(estimate(seen, setup, request.instruments, threads)):
             _count(tally, row)
             if keep is not None:

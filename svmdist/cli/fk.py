@@ -47,7 +47,6 @@ class Fk(LogOptions, ReadOptions, WindowOptions, OutputOptions):
         from svmdist.metrics import TEXT
         from svmdist.report.rows import POSE_COLUMNS
         from svmdist.report.tables import Column
-        from svmdist.workflows.batch import Job
         from svmdist.workflows.request import Request, Setup
 
         writer = self.writer(self.paths, Holds.POSES)
@@ -56,7 +55,7 @@ class Fk(LogOptions, ReadOptions, WindowOptions, OutputOptions):
             raise UsageError(f"--format tum writes one trajectory, and {len(self.logs)} logs are given")
         topics = self.topics | ({"joints": self.joints} if self.joints else {})
         request = Request(Setup.reading(self.profile, self.hand_eye), topics, self.window)
-        run = Run(self, Job(pose_rows_of, request, int, (self.in_camera, several)), "computing")
+        run = Run(self, pose_rows_of, request, int, "computing", (self.in_camera, several))
         columns = (*POSE_COLUMNS, Column("recording", TEXT)) if several else POSE_COLUMNS
         with output.rows_shown(self.output):
             rows = run.rows()

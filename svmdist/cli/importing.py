@@ -35,29 +35,24 @@ class Import(Options):
     pattern: str | None = option("--pattern GLOB", "Which images of the folder, as in '*_L.jpg'.")
     right_pattern: str | None = option(
         "--right-pattern GLOB",
-        "Which images are the right view, as in '*_R.jpg'; without RIGHT, of the same folder.",
+        "Images of the right view, as in '*_R.jpg'; without RIGHT, of the same folder.",
     )
     side_by_side: bool = option(
         "--side-by-side", "Each picture has the left view on its left half, the right one beside.", False
     )
     calibration: Path | None = option(
         "--calibration FILE.yaml",
-        "camera_info of ROS, OpenCV's or Kalibr's calibration, of one camera or a pair.",
+        "Calibration of ROS (camera_info), OpenCV or Kalibr, of one camera or a pair.",
     )
-    right_calibration: Path | None = option(
-        "--right-calibration FILE.yaml", "The right camera's, in a file of its own."
-    )
+    right_calibration: Path | None = option("--right-calibration FILE.yaml", "The right camera's own.")
     camera: str | None = option("--camera FX,FY,CX,CY", "The camera in px, in place of a file.")
-    right_camera: str | None = option(
-        "--right-camera FX,FY,CX,CY", "The right one. Default: as the left one."
-    )
+    right_camera: str | None = option("--right-camera FX,FY,CX,CY", "The right one. Default: the left one.")
     distortion: str | None = option("--distortion K1,K2,P1,P2[,K3…]", "With --camera. Default: none.")
     distortion_model: str = option(
-        "--distortion-model NAME", "plumb_bob, rational_polynomial or fisheye.", "plumb_bob"
+        "--distortion-model NAME", "plumb_bob, rational_polynomial, fisheye.", "plumb_bob"
     )
     baseline: str | None = option(
-        "--baseline LENGTH",
-        "Distance of the cameras of a rectified pair, as in 5.2mm; in place of what a file says.",
+        "--baseline LENGTH", "Distance of the cameras of a rectified pair, as in 5.2mm; overrides a file's."
     )
     unit: Literal["m", "cm", "mm"] = option(
         "--unit UNIT", "Unit of lengths in calibration and poses: m, cm or mm.", "m"
@@ -66,12 +61,10 @@ class Import(Options):
         "--rate HZ", "Images per second, where neither names nor video tell the time.", min=1e-3, max=1e4
     )
     start: str = option("--start SECONDS", "Time of the first image, with --rate or a video.", "0")
-    times: Path | None = option(
-        "--times FILE.csv", "Times of the images: a column of times, or of names and times."
-    )
+    times: Path | None = option("--times FILE.csv", "Times of the images, with or without their names.")
     poses: list[str] | None = option(
         "--poses [NAME=]FILE.csv",
-        "Poses of the tool in the robot's base, of instrument NAME (PSM1); may be repeated.",
+        "Tool poses in the robot's base, of instrument NAME (PSM1); may be repeated.",
     )
     joints: list[str] | None = option("--joints [NAME=]FILE.csv", "Joint positions; may be repeated.")
     joint_names: str | None = option("--joint-names NAME,…", "Of the columns of --joints that have none.")
@@ -86,19 +79,23 @@ class Import(Options):
 
     def _run(self) -> None:
         from svmdist.importing.calibration import CalibrationOptions
+        from svmdist.importing.tables import parse_stamp_ns
         from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
 
         path = self.output or Path(f"{self.source.resolve().stem}.mcap")
         require_output(path)
         if self.right_camera is not None and self.camera is None:
             raise UsageError("--right-camera goes with --camera")
-        views = (self.right, self.right_pattern, self.side_by_side or None)
-        if self.baseline is not None and views == (None, None, None):
+        if self.baseline is not None and not (self.right or self.right_pattern or self.side_by_side):
             raise UsageError("--baseline is of two views: name the right one, or say --side-by-side")
+        try:
+            start_ns = parse_stamp_ns(self.start, "s")
+        except ValueError as problem:
+            raise UsageError(f"--start {self.start}: {problem}") from None
         options = ImportOptions(
             ViewOptions(
                 *(self.source, self.right, self.pattern, self.right_pattern, self.side_by_side),
-                *(self.rate, _start_ns(self.start), self.times, self.every),
+                *(self.rate, start_ns, self.times, self.every),
             ),
             CalibrationOptions(
                 (self.calibration, self.right_calibration),
@@ -115,14 +112,10 @@ class Import(Options):
         )
         with progress_bar(f"import {self.source.name}", "images") as advance:
             result = import_log(options, path, force=self.force, on_progress=advance)
-        counted = ", ".join(
-            f"{count} {topic}" for topic, count in result.counts.items() if "camera_info" not in topic
-        )
-        LOG.info("%s: %s; %.2f MB", path, counted, result.size_bytes / 1e6)
+        counted = [f"{count} {topic}" for topic, count in result.counts.items() if "camera_info" not in topic]
+        LOG.info("%s: %s; %.2f MB", path, ", ".join(counted), result.size_bytes / 1e6)
         if result.has_baseline is False:
-            LOG.info(
-                "no baseline is known: stereo cannot measure; give --baseline, or a calibration of the pair"
-            )
+            LOG.info("no baseline is known: stereo needs --baseline, or a calibration of the pair")
 
 
 def _numbers(name: str, text: str) -> tuple[float, ...]:
@@ -133,21 +126,10 @@ def _numbers(name: str, text: str) -> tuple[float, ...]:
 
 
 def _intrinsics(name: str, text: str | None) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    numbers = _numbers(name, text)
-    if len(numbers) != 4 or min(numbers[:2]) <= 0:
+    numbers = _numbers(name, text) if text is not None else None
+    if numbers is not None and (len(numbers) != 4 or min(numbers[:2]) <= 0):
         raise UsageError(f"{name} {text}: expected FX,FY,CX,CY in px, as in 572.2,572.2,378.8,239.3")
     return numbers
-
-
-def _start_ns(text: str) -> int:
-    from svmdist.importing.tables import parse_stamp_ns
-
-    try:
-        return parse_stamp_ns(text, "s")
-    except ValueError as problem:
-        raise UsageError(f"--start {text}: {problem}") from None
 
 
 def _tables(name: str, given: list[str] | None) -> dict[str, Path]:
@@ -158,8 +140,6 @@ def _tables(name: str, given: list[str] | None) -> dict[str, Path]:
         if not (equals and INSTRUMENT.match(instrument)):
             instrument, file = "PSM1", text
         if instrument in found:
-            raise UsageError(
-                f"{name}: two files for the instrument {instrument}; say NAME=FILE for another one"
-            )
+            raise UsageError(f"{name}: two files for the instrument {instrument}; name the other: NAME=FILE")
         found[instrument] = Path(file)
     return found

@@ -46,13 +46,12 @@ class Info(LogOptions, ReadOptions, OutputOptions):
 
     def _run(self) -> ExitCode:
         from svmdist.report.info import logs_results
-        from svmdist.workflows.batch import Job
         from svmdist.workflows.request import Request, Setup
 
         writer = self.writer(self.paths, Holds.TABLES)
         request = Request(Setup.reading(self.profile, self.hand_eye), self.topics)
-        job = Job(inspect_log, request, dict[str, Any], (writer.name != "csv",))
-        run = Run(self, job, "inspecting", keeps=True)
+        tags = (writer.name != "csv",)
+        run = Run(self, inspect_log, request, dict[str, Any], "inspecting", tags, keeps=True)
         run.finish()
         documents = [(log.name, document) for log, _, document in run.measured]
         (shown,) = run.kept() if self.is_one else [logs_results(documents)]

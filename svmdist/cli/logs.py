@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from glob import glob
 from pathlib import Path
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from svmdist.report.scores import LogFigures
     from svmdist.report.tables import Row
     from svmdist.report.writers import Results
-    from svmdist.workflows.batch import Job, LogFile, Outcome
+    from svmdist.workflows.batch import LogFile, Outcome
+    from svmdist.workflows.request import Request
 
 Result = TypeVar("Result")
 
@@ -41,11 +42,10 @@ class LogOptions(Options):
     jobs: int | None = JOBS
     scheduler: str | None = option(
         "--scheduler tcp://HOST:PORT",
-        "Measure on this Dask cluster, one task per log; its workers read the same paths or URLs.",
+        "Measure on this Dask cluster; its workers read the same paths or URLs.",
     )
     resume: Path | None = option(
-        "--resume FOLDER",
-        "Keep each log's result in this folder, and reuse those of the same log, request and version.",
+        "--resume FOLDER", "Keep results in this folder; reuse those of the same log, options and version."
     )
 
     @cached_property
@@ -87,8 +87,7 @@ class GroupOption(Options):
     """How logs are grouped."""
 
     group: str | None = option(
-        "--group KEY,...",
-        "Also give figures for each group of logs, by their metadata, as in scenario,world.",
+        "--group KEY,...", "Also give figures for groups of logs by their metadata, as in scenario,world."
     )
 
     @property
@@ -110,12 +109,25 @@ def group_name(metadata: dict[str, str], keys: Sequence[str]) -> str:
 class Run(Generic[Result]):
     """What a job makes of the logs of a command: `outcomes` are known when the rows are at their end.
 
-    With `keeps`, the job is also asked for what pictures and pages are made of: it gives that to its argument `keep`.
+    The arguments are those of `Job`. With `keeps`, `measure` is also asked for what pictures and pages are made of: it
+    gives that to its argument `keep`.
     """
 
-    def __init__(self, given: LogOptions, job: Job[Result], title: str, *, keeps: bool = False) -> None:
+    def __init__(
+        self,
+        given: LogOptions,
+        measure: Callable[..., Any],
+        request: Request,
+        result_type: type[Result],
+        title: str,
+        options: tuple[Any, ...] = (),
+        *,
+        keeps: bool = False,
+    ) -> None:
+        from svmdist.workflows.batch import Job
+
         self.given = given
-        self._job = job
+        self._job = Job(measure, request, result_type, options)
         self._title = title
         self._kept: list[Any] = []
         self._more = {"keep": self._kept.append} if keeps else {}
@@ -255,14 +267,9 @@ def _unique_names(paths: Sequence[LogPath]) -> list[str]:
     for path in paths:
         folders = path.folders if isinstance(path, RemoteFile) else Path(os.path.abspath(path)).parts[1:-1]
         parts.append((*folders, path.stem))
-    depths = dict.fromkeys(parts, 1)
-    while True:
-        shown = Counter(part[-depths[part] :] for part in depths)
-        longer = [part for part, depth in depths.items() if shown[part[-depth:]] > 1 and depth < len(part)]
-        if not longer:
-            return ["/".join(part[-depths[part] :]) for part in parts]
-        for part in longer:
-            depths[part] += 1
+    ends = {part: [part[-depth:] for depth in range(1, len(part) + 1)] for part in parts}
+    counts = Counter(end for each in ends.values() for end in each)
+    return ["/".join(next((end for end in ends[part] if counts[end] == 1), part)) for part in parts]
 
 
 def _paths_of(text: str) -> Sequence[LogPath]:
@@ -275,9 +282,7 @@ def _paths_of(text: str) -> Sequence[LogPath]:
         return _logs_in(path)
     matches = sorted(Path(match) for match in glob(text, recursive=True))
     logs = [match for match in matches if _is_log(match)]
-    folders = [match for match in matches if match.is_dir() and match not in logs]
-    if not logs and len(folders) == len(matches) and matches:
-        logs = [log for folder in folders for log in _logs_in(folder) if log != folder]
+    logs = logs or [log for match in matches if match.is_dir() for log in _logs_in(match) if log != match]
     chosen = logs or [match for match in matches if match.is_file()]
     if not chosen:
         raise UsageError(f"{text}: no log matches")

@@ -7,17 +7,16 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated
+from typing import Any
 
 import typer
 from typer.core import TyperGroup
 
 from svmdist.cli import calibrate, compare, estimate, fk, importing, info, record, show, validate
-from svmdist.cli.options import QUIET, VERBOSE, Options, choose_verbosity, function_of
+from svmdist.cli.options import QUIET, VERBOSE, Options, choose_verbosity, function_of, name_of, option
 from svmdist.cli.output import LOG, ExitCode, abandon, adapt_streams, print_log, with_notes
 from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
 
-HELP = {"help_option_names": ["-h", "--help"]}
 NO_MEMORY = "there is not enough memory; try fewer --jobs"
 CV_NO_MEMORY = -4
 """OpenCV's code of an allocation that failed."""
@@ -52,14 +51,17 @@ class CommandGroup(TyperGroup):
     invoke = _one_line()(TyperGroup.invoke)
 
 
+GROUP: dict[str, Any] = {
+    "cls": CommandGroup,
+    "no_args_is_help": True,
+    "rich_markup_mode": None,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
 app = typer.Typer(
+    **GROUP,
     name="svmdist",
-    cls=CommandGroup,
     help="Estimate the distance between surgical instruments and tissue from recorded logs, and score the estimates.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    context_settings=HELP,
     epilog="""\b
 Examples:
   What a log holds, and which methods it can serve:
@@ -73,39 +75,24 @@ Exit codes: 0 clean, 1 unusable, 2 usage, 3 usable with loss, 4 worse than the b
 143 terminated.""",
 )
 profiles = typer.Typer(
-    cls=CommandGroup,
+    **GROUP,
     help="Make a profile.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    context_settings=HELP,
     epilog="\b\nExamples:\n  A first profile of a log:\n    svmdist profile new log.mcap -o mine.toml",
 )
 app.add_typer(profiles, name="profile")
 
 
-def _add(group: typer.Typer, **commands: type[Options]) -> None:
+def _add(group: typer.Typer, *commands: type[Options]) -> None:
     """Add commands: a class's docstring is the help, and ends with examples."""
-    for place, command in commands.items():
-        name = place.replace("_", "-")
+    for command in commands:
         text, examples = str(inspect.getdoc(command)).split("\n\nExamples:\n")
-        group.command(name, help=text, epilog=f"\b\nExamples:\n{examples}")(function_of(command, name))
+        add = group.command(name_of(command), help=text, epilog=f"\b\nExamples:\n{examples}")
+        add(function_of(command))
 
 
-_add(profiles, new=info.New)
-_add(
-    app,
-    **{"import": importing.Import},
-    info=info.Info,
-    show=show.Show,
-    record=record.Record,
-    calibrate=calibrate.Calibrate,
-    estimate=estimate.Estimate,
-    validate=validate.Validate,
-    compare=compare.Compare,
-    blur_bench=compare.BlurBench,
-    fk=fk.Fk,
-    hand_eye=calibrate.HandEye,
-)
+_add(profiles, info.New)
+_add(app, importing.Import, info.Info, show.Show, record.Record, calibrate.Calibrate, estimate.Estimate)
+_add(app, validate.Validate, compare.Compare, compare.BlurBench, fk.Fk, calibrate.HandEye)
 
 
 def _print_version(asked: bool) -> None:
@@ -118,12 +105,9 @@ def _print_version(asked: bool) -> None:
 
 @app.callback()
 def main(
-    version: Annotated[  # noqa: ARG001  (its callback has printed it)
-        bool,
-        typer.Option(
-            "--version", "-V", help="Print the version and exit.", is_eager=True, callback=_print_version
-        ),
-    ] = False,
+    version: bool = option(  # noqa: ARG001  (its callback has printed it)
+        "--version -V", "Print the version and exit.", False, is_eager=True, callback=_print_version
+    ),
     quiet: bool = QUIET,
     verbose: bool = VERBOSE,
 ) -> None:
@@ -160,15 +144,13 @@ def missing_resource(error: BaseException) -> str | None:
     match error:
         case MemoryError():
             return NO_MEMORY
-        case OSError(strerror=str(reason)):
-            name = f"{error.filename}: " if isinstance(error.filename, str) else ""
-            return f"{name}{reason}"
         case OSError():
-            return str(error) or type(error).__name__
+            name = f"{error.filename}: " if isinstance(error.filename, str) else ""
+            return name + (error.strerror or str(error) or type(error).__name__)
         case RuntimeError() if "can't start new thread" in str(error):
             return "no thread can be started; try --jobs 1"
         case ImportError() if LIBRARY_NOT_LOADED.search(str(error)):
             return f"a library cannot be loaded, perhaps for want of memory: {' '.join(str(error).split())}"
         case _:
-            is_opencv = type(error).__module__ == "cv2" and type(error).__name__ == "error"
+            is_opencv = str(type(error)) == "<class 'cv2.error'>"
             return NO_MEMORY if is_opencv and getattr(error, "code", 0) == CV_NO_MEMORY else None

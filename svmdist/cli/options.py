@@ -54,7 +54,7 @@ def argument(default: Any, metavar: str, text: str) -> Any:
     return typer.Argument(default, metavar=metavar, help=text, show_default=False)
 
 
-def function_of(command: type[Options], name: str) -> Callable[..., None]:
+def function_of(command: type[Options]) -> Callable[..., None]:
     """A function with a parameter for each option of a command, as Typer reads it."""
     defaults = {name: getattr(command, name) for name in _names(command)} | {
         "quiet": QUIET,
@@ -68,7 +68,9 @@ def function_of(command: type[Options], name: str) -> Callable[..., None]:
         try:
             raise typer.Exit(command(**values)._run() or 0)
         finally:
-            logging.getLogger("svmdist").debug("%s took %.1f s", name, time.perf_counter() - begin_s)
+            logging.getLogger("svmdist").debug(
+                "%s took %.1f s", name_of(command), time.perf_counter() - begin_s
+            )
 
     run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [
@@ -78,6 +80,11 @@ def function_of(command: type[Options], name: str) -> Callable[..., None]:
     )
     run.__annotations__ = {name: hints[name] for name in defaults}
     return run
+
+
+def name_of(command: type[Options]) -> str:
+    """The name of a command: `blur-bench` of BlurBench."""
+    return re.sub(r"(?<=.)([A-Z])", r"-\1", command.__name__).lower()
 
 
 def _names(group: type) -> list[str]:
@@ -164,8 +171,7 @@ class ReadOptions(ProfileOptions):
     """The same, with camera-to-base transforms."""
 
     hand_eye: Path | None = option(
-        "--hand-eye FILE",
-        "Camera-to-base transforms of `svmdist hand-eye`, in place of the profile's and the log's.",
+        "--hand-eye FILE", "Transforms of `svmdist hand-eye`, in place of the profile's and the log's."
     )
 
 
@@ -188,12 +194,10 @@ class WindowOptions(Options):
         return Window(self.start, math.inf if self.end is None else self.end, self.every)
 
 
-class CalibrationOption(Options):
+class CalibrationOption(ReadOptions):
     """The planar methods' mapping."""
 
-    calibration: Path | None = option(
-        "--calibration FILE", "Calibration file. Default: the one that ships with the profile."
-    )
+    calibration: Path | None = option("--calibration FILE", "Calibration file. Default: the profile's.")
 
 
 class MethodOptions(CalibrationOption):
@@ -211,8 +215,7 @@ class InstrumentOption(Options):
     """Which instruments are measured."""
 
     instrument: list[str] | None = option(
-        "--instrument NAME",
-        "Measure only this instrument of a log with several; may be repeated. Default: all.",
+        "--instrument NAME", "Measure only this one of several instruments; may be repeated. Default: all."
     )
 
     def instruments(self, profile: Profile) -> tuple[str, ...] | None:
@@ -279,13 +282,11 @@ class AlarmOptions(Options):
         return AlarmRules(below_m) if confidence is None else AlarmRules(below_m, confidence)
 
 
-class MeasureOptions(MethodOptions, ReadOptions, InstrumentOption, LagOption, AlarmOptions, WindowOptions):
+class MeasureOptions(MethodOptions, InstrumentOption, LagOption, AlarmOptions, WindowOptions):
     """Everything of a measurement by one method."""
 
     equations: Literal["corrected", "printed"] = option(
-        "--equations",
-        "Reading of the paper's formulas: corrected, or printed, that is as published.",
-        "corrected",
+        "--equations", "Reading of the paper's formulas: corrected, or printed as published.", "corrected"
     )
 
     def request(self) -> Request:

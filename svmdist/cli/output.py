@@ -106,12 +106,12 @@ def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], 
 
 
 @contextmanager
-def steps(title: str, unit: str, total: int | None) -> Iterator[Steps]:
-    """Give what counts steps, and shows them as `progress_bar` does."""
+def steps(title: str, unit: str, count: int | None, each: int = 1) -> Iterator[Steps]:
+    """Give what counts the steps of `count` images, `each` of so many, and shows them as `progress_bar` does."""
     from svmdist.workflows.parallel import Steps
 
     with progress_bar(title, unit) as advance:
-        yield Steps(advance, total)
+        yield Steps(advance, count and count * each)
 
 
 @contextmanager
@@ -120,15 +120,11 @@ def _bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
+    columns = TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn()
     try:
-        with Progress(*columns, console=console, transient=True) as progress:
+        with Progress(
+            *columns, "{task.fields[rate]}", TimeRemainingColumn(), console=console, transient=True
+        ) as progress:
             task = progress.add_task(title, total=None, rate="")
 
             def advance(done: int, total: int | None) -> None:

@@ -14,7 +14,6 @@ from svmdist.cli.options import (
     InstrumentOption,
     LagOption,
     MethodOptions,
-    ReadOptions,
     argument,
     option,
 )
@@ -34,7 +33,7 @@ PICTURE_ENDINGS = frozenset(
 """Names that mean a picture, and not a folder."""
 
 
-class Show(MethodOptions, ReadOptions, InstrumentOption, LagOption):
+class Show(MethodOptions, InstrumentOption, LagOption):
     """Show images with what was found in them.
 
     The pictures are PNG files. Each phase of the method is a panel: segmentation, contours, marker, matches and
@@ -55,9 +54,7 @@ class Show(MethodOptions, ReadOptions, InstrumentOption, LagOption):
     frame: int | None = option("--frame N", "Only the image of this number, from 0.", min=0)
     at: float | None = option("--at S", "Only the image nearest to so many seconds.", min=0.0)
     worst: int | None = option(
-        "--worst N",
-        "The N worst frames: by error where the log has ground truth, else by the interval's width.",
-        min=1,
+        "--worst N", "The N frames of largest error, or of widest interval without ground truth.", min=1
     )
     output: Path = option(
         "--output -o DIR",
@@ -159,9 +156,10 @@ def _worst(recording: Recording, request: Request, count: int, jobs: int | None)
     from svmdist.workflows.estimate import estimate
     from svmdist.workflows.series import make_series, worst_frames
 
-    total = recording.image_count()
     instruments = request.instruments or recording.instruments
-    with output.steps(f"measuring {recording.name}", "rows", total and total * len(instruments)) as steps:
+    with output.steps(
+        f"measuring {recording.name}", "rows", recording.image_count(), len(instruments)
+    ) as steps:
         rows = list(steps.of(estimate(recording, request.setup, request.instruments, jobs)))
     worst = worst_frames(make_series(rows, recording, request.setup), count)
     for one in worst:

@@ -55,9 +55,7 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
     max_gap: float = option(
         "--max-gap SECONDS", "Longest gap in the truth to interpolate across.", 0.1, min=0.0, max=60.0
     )
-    baseline: Path | None = option(
-        "--baseline FILE", "Exit with code 4 if a metric is worse than in this file."
-    )
+    baseline: Path | None = option("--baseline FILE", "Exit with 4 if a metric is worse than in this file.")
     write_baseline: Path | None = option("--write-baseline FILE", "Store the metrics in this file.")
     plot: PlotKind | None = option(
         f"--plot {'|'.join(get_args(PlotKind))}",
@@ -69,7 +67,6 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
     def _run(self) -> ExitCode:
         from svmdist.report.scores import validation_results
         from svmdist.workflows import validate
-        from svmdist.workflows.batch import Job
 
         writer = self.writer(self.paths, Holds.FIGURES)
         output.require_output(self.write_baseline, self.paths)
@@ -81,7 +78,7 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         validate.require_truth_for_alarms(request)
         kind = self.plot or "fig6"
         keeps = self.report is not None or (self.save_plot is not None and kind != "fig6")
-        run = Run(self, Job(score_log, request, validate.Scored), "validating", keeps=keeps)
+        run = Run(self, score_log, request, validate.Scored, "validating", keeps=keeps)
         result = validate.combine(run.finish(), request, run.groups(keys))
         for note in result.notes:
             LOG.info("note: %s", note)
@@ -113,7 +110,6 @@ def score_log(recording: Recording, request: Request, threads: int, keep: Keep |
     """Score one recording, with progress."""
     from svmdist.workflows.validate import score_recording, step_count
 
-    count = recording.image_count()
-    total = count and count * step_count(recording, request)
-    with output.steps(f"validating {request.setup.method}", "rows", total) as steps:
+    title, each = f"validating {request.setup.method}", step_count(recording, request)
+    with output.steps(title, "rows", recording.image_count(), each) as steps:
         return score_recording(recording, request, threads, steps, keep)

@@ -128,7 +128,7 @@ def test_an_option_is_declared_in_one_place() -> None:
     class Given(MeasureOptions):
         own: int = 3
 
-    names = list(inspect.signature(function_of(Given, "given")).parameters)
+    names = list(inspect.signature(function_of(Given)).parameters)
     assert names[-3:] == ["own", "quiet", "verbose"]
     assert {"method", "profile", "lag", "every", "alarm_below"} <= set(names)
 
