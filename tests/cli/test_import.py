@@ -50,8 +50,12 @@ def test_pair_without_baseline_is_told(cli: Cli, folder: Path, tmp_path: Path) -
         (("--camera", "60,60,1,x"), 2, "expected numbers between commas"),
         (("--camera", "60,61,31,23"), 2, "img0.png tells no time"),
         (("--camera", "60,61,310,23", "--rate", "1"), 1, "the principal point (310, 23) is outside"),
-        (("--camera", "60,61,31,23", "--rate", "0"), 2, "--rate 0: expected images per second"),
-        (("--camera", "60,61,31,23", "--unit", "inch"), 2, "--unit inch: the choices are: cm, m, mm"),
+        (
+            ("--camera", "60,61,31,23", "--rate", "0"),
+            2,
+            "'--rate': Input should be greater than or equal to 0.001",
+        ),
+        (("--camera", "60,61,31,23", "--unit", "inch"), 2, "'--unit': inch: the choices are: cm, m, mm"),
         (("--camera", "60,61,31,23", "--baseline", "5mm"), 2, "--baseline is of two views"),
         (
             ("--camera", "60,61,31,23", "--distortion", "0.1,0.2", "--rate", "1"),
