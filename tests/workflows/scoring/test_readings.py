@@ -1,10 +1,13 @@
-"""Rows to arrays and pairs: what has no value is left out, and the rest is what the rows held."""
+"""Rows to pairs, scores and alarms: what has no value is left out, and known rows give known counts."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from svmdist.errors import RecordingError
+from svmdist.estimation.alarms import AlarmRules
+from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.tracks import SampledDistances
 from svmdist.workflows.scoring.score import (
@@ -14,15 +17,23 @@ from svmdist.workflows.scoring.score import (
     Readings,
     pooled,
     pooled_score,
+    score_alarms,
     score_pairs,
 )
-from tests.rows import result_of
+
+
+def result_of(
+    stamp_ns: int, status: Status, tool_px: tuple[float, float] | None = None, **distances_m: Distance
+) -> FrameResult:
+    """A result with distances by their names."""
+    return FrameResult(stamp_ns, status, ImageFindings(tool_px=tool_px), distances=Distances(**distances_m))
+
 
 ROWS = [
-    result_of(10, Status.OK, (3.0, 4.0), planar_m=1.0, spatial_m=1.5, spatial_std_m=0.1),
-    result_of(20, Status.NO_TISSUE, (5.0, 6.0), planar_m=9.0),
-    result_of(30, Status.OK, planar_m=2.0),
-    result_of(40, Status.OK, planar_m=3.0, clearance_m=0.5),
+    result_of(10, Status.OK, (3.0, 4.0), planar=Distance(1.0), spatial=Distance(1.5, 0.1)),
+    result_of(20, Status.NO_TISSUE, (5.0, 6.0), planar=Distance(9.0)),
+    result_of(30, Status.OK, planar=Distance(2.0)),
+    result_of(40, Status.OK, planar=Distance(3.0), clearance=Distance(0.5)),
 ]
 TRUTH = SampledDistances(
     np.array([1.1, 2.0, 2.1, 3.1]),
@@ -69,3 +80,35 @@ def test_pooling_counts_every_pair_the_same() -> None:
     assert together.statistics.bias == pytest.approx(0.3 / 4)
     assert together.interval_coverage == 0.75  # 0.3 lies outside ±1.96 x 0.1
     assert len(pooled(parts)) == 4
+
+
+STAMPS_NS = np.array([0, 1, 2, 3, 4], np.int64) * 1_000_000_000
+WITH_ALARMS = [
+    result_of(int(stamp_ns), Status.OK, clearance=None if clearance_m is None else Distance(clearance_m))
+    for stamp_ns, clearance_m in zip(STAMPS_NS, (0.010, 0.004, None, 0.004, 0.010), strict=True)
+]
+
+
+def true_clearance(*clearance_m: float) -> SampledDistances:
+    """True clearances at the stamps."""
+    values = np.array(clearance_m)
+    return SampledDistances(values, values, values, np.ones(len(values), np.bool_))
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3, 4], [4, 2, 0, 3, 1]], ids=["sorted", "shuffled"])
+def test_alarms_are_counted_whatever_their_order(order: list[int]) -> None:
+    """Below 5 mm two frames are alarmed, one of them rightly; the unsafe frame without a clearance is missed."""
+    true = true_clearance(*np.array([0.010, 0.006, 0.003, 0.003, 0.010])[order])
+    found = score_alarms([WITH_ALARMS[at] for at in order], true, STAMPS_NS[order], AlarmRules(0.005))
+    assert (found.frame_count, found.unsafe_count, found.unjudged_count) == (5, 2, 1)
+    assert (found.true_alarm_count, found.false_alarm_count) == (1, 1)
+    assert (found.event_count, found.lead_times_s, found.duration_s) == (1, (-1.0,), 4.0)
+
+
+def test_frames_without_a_true_clearance_are_left_out() -> None:
+    """They count nowhere; where they are all frames, that is an error."""
+    true = true_clearance(np.nan, 0.003, np.nan, np.nan, 0.010)
+    found = score_alarms(WITH_ALARMS, true, STAMPS_NS, AlarmRules(0.005))
+    assert (found.frame_count, found.unsafe_count, found.true_alarm_count) == (2, 1, 1)
+    with pytest.raises(RecordingError, match="no frame with a true clearance"):
+        score_alarms(WITH_ALARMS, true_clearance(*[np.nan] * 5), STAMPS_NS, AlarmRules(0.005))
