@@ -184,10 +184,9 @@ def _write_report(
     path: Path,
 ) -> None:
     from svmdist.report.html import make_report, write_report
-    from svmdist.report.scores import log_results, pooled_log_figures, ranked
+    from svmdist.report.scores import log_results
 
-    each = run.figures(keys)
-    ranking = None if logs.is_one else log_results(ranked(each), pooled_log_figures(each))
+    ranking = None if logs.is_one else log_results(run.figures(keys))
     with progress_bar("drawing the worst frames", "images") as advance:
         page = make_report(
             measured, request, command_line(), result, jobs=logs.jobs, logs=ranking, on_progress=advance
