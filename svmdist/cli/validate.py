@@ -164,14 +164,17 @@ def score_log(recording: Recording, request: Request, threads: int, keep: Keep |
 def _save_plot(
     result: Validation, measured: list[Measured], request: Request, kind: PlotKind, path: Path
 ) -> None:
-    from svmdist.report.plots import SeriesPlot, save_plot, save_series_plot
+    from svmdist.report.plots import SeriesPlot, draw, draw_series, save_figure
     from svmdist.workflows.series import series_of
 
     if kind == "fig6":
-        save_plot(result, path)
+        save_figure(path, draw, result)
         return
-    series = series_of(measured, request, result.reference)
-    save_series_plot(series, SeriesPlot(kind), path, request.alarms.below_m if request.alarms else None)
+    series, below_m = (
+        series_of(measured, request, result.reference),
+        request.alarms and request.alarms.below_m,
+    )
+    save_figure(path, draw_series, series, SeriesPlot(kind), below_m)
 
 
 def _write_report(

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -100,7 +101,9 @@ def write_video(frames: Iterable[DrawnFrame], path: Path, recording: Recording, 
         try:
             with av.open(str(target), "w", format="mp4") as container:
                 codec = next(name for name in CODECS if name in av.codecs_available)
-                stream = container.add_stream(codec, rate=30, options=QUALITY if codec == "libx264" else {})
+                stream: Any = container.add_stream(
+                    codec, rate=30, options=QUALITY if codec == "libx264" else {}
+                )
                 stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
                 stream.codec_context.time_base = TIME_BASE
                 for frame in frames:

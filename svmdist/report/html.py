@@ -229,18 +229,17 @@ def _sections(report: Report) -> list[tuple[str, list[tuple[str, Chart]]]]:
         if np.isfinite(one.consistency).any():
             named.append((f"consistency-{at}", charts.consistency_over_time(one)))
         sections.append((f"{one.recording}, {one.instrument}: {one.method}", named))
-    for distance in dict.fromkeys(one.distance for one in report.series):
-        known = [one for one in report.series if one.distance == distance and np.isfinite(one.error_m).any()]
-        if known:
-            named = [
-                (f"by-distance-{distance}", charts.errors_over(known, "distance")),
-                (f"by-place-{distance}", charts.error_over_image(known)),
-                (f"bland-altman-{distance}", charts.agreement(known)),
-                (f"distribution-{distance}", charts.distribution(known)),
-            ]
-            if any(np.isfinite(one.std_m).any() for one in known):
-                named.append((f"calibration-{distance}", charts.calibration(known)))
-            sections.append((f"Errors of the {charts.distance_name(known[0])}, all logs", named))
+    for known in charts.with_errors(report.series):
+        distance = known[0].distance
+        named = [
+            (f"by-distance-{distance}", charts.errors_over(known, "distance")),
+            (f"by-place-{distance}", charts.error_over_image(known)),
+            (f"bland-altman-{distance}", charts.agreement(known)),
+            (f"distribution-{distance}", charts.distribution(known)),
+        ]
+        if any(np.isfinite(one.std_m).any() for one in known):
+            named.append((f"calibration-{distance}", charts.calibration(known)))
+        sections.append((f"Errors of the {charts.distance_name(known[0])}, all logs", named))
     return sections
 
 

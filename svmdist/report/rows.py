@@ -50,11 +50,6 @@ def _several(
         yield Column(keys.format(name), unit, heading.format(name), of, meaning, given_by)
 
 
-def _alarm(estimate: Estimate) -> int | None:
-    alarm = estimate.alarm and estimate.alarm.alarm
-    return None if alarm is None else int(alarm)
-
-
 # fmt: off
 ESTIMATE_COLUMNS: tuple[Column, ...] = (
     Column("recording", TEXT, "recording", "",
@@ -97,7 +92,7 @@ ESTIMATE_COLUMNS: tuple[Column, ...] = (
     *_several("direction_{}", "result.distances.clearance.direction.{}", "x y z", RATIO,
               "unit vector of the shortest separation from instrument to tissue, in the camera frame",
               "with `clearance_m`"),
-    Column("alarm", COUNT, "alarm", _alarm,
+    Column("alarm", COUNT, "alarm", lambda e: None if e.alarm is None or e.alarm.alarm is None else int(e.alarm.alarm),
            "1 or 0; empty without a clearance, which does not mean that the frame is safe", "`--alarm-below`", "alarm"),
     Column("closing_speed_m_s", SPEED, "closing [mm/s]", "alarm.closing_speed_m_s",
            "speed at which the clearance shrinks, over the last 0.5 s; negative where it grows", "`--alarm-below`",

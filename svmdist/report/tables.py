@@ -62,7 +62,7 @@ class Column:
             if source is None:
                 return None
             source = source[int(step)] if step.isdecimal() else getattr(source, step)
-        return float(source) if isinstance(source, float) else source  # type: ignore[no-any-return]
+        return float(source) if isinstance(source, float) else source
 
     def show(self, value: Cell) -> str:
         """The value for a person; a number that does not exist is a dash."""

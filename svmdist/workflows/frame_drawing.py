@@ -18,7 +18,6 @@ from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, ShaftDetection
 from svmdist.estimation.planar import mark, template_features
 from svmdist.geometry.surfaces import Mesh
-from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import LEFT_IMAGES
 from svmdist.recording.topics import Role
@@ -150,7 +149,7 @@ def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup
         yield Shape(Part.TISSUE, Form.LOOP, np.asarray(tissue.outline.curve_px, np.float64))
     for frame, result in zip(frames, results, strict=True):
         yield from _tool_shapes(frame, result.instrument)
-        found = virtual_marker(frame, frame.arm.profile) if setup.method == "overlay" else None
+        found = virtual_marker(frame) if setup.method == "overlay" else None
         if found is None:
             continue
         if found.corners_px is not None:
@@ -266,11 +265,12 @@ class VirtualMarker:
     corners_px: Array | None
 
 
-def virtual_marker(frame: Frame, profile: Profile) -> VirtualMarker | None:
+def virtual_marker(frame: Frame) -> VirtualMarker | None:
     """Search for the marker as `overlay` did in this frame; None where it pasted none."""
     tissue, instrument = frame.left.found.get("regions_as_recorded") or (None, None)
     if tissue is None or instrument is None:
         return None
+    profile = frame.arm.profile
     rules, settings = profile.features, profile.settings.marker
     window = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, profile.marker)
     origin_px = np.array(window.origin_px, np.float64)

@@ -177,7 +177,7 @@ def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo: tuple[Setup
 def test_the_markers_matches_are_those_that_overlay_counted(sweep: tuple[Setup, Replayed]) -> None:
     """And the line of a planar distance runs from tool to tissue."""
     setup, replayed = sweep
-    found = virtual_marker(replayed.frames[0], setup.profile)
+    found = virtual_marker(replayed.frames[0])
     image = replayed.results[0].image
     assert found is not None
     counts = len(found.keypoints_px), len(found.matched_px), int(found.inliers.sum())
