@@ -17,7 +17,7 @@ from svmdist.perturbations.table import TABLE
 from svmdist.profile.settings import Settings
 from svmdist.profile.toml import StrictModel
 from svmdist.report.rows import ESTIMATE_COLUMNS
-from svmdist.workflows.scoring.metric_table import Output, Tolerance, figure_metrics, score_metrics
+from svmdist.workflows.metric_table import Output, Tolerance, figure_metrics, score_metrics
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 SETTINGS_HEAD = """# Settings

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from svmdist.geometry.surfaces import Capsules, Mesh
+from svmdist.geometry import Capsules, Mesh
 from svmdist.transforms import Array
 
 Rgb = tuple[int, int, int]

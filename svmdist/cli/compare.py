@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from svmdist.vision.degradations import Blur
     from svmdist.workflows.blur_bench import BlurTally
     from svmdist.workflows.compare import Run
-    from svmdist.workflows.conditions import LogCondition
-    from svmdist.workflows.request import Request, Setup
+    from svmdist.workflows.request import LogCondition, Request, Setup
 
 
 MethodChoice = StrEnum("MethodChoice", "overlay centroid fiducial shaft stereo kinematic fused")
@@ -70,7 +69,7 @@ class CompareOptions(GoldenLogOptions, CalibrationOption, ReadOptions, LagOption
     def conditions(self) -> list[LogCondition]:
         """The images as recorded, and what else is asked for; raises UsageError."""
         from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
-        from svmdist.workflows.conditions import CLEAN, Condition, PerturbedCondition
+        from svmdist.workflows.request import CLEAN, Condition, PerturbedCondition
 
         conditions: list[LogCondition] = [CLEAN]
         for text in self.degrade or []:

@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.workflows.estimate import Keep, Measured
     from svmdist.workflows.request import Request
-    from svmdist.workflows.scoring.baseline import Baseline
-    from svmdist.workflows.validate import Scored, Validation
+    from svmdist.workflows.validate import Baseline, Scored, Validation
 
 
 TruthChoice = StrEnum("TruthChoice", "ground_truth tf pose kinematics")
@@ -97,13 +96,15 @@ def validate_command(given: ValidateOptions) -> None:
     """
     from svmdist.report.scores import validation_results
     from svmdist.workflows.batch import Job
-    from svmdist.workflows.scoring.baseline import (
+    from svmdist.workflows.validate import (
+        Scored,
+        combine,
         load_baseline,
         make_baseline,
         require_same_alarms,
+        require_truth_for_alarms,
         save_baseline,
     )
-    from svmdist.workflows.validate import Scored, combine, require_truth_for_alarms
 
     logs = Logs(given)
     for target in (given.output, given.write_baseline):
@@ -141,7 +142,7 @@ def validate_command(given: ValidateOptions) -> None:
 
 
 def _request(given: ValidateOptions) -> Request:
-    from svmdist.workflows.scoring.truth import Reference, truth_rules
+    from svmdist.workflows.references import Reference, truth_rules
 
     request = given.request()
     references = tuple(Reference(str(choice)) for choice in dict.fromkeys(given.truth or [])) or None
@@ -199,7 +200,7 @@ def _write_report(
 
 def _is_worse(result: Validation, stored: Baseline, path: Path | None, *, complete: bool) -> bool:
     """Say which figures are worse than those stored."""
-    from svmdist.workflows.scoring.baseline import find_regressions
+    from svmdist.workflows.validate import find_regressions
 
     regressions = find_regressions(result, stored, complete=complete)
     for regression in regressions:

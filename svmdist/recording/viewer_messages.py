@@ -25,7 +25,7 @@ from svmdist.drawing import (
     Segment,
     Shape,
 )
-from svmdist.geometry.surfaces import Capsules
+from svmdist.geometry import Capsules
 from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
 from svmdist.recording.writer import EncodedSample, encode, serialised, set_stamp
 from svmdist.samples import TransformSample, TransformsSample

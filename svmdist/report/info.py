@@ -19,7 +19,7 @@ from svmdist.report.tables import Column, Table, render, row_of
 from svmdist.report.writers import Results
 from svmdist.transforms import quaternion_xyzw_from_rotation
 from svmdist.workflows import capabilities
-from svmdist.workflows.hand_eye import HandEyeResult
+from svmdist.workflows.calibrate import HandEyeResult
 
 SCHEMA = "svmdist.info/1"
 

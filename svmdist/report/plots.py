@@ -25,9 +25,9 @@ from svmdist.report.tables import counted
 from svmdist.report.writers import plot_format
 from svmdist.results import Z_95
 from svmdist.workflows.compare import ALL, Group, MethodScore
-from svmdist.workflows.scoring.metric_table import figure_metrics
-from svmdist.workflows.scoring.score import DistanceScore, Score
-from svmdist.workflows.scoring.truth import Reference
+from svmdist.workflows.metric_table import figure_metrics
+from svmdist.workflows.references import Reference
+from svmdist.workflows.scores import DistanceScore, Score
 from svmdist.workflows.series import Series
 from svmdist.workflows.validate import Validation
 

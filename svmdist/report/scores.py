@@ -16,7 +16,7 @@ from svmdist.report.tables import Column, Row, Table, counted, finite, metric_co
 from svmdist.report.writers import Results
 from svmdist.workflows.blur_bench import BlurRow
 from svmdist.workflows.compare import MethodScore
-from svmdist.workflows.scoring.metric_table import (
+from svmdist.workflows.metric_table import (
     Metric,
     Output,
     cells,
@@ -26,7 +26,7 @@ from svmdist.workflows.scoring.metric_table import (
     score_metrics,
     within,
 )
-from svmdist.workflows.scoring.score import Score
+from svmdist.workflows.scores import Score
 from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 
 VALIDATION_SCHEMA = "svmdist.validation/1"

@@ -17,7 +17,7 @@ from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, ShaftDetection
 from svmdist.estimation.planar import mark, template_features
-from svmdist.geometry.surfaces import Mesh
+from svmdist.geometry import Mesh
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import LEFT_IMAGES
 from svmdist.recording.topics import Role

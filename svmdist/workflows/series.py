@@ -15,9 +15,9 @@ from svmdist.results import Z_95, FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
+from svmdist.workflows.references import Reference, TruthRules, distance_truth
 from svmdist.workflows.request import Request, Setup
-from svmdist.workflows.scoring.score import CLEARANCE, PLANAR, SPATIAL, Distance, truth_lag_ns
-from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth
+from svmdist.workflows.scores import CLEARANCE, PLANAR, SPATIAL, Distance, truth_lag_ns
 
 PREFERRED = (CLEARANCE, SPATIAL, PLANAR)
 

@@ -16,7 +16,7 @@ from svmdist.camera import Camera
 from svmdist.drawing import COLOURS, Form, FrameDrawing, Label, Part, Shape, StatusLine
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmState
-from svmdist.geometry.surfaces import Capsules
+from svmdist.geometry import Capsules
 from svmdist.recording.log import open_recording
 from svmdist.recording.viewer_messages import image_annotations, scene_update
 from svmdist.report.panels import bgr, draw_on, masks_picture, write_picture

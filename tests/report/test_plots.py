@@ -19,8 +19,8 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.report.charts import pooled, rejected_spans
 from svmdist.report.plots import COLUMN_IN, PAGE_IN, SeriesPlot, draw, draw_compare, draw_series, save_figure
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
-from svmdist.workflows.scoring.score import DistanceScore, Pairs, score_pairs
-from svmdist.workflows.scoring.truth import Reference
+from svmdist.workflows.references import Reference
+from svmdist.workflows.scores import DistanceScore, Pairs, score_pairs
 from svmdist.workflows.validate import Validation
 from tests.cli.conftest import Cli, cli
 from tests.report.test_html import make_series

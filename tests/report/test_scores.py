@@ -29,8 +29,8 @@ from svmdist.report.tables import csv_lines, keys_of, render
 from svmdist.vision.degradations import Blur
 from svmdist.workflows.blur_bench import BlurRow, PrintedRow
 from svmdist.workflows.compare import Figures, Group, MethodScore
-from svmdist.workflows.scoring.score import Pairs, Score, score_pairs
-from svmdist.workflows.scoring.truth import Reference
+from svmdist.workflows.references import Reference
+from svmdist.workflows.scores import Pairs, Score, score_pairs
 from svmdist.workflows.validate import Validation
 from tests.cli.conftest import Cli, cli
 

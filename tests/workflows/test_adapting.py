@@ -10,9 +10,8 @@ import pytest
 from svmdist.profile import AutoSegmentation, load_profile
 from svmdist.recording.log import open_recording
 from svmdist.vision.segmentation import AutoSegmenter
-from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.replay import adapted_segmenters, spread_observations
-from svmdist.workflows.request import prepare
+from svmdist.workflows.request import CLEAN, Condition, prepare
 from tests.synthetic import write_log
 
 

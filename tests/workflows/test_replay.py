@@ -20,10 +20,9 @@ from svmdist.estimation.scene import Arm
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
-from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.replay import MultiInstrumentEstimator, Place, Replayed, replay
-from svmdist.workflows.request import Setup, prepare
+from svmdist.workflows.request import CLEAN, Condition, Setup, prepare
 from tests.synthetic import START_NS, write_log
 
 FRAMES = 8

@@ -21,9 +21,9 @@ from svmdist.report.scores import (
     validation_tables,
 )
 from svmdist.report.tables import csv_lines, keys_of, render
+from svmdist.workflows import metric_table
 from svmdist.workflows.compare import Figures, Group, MethodScore
-from svmdist.workflows.scoring import metric_table
-from svmdist.workflows.scoring.metric_table import (
+from svmdist.workflows.metric_table import (
     EVERYWHERE,
     IN_3D,
     LENGTH,
@@ -34,8 +34,8 @@ from svmdist.workflows.scoring.metric_table import (
     figure_metrics,
     score_metrics,
 )
-from svmdist.workflows.scoring.score import Pairs, Score, score_pairs
-from svmdist.workflows.scoring.truth import Reference
+from svmdist.workflows.references import Reference
+from svmdist.workflows.scores import Pairs, Score, score_pairs
 from svmdist.workflows.validate import Validation
 
 SCORE_COLUMNS = """

@@ -7,7 +7,7 @@ import pytest
 
 from svmdist.samples import Status
 from svmdist.tracks import SampledDistances
-from svmdist.workflows.scoring.score import (
+from svmdist.workflows.scores import (
     DISTANCES,
     SPATIAL,
     Pairs,

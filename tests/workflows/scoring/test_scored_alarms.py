@@ -10,7 +10,7 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
 from svmdist.samples import Status
 from svmdist.tracks import SampledDistances
-from svmdist.workflows.scoring.score import require_clearance, score_alarms
+from svmdist.workflows.scores import require_clearance, score_alarms
 from tests.rows import result_of
 
 STAMPS_NS = np.array([0, 1, 2, 3, 4], np.int64) * 1_000_000_000
