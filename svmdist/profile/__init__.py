@@ -12,21 +12,7 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from svmdist.errors import ProfileError, UsageError, did_you_mean
-from svmdist.profile.hand_eye import (
-    BASELINE,
-    FOCAL_LENGTH,
-    PRINCIPAL_POINT,
-    SHAFT_RADIUS,
-    TAG_SIZE,
-    TIME_OFFSET,
-    HandEye,
-    HandEyeFile,
-    NamedHandEye,
-    length_of,
-    load_hand_eye,
-    offset_of,
-    with_hand_eye,
-)
+from svmdist.profile.hand_eye import HandEye, HandEyeFile, NamedHandEye, load_hand_eye, with_hand_eye
 from svmdist.profile.robot import (
     ARM_TOPICS,
     TAGS,
@@ -203,11 +189,7 @@ class Profile(StrictModel):
                 update["fiducial"] = tag and self.fiducial.model_copy(update=tag)
             if other.simulation is not None and self.simulation is not None:
                 update["simulation"] = self.simulation.model_copy(update=other.simulation.model_dump())
-        view = self.model_copy(update=update)
-        if (found := view.camera_to_base) is None:
-            return view
-        error = with_hand_eye(view.kinematic_error, found, stated_deviations(view))
-        return view.model_copy(update={"kinematic_error": error})
+        return with_hand_eye(self.model_copy(update=update))
 
     @property
     def camera_to_base(self) -> HandEye | None:
@@ -314,25 +296,3 @@ def profile_path(name_or_path: str | Path) -> Path:
             f"no profile named {text}: {did_you_mean(text, shipped_profiles())}; or give a path to a .toml"
         )
     return path
-
-
-def stated_deviations(profile: Profile) -> dict[str, float]:
-    """Standard deviations of all calibration parameters by name: in m, rad, s, px, or fractions of themselves."""
-    camera, kinematic = profile.camera_error, profile.kinematic_error
-    found = {
-        FOCAL_LENGTH: camera.focal_std_fraction,
-        PRINCIPAL_POINT: camera.centre_std_px,
-        BASELINE: camera.baseline_std_fraction,
-        TIME_OFFSET: kinematic.time_offset_std_s,
-    }
-    if profile.instrument is not None:
-        found[SHAFT_RADIUS] = profile.instrument.shaft_radius_std_fraction
-    if profile.fiducial is not None:
-        found[TAG_SIZE] = profile.fiducial.size_std_fraction
-    joints = () if profile.robot is None else profile.robot.joints
-    for index, joint in enumerate(joints):
-        slides = joint.type == "prismatic"
-        found[offset_of(joint.name)] = kinematic.joint_std_m if slides else kinematic.joint_std_rad
-        # A row has two lengths at most.
-        found |= {length_of(place): kinematic.length_std_m for place in (2 * index, 2 * index + 1)}
-    return found

@@ -89,7 +89,9 @@ class MarkerSettings(StrictModel):
 class ShaftSettings(StrictModel):
     """Finding a shaft, its edges and its end, and fitting its pose."""
 
-    min_contrast_levels: float = Field(default=18.0, gt=0.0, lt=255.0)  # of a shaft: less is a shadow
+    min_contrast_levels: float = Field(
+        default=18.0, gt=0.0, lt=255.0
+    )  # contrast of a shaft: less is a shadow
     end_model_std_m: float = Field(default=0.0002, ge=0.0, lt=0.1)
     """Standard deviation of the dark part's end: a bevel, and glare on it, hide it."""
     unknown_bend_rad: float = Field(default=0.8, gt=0.0, lt=3.2)
@@ -122,9 +124,7 @@ class StereoSettings(StrictModel):
     row_pairs: int = Field(default=4, ge=0, le=100)
     """Pairs of a log's beginning that the offset between the rows of both views is found from; 0: no offset."""
     max_row_offset_px: float = Field(default=8.0, gt=0.0, le=100.0)  # the largest such offset
-    max_depth_std_m: Positive = (
-        0.008  # standard deviation of a tool's position beyond which it is not measured
-    )
+    max_depth_std_m: Positive = 0.008  # standard deviation beyond which a tool is not measured
 
 
 class TagSettings(StrictModel):
