@@ -16,32 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import KinematicsError
-from svmdist.profile import Robot
+from svmdist.profile import Joint, Robot
 from svmdist.transforms import Array
 
-JointType = Literal["revolute", "prismatic", "fixed"]
 Convention = Literal["standard", "modified"]
 CHUNK = 2048
 """Joint vectors that are worked on together: more links at once leave the processor's cache."""
-
-
-@dataclass(frozen=True, slots=True)
-class DHRow:
-    """One row of a DH table: lengths in m, angles in rad, limits in the joint's own unit.
-
-    The joint variable adds to `theta_rad` (revolute) or to `d_m` (prismatic), so that the value in a published
-    table is the offset at joint value zero.
-    """
-
-    name: str
-    joint: JointType
-    a_m: float = 0.0
-    alpha_rad: float = 0.0
-    d_m: float = 0.0
-    theta_rad: float = 0.0
-    lower: float = -np.pi
-    upper: float = np.pi
-    aliases: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +31,7 @@ class DHChain:
     Joints may be reported beyond their limits by `limit_tolerance_rad` (revolute) or `limit_tolerance_m` (prismatic).
     """
 
-    rows: tuple[DHRow, ...]
+    rows: tuple[Joint, ...]
     convention: Convention = "standard"
     T_last_tool: Array = field(default_factory=lambda: np.eye(4))
     limit_tolerance_rad: float = np.inf
@@ -60,7 +40,7 @@ class DHChain:
     @cached_property
     def moving_rows(self) -> NDArray[np.intp]:
         """Indices of the rows with a joint, base first, shape (n_joints,)."""
-        return np.array([i for i, row in enumerate(self.rows) if row.joint != "fixed"], np.intp)
+        return np.array([i for i, row in enumerate(self.rows) if row.type != "fixed"], np.intp)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
@@ -80,7 +60,7 @@ class DHChain:
     @cached_property
     def is_revolute(self) -> NDArray[np.bool_]:
         """Which joints are revolute, shape (n_joints,); the others are prismatic."""
-        return np.array([self.rows[i].joint == "revolute" for i in self.moving_rows], np.bool_)
+        return np.array([self.rows[i].type == "revolute" for i in self.moving_rows], np.bool_)
 
     @cached_property
     def limit_tolerance(self) -> Array:
@@ -105,10 +85,8 @@ class DHChain:
 
 def chain_of(robot: Robot) -> DHChain:
     """The chain of a profile's robot, from base to tool."""
-    rows = tuple(DHRow(*dict(joint).values()) for joint in robot.joints)
-    return DHChain(
-        rows, robot.convention, robot.T_last_tool, robot.limit_tolerance_rad, robot.limit_tolerance_m
-    )
+    tolerances = robot.limit_tolerance_rad, robot.limit_tolerance_m
+    return DHChain(robot.joints, robot.convention, robot.T_last_tool, *tolerances)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +107,7 @@ class LinkTerms:
     into_d: Array
 
     @classmethod
-    def of(cls, rows: tuple[DHRow, ...], convention: Convention) -> LinkTerms:
+    def of(cls, rows: tuple[Joint, ...], convention: Convention) -> LinkTerms:
         """Take the rows apart."""
         a = np.array([row.a_m for row in rows])
         ca, sa = _cosine_and_sine(np.array([row.alpha_rad for row in rows]))
@@ -146,8 +124,8 @@ class LinkTerms:
             constant[:, 0, 3], constant[:, 1, 2], constant[:, 2, 2] = a, -sa, ca
             shift[:, 1, 3], shift[:, 2, 3] = -sa, ca
         into_theta, into_d = (
-            np.array([row.joint == joint for row in rows], np.float64)
-            * np.eye(len(rows))[[i for i, row in enumerate(rows) if row.joint != "fixed"]]
+            np.array([row.type == joint for row in rows], np.float64)
+            * np.eye(len(rows))[[i for i, row in enumerate(rows) if row.type != "fixed"]]
             for joint in ("revolute", "prismatic")
         )
         theta, d = np.array([row.theta_rad for row in rows]), np.array([row.d_m for row in rows])
@@ -275,7 +253,7 @@ class ShaftAxis:
 
 def shaft_of(chain: DHChain) -> ShaftAxis | None:
     """The shaft of a chain; None for a chain in which nothing slides."""
-    prismatic = [row for row in chain.rows if row.joint == "prismatic"]
+    prismatic = [row for row in chain.rows if row.type == "prismatic"]
     if not prismatic:
         return None
     row = prismatic[-1]
@@ -307,9 +285,9 @@ def wrist_rows(chain: DHChain) -> WristRows | None:
 
 def rows_behind_insertion(chain: DHChain) -> list[int]:
     """Indices of the revolute rows behind the last prismatic one, the shaft's roll first; none without one."""
-    slides = [index for index, row in enumerate(chain.rows) if row.joint == "prismatic"]
+    slides = [index for index, row in enumerate(chain.rows) if row.type == "prismatic"]
     behind = range(slides[-1] + 1, len(chain.rows)) if slides else ()
-    return [index for index in behind if chain.rows[index].joint == "revolute"]
+    return [index for index in behind if chain.rows[index].type == "revolute"]
 
 
 def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:

@@ -42,7 +42,10 @@ Rotation = Annotated[tuple[Vector, Vector, Vector], AfterValidator(_require_rota
 
 
 class Joint(StrictModel):
-    """One DH row; see `svmdist.kinematics.DHRow`."""
+    """One row of a DH table: lengths in m, angles in rad, limits in the joint's own unit.
+
+    The joint variable adds to `theta_rad` (revolute) or to `d_m` (prismatic): a published table has its offset.
+    """
 
     name: str
     type: Literal["revolute", "prismatic", "fixed"]
