@@ -20,8 +20,9 @@ from svmdist.profile import Joint, Robot
 from svmdist.transforms import Array
 
 Convention = Literal["standard", "modified"]
-CHUNK = 2048
-"""Joint vectors that are worked on together: more links at once leave the processor's cache."""
+CHUNK = 2048  # joint vectors that are worked on together: more links at once leave the processor's cache
+CLOSE_M, MAX_STEPS = 1e-9, 60  # of inverse kinematics
+DAMPING = 1e-4  # in m: far below a robot's lever arms, it slows convergence near singularities only
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,24 +44,29 @@ class DHChain:
         return np.array([i for i, row in enumerate(self.rows) if row.type != "fixed"], np.intp)
 
     @cached_property
+    def moving_joints(self) -> list[Joint]:
+        """The rows with a joint, base first."""
+        return [self.rows[index] for index in self.moving_rows]
+
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """The names of the joints that move, base first."""
-        return tuple(self.rows[i].name for i in self.moving_rows)
+        return tuple(joint.name for joint in self.moving_joints)
 
     @cached_property
     def lower(self) -> Array:
         """Lower joint limits in rad or m, shape (n_joints,)."""
-        return np.array([self.rows[i].lower for i in self.moving_rows])
+        return np.array([joint.lower for joint in self.moving_joints])
 
     @cached_property
     def upper(self) -> Array:
         """Upper joint limits in rad or m, shape (n_joints,)."""
-        return np.array([self.rows[i].upper for i in self.moving_rows])
+        return np.array([joint.upper for joint in self.moving_joints])
 
     @cached_property
     def is_revolute(self) -> NDArray[np.bool_]:
         """Which joints are revolute, shape (n_joints,); the others are prismatic."""
-        return np.array([self.rows[i].type == "revolute" for i in self.moving_rows], np.bool_)
+        return np.array([joint.type == "revolute" for joint in self.moving_joints], np.bool_)
 
     @cached_property
     def limit_tolerance(self) -> Array:
@@ -73,47 +79,18 @@ class DHChain:
         return np.asarray((q >= self.lower - tolerance) & (q <= self.upper + tolerance))
 
     @cached_property
-    def row_indices(self) -> dict[str, int]:
-        """The index of each row by its name."""
-        return {row.name: index for index, row in reversed(list(enumerate(self.rows)))}
+    def terms(self) -> tuple[Array, ...]:
+        """What is constant in the rows' transforms, `constant` + cos θ `cosine` + sin θ `sine` + d `shift`.
 
-    @cached_property
-    def terms(self) -> LinkTerms:
-        """What is constant in the rows' transforms."""
-        return LinkTerms.of(self.rows, self.convention)
-
-
-def chain_of(robot: Robot) -> DHChain:
-    """The chain of a profile's robot, from base to tool."""
-    tolerances = robot.limit_tolerance_rad, robot.limit_tolerance_m
-    return DHChain(robot.joints, robot.convention, robot.T_last_tool, *tolerances)
-
-
-@dataclass(frozen=True, slots=True)
-class LinkTerms:
-    """The transforms of all rows as sums: `constant` + cos θ `cosine` + sin θ `sine` + d `shift`, (n_rows, 4, 4) each.
-
-    θ and d, shape (n_rows,), are those at joint value zero. `into_theta` and `into_d`, shape (n_joints, n_rows), add
-    the joints to them.
-    """
-
-    constant: Array
-    cosine: Array
-    sine: Array
-    shift: Array
-    theta_rad: Array
-    d_m: Array
-    into_theta: Array
-    into_d: Array
-
-    @classmethod
-    def of(cls, rows: tuple[Joint, ...], convention: Convention) -> LinkTerms:
-        """Take the rows apart."""
-        a = np.array([row.a_m for row in rows])
-        ca, sa = _cosine_and_sine(np.array([row.alpha_rad for row in rows]))
+        These four, shape (n_rows, 4, 4); θ and d at joint value zero, shape (n_rows,); and the matrices that add the
+        joints to θ and to d, shape (n_joints, n_rows).
+        """
+        rows = self.rows
+        a, alpha, d, theta = np.array([(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in rows]).T.copy()
+        ca, sa = _cosine_and_sine(alpha)
         constant, cosine, sine, shift = np.zeros((4, len(rows), 4, 4))
         constant[:, 3, 3] = 1.0
-        if convention == "standard":
+        if self.convention == "standard":
             cosine[:, 0, 0], cosine[:, 0, 3], cosine[:, 1, 1], cosine[:, 1, 2] = 1.0, a, ca, -sa
             sine[:, 0, 1], sine[:, 0, 2], sine[:, 1, 0], sine[:, 1, 3] = -ca, sa, 1.0, a
             constant[:, 2, 1], constant[:, 2, 2] = sa, ca
@@ -123,13 +100,23 @@ class LinkTerms:
             sine[:, 0, 1], sine[:, 1, 0], sine[:, 2, 0] = -1.0, ca, sa
             constant[:, 0, 3], constant[:, 1, 2], constant[:, 2, 2] = a, -sa, ca
             shift[:, 1, 3], shift[:, 2, 3] = -sa, ca
-        into_theta, into_d = (
-            np.array([row.type == joint for row in rows], np.float64)
-            * np.eye(len(rows))[[i for i, row in enumerate(rows) if row.type != "fixed"]]
-            for joint in ("revolute", "prismatic")
+        into = np.eye(len(rows))[self.moving_rows]
+        return (
+            constant,
+            cosine,
+            sine,
+            shift,
+            theta,
+            d,
+            into * self.is_revolute[:, None],
+            into * ~self.is_revolute[:, None],
         )
-        theta, d = np.array([row.theta_rad for row in rows]), np.array([row.d_m for row in rows])
-        return cls(constant, cosine, sine, shift, theta, d, into_theta, into_d)
+
+
+def chain_of(robot: Robot) -> DHChain:
+    """The chain of a profile's robot, from base to tool."""
+    tolerances = robot.limit_tolerance_rad, robot.limit_tolerance_m
+    return DHChain(robot.joints, robot.convention, robot.T_last_tool, *tolerances)
 
 
 def link_transforms(chain: DHChain, q: ArrayLike, first: int = 0) -> Array:
@@ -138,14 +125,17 @@ def link_transforms(chain: DHChain, q: ArrayLike, first: int = 0) -> Array:
     The joints, shape (..., n_joints), are those of the whole chain. Standard: Rot_z(θ) Trans_z(d) Trans_x(a)
     Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d). Raises KinematicsError for a wrong number of joints.
     """
-    q = _checked_joints(chain, q)
-    terms = chain.terms
-    theta = (terms.theta_rad[first:] + q @ terms.into_theta[:, first:])[..., None, None]
-    d = (terms.d_m[first:] + q @ terms.into_d[:, first:])[..., None, None]
-    T = np.cos(theta) * terms.cosine[first:]
-    T += np.sin(theta) * terms.sine[first:]
-    T += d * terms.shift[first:]
-    T += terms.constant[first:]
+    q = np.asarray(q, np.float64)
+    count = len(chain.joint_names)
+    if q.ndim == 0 or q.shape[-1] != count:
+        raise KinematicsError(f"expected {count} joint values on the last axis, found shape {q.shape}")
+    constant, cosine, sine, shift, theta_rad, d_m, into_theta, into_d = chain.terms
+    theta = (theta_rad[first:] + q @ into_theta[:, first:])[..., None, None]
+    d = (d_m[first:] + q @ into_d[:, first:])[..., None, None]
+    T = np.cos(theta) * cosine[first:]
+    T += np.sin(theta) * sine[first:]
+    T += d * shift[first:]
+    T += constant[first:]
     return np.asarray(T)
 
 
@@ -186,25 +176,25 @@ def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) 
 
     A joint is found by its name or by an alias. Raises KinematicsError that names the joints that `names` lacks.
     """
-    rows = [chain.rows[index] for index in chain.moving_rows]
-    found = {
-        row.name: next((name for name in (row.name, *row.aliases) if name in names), None) for row in rows
-    }
-    missing = [name for name, logged in found.items() if logged is None]
+    places, missing = [], []
+    for joint in chain.moving_joints:
+        logged = next((name for name in (joint.name, *joint.aliases) if name in names), None)
+        if logged is None:
+            missing.append(joint.name)
+        else:
+            places.append(names.index(logged))
     if missing:
         raise KinematicsError(
             f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
         )
-    return np.asarray(positions, np.float64)[
-        ..., [names.index(logged) for logged in found.values() if logged]
-    ]
+    return np.asarray(positions, np.float64)[..., places]
 
 
 def jacobian_of_frames(chain: DHChain, frames: Array, row: str | None = None) -> Array:
     """Derivative of a frame's pose in the base frame by the joints, shape (..., 6, n_joints).
 
     `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames; `row` names one of them, None is the tool.
-    Rows are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with R' = exp([δθ]) R, both in
+    Rows of the result are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with R' = exp([δθ]) R, both in
     the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a
     joint behind the frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
     """
@@ -236,10 +226,8 @@ def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]
 
 
 def row_index(chain: DHChain, name: str) -> int:
-    """Place of a row in the table; raises ValueError for a name it lacks."""
-    if name not in chain.row_indices:
-        raise ValueError(f"the chain has no row {name}; it has {', '.join(chain.row_indices)}")
-    return chain.row_indices[name]
+    """Index of a row in the table; raises ValueError for a name that no row has."""
+    return [row.name for row in chain.rows].index(name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,14 +278,6 @@ def rows_behind_insertion(chain: DHChain) -> list[int]:
     return [index for index in behind if chain.rows[index].type == "revolute"]
 
 
-def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:
-    q = np.asarray(q, np.float64)
-    count = len(chain.joint_names)
-    if q.ndim == 0 or q.shape[-1] != count:
-        raise KinematicsError(f"expected {count} joint values on the last axis, found shape {q.shape}")
-    return q
-
-
 def _cosine_and_sine(angles_rad: Array) -> Array:
     """Shape (2, n); those of quarter turns are exact, where floating point gives 6e-17."""
     values = np.stack([np.cos(angles_rad), np.sin(angles_rad)])
@@ -310,34 +290,28 @@ def solve_position(
     q_start: ArrayLike,
     p_base_tool_m: ArrayLike,
     free_joints: Sequence[str],
-    *,
-    tolerance_m: float = 1e-9,
-    damping: float = 1e-4,
-    max_iterations: int = 60,
 ) -> Array:
     """Find joints, shape (n, n_joints), that bring the tool's origin to targets in the base frame, (n, 3).
 
-    `q_start`, shape (n, n_joints), has the first guess of the free joints and the values of all others, which stay.
-    `damping` is in the unit of the Jacobian; 1e-4 m is far below the lever arms of a surgical robot: it slows
-    convergence near singularities only. Raises KinematicsError for a target that is out of reach or needs a joint
-    outside its limits.
+    By damped least squares, from `q_start`, shape (n, n_joints); joints that are not free stay. Raises KinematicsError
+    for a target that is out of reach or needs a joint outside its limits.
     """
     q, targets_m = np.array(q_start, np.float64), np.asarray(p_base_tool_m, np.float64)
     free = [chain.joint_names.index(name) for name in free_joints]
-    for _ in range(max_iterations):
+    for _ in range(MAX_STEPS):
         frames = frame_transforms(chain, q)
         error_m = targets_m - (frames[:, -1] @ chain.T_last_tool)[:, :3, 3]
-        if float(np.max(np.abs(error_m), initial=0.0)) <= tolerance_m:
+        if float(np.max(np.abs(error_m), initial=0.0)) <= CLOSE_M:
             break
         J = jacobian_of_frames(chain, frames)[:, :3, free]
         # dq = J^T (J J^T + λ² I)^-1 e (Nakamura & Hanafusa 1986)
-        damped = J @ np.swapaxes(J, 1, 2) + damping**2 * np.eye(3)
+        damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(3)
         q[:, free] += (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, error_m[:, :, None]))[..., 0]
     else:
         worst = int(np.argmax(np.linalg.norm(error_m, axis=1)))
         raise KinematicsError(
             f"position {worst} is out of reach: {np.linalg.norm(error_m[worst]):.3g} m are left "
-            f"after {max_iterations} steps"
+            f"after {MAX_STEPS} steps"
         )
     for row, joint in np.argwhere((q < chain.lower) | (q > chain.upper)):
         raise KinematicsError(

@@ -62,7 +62,7 @@ def joints_path(seed: int, frame_count: int) -> Array:
     for name, swing in (("wrist_pitch", 0.3), ("wrist_yaw", 0.4), ("roll", 0.3)):
         q[:, CHAIN.joint_names.index(name)] += swing * np.sin(2.6 * np.pi * s + phase[0])
     p_base_m = transform_points(inverse(T_WORLD_BASE), p_world_m)
-    return solve_position(CHAIN, q, p_base_m, ["yaw", "pitch", "insertion"], tolerance_m=1e-7)
+    return solve_position(CHAIN, q, p_base_m, ["yaw", "pitch", "insertion"])
 
 
 def measure(
