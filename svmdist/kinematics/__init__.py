@@ -86,7 +86,9 @@ class DHChain:
         joints to θ and to d, shape (n_joints, n_rows).
         """
         rows = self.rows
-        a, alpha, d, theta = np.array([(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in rows]).T.copy()
+        a, alpha, d, theta = np.array(
+            [(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in rows]
+        ).T.copy()
         ca, sa = _cosine_and_sine(alpha)
         constant, cosine, sine, shift = np.zeros((4, len(rows), 4, 4))
         constant[:, 3, 3] = 1.0
@@ -194,8 +196,8 @@ def jacobian_of_frames(chain: DHChain, frames: Array, row: str | None = None) ->
     """Derivative of a frame's pose in the base frame by the joints, shape (..., 6, n_joints).
 
     `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames; `row` names one of them, None is the tool.
-    Rows of the result are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with R' = exp([δθ]) R, both in
-    the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a
+    Rows of the result are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with
+    R' = exp([δθ]) R, both in the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a
     joint behind the frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
     """
     last = len(chain.rows) - 1 if row is None else row_index(chain, row)

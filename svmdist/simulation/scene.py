@@ -19,9 +19,8 @@ from svmdist.profile import Profile
 from svmdist.samples import Image
 from svmdist.simulation.effects import Lens, distortion_coefficients
 from svmdist.simulation.instrument import Part, make_parts, make_plate
-from svmdist.simulation.meshes import DrawnMesh, loft, smooth_normals
+from svmdist.simulation.meshes import DrawnMesh, floor_texture, loft, smooth_normals, tissue_texture
 from svmdist.simulation.organ import Organ, make_organ
-from svmdist.simulation.textures import floor_texture, tissue_texture
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
 from svmdist.vision.degradations import require_degradation
 
