@@ -197,8 +197,8 @@ def jacobian_of_frames(chain: DHChain, frames: Array, row: str | None = None) ->
 
     `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames; `row` names one of them, None is the tool.
     Rows of the result are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with
-    R' = exp([δθ]) R, both in the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a
-    joint behind the frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
+    R' = exp([δθ]) R, both in the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a
+    prismatic one (z, 0), a joint behind the frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
     """
     last = len(chain.rows) - 1 if row is None else row_index(chain, row)
     T_base_frame = frames[..., last, :, :] @ chain.T_last_tool if row is None else frames[..., last, :, :]
