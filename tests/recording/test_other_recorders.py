@@ -88,7 +88,9 @@ def test_the_same_scene_comes_out(
         other_track = theirs.transform_track("camera", "tool", ground_truth=ground_truth)
         np.testing.assert_array_equal(mine_track.stamps_ns, other_track.stamps_ns)
         np.testing.assert_allclose(mine_track.T_parent_child, other_track.T_parent_child, atol=1e-15)
-    np.testing.assert_allclose(ours.pose_track().T_parent_child, theirs.pose_track().T_parent_child, atol=1e-15)
+    np.testing.assert_allclose(
+        ours.pose_track().T_parent_child, theirs.pose_track().T_parent_child, atol=1e-15
+    )
     np.testing.assert_array_equal(ours.joint_track().positions, theirs.joint_track().positions)
     assert theirs.health.losses == ()
     assert len(theirs.sha256()) == 64
