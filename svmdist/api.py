@@ -15,7 +15,7 @@ from svmdist.recording.log import open_recording as _open
 from svmdist.report.rows import ESTIMATE_KEYS, estimate_row
 from svmdist.report.tables import Row
 from svmdist.results import FrameResult
-from svmdist.samples import bgr_image as bgr_image
+from svmdist.samples import bgr_image  # noqa: F401  (part of the interface)
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.estimate import estimate as _estimate
