@@ -96,15 +96,20 @@ def settings_page(_: str) -> str:
 
 
 def meanings(group: type[StrictModel]) -> dict[str, str]:
-    """The docstring below each field of a group, read from its source."""
-    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(group))).body
+    """The docstring below each field of a group, else the comment beside it, read from its source."""
+    source = textwrap.dedent(inspect.getsource(group))
+    (definition,) = ast.parse(source).body
     assert isinstance(definition, ast.ClassDef)
     found = {}
-    for field, below in pairwise(definition.body):
-        is_text = isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and is_text:
-            text = str(ast.literal_eval(below.value))  # type: ignore[attr-defined]
-            found[field.target.id] = " ".join(text.split()).replace("|", "\\|")
+    for field, below in pairwise([*definition.body, ast.Pass()]):
+        if not isinstance(field, ast.AnnAssign) or not isinstance(field.target, ast.Name):
+            continue
+        if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+            text = str(below.value.value)
+        else:
+            comment = source.splitlines()[field.lineno - 1].partition("  # ")[2]
+            text = f"{comment[:1].upper()}{comment[1:]}."
+        found[field.target.id] = " ".join(text.split()).replace("|", "\\|")
     return found
 
 

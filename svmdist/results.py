@@ -17,7 +17,7 @@ Z_95 = NormalDist().inv_cdf(0.975)
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why something could not be found or computed, in words for a person."""
+    """Why something could not be found or computed, in readable words."""
 
     reason: str
 
@@ -136,14 +136,12 @@ class FrameResult:
     distances: Distances = Distances()
     detail: str = ""
     instrument: str = ""
-    consistency: float | None = None
-    """Innovations squared over what is expected of them, where a method watches them: 1 is as expected."""
-    doubt: str = ""
-    """Why it is not sure which instrument this is; empty where it is. The row's detail says so too."""
-    number: int = 0
-    """Number of the image in its log, from 0."""
-    seconds: float = 0.0
-    """Time since the first image of the log."""
+    consistency: float | None = (
+        None  # squared innovations over their expectation, where a method watches them
+    )
+    doubt: str = ""  # why it is not sure which instrument this is; the detail says so too
+    number: int = 0  # of the image in its log, from 0
+    seconds: float = 0.0  # since the first image of the log
 
     @property
     def measured(self) -> bool:
@@ -159,7 +157,7 @@ class FrameResult:
         return replace(self, doubt=doubt, detail=f"{self.detail}; {doubt}" if self.detail else doubt)
 
     def untrusted(self, detail: str) -> FrameResult:
-        """The same with what contradicts itself: no distance, and no tool that could be taken for one."""
+        """The same where measurements contradict each other: without distances."""
         return replace(self, status=Status.INCONSISTENT, detail=detail, distances=Distances())
 
     def with_image(self, **found: object) -> FrameResult:
@@ -169,9 +167,8 @@ class FrameResult:
     @staticmethod
     def of_rejection(rejection: Rejection, instrument: str = "") -> FrameResult:
         """The result of a frame that could not be read."""
-        return FrameResult(
-            rejection.stamp_ns, rejection.status, detail=rejection.detail, instrument=instrument
-        )
+        stamp_ns, status, detail = rejection.stamp_ns, rejection.status, rejection.detail
+        return FrameResult(stamp_ns, status, detail=detail, instrument=instrument)
 
 
 def as_pixel(point_px: Array) -> Pixel:
@@ -181,5 +178,5 @@ def as_pixel(point_px: Array) -> Pixel:
 
 def as_vector(values: Array) -> Vector:
     """Three floats from an array of shape (3,)."""
-    x, y, z = (float(value) for value in values)
+    x, y, z = values.tolist()
     return x, y, z
