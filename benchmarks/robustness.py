@@ -15,9 +15,8 @@ from benchmarks.generated_pages import DOCS, table_row, with_table
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.recording.log import Recording, open_recording
 from svmdist.workflows.compare import Run, measure_runs
-from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
-from svmdist.workflows.request import prepare
-from svmdist.workflows.scoring.score import Pairs, pooled_score
+from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, prepare
+from svmdist.workflows.scores import Pairs, pooled_score
 
 METHODS = ("fiducial", "shaft", "stereo", "fused")
 WORLDS = (

@@ -17,10 +17,9 @@ from svmdist.profile import load_profile, profile_path
 from svmdist.recording.log import open_recording
 from svmdist.workflows.calibrate import collect_part, fit_parts
 from svmdist.workflows.estimate import predictor
-from svmdist.workflows.scoring.baseline import find_regressions, load_baseline
-from svmdist.workflows.scoring.score import Score
-from svmdist.workflows.scoring.truth import Reference, tool_track
-from svmdist.workflows.validate import Validation
+from svmdist.workflows.references import Reference, tool_track
+from svmdist.workflows.scores import Score
+from svmdist.workflows.validate import Validation, find_regressions, load_baseline
 from tests.golden import IN_3D, PLANAR, REAL, RECORDINGS, GoldenRows, GoldenRuns
 from tests.shipped import EXACT_PROFILE
 

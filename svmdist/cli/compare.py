@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from svmdist.vision.degradations import Blur
     from svmdist.workflows.blur_bench import BlurTally
     from svmdist.workflows.compare import Run
-    from svmdist.workflows.conditions import LogCondition
-    from svmdist.workflows.request import Request, Setup
+    from svmdist.workflows.request import LogCondition, Request, Setup
 
 
 MethodChoice = StrEnum("MethodChoice", "overlay centroid fiducial shaft stereo kinematic fused")
@@ -70,7 +69,7 @@ class CompareOptions(GoldenLogOptions, CalibrationOption, ReadOptions, LagOption
     def conditions(self) -> list[LogCondition]:
         """The images as recorded, and what else is asked for; raises UsageError."""
         from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
-        from svmdist.workflows.conditions import CLEAN, Condition, PerturbedCondition
+        from svmdist.workflows.request import CLEAN, Condition, PerturbedCondition
 
         conditions: list[LogCondition] = [CLEAN]
         for text in self.degrade or []:
@@ -122,9 +121,9 @@ def compare_command(given: CompareOptions) -> None:
     scores = compared([one for runs in run.results for one in runs], [one.method for one in setups])
     write_results(compare_results(scores), writer, given.output)
     if given.save_plot:
-        from svmdist.report.plots import save_compare_plot
+        from svmdist.report.plots import draw_compare, save_figure
 
-        save_compare_plot(scores, given.save_plot)
+        save_figure(given.save_plot, draw_compare, scores)
     raise typer.Exit(run.exit_code())
 
 

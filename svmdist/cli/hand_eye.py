@@ -72,7 +72,7 @@ def hand_eye_command(given: HandEyeOptions) -> None:
     from svmdist.profile.hand_eye import save_hand_eye
     from svmdist.report.info import hand_eye_file, hand_eye_results
     from svmdist.results import Failure
-    from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
+    from svmdist.workflows.calibrate import HandEyeResult, hand_eye
     from svmdist.workflows.request import Request, prepare
 
     file, output = given.file, given.output
@@ -113,8 +113,8 @@ def hand_eye_command(given: HandEyeOptions) -> None:
 def _served(file: Path, profile: Profile, topics: dict[str, str]) -> list[str]:
     """The methods that log and profile serve, the surest first; RecordingError where there is none."""
     from svmdist.recording.summary import inspect_recording
+    from svmdist.workflows.calibrate import SEEING_METHODS
     from svmdist.workflows.capabilities import method_capabilities
-    from svmdist.workflows.hand_eye import SEEING_METHODS
 
     summary = inspect_recording(file, profile, topics=topics)
     found = {one.name: one for one in method_capabilities(summary, profile)}

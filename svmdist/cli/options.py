@@ -300,7 +300,7 @@ class AlarmOptions(Options):
                 raise UsageError("--alarm-confidence is for --alarm-below LENGTH, as in --alarm-below 5mm")
             return None
         from svmdist.estimation.alarms import AlarmRules
-        from svmdist.workflows.scoring.score import require_clearance
+        from svmdist.workflows.scores import require_clearance
 
         below_m = parse_length_m("--alarm-below", self.alarm_below)
         require_clearance(method)
@@ -345,7 +345,7 @@ class MeasureOptions(MethodOptions, ReadOptions, InstrumentOption, LagOption, Al
     def request(self) -> Request:
         """What is asked of each log, checked before the work; raises UsageError, ProfileError or CalibrationError."""
         from svmdist.workflows.request import Request, prepare
-        from svmdist.workflows.scoring.score import require_clearance
+        from svmdist.workflows.scores import require_clearance
 
         lag, alarms, window = self.given_lag, self.rules(self.method), self.window
         setup = prepare(self.profile, self.method, self.equations, self.calibration, self.hand_eye)

@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.workflows.estimate import Keep, Measured
     from svmdist.workflows.request import Request
-    from svmdist.workflows.scoring.baseline import Baseline
-    from svmdist.workflows.validate import Scored, Validation
+    from svmdist.workflows.validate import Baseline, Scored, Validation
 
 
 TruthChoice = StrEnum("TruthChoice", "ground_truth tf pose kinematics")
@@ -97,13 +96,15 @@ def validate_command(given: ValidateOptions) -> None:
     """
     from svmdist.report.scores import validation_results
     from svmdist.workflows.batch import Job
-    from svmdist.workflows.scoring.baseline import (
+    from svmdist.workflows.validate import (
+        Scored,
+        combine,
         load_baseline,
         make_baseline,
         require_same_alarms,
+        require_truth_for_alarms,
         save_baseline,
     )
-    from svmdist.workflows.validate import Scored, combine, require_truth_for_alarms
 
     logs = Logs(given)
     for target in (given.output, given.write_baseline):
@@ -141,7 +142,7 @@ def validate_command(given: ValidateOptions) -> None:
 
 
 def _request(given: ValidateOptions) -> Request:
-    from svmdist.workflows.scoring.truth import Reference, truth_rules
+    from svmdist.workflows.references import Reference, truth_rules
 
     request = given.request()
     references = tuple(Reference(str(choice)) for choice in dict.fromkeys(given.truth or [])) or None
@@ -164,14 +165,17 @@ def score_log(recording: Recording, request: Request, threads: int, keep: Keep |
 def _save_plot(
     result: Validation, measured: list[Measured], request: Request, kind: PlotKind, path: Path
 ) -> None:
-    from svmdist.report.plots import SeriesPlot, save_plot, save_series_plot
+    from svmdist.report.plots import SeriesPlot, draw, draw_series, save_figure
     from svmdist.workflows.series import series_of
 
     if kind == "fig6":
-        save_plot(result, path)
+        save_figure(path, draw, result)
         return
-    series = series_of(measured, request, result.reference)
-    save_series_plot(series, SeriesPlot(kind), path, request.alarms.below_m if request.alarms else None)
+    series, below_m = (
+        series_of(measured, request, result.reference),
+        request.alarms and request.alarms.below_m,
+    )
+    save_figure(path, draw_series, series, SeriesPlot(kind), below_m)
 
 
 def _write_report(
@@ -184,10 +188,9 @@ def _write_report(
     path: Path,
 ) -> None:
     from svmdist.report.html import make_report, write_report
-    from svmdist.report.scores import log_results, pooled_log_figures, ranked
+    from svmdist.report.scores import log_results
 
-    each = run.figures(keys)
-    ranking = None if logs.is_one else log_results(ranked(each), pooled_log_figures(each))
+    ranking = None if logs.is_one else log_results(run.figures(keys))
     with progress_bar("drawing the worst frames", "images") as advance:
         page = make_report(
             measured, request, command_line(), result, jobs=logs.jobs, logs=ranking, on_progress=advance
@@ -197,7 +200,7 @@ def _write_report(
 
 def _is_worse(result: Validation, stored: Baseline, path: Path | None, *, complete: bool) -> bool:
     """Say which figures are worse than those stored."""
-    from svmdist.workflows.scoring.baseline import find_regressions
+    from svmdist.workflows.validate import find_regressions
 
     regressions = find_regressions(result, stored, complete=complete)
     for regression in regressions:

@@ -19,10 +19,9 @@ from svmdist.vision.degradations import Blur
 from svmdist.vision.frame_context import to_grey
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
 from svmdist.vision.regions import find_region
-from svmdist.workflows.conditions import BlurCondition
+from svmdist.workflows.references import Reference, distance_truth
 from svmdist.workflows.replay import replay
-from svmdist.workflows.request import Setup
-from svmdist.workflows.scoring.truth import Reference, distance_truth
+from svmdist.workflows.request import BlurCondition, Setup
 
 DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
     Blur.NONE: 1,

@@ -1,15 +1,20 @@
-"""Calibrate: pixels of the tool and its true positions, fitted by the quadratics of eqs. (5) and (6)."""
+"""Calibrations fitted to logs: of the paper's plane, and of the camera to a robot's base."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from svmdist.camera import Camera
-from svmdist.errors import CalibrationError
+from svmdist.errors import CalibrationError, KinematicsError, RecordingError
+from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
+from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.plane_mapping import (
     Calibration,
     CalibrationSamples,
@@ -18,11 +23,29 @@ from svmdist.estimation.plane_mapping import (
     SourceFile,
     fit_calibration,
 )
-from svmdist.geometry.surfaces import pixel_rays
+from svmdist.geometry import pixel_rays
+from svmdist.kinematics import chain_of, shaft_of
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
+from svmdist.profile.hand_eye import (
+    BASELINE,
+    FOCAL_LENGTH,
+    PRINCIPAL_POINT,
+    SHAFT_RADIUS,
+    TAG_SIZE,
+    ConstantEffect,
+    HandEye,
+    stated_deviations,
+)
 from svmdist.recording.log import Recording
+from svmdist.recording.topics import FixedTransform
+from svmdist.results import Failure, FrameResult
+from svmdist.samples import JointSample
+from svmdist.tracks import JointTrack
+from svmdist.transforms import Array, inverse, rotation_angle, skew
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.parallel import Steps
+from svmdist.workflows.parallel import Progress, Steps, image_total
+from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Setup
 
 PIXELS_AS_THEY_ARE = PlaneMapping("corrected", Quadratic(0.0, 1.0, 0.0), Quadratic(0.0, 1.0, 0.0))
@@ -77,3 +100,234 @@ def fit_parts(parts: Sequence[CalibrationPart], method: str) -> Calibration:
         created_by=f"svmdist {version('svmdist')}",
         sources=tuple(SourceFile(name=part.file_name, sha256=part.sha256) for part in parts),
     )
+
+
+Against = Literal["kinematics", "pose"]
+SEEN_SIZES = {"fiducial": TAG_SIZE, "stereo": BASELINE, "shaft": SHAFT_RADIUS}
+"""Methods that find the tool by images alone, the most accurate first, and the size that determines their depth."""
+SEEING_METHODS = tuple(SEEN_SIZES)
+NEAR_NS = 200_000_000
+"""Joint rates come from the joint states within this of an image."""
+
+
+@dataclass(frozen=True)
+class HandEyeResult:
+    """The transform of an instrument's base, and how it was found.
+
+    `tool_std_m` is the standard deviation of the tool placed by the transform, at the mean seen position, in the worst
+    direction; `from_log` the difference of the log's own transform: rotation in rad and translation of the tool in m.
+    """
+
+    hand_eye: HandEye
+    fit: HandEyeFit
+    tool_std_m: float
+    from_log: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class ReportedTool:
+    """Poses in the base's frame (n, 4, 4) as the robot reports them, which of them are known, and their errors.
+
+    `axes` (n, 3) are the shaft's directions, NaN where not known; `noise` (n, 3, 3) the error that differs from frame
+    to frame; `shared` (n, 6, m) the effects of the errors `names`, the same in all frames, on position and direction.
+    """
+
+    T_base_tool: Array
+    valid: NDArray[np.bool_]
+    axes: Array
+    noise: Array
+    shared: Array
+    names: tuple[str, ...] = ()
+
+
+def hand_eye(
+    recording: Recording,
+    setup: Setup,
+    instrument: str,
+    against: Against | None = None,
+    jobs: int | None = None,
+    on_progress: Progress | None = None,
+) -> HandEyeResult | Failure:
+    """Fit the camera-to-base transform of an instrument; a Failure says why that is impossible.
+
+    The method of the setup sees the tool, without any transform of the log. `against` is what the robot reports:
+    kinematics of its joints, or poses; None takes the joints where log and profile have them. With joints, a second
+    pass measures again with the orientation of the wrist by the transform of the first pass. `on_progress` counts the
+    images of both. Raises RecordingError where the log lacks joints and poses.
+    """
+    setup = replace(setup, profile=setup.profile.model_copy(update={"hand_eye": None}))
+    profile = setup.profile.for_instrument(instrument)
+    own = recording.for_instrument(instrument)
+    against = against or default_reference(own, profile)
+    twice = against == "kinematics" and setup.method != "fiducial"
+    steps = Steps(on_progress, image_total([recording], lambda _: 2 if twice else 1))
+
+    def fit_to(log: Recording) -> HandEyeResult | Failure:
+        lanes = steps.of(replay(log, [setup], wanted=[instrument], jobs=jobs))
+        rows = [replayed.results[0] for (replayed,) in lanes]
+        seen = [row for row in rows if row.measured and row.tool is not None]
+        found = _fit(seen, own, setup.method, profile, against)
+        if isinstance(found, Failure) and len(seen) < profile.settings.hand_eye.min_count:
+            said = Counter(row.detail or row.status for row in rows if not row.measured).most_common(1)
+            return Failure(found.reason + "".join(f"; {count} frames say: {why}" for why, count in said))
+        return found
+
+    blind = recording.with_bases({name: FixedTransform(None) for name in recording.instruments})
+    found = fit_to(blind)
+    if isinstance(found, HandEyeResult) and twice:
+        second = fit_to(blind.with_bases({instrument: FixedTransform(found.fit.T_camera_base)}))
+        found = second if isinstance(second, HandEyeResult) else found
+    return found
+
+
+def default_reference(recording: Recording, profile: Profile) -> Against:
+    """The joints where log and profile have them, else the poses; raises RecordingError where the log lacks both."""
+    robot, has_joints = profile.robot, recording.topic_of("joints") is not None
+    if robot is not None and has_joints and not robot.missing_joints(recording.joint_track().names):
+        return "kinematics"
+    if recording.topic_of("pose") is not None:
+        return "pose"
+    raise RecordingError(
+        f"{recording.path.name}: no joint states of profile {profile.name}'s chain and no poses of"
+        f" {profile.instrument_name}: hand-eye needs the one or the other"
+    )
+
+
+def reported_tool(
+    recording: Recording, profile: Profile, against: Against, stamps_ns: NDArray[np.int64]
+) -> ReportedTool:
+    """The tool by the robot's joints or its poses; RecordingError where the log lacks them.
+
+    Of joints, backlash is noise of each frame, and the other errors of the profile are shared by all frames.
+    """
+    count = len(stamps_ns)
+    axes = np.full((count, 3), np.nan)
+    if against == "pose":
+        poses = recording.pose_track().at(stamps_ns)
+        noise = np.repeat(profile.settings.hand_eye.pose_std_m**2 * np.eye(3)[None], count, 0)
+        return ReportedTool(poses.values, poses.valid, axes, noise, np.zeros((count, 6, 0)))
+    if profile.robot is None:
+        raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
+    chain = chain_of(profile.robot)
+    model = ErrorModel(chain, profile.kinematic_error)
+    shaft, joints = shaft_of(chain), recording.joint_track()
+    columns = list(model.constant_columns.values())
+    T_base_tool = np.full((count, 4, 4), np.nan)
+    noise, shared = np.zeros((count, 3, 3)), np.zeros((count, 6, len(columns)))
+    sampled = joints.at(stamps_ns)
+    for at in np.flatnonzero(sampled.valid):
+        near = np.abs(joints.stamps_ns - stamps_ns[at]) <= NEAR_NS
+        track = (
+            JointTrack(joints.stamps_ns[near], joints.names, joints.positions[near]) if near.any() else None
+        )
+        sample = JointSample(int(stamps_ns[at]), joints.names, sampled.values[at])
+        # With the base at the camera: all that follows is in the base's frame.
+        state = RobotState.of(chain, sample, np.eye(4), sample.stamp_ns, track)
+        if isinstance(state, Failure):
+            raise KinematicsError(state.reason)
+        links = model.links(model.nominal(state), model.no_correction(), model.anchor_m(state))
+        tool = links.link(None)
+        T_base_tool[at] = tool.T_camera_link
+        noise[at] = tool.derivative[:3] @ model.play_covariance @ tool.derivative[:3].T
+        shared[at, :3] = tool.derivative[:3][:, columns]
+        if shaft is not None:
+            link = links.link(shaft.link)
+            axes[at] = link.T_camera_link[:3, :3] @ shaft.axis
+            shared[at, 3:] = -skew(axes[at]) @ link.derivative[3:][:, columns]
+        shared[at] *= np.sqrt(np.diag(model.prior(state)))[columns]
+    return ReportedTool(T_base_tool, sampled.valid, axes, noise, shared, tuple(model.constant_columns))
+
+
+def _fit(
+    rows: list[FrameResult], recording: Recording, method: str, profile: Profile, against: Against
+) -> HandEyeResult | Failure:
+    stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
+    reported = reported_tool(recording, profile, against, stamps_ns)
+    known = np.flatnonzero(reported.valid)
+    tools = [rows[at].tool.pose for at in known]  # type: ignore[union-attr]  # rows of a seen tool
+    seen_m = np.reshape([tool.position_m for tool in tools], (-1, 3))
+    camera = _camera_errors(seen_m, method, profile, float(recording.camera.K[0, 0]))
+    places = ToolPlaces(
+        stamps_ns[known],
+        seen_m,
+        np.reshape([tool.position_covariance for tool in tools], (-1, 3, 3)),
+        reported.T_base_tool[known, :3, 3],
+        reported.noise[known],
+        np.reshape([tool.axis for tool in tools], (-1, 3)),
+        np.where(np.isfinite(reported.axes[known]).all(1), [tool.shaft_std_rad for tool in tools], np.nan),
+        reported.axes[known],
+        reported.shared[known],
+        np.concatenate(list(camera.values()), 2),
+    )
+    fit = fit_hand_eye(places, profile.settings.hand_eye)
+    if isinstance(fit, Failure):
+        return fit
+    # The effect of each calibration parameter on the fit, for estimators that use it; without exact ones.
+    counts = dict.fromkeys(reported.names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
+    names = [name for name, count in counts.items() for _ in range(count)]
+    std = stated_deviations(profile)
+    effects = tuple(
+        ConstantEffect(
+            constant=name, deviation=std[name], effects=fit.effects[:, [n == name for n in names]].T.tolist()
+        )
+        for name in counts
+        if std.get(name, 0.0) > 0.0
+    )
+    hand_eye_of_fit = HandEye.model_validate(
+        {
+            "instrument": profile.instrument_name,
+            "camera": profile.frames.camera,
+            "base": profile.frames.base,
+            "rotation": fit.T_camera_base[:3, :3].tolist(),
+            "translation_m": fit.T_camera_base[:3, 3].tolist(),
+            "covariance": (0.5 * (fit.covariance + fit.covariance.T)).tolist(),
+            "method": method,
+            "reference": against,
+            "frame_count": len(fit.agrees),
+            "inlier_count": int(fit.agrees.sum()),
+            "constants": effects,
+            "residual_rms_m": float(np.sqrt(np.mean(fit.residuals_m[fit.agrees] ** 2))),
+        }
+    )
+    middle_m = seen_m[fit.agrees].mean(0)
+    covariance_m2 = hand_eye_of_fit.covariance_at(middle_m)[:3, :3]
+    from_log = _from_log(recording, profile, fit.T_camera_base, middle_m)
+    return HandEyeResult(
+        hand_eye_of_fit, fit, float(np.sqrt(np.linalg.eigvalsh(covariance_m2)[-1])), from_log
+    )
+
+
+def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> dict[str, Array]:
+    """Effects of one standard deviation of calibration parameters on seen positions, (n, 6, k) for k numbers each.
+
+    A size or baseline that is too small scales positions towards the camera, a focal length their depth. A principal
+    point rotates positions about the camera; its effect on directions is negligible.
+    """
+    std = stated_deviations(profile)
+    rotation_rad = std[PRINCIPAL_POINT] / focal_px
+    rotations = np.array([[0.0, rotation_rad, 0.0], [-rotation_rad, 0.0, 0.0]])
+    offsets = {
+        SEEN_SIZES[method]: [-std.get(SEEN_SIZES[method], 0.0) * seen_m],
+        FOCAL_LENGTH: [-std[FOCAL_LENGTH] * seen_m * [0.0, 0.0, 1.0]],
+        PRINCIPAL_POINT: [np.cross(rotation, seen_m) for rotation in rotations],
+    }
+    return {
+        name: np.stack([np.hstack([offset_m, np.zeros_like(offset_m)]) for offset_m in of_name], -1)
+        for name, of_name in offsets.items()
+    }
+
+
+def _from_log(
+    recording: Recording, profile: Profile, T_camera_base: Array, middle_m: Array
+) -> tuple[float, float] | None:
+    """Rotation in rad, and translation of the tool in m, from a fitted transform to the log's own."""
+    try:
+        track = recording.transform_track(profile.frames.camera, profile.frames.base)
+    except RecordingError:
+        return None
+    if len(track.stamps_ns) == 0:
+        return None
+    T_log = track.T_parent_child[0]
+    nominal = inverse(T_camera_base) @ np.append(middle_m, 1.0)
+    rotation_rad = float(rotation_angle(T_log[:3, :3], T_camera_base[:3, :3]))
+    return rotation_rad, float(np.linalg.norm((T_log @ nominal)[:3] - middle_m))

@@ -13,7 +13,6 @@ from svmdist.recording.log import Recording
 from svmdist.recording.source import Health
 from svmdist.recording.topics import Role
 from svmdist.tracks import DistanceTrack
-from svmdist.workflows.conditions import CLEAN, LogCondition, PerturbedCondition
 from svmdist.workflows.parallel import (
     Progress,
     Steps,
@@ -23,10 +22,10 @@ from svmdist.workflows.parallel import (
     step,
     usable_cores,
 )
+from svmdist.workflows.references import truth_follows_images
 from svmdist.workflows.replay import replay
-from svmdist.workflows.request import Setup
-from svmdist.workflows.scoring.score import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
-from svmdist.workflows.scoring.truth import truth_follows_images
+from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, Setup
+from svmdist.workflows.scores import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 
 GroupBy = Callable[[Mapping[str, str]], str]
 """Names the group of a recording by its metadata."""

@@ -31,9 +31,8 @@ from svmdist.transforms import Array
 from svmdist.vision.frame_context import as_pinholes, seen_through, to_grey, with_first_fields
 from svmdist.vision.segmentation import AutoSegmenter, Segmenter
 from svmdist.vision.stereo import RowOffset, agreed_offset, rectified_pair, row_differences
-from svmdist.workflows.conditions import CLEAN, ReplayCondition
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
-from svmdist.workflows.request import Setup
+from svmdist.workflows.request import CLEAN, ReplayCondition, Setup
 
 if TYPE_CHECKING:
     from svmdist.estimation.association import Association

@@ -23,7 +23,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A hand-eye file of the log, by its tag."""
     from svmdist.profile.hand_eye import save_hand_eye
     from svmdist.report.info import hand_eye_file
-    from svmdist.workflows.hand_eye import HandEyeResult, hand_eye
+    from svmdist.workflows.calibrate import HandEyeResult, hand_eye
     from svmdist.workflows.request import prepare
 
     setup = prepare("psm13", "fiducial")

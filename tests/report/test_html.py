@@ -24,7 +24,7 @@ from svmdist.report.charts import (
 )
 from svmdist.report.html import WORST_COUNT, Report, page, plotly_figure, write_report
 from svmdist.report.tables import Table
-from svmdist.workflows.scoring.truth import Reference
+from svmdist.workflows.references import Reference
 from svmdist.workflows.series import Series
 from tests.conftest import Cli
 

@@ -18,9 +18,8 @@ from svmdist.samples import ImageSample
 from svmdist.simulation.scene import Options
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import Group, compare, group_of
-from svmdist.workflows.conditions import CLEAN, Condition
-from svmdist.workflows.request import Request, prepare
-from svmdist.workflows.scoring.truth import Reference, TruthRules
+from svmdist.workflows.references import Reference, TruthRules
+from svmdist.workflows.request import CLEAN, Condition, Request, prepare
 from svmdist.workflows.validate import validate
 from tests.synthetic import make_scene, samples
 

@@ -10,7 +10,7 @@ import pytest
 from svmdist.errors import UsageError
 from svmdist.samples import Observation, RightView
 from svmdist.vision.degradations import Blur, Degradation
-from svmdist.workflows.conditions import BlurCondition, Condition, ReplayCondition
+from svmdist.workflows.request import BlurCondition, Condition, ReplayCondition
 from tests.synthetic import make_scene
 
 SCENE = make_scene(320, 240)

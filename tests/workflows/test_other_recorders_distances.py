@@ -17,8 +17,8 @@ from svmdist.samples import Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, rotation_z
 from svmdist.workflows.calibrate import collect_part, fit_parts
 from svmdist.workflows.estimate import estimate
+from svmdist.workflows.references import Reference, truth_rules
 from svmdist.workflows.request import Request, Setup, prepare
-from svmdist.workflows.scoring.truth import Reference, truth_rules
 from svmdist.workflows.validate import Validation, validate
 from tests.measuring import flat
 from tests.recording.builders import Entry

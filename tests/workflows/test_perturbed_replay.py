@@ -15,8 +15,7 @@ from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import Observation, RightView
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import MethodScore, compare, group_of
-from svmdist.workflows.conditions import CLEAN, Condition, PerturbedCondition
-from svmdist.workflows.request import Setup, prepare
+from svmdist.workflows.request import CLEAN, Condition, PerturbedCondition, Setup, prepare
 from tests.synthetic import make_scene, samples
 
 PROFILE = load_profile()

@@ -21,7 +21,6 @@ from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
 from svmdist.vision.segmentation import AutoSegmenter
-from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.replay import (
     MultiInstrumentEstimator,
@@ -31,7 +30,7 @@ from svmdist.workflows.replay import (
     replay,
     spread_observations,
 )
-from svmdist.workflows.request import Setup, prepare
+from svmdist.workflows.request import CLEAN, Condition, Setup, prepare
 from tests.synthetic import START_NS, write_log
 
 FRAMES = 8

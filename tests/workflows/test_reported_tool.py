@@ -10,8 +10,8 @@ import pytest
 from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
+from svmdist.workflows.calibrate import default_reference, reported_tool
 from svmdist.workflows.fk import fk_blocks
-from svmdist.workflows.hand_eye import default_reference, reported_tool
 
 PROFILE = load_profile()
 

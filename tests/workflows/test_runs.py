@@ -14,9 +14,8 @@ from svmdist.recording.writer import RecordingWriter, encode
 from svmdist.samples import CameraSample, DistanceSample, ImageSample, Sample
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import Run, measure_runs, pooled_figures
-from svmdist.workflows.conditions import CLEAN, Condition
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.request import prepare
+from svmdist.workflows.request import CLEAN, Condition, prepare
 from tests.synthetic import START_NS, make_scene, samples, write_log
 
 SETUPS = [prepare(method=method) for method in ("fused", "centroid", "fiducial", "kinematic")]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svmdist.workflows.scoring.truth import Reference
+from svmdist.workflows.references import Reference
 from svmdist.workflows.series import Series, worst_frames
 
 SERIES = Series(

@@ -14,14 +14,14 @@ from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.workflows.compare import compare
 from svmdist.workflows.estimate import estimate
+from svmdist.workflows.references import Reference, TruthRules
 from svmdist.workflows.request import Request, prepare
-from svmdist.workflows.scoring.truth import Reference, TruthRules
 from svmdist.workflows.validate import validate
 from tests.conftest import Cli
 from tests.measuring import Measuring, flat
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.motion import Scenario
 from svmdist.simulation.scene import Options
 from svmdist.workflows.record import record
 

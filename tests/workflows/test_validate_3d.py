@@ -15,11 +15,16 @@ from svmdist.report.scores import score_columns
 from svmdist.report.tables import row_of
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import DistanceSample, Sample, Status
+from svmdist.workflows.references import Reference, TruthRules
 from svmdist.workflows.request import Request, prepare
-from svmdist.workflows.scoring.baseline import find_regressions, make_baseline, require_same_alarms
-from svmdist.workflows.scoring.score import Score, pool_scores, score_rows
-from svmdist.workflows.scoring.truth import Reference, TruthRules
-from svmdist.workflows.validate import Validation, validate
+from svmdist.workflows.scores import Score, pool_scores, score_rows
+from svmdist.workflows.validate import (
+    Validation,
+    find_regressions,
+    make_baseline,
+    require_same_alarms,
+    validate,
+)
 from tests.measuring import flat
 from tests.synthetic import write_log
 

@@ -9,14 +9,14 @@ import pytest
 from pydantic import ValidationError
 
 from svmdist.errors import RecordingError
-from svmdist.workflows.scoring.baseline import (
+from svmdist.workflows.validate import (
     StoredScore,
     Tolerance,
+    Validation,
     load_baseline,
     make_baseline,
     save_baseline,
 )
-from svmdist.workflows.validate import Validation
 
 LABELS = {"recording": "a", "method": "overlay", "equations": "corrected", "reference": "ground_truth"}
 OLD = {"r_squared": 0.99, "rmse_m": 1e-3, "p95_abs_error_m": None, "coverage": 1.0}

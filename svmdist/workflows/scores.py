@@ -33,8 +33,8 @@ from svmdist.results import Distance as ResultDistance
 from svmdist.results import Distances, FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array, Stamps
+from svmdist.workflows.references import Reference, TruthRules, distance_truth, truth_follows_images
 from svmdist.workflows.request import Setup
-from svmdist.workflows.scoring.truth import Reference, TruthRules, distance_truth, truth_follows_images
 
 BOOTSTRAP_SEED = 36
 

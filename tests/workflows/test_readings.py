@@ -10,7 +10,7 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.tracks import SampledDistances
-from svmdist.workflows.scoring.score import (
+from svmdist.workflows.scores import (
     DISTANCES,
     SPATIAL,
     Pairs,

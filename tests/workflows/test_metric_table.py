@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.generated_pages import metrics_page
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import alarm_statistics
-from svmdist.report.columns_page import columns_page
 from svmdist.report.scores import (
     compare_columns,
     compare_results,
@@ -21,9 +21,9 @@ from svmdist.report.scores import (
     validation_tables,
 )
 from svmdist.report.tables import csv_lines, keys_of, render
+from svmdist.workflows import metric_table
 from svmdist.workflows.compare import Figures, Group, MethodScore
-from svmdist.workflows.scoring import metric_table
-from svmdist.workflows.scoring.metric_table import (
+from svmdist.workflows.metric_table import (
     EVERYWHERE,
     IN_3D,
     LENGTH,
@@ -31,8 +31,8 @@ from svmdist.workflows.scoring.metric_table import (
     Metric,
     Tolerance,
 )
-from svmdist.workflows.scoring.score import Pairs, Score, score_pairs
-from svmdist.workflows.scoring.truth import Reference
+from svmdist.workflows.references import Reference
+from svmdist.workflows.scores import Pairs, Score, score_pairs
 from svmdist.workflows.validate import Validation
 
 SCORE_COLUMNS = """
@@ -109,7 +109,7 @@ def test_a_new_metric_is_declared_once(added: str) -> None:
     results = validation_results(made)
     row = next(iter(results.rows))
     assert [row[key] for key in keys] == pytest.approx([expected] * 3)
-    header, cells = (line.split(",") for line in csv_lines(results.keys, [row]))
+    header, cells = (line.split(",") for line in csv_lines(replace(results, rows=[row])))
     assert header[-1].strip() == keys[-1]
     assert float(cells[-1]) == pytest.approx(expected)
     document = json.loads(json.dumps(validation_document(made)))
@@ -118,7 +118,7 @@ def test_a_new_metric_is_declared_once(added: str) -> None:
     for shown in (planar, in_3d):
         assert "p99" in shown
         assert f"{expected * 1e3:.2f}" in shown
-    assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | 1e-05 m |" in columns_page()
+    assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | 1e-05 m |" in metrics_page("")
     distance = score_pairs(pairs())
     figures = Figures(20, 20, distance, distance, distance, 3.0)
     compared = compare_results([MethodScore(Group("sweep"), "fused", figures)])

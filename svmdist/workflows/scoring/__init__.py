@@ -1,1 +1,0 @@
-"""Estimates against their references: the truth, the pairs, and the figures of both."""
