@@ -66,7 +66,7 @@ def collect_part(
     recording: Recording, profile: Profile, method: str, jobs: int | None = None, steps: Steps | None = None
 ) -> CalibrationPart:
     """Pairs of tool pixel and true position in the camera's plane; RecordingError where the log has no true pose."""
-    setup = Setup(profile, method, "corrected", None, PIXELS_AS_THEY_ARE)
+    setup = Setup(profile, method, mapping=PIXELS_AS_THEY_ARE)
     rows = (steps or Steps(None, None)).of(estimate(recording, setup, recording.instruments[:1], jobs))
     results = [result for result in rows if result.measured]
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -32,28 +32,26 @@ from svmdist.estimation.tissue import require_tissue
 from svmdist.files import LogPath
 from svmdist.perturbations.calibration import stated_profile
 from svmdist.perturbations.chosen import Perturbations, require_at_replay
+from svmdist.perturbations.images import perturbed_image, perturbed_right_view
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.log import KnownLag, Recording, open_recording
 from svmdist.recording.observations import Reading, Window
 from svmdist.recording.topics import Role
 from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation
+from svmdist.vision.degradations import (
+    Blur,
+    Degradation,
+    apply_blur,
+    degrade,
+    image_seed,
+    require_degradation,
+)
 from svmdist.vision.segmentation import Segmenter, make_segmenter
 from svmdist.workflows.references import TruthRules
 
-if TYPE_CHECKING:
-    from svmdist.vision.degradations import Blur, Degradation
-
-
 REPLAY_SEED = 36
 LEFT, RIGHT = 0, 1
-
-
-class ReplayCondition(Protocol):
-    """What is done to the images of a log before they are measured."""
-
-    def apply(self, observation: Observation, frame: int, /) -> Observation:
-        """Change the images of the n-th frame, the right one too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +63,6 @@ class Condition:
 
     def __post_init__(self) -> None:
         if self.name is not None:
-            from svmdist.vision.degradations import require_degradation
-
             require_degradation(self.name, self.severity)
 
     def __str__(self) -> str:
@@ -77,8 +73,6 @@ class Condition:
         name, severity = self.name, self.severity
         if name is None:
             return observation
-        from svmdist.vision.degradations import Degradation, degrade, image_seed
-
         # The image itself tells logs apart, whatever their names and order. The severity plays no part: glints
         # and plumes of one are those of the next, only more of them.
         content = zlib.crc32(np.ascontiguousarray(observation.image_bgr).data)
@@ -105,8 +99,6 @@ class PerturbedCondition:
 
     def apply(self, observation: Observation, _frame: int) -> Observation:
         """Change the images; joints and calibration are those of `Recording.perturbed`."""
-        from svmdist.perturbations.images import perturbed_image, perturbed_right_view
-
         image, right = observation.image_bgr, observation.right
         return replace(
             observation,
@@ -128,9 +120,11 @@ class BlurCondition:
 
     def apply(self, observation: Observation, _frame: int) -> Observation:
         """Blur the images."""
-        from svmdist.vision.degradations import apply_blur
-
         return _changed(observation, lambda image, _: apply_blur(image, self.blur, self.kernel_px))
+
+
+ReplayCondition = LogCondition | BlurCondition
+"""What is done to the images of a log before they are measured."""
 
 
 def _changed(observation: Observation, change: Callable[[Image, int], Image]) -> Observation:
@@ -164,7 +158,7 @@ class OwnEstimator:
     needs = Needs(right_view=True)
 
     def __init__(self, method: OwnMethod) -> None:
-        self.name = name_of(method)
+        self.name = str(getattr(method, "name", type(method).__name__))
         self._method = copy.deepcopy(method)
 
     def estimate(self, frame: Frame) -> FrameResult:
@@ -177,11 +171,6 @@ class OwnEstimator:
         return result
 
 
-def name_of(method: OwnMethod) -> str:
-    """What an own method is called in results."""
-    return str(getattr(method, "name", type(method).__name__))
-
-
 @dataclass(frozen=True)
 class Setup:
     """Everything that turns a recording into results. Make it with `prepare`.
@@ -191,8 +180,8 @@ class Setup:
 
     profile: Profile
     method: str
-    equations: Equations
-    calibration: Calibration | None
+    equations: Equations = "corrected"
+    calibration: Calibration | None = None
     mapping: PlaneMapping | None = None
     own: OwnMethod | None = None
     """A user's own method, in place of one of svmdist's."""
@@ -200,7 +189,7 @@ class Setup:
     @staticmethod
     def reading(profile: str, hand_eye: Path | None = None) -> Setup:
         """A setup by which logs are read, and nothing is measured; raises ProfileError."""
-        return Setup(load_profile(profile, hand_eye), "kinematic", "corrected", None)
+        return Setup(load_profile(profile, hand_eye), "kinematic")
 
     @cached_property
     def segmenter(self) -> Segmenter:
@@ -290,14 +279,13 @@ def prepare(
     A planar method needs a calibration: the given one, else the one that ships beside the profile. `hand_eye` is a
     file of camera-to-base transforms in place of the profile's. Raises ProfileError, CalibrationError or UsageError.
     """
-    if not isinstance(method, str):
-        loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
-        return Setup(loaded, name_of(method), equations, None, own=method)
-    if method not in METHODS:
+    if isinstance(method, str) and method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
     if equations not in ("corrected", "printed"):
         raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
     loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
+    if not isinstance(method, str):
+        return Setup(loaded, OwnEstimator(method).name, equations, own=method)
     is_planar, is_printed = method in PLANAR_METHODS, equations == "printed"
     if not is_planar and (is_printed or calibration is not None):
         option = "--equations printed" if is_printed else "--calibration"
@@ -307,7 +295,7 @@ def prepare(
         raise UsageError(
             "--equations printed takes the paper's numbers: it cannot be used with a calibration"
         )
-    setup = Setup(loaded, method, equations, None, PUBLISHED_MAPPING if is_printed else None)
+    setup = Setup(loaded, method, equations, mapping=PUBLISHED_MAPPING if is_printed else None)
     if is_planar and not is_printed:
         found = load_calibration(calibration or _beside(profile, loaded))
         setup = replace(setup, calibration=found, mapping=found.mapping)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.errors import ProfileError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules, AlarmWatch
@@ -29,8 +28,7 @@ from svmdist.metrics import (
 )
 from svmdist.profile import Profile
 from svmdist.recording.log import KnownLag, Recording
-from svmdist.results import Distance as ResultDistance
-from svmdist.results import Distances, FrameResult
+from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array, Stamps
 from svmdist.workflows.references import Reference, TruthRules, distance_truth, truth_follows_images
@@ -39,26 +37,7 @@ from svmdist.workflows.request import Setup
 BOOTSTRAP_SEED = 36
 
 
-@dataclass(frozen=True, slots=True)
-class Distance:
-    """One of the three distances: its value and standard deviation in a row, and its truth, all in m."""
-
-    name: str
-    of: Callable[[Distances], ResultDistance | None]
-    truth_of: Callable[[SampledDistances], Array]
-
-    def read(self, result: FrameResult) -> tuple[float, float]:
-        """Value and standard deviation in m of a result; NaN where it has none."""
-        found = self.of(result.distances)
-        if found is None:
-            return np.nan, np.nan
-        return found.value_m, np.nan if found.std_m is None else found.std_m
-
-
-PLANAR = Distance("planar", lambda found: found.planar, lambda truth: truth.planar_m)
-SPATIAL = Distance("spatial", lambda found: found.spatial, lambda truth: truth.spatial_m)
-CLEARANCE = Distance("clearance", lambda found: found.clearance, lambda truth: truth.clearance_m)
-DISTANCES = (PLANAR, SPATIAL, CLEARANCE)
+DISTANCES = ("planar", "spatial", "clearance")
 
 
 @dataclass(frozen=True)
@@ -86,8 +65,7 @@ class DistanceScore:
 class Readings:
     """The numbers that scoring takes from rows, collected as they arrive: 72 bytes per row."""
 
-    def __init__(self, rows: Iterable[FrameResult] = (), distances: tuple[Distance, ...] = DISTANCES) -> None:
-        self._distances = distances
+    def __init__(self, rows: Iterable[FrameResult] = ()) -> None:
         self._stamps_ns = array("q")
         self._numbers = array("d")
         self.rejected: Counter[str] = Counter()
@@ -101,37 +79,40 @@ class Readings:
         """Take the tool's pixel and each distance from a row; NaN where it has none."""
         self._stamps_ns.append(row.stamp_ns)
         numbers = [*(row.image.tool_px or (np.nan, np.nan))]
-        for distance in self._distances:
-            numbers += distance.read(row)
+        for name in DISTANCES:
+            found = getattr(row.distances, name)
+            std_m = np.nan if found is None or found.std_m is None else found.std_m
+            numbers += [np.nan if found is None else found.value_m, std_m]
         if not row.measured:
             self.rejected[str(row.status)] += 1
             numbers = [np.nan] * len(numbers)
         self._numbers.extend(numbers)
 
     @property
-    def stamps_ns(self) -> NDArray[np.int64]:
+    def stamps_ns(self) -> Stamps:
         """The stamps of the rows, shape (n,)."""
         return np.array(self._stamps_ns, np.int64)
 
     @property
     def tool_px(self) -> Array:
         """Where the tool was seen, shape (n, 2); NaN where it was not."""
-        return self._table[:, 0]
+        return self._columns(0).T
 
-    def pairs(
-        self, distance: Distance, truth: SampledDistances, stamps_ns: NDArray[np.int64] | None = None
-    ) -> Pairs:
-        """Pair one distance with its truth at the rows' stamps, or at others, shape (n,); pairs without a value go."""
-        estimate_m, std_m = self._table[:, 1 + self._distances.index(distance)].T
-        truth_m = distance.truth_of(truth)
+    def distance(self, name: str) -> tuple[Array, Array]:
+        """Estimates and standard deviations of a distance in m, shape (n,) each."""
+        estimate_m, std_m = self._columns(1 + DISTANCES.index(name))
+        return estimate_m, std_m
+
+    def _columns(self, place: int) -> Array:
+        return np.array(self._numbers, np.float64).reshape(-1, 1 + len(DISTANCES), 2)[:, place].T
+
+    def pairs(self, name: str, truth: SampledDistances, stamps_ns: Stamps | None = None) -> Pairs:
+        """Pair a distance with its truth at the rows' stamps, or at others, shape (n,); pairs without a value go."""
+        estimate_m, std_m = self.distance(name)
+        truth_m: Array = getattr(truth, f"{name}_m")
         kept = truth.valid & np.isfinite(truth_m) & np.isfinite(estimate_m)
         at_ns = self.stamps_ns if stamps_ns is None else stamps_ns
         return Pairs(at_ns[kept], estimate_m[kept], truth_m[kept], std_m[kept])
-
-    @property
-    def _table(self) -> Array:
-        """Shape (n, 1 + distances, 2): the tool's pixel, then value and deviation of each distance."""
-        return np.array(self._numbers, np.float64).reshape(-1, 1 + len(self._distances), 2)
 
 
 def pooled(parts: Sequence[Pairs]) -> Pairs:
@@ -169,7 +150,7 @@ def require_clearance(method: str, profile: Profile | None = None) -> None:
 
 
 def score_alarms(
-    rows: Sequence[FrameResult], truth: SampledDistances, stamps_ns: NDArray[np.int64], rules: AlarmRules
+    rows: Sequence[FrameResult], truth: SampledDistances, stamps_ns: Stamps, rules: AlarmRules
 ) -> AlarmStatistics:
     """Score the alarms that all rows of a recording raise, measured or not, with the truth at their stamps.
 
@@ -276,7 +257,7 @@ def score_rows(
 ) -> Score:
     """Score the estimates of one recording, shape (n_frames,), against one reference."""
 
-    def truth_at(at_ns: NDArray[np.int64]) -> SampledDistances:
+    def truth_at(at_ns: Stamps) -> SampledDistances:
         return distance_truth(recording, setup.profile, reference, at_ns, setup.equations, rules)
 
     readings = Readings(rows)
@@ -285,7 +266,7 @@ def score_rows(
     truth = truth_at(stamps_ns)
     planar, spatial, clearance = (readings.pairs(distance, truth, stamps_ns) for distance in DISTANCES)
     is_truth = reference is Reference.GROUND_TRUTH
-    unshifted = readings.pairs(PLANAR, truth_at(readings.stamps_ns)) if lag_ns else planar
+    unshifted = readings.pairs("planar", truth_at(readings.stamps_ns)) if lag_ns else planar
     return Score(
         recording.name,
         setup.method,
@@ -304,16 +285,15 @@ def score_rows(
     )
 
 
-def pool_scores(scores: Sequence[Score], first_instrument: str = "") -> Score:
-    """One score `overall` over the pairs of several scores of one instrument: every frame counts the same."""
+def pool_scores(scores: Sequence[Score], named: str = "overall") -> Score:
+    """One score over the pairs of several scores of one instrument: every frame counts the same."""
     # By name: the bootstrap draws blocks of neighbours, and the order of logs must not change its result.
     scores = sorted(scores, key=lambda score: (score.recording, score.pairs.stamps_ns[:1].tolist()))
-    instrument = scores[0].instrument
     rejected = sum((Counter(score.rejected) for score in scores), Counter[str]())
     alarms = [score.alarms for score in scores if score.alarms]
     return replace(
         scores[0],
-        recording="overall" if instrument in ("", first_instrument) else f"overall {instrument}",
+        recording=named,
         frame_count=sum(score.frame_count for score in scores),
         rejected=dict(sorted(rejected.items())),
         pairs=pooled([score.pairs for score in scores]),
