@@ -12,15 +12,7 @@ from svmdist.recording.log import Recording
 from svmdist.recording.source import Health
 from svmdist.recording.topics import Role
 from svmdist.tracks import DistanceTrack
-from svmdist.workflows.parallel import (
-    Progress,
-    Steps,
-    each_in_processes,
-    image_total,
-    is_worker,
-    step,
-    usable_cores,
-)
+from svmdist.workflows import parallel
 from svmdist.workflows.references import truth_follows_images
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, Setup
@@ -99,13 +91,15 @@ def compare(
     conditions: Sequence[LogCondition] = (CLEAN,),
     *,
     jobs: int | None = None,
-    on_progress: Progress | None = None,
+    on_progress: parallel.Progress | None = None,
 ) -> list[MethodScore]:
     """Run every setup on every recording under every condition; each process decodes an image once.
 
     Raises RecordingError where a recording has no ground-truth distances, and where there is no image.
     """
-    steps = Steps(on_progress, image_total(recordings, lambda _: len(conditions) * len(setups)))
+    steps = parallel.Steps(
+        on_progress, parallel.image_total(recordings, lambda _: len(conditions) * len(setups))
+    )
     runs = [
         run
         for recording in recordings
@@ -130,17 +124,19 @@ def measure_runs(
     instrument than the first is left out where it has none. `advance` is called for every image, condition and setup;
     `by` groups by other metadata than the scenario.
     """
-    jobs = usable_cores() if jobs is None else jobs
+    jobs = parallel.usable_cores() if jobs is None else jobs
     first, *others = recording.instruments
     role = Role.GROUND_TRUTH_DISTANCE
     names = [first, *(name for name in others if recording.for_instrument(name).topic_of(role) is not None)]
     truths = {name: recording.for_instrument(name).distance_track() for name in names}
     parts = _parts(setups, len(conditions), jobs)
-    if jobs == 1 or len(parts) == 1 or recording.origin is None or is_worker():
+    if jobs == 1 or len(parts) == 1 or recording.origin is None or parallel.is_worker():
         parts = [(range(len(conditions)), range(len(setups)))]
     work = _Work(recording, truths, conditions, setups, max(1, jobs // len(parts)))
     if len(parts) > 1:
-        ended = [found for _, found in each_in_processes(work.in_worker, parts, jobs, on_step=advance)]
+        ended = [
+            found for _, found in parallel.each_in_processes(work.in_worker, parts, jobs, on_step=advance)
+        ]
         # Methods that need both views lose what others lose, and right images: their list has all in file order.
         for _, health in sorted(ended, key=lambda one: -len(one[1].losses)):
             recording.health.join(health)
@@ -185,7 +181,7 @@ class _Work:
     threads: int
 
     def in_worker(self, part: Part) -> tuple[Found, Health]:
-        return self.measure(part, step), self.recording.health
+        return self.measure(part, parallel.step), self.recording.health
 
     def measure(self, part: Part, advance: Callable[[], None]) -> Found:
         """One pass over the log for all conditions of its images, and one for every perturbed world."""

@@ -16,17 +16,10 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError, did_you_mean
+from svmdist.estimation import plane_mapping
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
-from svmdist.estimation.plane_mapping import (
-    PUBLISHED_MAPPING,
-    Calibration,
-    Equations,
-    PlaneMapping,
-    degeneracies,
-    load_calibration,
-)
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue import require_tissue
 from svmdist.files import LogPath
@@ -39,14 +32,7 @@ from svmdist.recording.observations import Reading, Window
 from svmdist.recording.topics import Role
 from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation
-from svmdist.vision.degradations import (
-    Blur,
-    Degradation,
-    apply_blur,
-    degrade,
-    image_seed,
-    require_degradation,
-)
+from svmdist.vision import degradations
 from svmdist.vision.segmentation import Segmenter, make_segmenter
 from svmdist.workflows.references import TruthRules
 
@@ -58,12 +44,12 @@ LEFT, RIGHT = 0, 1
 class Condition:
     """A degradation of a severity of 1 to 5, or nothing; raises UsageError for a wrong name or severity."""
 
-    name: Degradation | None = None
+    name: degradations.Degradation | None = None
     severity: int = 0
 
     def __post_init__(self) -> None:
         if self.name is not None:
-            require_degradation(self.name, self.severity)
+            degradations.require_degradation(self.name, self.severity)
 
     def __str__(self) -> str:
         return "" if self.name is None else f"{self.name}={self.severity}"
@@ -76,9 +62,12 @@ class Condition:
         # The image itself tells logs apart, whatever their names and order. The severity plays no part: glints
         # and plumes of one are those of the next, only more of them.
         content = zlib.crc32(np.ascontiguousarray(observation.image_bgr).data)
-        path = (REPLAY_SEED, list(Degradation).index(name), frame, content)
+        path = (REPLAY_SEED, list(degradations.Degradation).index(name), frame, content)
         return _changed(
-            observation, lambda image, side: degrade(image, name, severity, image_seed(name, side, *path))
+            observation,
+            lambda image, side: degradations.degrade(
+                image, name, severity, degradations.image_seed(name, side, *path)
+            ),
         )
 
 
@@ -115,12 +104,14 @@ LogCondition = Condition | PerturbedCondition
 class BlurCondition:
     """One of the paper's blurs with a kernel in px."""
 
-    blur: Blur
+    blur: degradations.Blur
     kernel_px: int
 
     def apply(self, observation: Observation, _frame: int) -> Observation:
         """Blur the images."""
-        return _changed(observation, lambda image, _: apply_blur(image, self.blur, self.kernel_px))
+        return _changed(
+            observation, lambda image, _: degradations.apply_blur(image, self.blur, self.kernel_px)
+        )
 
 
 ReplayCondition = LogCondition | BlurCondition
@@ -180,9 +171,9 @@ class Setup:
 
     profile: Profile
     method: str
-    equations: Equations = "corrected"
-    calibration: Calibration | None = None
-    mapping: PlaneMapping | None = None
+    equations: plane_mapping.Equations = "corrected"
+    calibration: plane_mapping.Calibration | None = None
+    mapping: plane_mapping.PlaneMapping | None = None
     own: OwnMethod | None = None
     """A user's own method, in place of one of svmdist's."""
 
@@ -234,7 +225,11 @@ class Setup:
 
     def degeneracies(self, camera: Camera) -> list[str]:
         """Sentences about where the equations cannot be right for this camera's image."""
-        return degeneracies(self.mapping, camera.width_px, camera.height_px) if self.mapping else []
+        return (
+            plane_mapping.degeneracies(self.mapping, camera.width_px, camera.height_px)
+            if self.mapping
+            else []
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         """Another process makes its own segmenter: a network cannot be sent there."""
@@ -270,7 +265,7 @@ class Request:
 def prepare(
     profile: str | Path | Profile = DEFAULT_PROFILE,
     method: str | OwnMethod = "overlay",
-    equations: Equations = "corrected",
+    equations: plane_mapping.Equations = "corrected",
     calibration: Path | None = None,
     hand_eye: Path | None = None,
 ) -> Setup:
@@ -295,9 +290,9 @@ def prepare(
         raise UsageError(
             "--equations printed takes the paper's numbers: it cannot be used with a calibration"
         )
-    setup = Setup(loaded, method, equations, mapping=PUBLISHED_MAPPING if is_printed else None)
+    setup = Setup(loaded, method, equations, mapping=plane_mapping.PUBLISHED_MAPPING if is_printed else None)
     if is_planar and not is_printed:
-        found = load_calibration(calibration or _beside(profile, loaded))
+        found = plane_mapping.load_calibration(calibration or _beside(profile, loaded))
         setup = replace(setup, calibration=found, mapping=found.mapping)
     # A network or a mesh that cannot be used is told before a recording is opened.
     _ = setup.segmenter

@@ -10,22 +10,12 @@ from functools import cached_property
 
 import numpy as np
 
+from svmdist import metrics
 from svmdist.errors import ProfileError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
 from svmdist.estimation.plane_mapping import Equations
-from svmdist.metrics import (
-    AlarmStatistics,
-    ErrorStatistics,
-    Interval,
-    alarm_statistics,
-    bootstrap_intervals,
-    coverage,
-    error_statistics,
-    interval_coverage,
-    pooled_alarms,
-)
 from svmdist.profile import Profile
 from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
@@ -57,7 +47,7 @@ class Pairs:
 class DistanceScore:
     """Error figures of a distance in m, and the share of truths inside the 95 % interval (None without intervals)."""
 
-    statistics: ErrorStatistics
+    statistics: metrics.ErrorStatistics
     interval_coverage: float | None
     pairs: Pairs = field(repr=False)
 
@@ -123,10 +113,10 @@ def pooled(parts: Sequence[Pairs]) -> Pairs:
 
 def score_pairs(pairs: Pairs) -> DistanceScore | None:
     """The figures of pairs; None for no pairs."""
-    statistics, known = error_statistics(pairs.estimate_m, pairs.truth_m), np.isfinite(pairs.std_m)
+    statistics, known = metrics.error_statistics(pairs.estimate_m, pairs.truth_m), np.isfinite(pairs.std_m)
     if statistics is None:
         return None
-    held = interval_coverage(pairs.estimate_m[known], pairs.truth_m[known], pairs.std_m[known])
+    held = metrics.interval_coverage(pairs.estimate_m[known], pairs.truth_m[known], pairs.std_m[known])
     return DistanceScore(statistics, held, pairs)
 
 
@@ -151,7 +141,7 @@ def require_clearance(method: str, profile: Profile | None = None) -> None:
 
 def score_alarms(
     rows: Sequence[FrameResult], truth: SampledDistances, stamps_ns: Stamps, rules: AlarmRules
-) -> AlarmStatistics:
+) -> metrics.AlarmStatistics:
     """Score the alarms that all rows of a recording raise, measured or not, with the truth at their stamps.
 
     Frames whose true clearance is not known are left out; raises RecordingError where those are all frames.
@@ -164,7 +154,7 @@ def score_alarms(
     kept = order[known[order]].tolist()
     seconds = (stamps_ns[kept] - stamps_ns[order[0]]) / 1e9
     alarms, judged = [states[at] is True for at in kept], [states[at] is not None for at in kept]
-    return alarm_statistics(seconds, alarms, truth.clearance_m[kept], rules.below_m, judged)
+    return metrics.alarm_statistics(seconds, alarms, truth.clearance_m[kept], rules.below_m, judged)
 
 
 @dataclass(frozen=True)
@@ -185,10 +175,10 @@ class Score:
     pairs: Pairs = field(repr=False)
     fitted_on: bool = False
     lag: LagEstimate | None = None
-    uncorrected: ErrorStatistics | None = None
+    uncorrected: metrics.ErrorStatistics | None = None
     spatial: DistanceScore | None = None
     clearance: DistanceScore | None = None
-    alarms: AlarmStatistics | None = None
+    alarms: metrics.AlarmStatistics | None = None
     instrument: str = ""
     start_ns: int = 0  # stamp of the first image of the log
 
@@ -198,23 +188,23 @@ class Score:
         return score_pairs(self.pairs)
 
     @property
-    def statistics(self) -> ErrorStatistics | None:
+    def statistics(self) -> metrics.ErrorStatistics | None:
         """The error figures of the planar distance, in m."""
         return self.planar.statistics if self.planar else None
 
     @property
-    def rmse_interval_m(self) -> Interval | None:
+    def rmse_interval_m(self) -> metrics.Interval | None:
         """The bootstrap interval of the planar RMSE; None for few pairs."""
         return self._intervals[0]
 
     @property
-    def r_squared_interval(self) -> Interval | None:
+    def r_squared_interval(self) -> metrics.Interval | None:
         """The bootstrap interval of the planar R²; None where it is undefined."""
         return self._intervals[1]
 
     @cached_property
-    def _intervals(self) -> tuple[Interval | None, Interval | None]:
-        return bootstrap_intervals(self.pairs.estimate_m, self.pairs.truth_m, BOOTSTRAP_SEED)
+    def _intervals(self) -> tuple[metrics.Interval | None, metrics.Interval | None]:
+        return metrics.bootstrap_intervals(self.pairs.estimate_m, self.pairs.truth_m, BOOTSTRAP_SEED)
 
     @property
     def sample_count(self) -> int:
@@ -234,7 +224,7 @@ class Score:
     @property
     def coverage(self) -> float:
         """Measured frames per frame."""
-        return coverage(self.frame_count - self.rejected_count, self.frame_count)
+        return metrics.coverage(self.frame_count - self.rejected_count, self.frame_count)
 
 
 def truth_lag_ns(recording: Recording, setup: Setup, reference: Reference, lag: LagEstimate | None) -> int:
@@ -277,7 +267,7 @@ def score_rows(
         planar,
         setup.was_fitted_on(recording),
         lag,
-        error_statistics(unshifted.estimate_m, unshifted.truth_m),
+        metrics.error_statistics(unshifted.estimate_m, unshifted.truth_m),
         score_pairs(spatial),
         score_pairs(clearance),
         score_alarms(rows, truth, stamps_ns, alarms) if alarms and is_truth else None,
@@ -302,5 +292,5 @@ def pool_scores(scores: Sequence[Score], named: str = "overall") -> Score:
         uncorrected=None,
         spatial=pooled_score([score.spatial for score in scores]),
         clearance=pooled_score([score.clearance for score in scores]),
-        alarms=pooled_alarms(alarms) if alarms else None,
+        alarms=metrics.pooled_alarms(alarms) if alarms else None,
     )
