@@ -101,7 +101,7 @@ def pose_rows_of(
                     count += 1
     if recording.topic_of("pose") is not None:
         _log_errors(
-            np.concatenate(errors), recording.pose_track().frame_id, f"{recording.name}: " if named else ""
+            np.concatenate(errors), recording.pose_track().parent, f"{recording.name}: " if named else ""
         )
     return count
 

@@ -1,20 +1,22 @@
-"""The scene profile (TOML): what a recording shows and how to measure it, checked when it is read."""
+"""The scene profile (TOML): a log's topics, frames and limits, what its images show, and the robot.
 
-from svmdist.profile.profile import (
-    DEFAULT_PROFILE,
-    SHIPPED,
-    Features,
-    Frames,
-    Limits,
-    Marker,
-    Profile,
-    Topics,
-    load_profile,
-    profile_path,
-    shipped_profiles,
-    stated_deviations,
-)
+Everything that depends on a scene is here, so that another scene needs another profile and no other code.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, model_validator
+
+from svmdist.errors import ProfileError, UsageError, did_you_mean
+from svmdist.profile.hand_eye import HandEye, HandEyeFile, NamedHandEye, load_hand_eye, with_hand_eye
 from svmdist.profile.robot import (
+    ARM_TOPICS,
+    TAGS,
+    ArmFrames,
     CameraError,
     Dome,
     EntrySide,
@@ -29,6 +31,7 @@ from svmdist.profile.robot import (
     Tissue,
 )
 from svmdist.profile.segmentation import (
+    AnySegmentation,
     AreaGate,
     AutoSegmentation,
     ClassRegion,
@@ -37,3 +40,259 @@ from svmdist.profile.segmentation import (
     OnnxSegmentation,
     Segmentation,
 )
+from svmdist.profile.settings import Settings, StereoSettings, without_former_keys
+from svmdist.profile.toml import Byte, Positive, Share, Size, StrictModel, parse_toml
+
+DEFAULT_PROFILE = "psm13"
+SHIPPED = Path(__file__).parent.with_name("profiles")
+BEHIND_PLANE = 1.5  # the range of stereo over the distance of the plane that the tissue lies on
+
+
+class Topics(StrictModel):
+    """Topic names of a log; None means: the one topic whose schema fits.
+
+    The right camera's topics and the true transforms must be named: their schemas fit others as well.
+    """
+
+    image: str | None = None
+    camera_info: str | None = None
+    right_image: str | None = None
+    right_camera_info: str | None = None
+    joints: str | None = None
+    pose: str | None = None
+    tf: str | None = None
+    ground_truth_tf: str | None = None
+    ground_truth_distance: str | None = None
+
+
+class Frames(StrictModel):
+    """Frame names of a log's transforms."""
+
+    camera: str = "camera"
+    base: str = "base"
+    tool: str = "tool"
+    tissue: str = "tissue"
+
+
+class Limits(StrictModel):
+    """What a log may ask of the reader, checked before memory is allocated; what asks for more is a loss."""
+
+    record_bytes: Size = 256 << 20  # one record of the file; it may never reach beyond the file either
+    chunk_bytes: Size = 256 << 20  # one chunk after expansion; it must have exactly the size that it declares
+    window_bytes: Size = 128 << 20  # that a zstd frame may claim for its window, beside the expanded chunk
+    image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)
+    """One image, by the dimensions in its header, before it is decoded; OpenCV itself is held to 2^26."""
+    image_bytes: Size = 32 << 20  # one compressed image
+    message_bytes: Size = 1 << 20  # one message that is no image: joints and the like hold a few kilobytes
+    pair_tolerance_s: float = Field(default=5e-4, ge=0.0, le=0.5)
+    """How far the stamps of the left and the right image of a pair may be apart. Cameras that are triggered together
+    differ by less than half a millisecond, which is less than any exposure; others by up to half a frame."""
+
+
+class Marker(StrictModel):
+    """The static virtual marker (SVM): its size and the colour of the outline drawn around it (pure green)."""
+
+    size_px: int = Field(default=96, ge=48, le=256)
+    outline: ColourRegion = ColourRegion(
+        hue=(58, 62), saturation=(250, 255), value=(250, 255), min_area_px=100, components="largest"
+    )
+    outline_bgr: tuple[Byte, Byte, Byte] = (0, 255, 0)
+    outline_width_px: int = Field(default=3, ge=1, le=15)
+
+    @model_validator(mode="after")
+    def _one_colour(self) -> Marker:
+        if len(self.model_fields_set & {"outline", "outline_bgr"}) == 1:
+            raise ValueError(
+                "outline_bgr is drawn and outline finds it again: give both of them, or neither for pure green"
+            )
+        return self
+
+
+class Features(StrictModel):
+    """ORB, matching and homography, with the paper's values as defaults."""
+
+    feature_count: int = Field(default=1500, ge=50, le=20000)
+    ratio: Share = 0.75
+    reprojection_px: Positive = 3.0
+    min_match_count: int = Field(default=10, ge=4)
+
+
+class Profile(StrictModel):
+    """A whole profile."""
+
+    name: str
+    description: str = ""
+    calibration: str | None = None  # file name of the calibration that ships beside this profile
+    hand_eye: NamedHandEye | None = None
+    """A file that `svmdist hand-eye` wrote: the camera-to-base transforms, in place of the log's."""
+    topics: Topics = Topics()
+    frames: Frames = Frames()
+    limits: Limits = Limits()
+    segmentation: AnySegmentation
+    marker: Marker = Marker()
+    features: Features = Features()
+    robot: Robot | None = None
+    kinematic_error: KinematicError = KinematicError()
+    camera_error: CameraError = CameraError()
+    instrument: Instrument | None = None
+    fiducial: Fiducial | None = None
+    tissue: Tissue | None = None
+    simulation: Simulation | None = None
+    settings: Settings = Settings()  # what detectors and estimators may assume; the defaults serve most logs
+    instrument_name: str = Field(default="PSM1", min_length=1)  # of what everything above is about
+    entry: EntrySide | None = None  # the side of the picture that it comes in from, needed without joints
+    other_instruments: tuple[OtherInstrument, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_former_keys(cls, data: Any) -> Any:
+        return without_former_keys(data) if isinstance(data, dict) else data
+
+    @property
+    def stereo_in_range(self) -> StereoSettings:
+        """The settings of stereo, their range as far as the profile's plane asks for it."""
+        settings = self.settings.stereo
+        if self.tissue is None:
+            return settings
+        far_m = max(settings.far_m, BEHIND_PLANE * self.tissue.plane_distance_m)
+        return settings.model_copy(update={"far_m": far_m})
+
+    @property
+    def instrument_names(self) -> tuple[str, ...]:
+        """The instrument and the others, in the order of the profile."""
+        return self.instrument_name, *(other.name for other in self.other_instruments)
+
+    def for_instrument(self, name: str) -> Profile:
+        """The profile as one of its instruments sees it: its topics, frames and fiducial, and no other instrument.
+
+        Raises UsageError that lists the names.
+        """
+        update: dict[str, object] = {"other_instruments": ()}
+        other = next((other for other in self.other_instruments if other.name == name), None)
+        if name != self.instrument_name:
+            if other is None:
+                raise UsageError(
+                    f"profile {self.name} has no instrument {name}: {did_you_mean(name, self.instrument_names)}"
+                )
+            topics = {role: other.logged_topics.get(role) for role in ARM_TOPICS}
+            frames = other.frames or ArmFrames(base=f"{name}_base", tool=name)
+            update |= {
+                "topics": self.topics.model_copy(update=topics),
+                "frames": self.frames.model_copy(update=frames.model_dump()),
+                "instrument_name": name,
+                "entry": other.entry,
+                "robot": other.robot or self.robot,
+                "instrument": other.instrument or self.instrument,
+            }
+            if self.fiducial is not None:
+                tag = None if other.fiducial_id is None else {"id": other.fiducial_id}
+                update["fiducial"] = tag and self.fiducial.model_copy(update=tag)
+            if other.simulation is not None and self.simulation is not None:
+                update["simulation"] = self.simulation.model_copy(update=other.simulation.model_dump())
+        return with_hand_eye(self.model_copy(update=update))
+
+    @property
+    def camera_to_base(self) -> HandEye | None:
+        """The camera-to-base transform of this profile's own instrument; None where no hand-eye file has it."""
+        return None if self.hand_eye is None else self.hand_eye.of(self.instrument_name)
+
+    @model_validator(mode="after")
+    def _hand_eye_fits(self) -> Profile:
+        if self.hand_eye is not None:
+            self.check_hand_eye(self.hand_eye)
+        return self
+
+    def check_hand_eye(self, file: HandEyeFile) -> None:
+        """Raise ValueError where the hand-eye file is of other frames, or of none of the instruments."""
+        if not any(file.of(name) for name in self.instrument_names):
+            theirs = ", ".join(one.instrument for one in file.transforms)
+            raise ValueError(
+                f"hand_eye: it is for {theirs}; the profile has {', '.join(self.instrument_names)}: fit it anew"
+            )
+        for name in dict.fromkeys(self.instrument_names):
+            frames, found = self.for_instrument(name).frames, file.of(name)
+            for what in ("camera", "base") if found is not None else ():
+                theirs, ours = getattr(found, what), getattr(frames, what)
+                if theirs != ours:
+                    raise ValueError(
+                        f"hand_eye: it is for {what} {theirs} of {name}; [frames] {what} is {ours}: fit it anew"
+                    )
+
+    @model_validator(mode="after")
+    def _instruments_differ(self) -> Profile:
+        views = [self.for_instrument(name) for name in dict.fromkeys(self.instrument_names)]
+        tags = [view.fiducial for view in views if view.fiducial is not None]
+        for tag in tags:
+            count, _ = TAGS[tag.family]
+            if tag.id >= count:
+                raise ValueError(
+                    f"fiducial: family {tag.family} has the tags 0 to {count - 1}, found {tag.id}"
+                )
+        for other in self.other_instruments:
+            if other.topics is None and not isinstance(self.segmentation, AutoSegmentation):
+                raise ValueError(
+                    f"other_instruments: {other.name} has no topics, which needs [segmentation] method = 'auto'"
+                )
+        distinct = {
+            "name": list(self.instrument_names),
+            "topic": [getattr(view.topics, role) for view in views for role in ARM_TOPICS],
+            "frame": [frame for view in views for frame in (view.frames.base, view.frames.tool)],
+            "fiducial_id": [str(tag.id) for tag in tags],
+        }
+        for what, values in distinct.items() if self.other_instruments else ():
+            doubles = sorted({value for value in values if value is not None and values.count(value) > 1})
+            if doubles:
+                raise ValueError(
+                    f"other_instruments: every instrument needs a {what} of its own; given twice: {', '.join(doubles)}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _names_joints_that_are_there(self) -> Profile:
+        link = None if self.fiducial is None else self.fiducial.link
+        first = self.kinematic_error.first_moving_joint
+        robots = (self.robot, *(other.robot for other in self.other_instruments))
+        for robot in [robot for robot in robots if robot is not None]:
+            moving = [joint.name for joint in robot.joints if joint.type != "fixed"]
+            for key, name, known in (
+                ("fiducial.link", link, [joint.name for joint in robot.joints]),
+                ("kinematic_error.first_moving_joint", first, moving),
+            ):
+                if name is not None and name not in known:
+                    raise ValueError(f"{key}: no joint named {name}: {did_you_mean(name, known)}")
+        return self
+
+
+def shipped_profiles() -> tuple[str, ...]:
+    """Names of the profiles inside the package."""
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml") if "." not in path.stem))
+
+
+def load_profile(name_or_path: str | Path = DEFAULT_PROFILE, hand_eye: Path | None = None) -> Profile:
+    """Read a profile that ships (by name) or one of the user's own (by path), and check it.
+
+    `hand_eye` names a hand-eye file in place of the profile's. Raises ProfileError that names the file, the key and
+    the nearest valid key.
+    """
+    profile = parse_toml(profile_path(name_or_path), Profile, ProfileError)
+    if hand_eye is None:
+        return profile
+    file = load_hand_eye(hand_eye)
+    try:
+        profile.check_hand_eye(file)
+    except ValueError as problem:
+        raise ProfileError(f"{hand_eye}: {problem}") from None
+    return profile.model_copy(update={"hand_eye": file})
+
+
+def profile_path(name_or_path: str | Path) -> Path:
+    """Find the file of a profile: a shipped name, else a path."""
+    text = str(name_or_path)
+    if text in shipped_profiles():
+        return SHIPPED / f"{text}.toml"
+    path = Path(text)
+    if not path.suffix and not os.path.exists(path):
+        raise ProfileError(
+            f"no profile named {text}: {did_you_mean(text, shipped_profiles())}; or give a path to a .toml"
+        )
+    return path

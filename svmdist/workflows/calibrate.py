@@ -16,10 +16,10 @@ from svmdist.errors import CalibrationError, KinematicsError, RecordingError
 from svmdist.estimation import plane_mapping
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.geometry.surfaces import pixel_rays
-from svmdist.kinematics.dh import chain_of, shaft_of
+from svmdist.geometry import pixel_rays
+from svmdist.kinematics import chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import Profile, stated_deviations
+from svmdist.profile import Profile
 from svmdist.profile.hand_eye import (
     BASELINE,
     FOCAL_LENGTH,
@@ -28,6 +28,7 @@ from svmdist.profile.hand_eye import (
     TAG_SIZE,
     ConstantEffect,
     HandEye,
+    stated_deviations,
 )
 from svmdist.recording.log import Recording
 from svmdist.recording.topics import FixedTransform

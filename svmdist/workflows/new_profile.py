@@ -14,8 +14,7 @@ import numpy as np
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.least_squares import scale_of
-from svmdist.profile import Profile, Robot, load_profile
-from svmdist.profile.profile import Topics
+from svmdist.profile import Profile, Robot, Topics, load_profile
 from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import sanitize, sanitize_list
@@ -287,7 +286,7 @@ def _instrument(
     base, frames = None, set(summary.frames)
     if pose:
         with suppress(RecordingError):  # poses in several frames, or in one without a name
-            base = open_recording(path, blank, topics={"pose": pose}).pose_track().frame_id or None
+            base = open_recording(path, blank, topics={"pose": pose}).pose_track().parent or None
     if base is None:
         own = f"{name}_base"
         base = "base" if count == 1 and own not in frames and "base" in frames else own

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation import plane_mapping as paper
 from svmdist.estimation.plane_mapping import Equations
-from svmdist.kinematics.dh import chain_of, forward_kinematics, select_joints
+from svmdist.kinematics import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.tracks import MAX_GAP_NS, Sampled, SampledDistances
@@ -135,7 +135,7 @@ def tool_track(
         return partial(recording.transform_track(*pair, ground_truth=is_truth).at, max_gap_ns=gap_ns)
     if reference is Reference.POSE:
         poses = recording.pose_track()
-        frame: str = poses.frame_id
+        frame: str = poses.parent
         in_frame: PoseAt = partial(poses.at, max_gap_ns=gap_ns)
     else:
         frame, in_frame = frames.base, _kinematic_poses(recording, profile, gap_ns)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.profile import Profile, load_profile, stated_deviations
+from svmdist.profile import Profile, load_profile
 from svmdist.profile.hand_eye import (
     SHAFT_RADIUS,
     TIME_OFFSET,
@@ -18,6 +18,7 @@ from svmdist.profile.hand_eye import (
     load_hand_eye,
     offset_of,
     save_hand_eye,
+    stated_deviations,
 )
 from svmdist.transforms import skew
 
@@ -122,7 +123,7 @@ def test_a_profile_states_its_own_deviations(profile: Profile, hand_eye: HandEye
 def test_names_cover_what_chains_have(profile: Profile) -> None:
     """Every constant of the error state is one that a profile states."""
     from svmdist.estimation.instrument.error_model import ErrorModel
-    from svmdist.kinematics.dh import chain_of
+    from svmdist.kinematics import chain_of
 
     assert profile.robot is not None
     model = ErrorModel(chain_of(profile.robot), profile.kinematic_error)
