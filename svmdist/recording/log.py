@@ -51,7 +51,7 @@ from svmdist.recording.topics import (
     topics_beside_images,
 )
 from svmdist.samples import ImageSample, Observation, Rejection
-from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack
+from svmdist.tracks import DistanceTrack, JointTrack, TransformTrack
 from svmdist.transforms import inverse
 
 AS_IT_IS = Reading()
@@ -396,7 +396,7 @@ class Recording:
         topics = dict.fromkeys(choice.static_transforms(), True)
         return self.file.contents.tree(({moving: False} if moving else {}) | topics, self._lag_ns)
 
-    def pose_track(self) -> PoseTrack:
+    def pose_track(self) -> TransformTrack:
         """All poses, at the stamps of the images' clock; RecordingError unless they are in one frame."""
         known = self.file.contents.rows.get(self._require(Role.POSE), {})
         frames = sorted(map(str, known))
@@ -404,14 +404,14 @@ class Recording:
             raise self._unusable(f"poses, in several frames ({sanitize_list(frames)}),", Role.POSE)
         for rows in known.values():
             stamps_ns, values = rows.sorted(self._lag_ns)
-            return PoseTrack(frames[0], stamps_ns, matrices(values))
+            return TransformTrack(frames[0], "", stamps_ns, matrices(values))
         raise self._unusable("poses", Role.POSE)
 
     def distance_track(self) -> DistanceTrack:
         """All true distances."""
         known = self.file.contents.rows.get(self._require(Role.GROUND_TRUTH_DISTANCE), {})
         stamps_ns, rows = known.get(None, Rows()).sorted()
-        return DistanceTrack(stamps_ns, *rows.reshape(-1, 3).T)
+        return DistanceTrack(stamps_ns, rows.reshape(-1, 3))
 
     def raw_messages(self) -> Iterator[RawMessage]:
         """Yield every message of every topic in file order, not decoded."""
