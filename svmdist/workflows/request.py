@@ -21,7 +21,6 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.tissue import require_tissue
 from svmdist.files import LogPath
 from svmdist.perturbations.calibration import stated_profile
 from svmdist.perturbations.chosen import Perturbations, require_at_replay
@@ -297,6 +296,8 @@ def prepare(
     # A network or a mesh that cannot be used is told before a recording is opened.
     _ = setup.segmenter
     if not is_planar:
+        from svmdist.estimation.tissue import require_tissue
+
         require_tissue(loaded)
     return setup
 
