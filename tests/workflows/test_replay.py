@@ -20,7 +20,7 @@ from svmdist.profile import AutoSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
-from svmdist.vision.segmentation import AutoSegmenter
+from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.replay import (
     MultiInstrumentEstimator,
