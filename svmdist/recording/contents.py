@@ -20,10 +20,8 @@ from svmdist.recording.messages import (
     Message,
     RawTransform,
     RawTransforms,
-    broken_image,
     matrices,
 )
-from svmdist.recording.observations import LoggedImage
 from svmdist.recording.source import Loss, LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
 from svmdist.tracks import MAX_GAP_NS, Sampled, Stamps, TransformTrack, sort_stamps
@@ -230,13 +228,13 @@ class LogFile:
         assert self._contents is not None
         return self._contents
 
-    def images(self, image_topics: Collection[str]) -> Iterator[LoggedImage]:
+    def images(self, image_topics: Collection[str]) -> Iterator[EncodedImage]:
         """Yield the images of some topics in file order, not decoded; reads everything else too, if not yet read."""
         contents = Contents() if self._contents is None else None
         decoder = Decoder(self.limits)
         for raw in self.source.messages(frozenset(image_topics) | (self.topics if contents else frozenset())):
             if raw.topic in image_topics:
-                yield _logged_image(decoder, raw)
+                yield decoder.image(raw)
             elif contents is not None:
                 self._collect(contents, decoder, raw)
         self._contents = self._contents or contents
@@ -261,17 +259,6 @@ class LogFile:
             problem = str(found)
         if problem is not None:
             self.source.health.add(Loss(LossKind.MESSAGE, problem, raw.offset, raw.topic))
-
-
-def _logged_image(decoder: Decoder, raw: RawMessage) -> LoggedImage:
-    """All of an image message but its pixels; one that is broken becomes an image that is broken."""
-    try:
-        image = decoder.decode(raw)
-    except DecodeError as problem:
-        image = broken_image(raw.log_time_ns, str(problem))
-    if not isinstance(image, EncodedImage):
-        image = broken_image(raw.log_time_ns, "no image")
-    return LoggedImage(image, raw.topic, raw.log_time_ns, len(raw.data), raw.offset)
 
 
 def replayed_rows(world: ReplayedWorld, arm: str, names: tuple[str, ...], rows: Rows) -> Rows:

@@ -62,7 +62,8 @@ class Kind(StrEnum):
 class EncodedImage:
     """An image message whose pixels are decoded only when asked for, by any thread; `decode` raises ImageError.
 
-    Frames of a video refer to those before them: a `Decoder` decodes them at once, in file order.
+    Frames of a video refer to those before them: a `Decoder` decodes them at once, in file order. Where and when it
+    was logged, `Decoder.image` says.
     """
 
     stamp_ns: int
@@ -71,6 +72,10 @@ class EncodedImage:
     """From a `Decoder` it takes nothing; from a converter, the limits."""
     video: tuple[str, bytes] | None = None
     """Format and data of a frame that is not decoded."""
+    topic: str = ""
+    log_time_ns: int = 0
+    size_bytes: int = 0
+    offset: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +155,19 @@ class Decoder:
             return broken_image(found.stamp_ns, str(problem))
         return EncodedImage(found.stamp_ns, found.frame_id, lambda: pixels)
 
+    def image(self, raw: RawMessage) -> EncodedImage:
+        """Turn a message into an image; one that is broken becomes an image that is broken."""
+        try:
+            found = self.decode(raw)
+        except DecodeError as problem:
+            found = broken_image(raw.log_time_ns, str(problem))
+        if not isinstance(found, EncodedImage):
+            found = broken_image(raw.log_time_ns, "no image")
+        size_bytes = len(raw.data)
+        return replace(
+            found, topic=raw.topic, log_time_ns=raw.log_time_ns, size_bytes=size_bytes, offset=raw.offset
+        )
+
     def _converted(self, raw: RawMessage) -> Message:
         checked_stamp(raw.log_time_ns)
         schema = _short(raw.schema)
@@ -172,7 +190,9 @@ class Decoder:
             message = message_class(schema).FromString(raw.data)
         except (ProtobufError, RecursionError, UnicodeDecodeError, ValueError) as problem:
             raise DecodeError(f"not a {schema}: {problem}") from None
-        return FOXGLOVE[schema][1](message, raw.log_time_ns)
+        has_stamp = schema != "foxglove.FrameTransforms"  # whose parts have each its own
+        stamp_ns = _stamp_of(message, raw.log_time_ns) if has_stamp else raw.log_time_ns
+        return FOXGLOVE[schema][1](message, stamp_ns, getattr(message, "frame_id", ""))
 
 
 @cache
@@ -213,50 +233,29 @@ def _stamp_of(message: Any, log_time_ns: int) -> int:
     return checked_stamp(message.timestamp.seconds * NS + message.timestamp.nanos)
 
 
-def raw_image(stamp_ns: int, frame_id: str, message: Any) -> EncodedImage:
-    """An uncompressed image, whose fields Foxglove and ROS name alike."""
-    size_px = (message.width, message.height)
-    decode = partial(decode_raw, message.encoding, size_px, message.step, message.data)
-    return EncodedImage(stamp_ns, frame_id, decode)
+def _foxglove_video(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+    image = broken_image(stamp_ns, "a frame of a video that was not decoded")
+    return replace(image, frame_id=frame_id, video=(message.format, message.data))
 
 
-def still_image(stamp_ns: int, frame_id: str, message: Any) -> EncodedImage:
-    """A compressed image; its `format` is ignored, for its data say what they are."""
-    return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data))
+def _foxglove_camera(message: Any, stamp_ns: int, frame_id: str) -> CameraSample:
+    numbers = message.K, message.D, message.R, message.P
+    return CameraSample(stamp_ns, checked_camera(message, frame_id, numbers))
 
 
-def _foxglove_image(message: Any, log_time_ns: int) -> EncodedImage:
-    return still_image(_stamp_of(message, log_time_ns), message.frame_id, message)
-
-
-def _foxglove_raw_image(message: Any, log_time_ns: int) -> EncodedImage:
-    return raw_image(_stamp_of(message, log_time_ns), message.frame_id, message)
-
-
-def _foxglove_video(message: Any, log_time_ns: int) -> EncodedImage:
-    image = broken_image(_stamp_of(message, log_time_ns), "a frame of a video that was not decoded")
-    return replace(image, frame_id=message.frame_id, video=(message.format, message.data))
-
-
-def _foxglove_camera(message: Any, log_time_ns: int) -> CameraSample:
-    camera = checked_camera(message, message.frame_id, (message.K, message.D, message.R, message.P))
-    return CameraSample(_stamp_of(message, log_time_ns), camera)
-
-
-def _foxglove_joints(message: Any, log_time_ns: int) -> JointSample:
+def _foxglove_joints(message: Any, stamp_ns: int, _: str) -> JointSample:
     """Joints without a position are left out."""
     joints = [joint for joint in message.joints if joint.HasField("position")]
-    names, positions = [joint.name for joint in joints], [joint.position for joint in joints]
-    return checked_joints(_stamp_of(message, log_time_ns), names, positions)
+    return checked_joints(stamp_ns, [joint.name for joint in joints], [joint.position for joint in joints])
 
 
-def _foxglove_pose(message: Any, log_time_ns: int) -> RawTransform:
+def _foxglove_pose(message: Any, stamp_ns: int, frame_id: str) -> RawTransform:
     pose = message.pose
     q = pose.orientation if pose.HasField("orientation") else None
-    return checked_transform(_stamp_of(message, log_time_ns), message.frame_id, "", pose.position, q)
+    return checked_transform(stamp_ns, frame_id, "", pose.position, q)
 
 
-def _foxglove_transforms(message: Any, log_time_ns: int) -> RawTransforms:
+def _foxglove_transforms(message: Any, log_time_ns: int, _: str) -> RawTransforms:
     """Of a FrameTransform or FrameTransforms. An unset rotation means none; four zeros that are set are an error."""
     parts = message.transforms if hasattr(message, "transforms") else [message]
     transforms = [
@@ -272,10 +271,25 @@ def _foxglove_transforms(message: Any, log_time_ns: int) -> RawTransforms:
     return transforms_of(transforms, log_time_ns)
 
 
-def _distance(message: Any, log_time_ns: int) -> DistanceSample:
+def _distance(message: Any, stamp_ns: int, _: str) -> DistanceSample:
     values = (message.planar_m, message.spatial_m, message.clearance_m)
     _check_numbers(values, "a distance")
-    return DistanceSample(_stamp_of(message, log_time_ns), *values)
+    return DistanceSample(stamp_ns, *values)
+
+
+# What Foxglove and ROS name alike
+
+
+def raw_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+    """An uncompressed image."""
+    size_px = (message.width, message.height)
+    decode = partial(decode_raw, message.encoding, size_px, message.step, message.data)
+    return EncodedImage(stamp_ns, frame_id, decode)
+
+
+def still_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+    """A compressed image; its `format` is ignored, for its data say what they are."""
+    return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data))
 
 
 # Checks that all encodings share
@@ -354,11 +368,11 @@ def checked_camera(message: Any, frame_id: str, numbers: Sequence[Sequence[float
         raise DecodeError(str(problem)) from None
 
 
-Converter = Callable[[Any, int], Message]
-"""From a parsed message and its log time in ns."""
+Converter = Callable[[Any, int, str], Message]
+"""From a parsed message, its stamp in ns, and its frame."""
 FOXGLOVE: dict[str, tuple[Kind, Converter]] = {
-    "foxglove.CompressedImage": (Kind.IMAGE, _foxglove_image),
-    "foxglove.RawImage": (Kind.IMAGE, _foxglove_raw_image),
+    "foxglove.CompressedImage": (Kind.IMAGE, still_image),
+    "foxglove.RawImage": (Kind.IMAGE, raw_image),
     "foxglove.CompressedVideo": (Kind.IMAGE, _foxglove_video),
     "foxglove.CameraCalibration": (Kind.CAMERA, _foxglove_camera),
     "foxglove.JointStates": (Kind.JOINTS, _foxglove_joints),
