@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.generated_pages import table_row
-from svmdist.models import INSTRUMENTS
 from svmdist.profile import OnnxSegmentation
+from svmdist.profile.segmentation import INSTRUMENTS
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.network import OnnxSegmenter

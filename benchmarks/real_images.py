@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 import svmdist
 from benchmarks.generated_pages import DOCS, table_row, with_table
 from svmdist.estimation.hand_eye import rigid_fit
-from svmdist.kinematics.dh import chain_of, forward_kinematics
+from svmdist.kinematics import chain_of, forward_kinematics
 from svmdist.profile import Profile, load_profile
 from svmdist.results import FrameResult
 from svmdist.transforms import (

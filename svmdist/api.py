@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from svmdist.errors import SvmdistError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.image_input import bgr_image
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile
 from svmdist.recording.log import Recording
 from svmdist.recording.log import open_recording as _open
 from svmdist.report.rows import ESTIMATE_KEYS, estimate_row
 from svmdist.report.tables import Row
 from svmdist.results import FrameResult
+from svmdist.samples import bgr_image
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.estimate import estimate as _estimate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from svmdist.kinematics.dh import chain_of
+from svmdist.kinematics import chain_of
 from svmdist.profile import load_profile
 from svmdist.profile.toml import StrictModel
 

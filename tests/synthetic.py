@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.kinematics.dh import DHChain, forward_kinematics
+from svmdist.kinematics import DHChain, forward_kinematics
 from svmdist.profile import Profile
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import (

@@ -10,7 +10,7 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.errors import SvmdistError, UsageError
-from svmdist.image_input import WrongImageError, bgr_image, require_bgr
+from svmdist.samples import WrongImageError, bgr_image, require_bgr
 
 K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]])
 CAMERA = Camera(64, 48, K)

@@ -16,8 +16,8 @@ from tempfile import gettempdir
 import cv2
 import numpy as np
 
-from svmdist.models import INSTRUMENTS
 from svmdist.profile import OnnxSegmentation
+from svmdist.profile.segmentation import INSTRUMENTS
 from svmdist.vision.network import network_input
 from training.dataset import VALIDATION_SEED, rendered, union_ious
 

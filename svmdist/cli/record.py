@@ -109,7 +109,7 @@ def record_command(given: RecordOptions) -> None:
     from svmdist.perturbations.chosen import UNPERTURBED, World, draw_world
     from svmdist.profile import load_profile
     from svmdist.simulation import scene
-    from svmdist.simulation.scenarios import Scenario
+    from svmdist.simulation.motion import Scenario
     from svmdist.workflows.record import Episodes, record
 
     if given.renderer != "tiny":

@@ -11,8 +11,8 @@ from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.tissue import TissuePose
 from svmdist.estimation.tissue_tracking import TissueTracker
+from svmdist.geometry import Capsules
 from svmdist.geometry.distance import Separation, capsule_separation, separation
-from svmdist.geometry.surfaces import Capsules
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_pixel, as_vector
 from svmdist.samples import Status
 from svmdist.transforms import Array

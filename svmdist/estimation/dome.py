@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.estimation.surface import DEGREE, StereoSurface
-from svmdist.geometry.surfaces import Mesh
+from svmdist.geometry import Mesh
 from svmdist.least_squares import median, scale_of
 from svmdist.profile import Dome
 from svmdist.transforms import Array, inverse, transform_points

@@ -12,9 +12,8 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.image_input import require_bgr
 from svmdist.results import Failure
-from svmdist.samples import Image, JointSample, Observation
+from svmdist.samples import Image, JointSample, Observation, require_bgr
 from svmdist.transforms import Array
 from svmdist.vision.colour import Masks
 from svmdist.vision.frame_context import FrameContext

@@ -16,7 +16,7 @@ from svmdist.estimation.instrument.tag_pose import TagPose
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue import require_tissue
 from svmdist.estimation.tissue_tracking import TissueTracker
-from svmdist.kinematics.dh import row_index
+from svmdist.kinematics import row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Fiducial, KinematicError
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from svmdist.estimation.instrument.model import InstrumentModel
     from svmdist.estimation.surface import StereoSurface
     from svmdist.estimation.tissue import TissueDetection
-    from svmdist.kinematics.dh import DHChain, ShaftAxis
+    from svmdist.kinematics import DHChain, ShaftAxis
     from svmdist.kinematics.robot_state import RobotState
     from svmdist.vision.stereo import RectifiedPair
     from svmdist.vision.tag_overlay import TagPattern
@@ -32,7 +32,7 @@ class Arm:
     @cached_property
     def chain(self) -> DHChain | None:
         """The robot's chain; None where the profile has none."""
-        from svmdist.kinematics.dh import chain_of
+        from svmdist.kinematics import chain_of
 
         return chain_of(self.profile.robot) if self.profile.robot else None
 
@@ -60,7 +60,7 @@ class Arm:
     @cached_property
     def shaft_axis(self) -> ShaftAxis | None:
         """Which link carries the shaft, and where its axis is there; None without such a chain."""
-        from svmdist.kinematics.dh import shaft_of
+        from svmdist.kinematics import shaft_of
 
         return shaft_of(self.chain) if self.chain else None
 

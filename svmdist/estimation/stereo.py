@@ -19,7 +19,7 @@ from svmdist.estimation.scene import Arm
 from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import require_tissue
 from svmdist.estimation.tissue_tracking import depth_biases
-from svmdist.geometry.surfaces import Cloud
+from svmdist.geometry import Cloud
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Rejection, RightView, Status
 from svmdist.transforms import inverse

@@ -11,8 +11,8 @@ from svmdist.camera import Camera
 from svmdist.errors import ProfileError
 from svmdist.estimation.dome import DomeModel
 from svmdist.estimation.instrument.measurement import EXACT, SharedBias
+from svmdist.geometry import Mesh, Plane, Surface, meet_plane, pixel_rays
 from svmdist.geometry.mesh import read_closed_mesh
-from svmdist.geometry.surfaces import Mesh, Plane, Surface, meet_plane, pixel_rays
 from svmdist.profile import AreaGate, CameraError, Profile, Tissue
 from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT
 from svmdist.profile.settings import OutlineSettings

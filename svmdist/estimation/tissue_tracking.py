@@ -16,7 +16,7 @@ from svmdist.estimation.instrument.state import Linearised
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import TissuePose, ray_on_plane_biases, require_tissue, tissue_plane
-from svmdist.geometry.surfaces import Plane
+from svmdist.geometry import Plane
 from svmdist.least_squares import median
 from svmdist.profile import Tissue
 from svmdist.profile.settings import TissueTrackingSettings

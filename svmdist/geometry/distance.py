@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.geometry.surfaces import Capsules, Mesh, Plane, Surface
+from svmdist.geometry import Capsules, Mesh, Plane, Surface
 from svmdist.transforms import Array
 
 CHUNK = 1 << 20

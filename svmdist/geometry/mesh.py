@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from svmdist.errors import ProfileError
 from svmdist.files import read_regular, why
-from svmdist.geometry.surfaces import Mesh
+from svmdist.geometry import Mesh
 from svmdist.transforms import Array
 
 Indices = NDArray[np.int64]

@@ -1,1 +1,369 @@
-"""Denavit–Hartenberg kinematics: chains of joints, forward and inverse."""
+"""Denavit–Hartenberg chains: rows of parameters to transforms, for one joint vector or many.
+
+Both conventions are here because logs use both: *standard* (Denavit & Hartenberg 1955; Spong,
+"Robot Modeling and Control", sec. 3.2), which the paper's eqs. (29) and (30) fit, and *modified*
+(Craig, "Introduction to Robotics", sec. 3.4), in which the da Vinci Research Kit publishes its arms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from svmdist.errors import KinematicsError
+from svmdist.profile import Robot
+from svmdist.transforms import Array
+
+JointType = Literal["revolute", "prismatic", "fixed"]
+Convention = Literal["standard", "modified"]
+CHUNK = 2048
+"""Joint vectors that are worked on together: more links at once leave the processor's cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class DHRow:
+    """One row of a DH table: lengths in m, angles in rad, limits in the joint's own unit.
+
+    The joint variable adds to `theta_rad` (revolute) or to `d_m` (prismatic), so that the value in a published
+    table is the offset at joint value zero.
+    """
+
+    name: str
+    joint: JointType
+    a_m: float = 0.0
+    alpha_rad: float = 0.0
+    d_m: float = 0.0
+    theta_rad: float = 0.0
+    lower: float = -np.pi
+    upper: float = np.pi
+    aliases: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class DHChain:
+    """A serial chain from a base frame to a tool frame, with a constant transform behind the last row.
+
+    Joints may be reported beyond their limits by `limit_tolerance_rad` (revolute) or `limit_tolerance_m` (prismatic).
+    """
+
+    rows: tuple[DHRow, ...]
+    convention: Convention = "standard"
+    T_last_tool: Array = field(default_factory=lambda: np.eye(4))
+    limit_tolerance_rad: float = np.inf
+    limit_tolerance_m: float = np.inf
+
+    @cached_property
+    def moving_rows(self) -> NDArray[np.intp]:
+        """Indices of the rows with a joint, base first, shape (n_joints,)."""
+        return np.array([i for i, row in enumerate(self.rows) if row.joint != "fixed"], np.intp)
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """The names of the joints that move, base first."""
+        return tuple(self.rows[i].name for i in self.moving_rows)
+
+    @cached_property
+    def lower(self) -> Array:
+        """Lower joint limits in rad or m, shape (n_joints,)."""
+        return np.array([self.rows[i].lower for i in self.moving_rows])
+
+    @cached_property
+    def upper(self) -> Array:
+        """Upper joint limits in rad or m, shape (n_joints,)."""
+        return np.array([self.rows[i].upper for i in self.moving_rows])
+
+    @cached_property
+    def is_revolute(self) -> NDArray[np.bool_]:
+        """Which joints are revolute, shape (n_joints,); the others are prismatic."""
+        return np.array([self.rows[i].joint == "revolute" for i in self.moving_rows], np.bool_)
+
+    @cached_property
+    def limit_tolerance(self) -> Array:
+        """The tolerance of each joint's limits in rad or m, shape (n_joints,)."""
+        return np.where(self.is_revolute, self.limit_tolerance_rad, self.limit_tolerance_m)
+
+    def are_within_limits(self, q: Array) -> NDArray[np.bool_]:
+        """Which joints, shape (..., n_joints), are within their limits and the tolerance."""
+        tolerance = self.limit_tolerance
+        return np.asarray((q >= self.lower - tolerance) & (q <= self.upper + tolerance))
+
+    @cached_property
+    def row_indices(self) -> dict[str, int]:
+        """The index of each row by its name."""
+        return {row.name: index for index, row in reversed(list(enumerate(self.rows)))}
+
+    @cached_property
+    def terms(self) -> LinkTerms:
+        """What is constant in the rows' transforms."""
+        return LinkTerms.of(self.rows, self.convention)
+
+
+def chain_of(robot: Robot) -> DHChain:
+    """The chain of a profile's robot, from base to tool."""
+    rows = tuple(DHRow(*dict(joint).values()) for joint in robot.joints)
+    return DHChain(
+        rows, robot.convention, robot.T_last_tool, robot.limit_tolerance_rad, robot.limit_tolerance_m
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LinkTerms:
+    """The transforms of all rows as sums: `constant` + cos θ `cosine` + sin θ `sine` + d `shift`, (n_rows, 4, 4) each.
+
+    θ and d, shape (n_rows,), are those at joint value zero. `into_theta` and `into_d`, shape (n_joints, n_rows), add
+    the joints to them.
+    """
+
+    constant: Array
+    cosine: Array
+    sine: Array
+    shift: Array
+    theta_rad: Array
+    d_m: Array
+    into_theta: Array
+    into_d: Array
+
+    @classmethod
+    def of(cls, rows: tuple[DHRow, ...], convention: Convention) -> LinkTerms:
+        """Take the rows apart."""
+        a = np.array([row.a_m for row in rows])
+        ca, sa = _cosine_and_sine(np.array([row.alpha_rad for row in rows]))
+        constant, cosine, sine, shift = np.zeros((4, len(rows), 4, 4))
+        constant[:, 3, 3] = 1.0
+        if convention == "standard":
+            cosine[:, 0, 0], cosine[:, 0, 3], cosine[:, 1, 1], cosine[:, 1, 2] = 1.0, a, ca, -sa
+            sine[:, 0, 1], sine[:, 0, 2], sine[:, 1, 0], sine[:, 1, 3] = -ca, sa, 1.0, a
+            constant[:, 2, 1], constant[:, 2, 2] = sa, ca
+            shift[:, 2, 3] = 1.0
+        else:
+            cosine[:, 0, 0], cosine[:, 1, 1], cosine[:, 2, 1] = 1.0, ca, sa
+            sine[:, 0, 1], sine[:, 1, 0], sine[:, 2, 0] = -1.0, ca, sa
+            constant[:, 0, 3], constant[:, 1, 2], constant[:, 2, 2] = a, -sa, ca
+            shift[:, 1, 3], shift[:, 2, 3] = -sa, ca
+        into_theta, into_d = (
+            np.array([row.joint == joint for row in rows], np.float64)
+            * np.eye(len(rows))[[i for i, row in enumerate(rows) if row.joint != "fixed"]]
+            for joint in ("revolute", "prismatic")
+        )
+        theta, d = np.array([row.theta_rad for row in rows]), np.array([row.d_m for row in rows])
+        return cls(constant, cosine, sine, shift, theta, d, into_theta, into_d)
+
+
+def link_transforms(chain: DHChain, q: ArrayLike, first: int = 0) -> Array:
+    """Transforms of the rows from `first` on from their predecessors, shape (..., n_rows - first, 4, 4).
+
+    The joints, shape (..., n_joints), are those of the whole chain. Standard: Rot_z(θ) Trans_z(d) Trans_x(a)
+    Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d). Raises KinematicsError for a wrong number of joints.
+    """
+    q = _checked_joints(chain, q)
+    terms = chain.terms
+    theta = (terms.theta_rad[first:] + q @ terms.into_theta[:, first:])[..., None, None]
+    d = (terms.d_m[first:] + q @ terms.into_d[:, first:])[..., None, None]
+    T = np.cos(theta) * terms.cosine[first:]
+    T += np.sin(theta) * terms.sine[first:]
+    T += d * terms.shift[first:]
+    T += terms.constant[first:]
+    return np.asarray(T)
+
+
+def forward_kinematics(chain: DHChain, q: ArrayLike) -> Array:
+    """Pose of the tool in the base frame, `T_base_tool`, shape (..., 4, 4), for joints (..., n_joints).
+
+    eq. (31), as a matrix product. Raises KinematicsError for a wrong number of joints.
+    """
+    q = np.asarray(q, np.float64)
+    if q.ndim > 1 and len(q) > CHUNK:
+        parts = [forward_kinematics(chain, q[at : at + CHUNK]) for at in range(0, len(q), CHUNK)]
+        return np.concatenate(parts)
+    links = link_transforms(chain, q)
+    T = links[..., 0, :, :]
+    for index in range(1, len(chain.rows)):
+        T = T @ links[..., index, :, :]
+    return np.asarray(T @ chain.T_last_tool)
+
+
+def frame_transforms(chain: DHChain, q: ArrayLike) -> Array:
+    """Poses of all row frames in the base frame, shape (..., n_rows, 4, 4), for joints (..., n_joints)."""
+    return running_product(link_transforms(chain, q))
+
+
+def running_product(links: Array) -> Array:
+    """Products of the first, the first two, … transforms, shape (..., n, 4, 4): frames by their links; in place."""
+    if links.ndim == 3:
+        for index in range(1, len(links)):
+            links[index] = links[index - 1].dot(links[index])
+        return links
+    for index in range(1, links.shape[-3]):
+        links[..., index, :, :] = links[..., index - 1, :, :] @ links[..., index, :, :]
+    return links
+
+
+def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) -> Array:
+    """Bring positions, shape (..., len(names)), into the chain's order; joints it lacks are dropped.
+
+    A joint is found by its name or by an alias. Raises KinematicsError that names the joints that `names` lacks.
+    """
+    rows = [chain.rows[index] for index in chain.moving_rows]
+    found = {
+        row.name: next((name for name in (row.name, *row.aliases) if name in names), None) for row in rows
+    }
+    missing = [name for name, logged in found.items() if logged is None]
+    if missing:
+        raise KinematicsError(
+            f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
+        )
+    return np.asarray(positions, np.float64)[
+        ..., [names.index(logged) for logged in found.values() if logged]
+    ]
+
+
+def jacobian_of_frames(chain: DHChain, frames: Array, row: str | None = None) -> Array:
+    """Derivative of a frame's pose in the base frame by the joints, shape (..., 6, n_joints).
+
+    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames; `row` names one of them, None is the tool.
+    Rows are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with R' = exp([δθ]) R, both in
+    the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a
+    joint behind the frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
+    """
+    last = len(chain.rows) - 1 if row is None else row_index(chain, row)
+    T_base_frame = frames[..., last, :, :] @ chain.T_last_tool if row is None else frames[..., last, :, :]
+    axes = [joint_axis(chain, frames, index) for index in chain.moving_rows]
+    shape = (*frames.shape[:-3], 3)
+    z = np.stack([np.broadcast_to(axis, shape) for axis, _ in axes], -1)
+    arm = T_base_frame[..., :3, 3, None] - np.stack([np.broadcast_to(at, shape) for _, at in axes], -1)
+    before = chain.moving_rows <= last
+    zx, zy, zz = z[..., 0, :], z[..., 1, :], z[..., 2, :]
+    x, y, h = arm[..., 0, :], arm[..., 1, :], arm[..., 2, :]
+    swing = np.stack([zy * h - zz * y, zz * x - zx * h, zx * y - zy * x], -2)
+    return np.concatenate(
+        [np.where(chain.is_revolute, swing, z) * before, z * (chain.is_revolute & before)], -2
+    )
+
+
+def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:
+    """The axis that the joint of row `index` moves about or along: direction and a point, shapes (..., 3).
+
+    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames. Standard DH moves about the z of
+    the frame before, modified DH about the z of its own frame.
+    """
+    axis_index = index - 1 if chain.convention == "standard" else index
+    if axis_index < 0:
+        return np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    return frames[..., axis_index, :3, 2], frames[..., axis_index, :3, 3]
+
+
+def row_index(chain: DHChain, name: str) -> int:
+    """Place of a row in the table; raises ValueError for a name it lacks."""
+    if name not in chain.row_indices:
+        raise ValueError(f"the chain has no row {name}; it has {', '.join(chain.row_indices)}")
+    return chain.row_indices[name]
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftAxis:
+    """The instrument's shaft on the chain: a point in m and the direction to the tip, (3,), in the row's frame."""
+
+    link: str
+    p_axis_m: Array
+    axis: Array
+
+
+def shaft_of(chain: DHChain) -> ShaftAxis | None:
+    """The shaft of a chain; None for a chain in which nothing slides."""
+    prismatic = [row for row in chain.rows if row.joint == "prismatic"]
+    if not prismatic:
+        return None
+    row = prismatic[-1]
+    if chain.convention == "modified":
+        return ShaftAxis(row.name, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    # The row's frame is Trans_x(a) Rot_x(α) away from the axis.
+    axis = np.array([0.0, np.sin(row.alpha_rad), np.cos(row.alpha_rad)])
+    return ShaftAxis(row.name, np.array([-row.a_m, 0.0, 0.0]), axis)
+
+
+@dataclass(frozen=True, slots=True)
+class WristRows:
+    """Indices of the rows that turn the shaft about itself, bend the wrist, and open the jaw, where there is one."""
+
+    roll: int
+    pitch: int
+    yaw: int
+    jaw: int | None
+
+
+def wrist_rows(chain: DHChain) -> WristRows | None:
+    """The wrist of the da Vinci's instruments; None for a chain with fewer than three rows behind the insertion."""
+    turns = rows_behind_insertion(chain)
+    if len(turns) < 3:
+        return None
+    roll, pitch, yaw, *jaw = turns
+    return WristRows(roll, pitch, yaw, jaw[0] if jaw else None)
+
+
+def rows_behind_insertion(chain: DHChain) -> list[int]:
+    """Indices of the revolute rows behind the last prismatic one, the shaft's roll first; none without one."""
+    slides = [index for index, row in enumerate(chain.rows) if row.joint == "prismatic"]
+    behind = range(slides[-1] + 1, len(chain.rows)) if slides else ()
+    return [index for index in behind if chain.rows[index].joint == "revolute"]
+
+
+def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:
+    q = np.asarray(q, np.float64)
+    count = len(chain.joint_names)
+    if q.ndim == 0 or q.shape[-1] != count:
+        raise KinematicsError(f"expected {count} joint values on the last axis, found shape {q.shape}")
+    return q
+
+
+def _cosine_and_sine(angles_rad: Array) -> Array:
+    """Shape (2, n); those of quarter turns are exact, where floating point gives 6e-17."""
+    values = np.stack([np.cos(angles_rad), np.sin(angles_rad)])
+    nearest = np.round(values)
+    return np.where(np.abs(values - nearest) < 1e-15, nearest, values)
+
+
+def solve_position(
+    chain: DHChain,
+    q_start: ArrayLike,
+    p_base_tool_m: ArrayLike,
+    free_joints: Sequence[str],
+    *,
+    tolerance_m: float = 1e-9,
+    damping: float = 1e-4,
+    max_iterations: int = 60,
+) -> Array:
+    """Find joints, shape (n, n_joints), that bring the tool's origin to targets in the base frame, (n, 3).
+
+    `q_start`, shape (n, n_joints), has the first guess of the free joints and the values of all others, which stay.
+    `damping` is in the unit of the Jacobian; 1e-4 m is far below the lever arms of a surgical robot: it slows
+    convergence near singularities only. Raises KinematicsError for a target that is out of reach or needs a joint
+    outside its limits.
+    """
+    q, targets_m = np.array(q_start, np.float64), np.asarray(p_base_tool_m, np.float64)
+    free = [chain.joint_names.index(name) for name in free_joints]
+    for _ in range(max_iterations):
+        frames = frame_transforms(chain, q)
+        error_m = targets_m - (frames[:, -1] @ chain.T_last_tool)[:, :3, 3]
+        if float(np.max(np.abs(error_m), initial=0.0)) <= tolerance_m:
+            break
+        J = jacobian_of_frames(chain, frames)[:, :3, free]
+        # dq = J^T (J J^T + λ² I)^-1 e (Nakamura & Hanafusa 1986)
+        damped = J @ np.swapaxes(J, 1, 2) + damping**2 * np.eye(3)
+        q[:, free] += (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, error_m[:, :, None]))[..., 0]
+    else:
+        worst = int(np.argmax(np.linalg.norm(error_m, axis=1)))
+        raise KinematicsError(
+            f"position {worst} is out of reach: {np.linalg.norm(error_m[worst]):.3g} m are left "
+            f"after {max_iterations} steps"
+        )
+    for row, joint in np.argwhere((q < chain.lower) | (q > chain.upper)):
+        raise KinematicsError(
+            f"joint {chain.joint_names[joint]} would have to go to {q[row, joint]:.4g}, outside its limits "
+            f"{chain.lower[joint]:.4g} to {chain.upper[joint]:.4g}"
+        )
+    return q

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.dh import (
+from svmdist.kinematics import (
     DHChain,
     frame_transforms,
     joint_axis,

@@ -1,20 +1,35 @@
-"""The scene profile (TOML): what a recording shows and how to measure it, checked when it is read."""
+"""The scene profile (TOML): a log's topics, frames and limits, what its images show, and the robot.
 
-from svmdist.profile.profile import (
-    DEFAULT_PROFILE,
-    SHIPPED,
-    Features,
-    Frames,
-    Limits,
-    Marker,
-    Profile,
-    Topics,
-    load_profile,
-    profile_path,
-    shipped_profiles,
-    stated_deviations,
+Everything that depends on a scene stands here, so that another scene needs another profile and no other code.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, model_validator
+
+from svmdist.errors import ProfileError, UsageError, did_you_mean
+from svmdist.profile.hand_eye import (
+    BASELINE,
+    FOCAL_LENGTH,
+    PRINCIPAL_POINT,
+    SHAFT_RADIUS,
+    TAG_SIZE,
+    TIME_OFFSET,
+    HandEye,
+    HandEyeFile,
+    NamedHandEye,
+    length_of,
+    load_hand_eye,
+    offset_of,
+    with_hand_eye,
 )
 from svmdist.profile.robot import (
+    ARM_TOPICS,
+    ArmFrames,
     CameraError,
     Dome,
     EntrySide,
@@ -27,8 +42,10 @@ from svmdist.profile.robot import (
     Robot,
     Simulation,
     Tissue,
+    require_tag,
 )
 from svmdist.profile.segmentation import (
+    AnySegmentation,
     AreaGate,
     AutoSegmentation,
     ClassRegion,
@@ -37,3 +54,300 @@ from svmdist.profile.segmentation import (
     OnnxSegmentation,
     Segmentation,
 )
+from svmdist.profile.settings import Settings, StereoSettings, without_former
+from svmdist.profile.toml import Byte, Size, StrictModel, parse_toml
+
+DEFAULT_PROFILE = "psm13"
+SHIPPED = Path(__file__).parent.with_name("profiles")
+BEHIND_PLANE = 1.5
+"""The range of stereo over the distance of the plane that the tissue lies on."""
+
+
+class Topics(StrictModel):
+    """Topic names of a log; None means: the one topic whose schema fits.
+
+    The right camera's topics and the true transforms must be named: their schemas fit others as well.
+    """
+
+    image: str | None = None
+    camera_info: str | None = None
+    right_image: str | None = None
+    right_camera_info: str | None = None
+    joints: str | None = None
+    pose: str | None = None
+    tf: str | None = None
+    ground_truth_tf: str | None = None
+    ground_truth_distance: str | None = None
+
+
+class Frames(StrictModel):
+    """Frame names of a log's transforms."""
+
+    camera: str = "camera"
+    base: str = "base"
+    tool: str = "tool"
+    tissue: str = "tissue"
+
+
+class Limits(StrictModel):
+    """What a log may ask of the reader, checked before memory is allocated; what asks for more is a loss."""
+
+    record_bytes: Size = 256 << 20
+    """One record of the file; it may never reach beyond the file either."""
+    chunk_bytes: Size = 256 << 20
+    """One chunk after expansion; it must have exactly the size that it declares."""
+    window_bytes: Size = 128 << 20
+    """Memory that a zstd frame may claim for its window, beside the expanded chunk."""
+    image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)
+    """One image, by the dimensions in its header, before it is decoded; OpenCV itself is held to 2^26."""
+    image_bytes: Size = 32 << 20
+    """One compressed image."""
+    message_bytes: Size = 1 << 20
+    """One message that is no image: joints, transforms and the like hold a few kilobytes."""
+    pair_tolerance_s: float = Field(default=5e-4, ge=0.0, le=0.5)
+    """How far the stamps of the left and the right image of a pair may be apart. Cameras that are triggered together
+    differ by less than half a millisecond, which is less than any exposure; others by up to half a frame."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_former_keys(cls, data: Any) -> Any:
+        former = {"chunk_records", "definition_bytes", "metadata_bytes", "json_bytes"}
+        return without_former("limits", data, former)
+
+
+class Marker(StrictModel):
+    """The static virtual marker (SVM): its size and the colour of the outline drawn around it (pure green)."""
+
+    size_px: int = Field(default=96, ge=48, le=256)
+    outline: ColourRegion = ColourRegion(
+        hue=(58, 62), saturation=(250, 255), value=(250, 255), min_area_px=100, components="largest"
+    )
+    outline_bgr: tuple[Byte, Byte, Byte] = (0, 255, 0)
+    outline_width_px: int = Field(default=3, ge=1, le=15)
+
+    @model_validator(mode="after")
+    def _one_colour(self) -> Marker:
+        given = self.model_fields_set & {"outline", "outline_bgr"}
+        if len(given) == 1:
+            raise ValueError(
+                "outline_bgr is drawn and outline finds it again: give both of them, or neither for pure green"
+            )
+        return self
+
+
+class Features(StrictModel):
+    """ORB, matching and homography, with the paper's values as defaults."""
+
+    feature_count: int = Field(default=1500, ge=50, le=20000)
+    ratio: float = Field(default=0.75, gt=0.0, lt=1.0)
+    reprojection_px: float = Field(default=3.0, gt=0.0)
+    min_match_count: int = Field(default=10, ge=4)
+
+
+class Profile(StrictModel):
+    """A whole profile."""
+
+    name: str
+    description: str = ""
+    calibration: str | None = None
+    """File name of the calibration that ships beside this profile."""
+    hand_eye: NamedHandEye | None = None
+    """What `svmdist hand-eye` wrote, in a file: where robots' bases stand for the camera, in place of the log's."""
+    topics: Topics = Topics()
+    frames: Frames = Frames()
+    limits: Limits = Limits()
+    segmentation: AnySegmentation
+    marker: Marker = Marker()
+    features: Features = Features()
+    robot: Robot | None = None
+    kinematic_error: KinematicError = KinematicError()
+    camera_error: CameraError = CameraError()
+    instrument: Instrument | None = None
+    fiducial: Fiducial | None = None
+    tissue: Tissue | None = None
+    simulation: Simulation | None = None
+    settings: Settings = Settings()
+    """What detectors and estimators may assume; the defaults serve most logs."""
+    instrument_name: str = Field(default="PSM1", min_length=1)
+    """What the instrument is called that everything above is about."""
+    entry: EntrySide | None = None
+    """The side of the picture that it comes in from, where no joints tell instruments apart."""
+    other_instruments: tuple[OtherInstrument, ...] = ()
+
+    @property
+    def stereo_in_range(self) -> StereoSettings:
+        """The settings of stereo, their range as far as the profile's plane asks for it."""
+        settings = self.settings.stereo
+        if self.tissue is None:
+            return settings
+        far_m = max(settings.far_m, BEHIND_PLANE * self.tissue.plane_distance_m)
+        return settings.model_copy(update={"far_m": far_m})
+
+    @property
+    def instrument_names(self) -> tuple[str, ...]:
+        """The instrument and the others, in the order of the profile."""
+        return self.instrument_name, *(other.name for other in self.other_instruments)
+
+    def for_instrument(self, name: str) -> Profile:
+        """The profile as one of its instruments sees it: its topics, frames and fiducial, and no other instrument.
+
+        Raises UsageError that lists the names.
+        """
+        if name == self.instrument_name:
+            return self.model_copy(update={"other_instruments": ()})._with_hand_eye()
+        other = next((other for other in self.other_instruments if other.name == name), None)
+        if other is None:
+            raise UsageError(
+                f"profile {self.name} has no instrument {name}: {did_you_mean(name, self.instrument_names)}"
+            )
+        topics = {role: other.logged_topics.get(role) for role in ARM_TOPICS}
+        frames = other.frames or ArmFrames(base=f"{name}_base", tool=name)
+        update: dict[str, object] = {
+            "topics": self.topics.model_copy(update=topics),
+            "frames": self.frames.model_copy(update={"base": frames.base, "tool": frames.tool}),
+            "instrument_name": name,
+            "entry": other.entry,
+            "other_instruments": (),
+        }
+        if self.fiducial is not None:
+            tag_id = other.fiducial_id
+            update["fiducial"] = None if tag_id is None else self.fiducial.model_copy(update={"id": tag_id})
+        update |= {
+            part: found for part in ("robot", "instrument") if (found := getattr(other, part)) is not None
+        }
+        if other.simulation is not None and self.simulation is not None:
+            update["simulation"] = self.simulation.model_copy(update=other.simulation.model_dump())
+        return self.model_copy(update=update)._with_hand_eye()
+
+    def _with_hand_eye(self) -> Profile:
+        """With the kinematic error of an instrument whose base is known by hand-eye; the same of any other."""
+        if (found := self.camera_to_base) is None:
+            return self
+        error = with_hand_eye(self.kinematic_error, found, stated_deviations(self))
+        return self.model_copy(update={"kinematic_error": error})
+
+    @property
+    def camera_to_base(self) -> HandEye | None:
+        """Where the base of this profile's own instrument stands, by hand-eye; None where no file says it."""
+        return None if self.hand_eye is None else self.hand_eye.of(self.instrument_name)
+
+    @model_validator(mode="after")
+    def _hand_eye_fits(self) -> Profile:
+        if self.hand_eye is not None:
+            self.check_hand_eye(self.hand_eye)
+        return self
+
+    def check_hand_eye(self, file: HandEyeFile) -> None:
+        """Raise ValueError where the hand-eye file is of other frames, or of none of the instruments."""
+        if not any(file.of(name) for name in self.instrument_names):
+            theirs = ", ".join(one.instrument for one in file.transforms)
+            raise ValueError(
+                f"hand_eye: it is for {theirs}; the profile has {', '.join(self.instrument_names)}: fit it anew"
+            )
+        for name in dict.fromkeys(self.instrument_names):
+            frames, found = self.for_instrument(name).frames, file.of(name)
+            for what in ("camera", "base") if found is not None else ():
+                theirs, ours = getattr(found, what), getattr(frames, what)
+                if theirs != ours:
+                    raise ValueError(
+                        f"hand_eye: it is for {what} {theirs} of {name}; [frames] {what} is {ours}: fit it anew"
+                    )
+
+    @model_validator(mode="after")
+    def _instruments_differ(self) -> Profile:
+        views = [self.for_instrument(name) for name in dict.fromkeys(self.instrument_names)]
+        tags = [view.fiducial for view in views if view.fiducial is not None]
+        for tag in tags:
+            require_tag(tag.family, tag.id)
+        for other in self.other_instruments:
+            if other.topics is None and not isinstance(self.segmentation, AutoSegmentation):
+                raise ValueError(
+                    f"other_instruments: {other.name} has no topics, and only [segmentation] method = 'auto' tells such"
+                    " instruments apart"
+                )
+        distinct = {
+            "name": list(self.instrument_names),
+            "topic": [getattr(view.topics, role) for view in views for role in ARM_TOPICS],
+            "frame": [frame for view in views for frame in (view.frames.base, view.frames.tool)],
+            "fiducial_id": [str(tag.id) for tag in tags],
+        }
+        for what, values in distinct.items() if self.other_instruments else ():
+            doubles = sorted({value for value in values if value is not None and values.count(value) > 1})
+            if doubles:
+                raise ValueError(
+                    f"other_instruments: every instrument needs a {what} of its own; given twice: {', '.join(doubles)}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _names_joints_that_are_there(self) -> Profile:
+        link = None if self.fiducial is None else self.fiducial.link
+        first = self.kinematic_error.first_moving_joint
+        for robot in (self.robot, *(other.robot for other in self.other_instruments)):
+            joints = () if robot is None else robot.joints
+            names = [joint.name for joint in joints]
+            moving = [joint.name for joint in joints if joint.type != "fixed"]
+            for key, name, known in (
+                ("fiducial.link", link, names),
+                ("kinematic_error.first_moving_joint", first, moving),
+            ):
+                if joints and name is not None and name not in known:
+                    raise ValueError(f"{key}: no joint named {name}: {did_you_mean(name, known)}")
+        return self
+
+
+def shipped_profiles() -> tuple[str, ...]:
+    """Names of the profiles inside the package."""
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml") if "." not in path.stem))
+
+
+def load_profile(name_or_path: str | Path = DEFAULT_PROFILE, hand_eye: Path | None = None) -> Profile:
+    """Read a profile that ships (by name) or one of the user's own (by path), and check it.
+
+    `hand_eye` names a hand-eye file in place of the profile's. Raises ProfileError that names the file, the key and
+    the nearest valid key.
+    """
+    profile = parse_toml(profile_path(name_or_path), Profile, ProfileError)
+    if hand_eye is None:
+        return profile
+    file = load_hand_eye(hand_eye)
+    try:
+        profile.check_hand_eye(file)
+    except ValueError as problem:
+        raise ProfileError(f"{hand_eye}: {problem}") from None
+    return profile.model_copy(update={"hand_eye": file})
+
+
+def profile_path(name_or_path: str | Path) -> Path:
+    """Find the file of a profile: a shipped name, else a path."""
+    text = str(name_or_path)
+    if text in shipped_profiles():
+        return SHIPPED / f"{text}.toml"
+    path = Path(text)
+    if not path.suffix and not os.path.exists(path):
+        raise ProfileError(
+            f"no profile named {text}: {did_you_mean(text, shipped_profiles())}; or give a path to a .toml"
+        )
+    return path
+
+
+def stated_deviations(profile: Profile) -> dict[str, float]:
+    """Deviations in m, rad, s, px, or fractions of the constant itself."""
+    camera, kinematic = profile.camera_error, profile.kinematic_error
+    found = {
+        FOCAL_LENGTH: camera.focal_std_fraction,
+        PRINCIPAL_POINT: camera.centre_std_px,
+        BASELINE: camera.baseline_std_fraction,
+        TIME_OFFSET: kinematic.time_offset_std_s,
+    }
+    if profile.instrument is not None:
+        found[SHAFT_RADIUS] = profile.instrument.shaft_radius_std_fraction
+    if profile.fiducial is not None:
+        found[TAG_SIZE] = profile.fiducial.size_std_fraction
+    joints = () if profile.robot is None else profile.robot.joints
+    for index, joint in enumerate(joints):
+        slides = joint.type == "prismatic"
+        found[offset_of(joint.name)] = kinematic.joint_std_m if slides else kinematic.joint_std_rad
+        # A row has two lengths at most.
+        found |= {length_of(place): kinematic.length_std_m for place in (2 * index, 2 * index + 1)}
+    return found

@@ -41,7 +41,7 @@ def require_tag(family: str, tag_id: int) -> None:
 
 
 class Joint(StrictModel):
-    """One DH row; see `svmdist.kinematics.dh.DHRow`."""
+    """One DH row; see `svmdist.kinematics.DHRow`."""
 
     name: str
     type: Literal["revolute", "prismatic", "fixed"]

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from svmdist.errors import did_you_mean
-from svmdist.models import PREFIX, SHIPPED, shipped_file
 from svmdist.profile.toml import Byte, Hue, NeighbourFile, StrictModel
+
+MODELS = Path(__file__).parent.with_name("models")
+PREFIX = "svmdist:"
+"""`model = "svmdist:NAME"` in a profile is a network of the folder `models` of the package."""
+INSTRUMENTS: dict[str, Any] = {
+    "width_px": 256,
+    "height_px": 192,
+    "channels": "bgr",
+    "mean": (127.5, 127.5, 127.5),
+    "scale": 1 / 127.5,
+    "from_border": True,
+    "tissue": {"class_ids": (1,), "min_area_px": 2000, "occlusion": "outline"},
+    "instrument": {"class_ids": (2,), "min_area_px": 50},
+    "shaft": {"class_ids": (3,), "min_area_px": 200},
+}
+"""What a profile must say to run the network that `training/train.py` makes, of pictures that are drawn there."""
+SHIPPED = {"instruments": INSTRUMENTS}
 
 
 class AreaGate(StrictModel):
@@ -104,7 +121,7 @@ class OnnxSegmentation(StrictModel):
         if name not in SHIPPED:
             known = [PREFIX + each for each in SHIPPED]
             raise ValueError(f"model = {model!r}: no such network ships: {did_you_mean(model, known)}")
-        return {**SHIPPED[name], **data, "model": shipped_file(name)}
+        return {**SHIPPED[name], **data, "model": MODELS / f"{name}.onnx"}
 
     @field_validator("scale", mode="before")
     @classmethod

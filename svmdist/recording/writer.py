@@ -25,7 +25,6 @@ from mcap.writer import CompressionType, Writer
 from svmdist.camera import Camera
 from svmdist.errors import OutputError, UsageError
 from svmdist.files import why
-from svmdist.image_input import require_bgr
 from svmdist.profile import Limits
 from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.recording.images import still_format, still_size
@@ -38,6 +37,7 @@ from svmdist.samples import (
     PoseSample,
     Sample,
     TransformsSample,
+    require_bgr,
 )
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.geometry import Mesh
 from svmdist.geometry.distance import point_to_triangle
-from svmdist.geometry.surfaces import Mesh
 from svmdist.simulation.bullet import BulletWorld
 from svmdist.simulation.organ import Organ, OrganSurface
 from svmdist.simulation.scene import Scene

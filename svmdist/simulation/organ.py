@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
-from svmdist.simulation.meshes import DrawnMesh, smooth_normals
-from svmdist.simulation.textures import TEXTURE_SPAN_M
+from svmdist.simulation.meshes import TEXTURE_SPAN_M, DrawnMesh, smooth_normals
 from svmdist.transforms import Array, polygon_centroid
 
 SEMI_AXES_M = (0.028, 0.022)

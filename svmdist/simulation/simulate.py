@@ -15,10 +15,9 @@ from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.images import subsampled
 from svmdist.perturbations.table import Place
 from svmdist.samples import CameraSample, Image, ImageSample, Sample, TransformSample, TransformsSample
-from svmdist.simulation.arm import distances
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
 from svmdist.simulation.effects import field_delays_ns, weave
-from svmdist.simulation.plan import Block, Plan, SceneState, between_topic
+from svmdist.simulation.plan import Block, Plan, SceneState, between_topic, distances
 from svmdist.simulation.render import Renderer
 from svmdist.simulation.scene import Options, raised
 from svmdist.transforms import Array, inverse

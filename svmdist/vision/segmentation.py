@@ -9,8 +9,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from svmdist.models import INSTRUMENTS, PREFIX
 from svmdist.profile import AutoSegmentation, HsvSegmentation, OnnxSegmentation, Segmentation
+from svmdist.profile.segmentation import INSTRUMENTS, PREFIX
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.colour import HsvSegmenter, Masks

@@ -23,8 +23,8 @@ from svmdist.estimation.plane_mapping import (
     SourceFile,
     fit_calibration,
 )
-from svmdist.geometry.surfaces import pixel_rays
-from svmdist.kinematics.dh import chain_of, shaft_of
+from svmdist.geometry import pixel_rays
+from svmdist.kinematics import chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile, stated_deviations
 from svmdist.profile.hand_eye import (

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import RecordingError
-from svmdist.kinematics.dh import chain_of, forward_kinematics, select_joints
+from svmdist.kinematics import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Window

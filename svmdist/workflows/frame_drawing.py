@@ -28,7 +28,7 @@ from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, ShaftDetection
 from svmdist.estimation.planar import mark, template_features
-from svmdist.geometry.surfaces import Mesh
+from svmdist.geometry import Mesh
 from svmdist.metrics import deviations_at
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording

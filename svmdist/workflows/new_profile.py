@@ -14,8 +14,7 @@ import numpy as np
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.least_squares import scale_of
-from svmdist.profile import Profile, Robot, load_profile
-from svmdist.profile.profile import Topics
+from svmdist.profile import Profile, Robot, Topics, load_profile
 from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import sanitize, sanitize_list

@@ -15,8 +15,8 @@ from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode
 from svmdist.simulation.bullet import require_pybullet
+from svmdist.simulation.motion import Scenario
 from svmdist.simulation.plan import Block, Plan, make_plan
-from svmdist.simulation.scenarios import Scenario
 from svmdist.simulation.scene import Options
 from svmdist.simulation.simulate import NoiseStates, Sensors, Simulator
 from svmdist.workflows.parallel import (

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation import plane_mapping as paper
 from svmdist.estimation.plane_mapping import Equations
-from svmdist.kinematics.dh import chain_of, forward_kinematics, select_joints
+from svmdist.kinematics import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.tracks import MAX_GAP_NS, Sampled, SampledDistances

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.kinematics.dh import forward_kinematics
+from svmdist.kinematics import forward_kinematics
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import Decoder, to_sample

@@ -12,8 +12,8 @@ from svmdist.estimation.instrument.model import InstrumentModel, wrist_in_tool
 from svmdist.estimation.instrument.tag_pose import nudged
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue import TissuePose
+from svmdist.geometry import Plane
 from svmdist.geometry.distance import capsule_separation
-from svmdist.geometry.surfaces import Plane
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_x, rotation_z

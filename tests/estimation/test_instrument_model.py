@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from svmdist.estimation.instrument.model import Rods, wrist_in_tool
-from svmdist.kinematics.dh import forward_kinematics
+from svmdist.kinematics import forward_kinematics
 from svmdist.profile import load_profile
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import inverse, transform_points

@@ -19,8 +19,8 @@ from svmdist.estimation.scene import Arm
 from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import detect_tissue, tissue_frame
 from svmdist.estimation.tissue_tracking import FollowedTissue
+from svmdist.geometry import Capsules
 from svmdist.geometry.distance import separation
-from svmdist.geometry.surfaces import Capsules
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import DEFAULT_PROFILE, Dome, Profile, load_profile, profile_path
 from svmdist.recording.log import open_recording

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from scipy.optimize import minimize
 
+from svmdist.geometry import Capsules, Cloud, Mesh, Plane, Surface, join
 from svmdist.geometry.distance import (
     Separation,
     capsule_separation,
@@ -16,7 +17,6 @@ from svmdist.geometry.distance import (
     separation,
     signed_distances,
 )
-from svmdist.geometry.surfaces import Capsules, Cloud, Mesh, Plane, Surface, join
 from svmdist.transforms import Array, make_transform, rotation_x, rotation_z, transform_points
 
 EXACT = 1e-9

@@ -10,9 +10,9 @@ import pytest
 import trimesh
 
 from svmdist.errors import ProfileError
+from svmdist.geometry import Capsules
 from svmdist.geometry.distance import separation
 from svmdist.geometry.mesh import MAX_TRIANGLES, read_closed_mesh
-from svmdist.geometry.surfaces import Capsules
 
 
 def organ() -> trimesh.Trimesh:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.dh import (
+from svmdist.kinematics import (
     CHUNK,
     DHChain,
     DHRow,

@@ -10,7 +10,7 @@ from svmdist.estimation.plane_mapping import (
     displacement_cm_corrected,
     planar_distance_cm,
 )
-from svmdist.kinematics.dh import DHChain, DHRow, forward_kinematics
+from svmdist.kinematics import DHChain, DHRow, forward_kinematics
 from svmdist.profile import load_profile
 from svmdist.transforms import Array
 

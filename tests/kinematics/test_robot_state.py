@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics.dh import (
+from svmdist.kinematics import (
     DHChain,
     DHRow,
     forward_kinematics,
     frame_transforms,
     joint_axis,
     row_index,
+    solve_position,
 )
-from svmdist.kinematics.inverse import solve_position
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure
 from svmdist.samples import JointSample

@@ -122,7 +122,7 @@ def test_a_profile_states_its_own_deviations(profile: Profile, hand_eye: HandEye
 def test_names_cover_what_chains_have(profile: Profile) -> None:
     """Every constant of the error state is one that a profile states."""
     from svmdist.estimation.instrument.error_model import ErrorModel
-    from svmdist.kinematics.dh import chain_of
+    from svmdist.kinematics import chain_of
 
     assert profile.robot is not None
     model = ErrorModel(chain_of(profile.robot), profile.kinematic_error)

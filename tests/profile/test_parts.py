@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from svmdist.errors import ProfileError
-from svmdist.profile.profile import Limits
+from svmdist.profile import Limits
 from svmdist.profile.robot import ArmFrames, ArmTopics, OtherInstrument
 from svmdist.profile.segmentation import (
     OnnxSegmentation,

@@ -13,7 +13,7 @@ from svmdist.errors import ProfileError
 from svmdist.estimation.instrument.shaft_detection import detect_distal_marker
 from svmdist.estimation.tissue import TissuePose
 from svmdist.estimation.tissue_tracking import TissueTracker
-from svmdist.geometry.surfaces import Plane
+from svmdist.geometry import Plane
 from svmdist.profile import DEFAULT_PROFILE, SHIPPED, load_profile, profile_path
 from svmdist.profile.settings import (
     DistalMarkerSettings,

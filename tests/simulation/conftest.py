@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from svmdist.kinematics.inverse import solve_position
+from svmdist.kinematics import solve_position
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, parse_perturbations
 from svmdist.profile import Profile, load_profile
 from svmdist.samples import Sample
-from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.motion import Scenario
 from svmdist.simulation.scene import Options, Scene, make_scene
 from svmdist.transforms import Array, inverse, transform_points
 

@@ -11,10 +11,10 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from svmdist.errors import SimulationError, UsageError
-from svmdist.geometry.surfaces import Mesh
-from svmdist.kinematics.dh import forward_kinematics
+from svmdist.geometry import Mesh
+from svmdist.kinematics import forward_kinematics
 from svmdist.profile import Profile
-from svmdist.simulation.scenarios import SCENARIOS, Scenario, Stage, cubic_spline, plan_motion
+from svmdist.simulation.motion import SCENARIOS, Scenario, Stage, cubic_spline, plan_motion
 from svmdist.simulation.scene import Options, Scene, make_scene, raised
 from svmdist.transforms import Array, transform_points
 from tests.simulation.conftest import perturbed, posed

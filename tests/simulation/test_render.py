@@ -30,10 +30,9 @@ from tests.simulation.conftest import chosen, perturbed, posed, withdrawn
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation import render
-from svmdist.simulation.motion import make_trajectory
+from svmdist.simulation.motion import Scenario, make_trajectory
 from svmdist.simulation.plan import SceneState
 from svmdist.simulation.render import FAR_M, Renderer, metric_depth_m
-from svmdist.simulation.scenarios import Scenario
 
 CAMERA = Camera.from_horizontal_fov(320, 240, np.pi / 3)
 SHAPE = (240, 320)

@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import SimulationError
-from svmdist.kinematics.dh import forward_kinematics
+from svmdist.kinematics import forward_kinematics
 from svmdist.perturbations.calibration import plane_tilt, stated_profile
 from svmdist.perturbations.chosen import World, draw_world, parse_perturbations
 from svmdist.perturbations.images import perturbed_image, perturbed_right_view
@@ -32,10 +32,10 @@ from svmdist.samples import (
     Sample,
     TransformsSample,
 )
-from svmdist.simulation.arm import draw_nominal_kinematics
 from svmdist.simulation.bullet import how_to_install, load_pybullet
 from svmdist.simulation.effects import FIELD_NS
-from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.motion import Scenario
+from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import Options, Scene, make_scene
 from svmdist.transforms import inverse, rotation_angle, transform_points
 from tests.conftest import REPOSITORY

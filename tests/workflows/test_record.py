@@ -18,7 +18,7 @@ from svmdist.errors import SimulationError, SvmdistError, UsageError
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.profile import Profile, load_profile
 from svmdist.recording.log import open_recording
-from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.motion import Scenario
 from svmdist.simulation.scene import Options
 from tests.cli.running import require_no_traceback, started
 
@@ -125,7 +125,7 @@ def test_an_error_while_drawing_ends_the_recording(
     def fail(*_: object) -> None:
         raise SimulationError("no such thing")
 
-    monkeypatch.setattr("svmdist.simulation.arm.Arm.nominal_transforms", fail)
+    monkeypatch.setattr("svmdist.simulation.plan.Arm.nominal_transforms", fail)
     with pytest.raises(SimulationError, match="no such thing"):
         record(SCENARIO, small, tmp_path / "log.mcap", jobs=1)
 

@@ -24,7 +24,7 @@ from tests.cli.conftest import Cli, cli  # noqa: F401  (the fixture)
 from tests.measuring import Measuring, flat
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.scenarios import Scenario
+from svmdist.simulation.motion import Scenario
 from svmdist.simulation.scene import Options
 from svmdist.workflows.record import record
 

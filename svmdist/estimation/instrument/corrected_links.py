@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.kinematics.dh import DHChain, link_transforms, row_index, running_product
+from svmdist.kinematics import DHChain, link_transforms, row_index, running_product
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.hand_eye import TIME_OFFSET, length_of, offset_of
 from svmdist.transforms import Array, rotation_of, rotation_vector, skew

@@ -14,7 +14,7 @@ from svmdist.estimation.instrument.corrected_links import (
     NominalFrames,
     joints_under,
 )
-from svmdist.kinematics.dh import DHChain, shaft_of
+from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
 from svmdist.profile.hand_eye import HandEyeError

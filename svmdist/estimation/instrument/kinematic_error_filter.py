@@ -23,7 +23,7 @@ from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
 from svmdist.estimation.instrument.state import ErrorState, Linearised, block_diagonal
 from svmdist.estimation.instrument.window import Window
-from svmdist.kinematics.dh import DHChain, shaft_of
+from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError
 from svmdist.profile.settings import FilterSettings

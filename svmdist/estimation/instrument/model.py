@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.errors import KinematicsError
+from svmdist.geometry import Capsules, join
 from svmdist.geometry.distance import cross
-from svmdist.geometry.surfaces import Capsules, join
-from svmdist.kinematics.dh import (
+from svmdist.kinematics import (
     DHChain,
     WristRows,
     chain_of,

@@ -11,7 +11,7 @@ from svmdist.errors import ProfileError
 from svmdist.estimation.instrument.measurement import EXACT, Deviations, SharedBias, edge_by_radius
 from svmdist.estimation.instrument.model import NECK_PER_RADIUS
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, Rim, ShaftDetection
-from svmdist.kinematics.dh import DHChain, frame_transforms, joint_axis, rows_behind_insertion
+from svmdist.kinematics import DHChain, frame_transforms, joint_axis, rows_behind_insertion
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Instrument, KinematicError
 from svmdist.profile.settings import ShaftSettings

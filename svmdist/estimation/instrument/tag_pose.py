@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.geometry.surfaces import pixel_rays
+from svmdist.geometry import pixel_rays
 from svmdist.least_squares import Steps, minimise
 from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform, rotation_angle

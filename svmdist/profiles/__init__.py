@@ -1,1 +1,0 @@
-"""The profiles that ship with svmdist, as TOML files beside this one."""
