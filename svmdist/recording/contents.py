@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -58,7 +58,7 @@ class Contents:
     """What messages of some topics hold, topic by topic."""
 
     def __init__(self) -> None:
-        self.rows: dict[str, dict[Hashable, Rows]] = {}
+        self.rows: defaultdict[str, defaultdict[Hashable, Rows]] = defaultdict(lambda: defaultdict(Rows))
         """By topic, and by names of joints, frame of poses, or edge of transforms."""
         self.cameras: dict[str, Camera] = {}
 
@@ -68,25 +68,24 @@ class Contents:
             case CameraSample(camera=camera):
                 self.cameras.setdefault(topic, camera)
             case JointSample():
-                known = self.rows.setdefault(topic, {})
+                known = self.rows[topic]
                 if known and message.names not in known:
                     return OTHER_JOINTS
-                known.setdefault(message.names, Rows()).add(message.stamp_ns, message.positions)
+                known[message.names].add(message.stamp_ns, message.positions.tolist())
             case DistanceSample():
                 row = (message.planar_m, message.spatial_m, message.clearance_m)
-                self._of(topic, None).add(message.stamp_ns, row)
+                self.rows[topic][None].add(message.stamp_ns, row)
             case RawTransform():
-                self._of(topic, message.parent).add(message.stamp_ns, message.values)
+                self.rows[topic][message.parent].add(message.stamp_ns, message.values)
             case RawTransforms(transforms=transforms):
+                rows = self.rows[topic]
                 for one in transforms:
-                    edge = _frame(one.parent), _frame(one.child)
-                    self._of(topic, edge).add(one.stamp_ns, one.values)
+                    # As tf2 has the names: tf of old wrote /base.
+                    edge = one.parent.removeprefix("/"), one.child.removeprefix("/")
+                    rows[edge].add(one.stamp_ns, one.values)
             case _:
                 pass
         return None
-
-    def _of(self, topic: str, key: Hashable) -> Rows:
-        return self.rows.setdefault(topic, {}).setdefault(key, Rows())
 
     def tree(self, topics: Mapping[str, bool], late_ns: int = 0) -> TransformTree:
         """The transforms of some topics, each with whether its transforms are static."""
@@ -195,11 +194,6 @@ def _composed(tracks: list[TransformTrack], stamps_ns: Stamps, max_gap_ns: int) 
         T = T @ sampled.values
         valid &= sampled.valid
     return Sampled(T, valid)
-
-
-def _frame(name: str) -> str:
-    """A frame's name as tf2 has it: tf of old wrote /base."""
-    return name.removeprefix("/")
 
 
 @dataclass(eq=False)

@@ -10,9 +10,9 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from google.protobuf.message import DecodeError as ProtobufError
@@ -78,8 +78,7 @@ class EncodedImage:
     offset: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class RawTransform:
+class RawTransform(NamedTuple):
     """A transform, or the pose of something in `parent`, without its matrix, which few of the many in a log need.
 
     `values` are the translation in m and the quaternion in the order x, y, z, w.
@@ -91,8 +90,7 @@ class RawTransform:
     values: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class RawTransforms:
+class RawTransforms(NamedTuple):
     """The transforms of one message."""
 
     stamp_ns: int
@@ -170,8 +168,7 @@ class Decoder:
 
     def _converted(self, raw: RawMessage) -> Message:
         checked_stamp(raw.log_time_ns)
-        schema = _short(raw.schema)
-        kind = KINDS.get(raw.message_encoding, {}).get(schema)
+        schema, kind, parser, converter = _reader(raw.message_encoding, raw.schema)
         if kind is None:
             raise DecodeError(
                 f"schema {raw.schema!r} in {raw.message_encoding!r} is not one that svmdist reads"
@@ -182,17 +179,26 @@ class Decoder:
             limit += 4 * self._limits.image_pixels if is_raw else self._limits.image_bytes
         if len(raw.data) > limit:
             raise DecodeError(f"a message of {len(raw.data)} bytes, the limit is {limit}")
-        if raw.message_encoding != "protobuf":
+        if parser is None:
             from svmdist.recording.ros_messages import decode_ros
 
             return decode_ros(raw.message_encoding, schema, raw.data, raw.log_time_ns)
         try:
-            message = message_class(schema).FromString(raw.data)
+            message = parser(raw.data)
         except (ProtobufError, RecursionError, UnicodeDecodeError, ValueError) as problem:
             raise DecodeError(f"not a {schema}: {problem}") from None
-        has_stamp = schema != "foxglove.FrameTransforms"  # whose parts have each its own
+        has_stamp = kind is not Kind.TRANSFORMS  # whose parts have each its own
         stamp_ns = _stamp_of(message, raw.log_time_ns) if has_stamp else raw.log_time_ns
-        return FOXGLOVE[schema][1](message, stamp_ns, getattr(message, "frame_id", ""))
+        return converter(message, stamp_ns, getattr(message, "frame_id", ""))
+
+
+@lru_cache(maxsize=256)
+def _reader(message_encoding: str, schema: str) -> tuple[str, Kind | None, Any, Any]:
+    """A schema's short name and kind, and of protobuf what parses and converts its messages."""
+    short, kind = _short(schema), kind_of(schema, message_encoding)
+    if kind is None or message_encoding != "protobuf":
+        return short, kind, None, None
+    return short, kind, message_class(short).FromString, FOXGLOVE[short][1]
 
 
 @cache
@@ -230,7 +236,8 @@ def _stamp_of(message: Any, log_time_ns: int) -> int:
     """The message's own stamp in ns, or the log time where it has none."""
     if not message.HasField("timestamp"):
         return checked_stamp(log_time_ns)
-    return checked_stamp(message.timestamp.seconds * NS + message.timestamp.nanos)
+    timestamp = message.timestamp
+    return checked_stamp(timestamp.seconds * NS + timestamp.nanos)
 
 
 def _foxglove_video(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
@@ -315,15 +322,12 @@ def _check_numbers(values: Sequence[float], what: str) -> None:
 
 def checked_transform(stamp_ns: int, parent: str, child: str, position: Any, rotation: Any) -> RawTransform:
     """Take over a transform; DecodeError for values that are not finite or name no rotation."""
-    translation_m = (position.x, position.y, position.z)
-    quaternion = (
-        (0.0, 0.0, 0.0, 1.0) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
-    )
-    _check_numbers(translation_m, "a translation")
-    _check_numbers(quaternion, "a quaternion")
-    if math.hypot(*quaternion) <= MIN_QUATERNION:
+    q = (0.0, 0.0, 0.0, 1.0) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
+    values = (position.x, position.y, position.z, *q)
+    _check_numbers(values, "a transform")
+    if math.hypot(*q) <= MIN_QUATERNION:
         raise DecodeError("a rotation needs a finite quaternion that is not zero")
-    return RawTransform(stamp_ns, parent, child, translation_m + quaternion)
+    return RawTransform(stamp_ns, parent, child, values)
 
 
 def transforms_of(transforms: Sequence[RawTransform], log_time_ns: int) -> RawTransforms:

@@ -41,12 +41,13 @@ class Estimate:
 
 def _at(path: str) -> Callable[[Any], Cell]:
     """The getter of a path of attributes and indices: None where one of them leads nowhere."""
+    steps = [int(step) if step.isdecimal() else step for step in path.split(".")]
 
     def read(value: Any) -> Cell:
-        for step in path.split("."):
+        for step in steps:
             if value is None:
                 return None
-            value = value[int(step)] if step.isdecimal() else getattr(value, step)
+            value = value[step] if isinstance(step, int) else getattr(value, step)
         return float(value) if isinstance(value, float) else value
 
     return read

@@ -239,11 +239,13 @@ def finite(value: Cell) -> Cell:
 
 def _csv_cell(value: Cell) -> str:
     value = finite(value)
+    if value is None:
+        return ""
     if isinstance(value, str):
         text = printable(value)
         return f"'{text}" if text.startswith(FORMULA_STARTS) else text
     # A NumPy float writes its type into its repr.
-    return "" if value is None else repr(float(value)) if isinstance(value, float) else repr(value)
+    return repr(float(value)) if isinstance(value, float) else repr(value)
 
 
 def write_parquet(path: Path, columns: Sequence[Column], rows: Iterable[Row]) -> None:
