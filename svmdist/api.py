@@ -15,7 +15,7 @@ from svmdist.recording.log import open_recording as _open
 from svmdist.report.rows import ESTIMATE_KEYS, estimate_row
 from svmdist.report.tables import Row
 from svmdist.results import FrameResult
-from svmdist.samples import bgr_image
+from svmdist.samples import bgr_image  # noqa: F401  (part of the interface)
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.estimate import estimate as _estimate
@@ -27,17 +27,6 @@ from svmdist.workflows.validate import validate as _validate
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-__all__ = [
-    "Estimates",
-    "Profile",
-    "bgr_image",
-    "compare",
-    "estimate",
-    "open_recording",
-    "prepare",
-    "validate",
-]
 
 Method = str | OwnMethod
 """The name of a method, or an object with `estimate(frame)`."""

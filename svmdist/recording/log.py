@@ -36,7 +36,7 @@ from svmdist.recording.observations import (
 from svmdist.recording.source import Health, Loss, LossKind, TopicInfo, sanitize, sanitize_list
 from svmdist.recording.topics import FixedTransform, LoggedArm, Role, find_arms, open_source
 from svmdist.samples import ImageSample, Observation, Rejection
-from svmdist.tracks import DistanceTrack, JointTrack, PoseTrack, TransformTrack
+from svmdist.tracks import DistanceTrack, JointTrack, TransformTrack
 from svmdist.transforms import inverse
 
 
@@ -355,22 +355,22 @@ class Recording:
         topics = dict.fromkeys(choice.static_transforms(), True)
         return self.file.contents.tree(({moving: False} if moving else {}) | topics, self._lag_ns)
 
-    def pose_track(self) -> PoseTrack:
+    def pose_track(self) -> TransformTrack:
         """All poses, at the stamps of the images' clock; RecordingError unless they are in one frame."""
-        known = self.file.contents.rows.get(self._require(Role.POSE), {})
+        known = self.file.contents.rows[self._require(Role.POSE)]
         frames = sorted(map(str, known))
         if len(frames) > 1:
             raise self._unusable(f"poses, in several frames ({sanitize_list(frames)}),", Role.POSE)
         for rows in known.values():
             stamps_ns, values = rows.sorted(self._lag_ns)
-            return PoseTrack(frames[0], stamps_ns, matrices(values))
+            return TransformTrack(frames[0], "", stamps_ns, matrices(values))
         raise self._unusable("poses", Role.POSE)
 
     def distance_track(self) -> DistanceTrack:
         """All true distances."""
-        known = self.file.contents.rows.get(self._require(Role.GROUND_TRUTH_DISTANCE), {})
-        stamps_ns, rows = known.get(None, Rows()).sorted()
-        return DistanceTrack(stamps_ns, *rows.reshape(-1, 3).T)
+        rows_of = self.file.contents.rows[self._require(Role.GROUND_TRUTH_DISTANCE)]
+        stamps_ns, rows = rows_of.get(None, Rows()).sorted()
+        return DistanceTrack(stamps_ns, rows.reshape(-1, 3))
 
     @property
     def _lag_ns(self) -> int:

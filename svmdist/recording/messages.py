@@ -189,7 +189,8 @@ class Decoder:
             raise DecodeError(f"not a {schema}: {problem}") from None
         has_stamp = kind is not Kind.TRANSFORMS  # whose parts have each its own
         stamp_ns = _stamp_of(message, raw.log_time_ns) if has_stamp else raw.log_time_ns
-        return converter(message, stamp_ns, getattr(message, "frame_id", ""))
+        found: Message = converter(message, stamp_ns, getattr(message, "frame_id", ""))
+        return found
 
 
 @lru_cache(maxsize=256)

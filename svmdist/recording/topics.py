@@ -171,11 +171,11 @@ class LoggedArm:
 
     def topics_beside_images(self) -> set[str]:
         """The topics that play a role for it, but for images."""
-        topics = set(self.choice.static_transforms())
+        topics: set[str | None] = set(self.choice.static_transforms())
         for role in set(Role) - {Role.IMAGE, Role.RIGHT_IMAGE}:
             with suppress(RecordingError):  # a chosen topic that is missing is reported where it is needed
-                topics |= {self.choice.find(role)} - {None}
-        return topics
+                topics.add(self.choice.find(role))
+        return {topic for topic in topics if topic is not None}
 
 
 def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) -> tuple[LoggedArm, ...]:

@@ -26,7 +26,7 @@ from svmdist.estimation.plane_mapping import (
 from svmdist.geometry import pixel_rays
 from svmdist.kinematics import chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import Profile, stated_deviations
+from svmdist.profile import Profile
 from svmdist.profile.hand_eye import (
     BASELINE,
     FOCAL_LENGTH,
@@ -35,6 +35,7 @@ from svmdist.profile.hand_eye import (
     TAG_SIZE,
     ConstantEffect,
     HandEye,
+    stated_deviations,
 )
 from svmdist.recording.log import Recording
 from svmdist.recording.topics import FixedTransform

@@ -13,7 +13,7 @@ from svmdist.kinematics import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Window
-from svmdist.tracks import MAX_GAP_NS, PoseTrack
+from svmdist.tracks import MAX_GAP_NS, TransformTrack
 from svmdist.transforms import Array, inverse, rotation_angle
 from svmdist.workflows.parallel import Progress
 
@@ -89,7 +89,7 @@ def fk_blocks(
 
 
 def _errors(
-    stamps_ns: NDArray[np.int64], T_base_tool: Array, poses: PoseTrack, max_gap_ns: int
+    stamps_ns: NDArray[np.int64], T_base_tool: Array, poses: TransformTrack, max_gap_ns: int
 ) -> PoseErrors:
     measured = poses.at(stamps_ns, max_gap_ns)
     valid = measured.valid
@@ -98,6 +98,6 @@ def _errors(
         stamps_ns[valid],
         np.linalg.norm(difference[:, :3, 3], axis=-1),
         rotation_angle(difference[:, :3, :3], np.eye(3)),
-        poses.frame_id,
+        poses.parent,
         int(np.count_nonzero(~valid)),
     )

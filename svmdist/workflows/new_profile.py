@@ -286,7 +286,7 @@ def _instrument(
     base, frames = None, set(summary.frames)
     if pose:
         with suppress(RecordingError):  # poses in several frames, or in one without a name
-            base = open_recording(path, blank, topics={"pose": pose}).pose_track().frame_id or None
+            base = open_recording(path, blank, topics={"pose": pose}).pose_track().parent or None
     if base is None:
         own = f"{name}_base"
         base = "base" if count == 1 and own not in frames and "base" in frames else own

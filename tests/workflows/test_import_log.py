@@ -113,9 +113,9 @@ def test_stamps_of_names_poses_and_joints(tmp_path: Path) -> None:
         [0.2, 0.2],
     ]
     poses = recording.for_instrument("PSM2").pose_track()
-    assert poses.frame_id == "PSM2_base"
+    assert poses.parent == "PSM2_base"
     assert poses.stamps_ns.tolist() == stamps
-    np.testing.assert_allclose(poses.T_frame_pose[:, 0, 3], [0.0, 0.01, 0.02])
+    np.testing.assert_allclose(poses.T_parent_child[:, 0, 3], [0.0, 0.01, 0.02])
 
 
 def test_own_stamps_of_both_views(tmp_path: Path) -> None:
