@@ -31,7 +31,7 @@ def test_an_injected_lag_is_recovered(
 ) -> None:
     """`--lag auto` finds within 5 ms by how much the image stamps are late, and undoes the harm."""
     decoder, log = Decoder(Limits()), []
-    for raw in open_recording(golden / f"{name}.mcap", load_profile()).raw_messages():
+    for raw in open_recording(golden / f"{name}.mcap", load_profile()).file.source.messages():
         sample = to_sample(decoder.decode(raw))
         late_ns = round(lag_s * 1e9) if isinstance(sample, ImageSample) else 0
         log.append((raw.topic, replace(sample, stamp_ns=sample.stamp_ns + late_ns)))

@@ -63,7 +63,9 @@ def annotated(tmp_path_factory: pytest.TempPathFactory) -> Annotated:
 
 
 def messages_of(recording: Recording, topic: str, kind: Any) -> list[Any]:
-    return [kind.FromString(bytes(raw.data)) for raw in recording.raw_messages() if raw.topic == topic]
+    return [
+        kind.FromString(bytes(raw.data)) for raw in recording.file.source.messages() if raw.topic == topic
+    ]
 
 
 def stamp_ns(message: Any) -> int:
@@ -73,11 +75,11 @@ def stamp_ns(message: Any) -> int:
 def test_every_message_of_the_log_is_copied_and_the_images_bit_for_bit(annotated: Annotated) -> None:
     copy, _, setup = annotated
     original = open_recording(DUO, setup.profile)
-    counts = Counter(raw.topic for raw in copy.raw_messages())
-    assert set(counts) - {raw.topic for raw in original.raw_messages()} == ANNOTATION_TOPICS
+    counts = Counter(raw.topic for raw in copy.file.source.messages())
+    assert set(counts) - {raw.topic for raw in original.file.source.messages()} == ANNOTATION_TOPICS
     before, after = defaultdict(list), defaultdict(list)
     for log, messages in ((original, before), (copy, after)):
-        for raw in log.raw_messages():
+        for raw in log.file.source.messages():
             messages[raw.topic].append(bytes(raw.data))
     for topic, messages in before.items():
         assert len(after[topic]) == len(messages), topic
