@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.generated_pages import DOCS, table_row, with_table
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.recording.log import Recording, open_recording
-from svmdist.workflows.compare import Run, measure_runs
+from svmdist.workflows.compare import MethodScore, measure_runs
 from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, prepare
 from svmdist.workflows.scores import Pairs, pooled_score
 
@@ -28,17 +28,17 @@ FAR_STDS = 5.0
 """So many standard deviations off is not bad luck: one frame in two million, if the deviations are right."""
 
 
-def measure(recordings: Sequence[Recording], methods: Sequence[str] = METHODS) -> list[Run]:
+def measure(recordings: Sequence[Recording], methods: Sequence[str] = METHODS) -> list[MethodScore]:
     """All methods on all logs in all worlds."""
     setups = [prepare(method=method) for method in methods]
     worlds: list[LogCondition] = [PerturbedCondition(parse_perturbations(text)) for text in WORLDS]
-    runs: list[Run] = []
+    runs: list[MethodScore] = []
     for recording in recordings:
         runs += measure_runs(recording, setups, [CLEAN, *([] if "perturb" in recording.metadata else worlds)])
     return runs
 
 
-def robustness_table(runs: Sequence[Run]) -> str:
+def robustness_table(runs: Sequence[MethodScore]) -> str:
     """One row per world, one column per method."""
     methods = list(dict.fromkeys(run.method for run in runs))
     lines = [
@@ -59,11 +59,11 @@ def far_share(pairs: Pairs) -> float:
     return float(np.mean(off_m[known] > FAR_STDS * pairs.std_m[known])) if known.any() else 0.0
 
 
-def _world(run: Run) -> str:
+def _world(run: MethodScore) -> str:
     return run.group.degradation
 
 
-def _cell(runs: Sequence[Run]) -> str:
+def _cell(runs: Sequence[MethodScore]) -> str:
     """RMSE in mm, the share of truths inside the 95 % interval, and what is wrong with other frames, if anything."""
     inconsistent = sum(run.statuses.get("inconsistent", 0) for run in runs) / sum(
         run.figures.frame_count for run in runs

@@ -47,7 +47,7 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
         from svmdist.workflows.request import Request, Setup
 
         output.require_output(self.output, self.paths, is_new=not self.force)
-        setup = Setup(load_profile(self.profile, self.hand_eye), self.method, "corrected", None)
+        setup = Setup(load_profile(self.profile, self.hand_eye), self.method)
         request = Request(setup, self.topics, self.window)
         run = Run(self, collect_log, request, CalibrationPart, "measuring")
         calibration = fit_parts(run.finish(), self.method)

@@ -18,8 +18,8 @@ from svmdist.report.writers import Holds
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.vision.degradations import Blur
-    from svmdist.workflows import compare
     from svmdist.workflows.blur_bench import BlurTally
+    from svmdist.workflows.compare import MethodScore
     from svmdist.workflows.request import LogCondition, Request, Setup
 
 MethodChoice = StrEnum("MethodChoice", "overlay centroid fiducial shaft stereo kinematic fused")
@@ -61,7 +61,7 @@ class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, Gro
 
     def _run(self) -> ExitCode:
         from svmdist.report.scores import compare_results
-        from svmdist.workflows import compare
+        from svmdist.workflows.compare import MethodScore, compared
         from svmdist.workflows.request import Request, prepare
 
         writer = self.writer(self.paths, Holds.FIGURES)
@@ -78,13 +78,13 @@ class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, Gro
             for method in methods
         )
         request = Request(setups[0], self.topics, self.window, lag=lag, conditions=tuple(conditions))
-        run = Run(self, compare_log, request, list[compare.Run], "comparing", (setups, keys))
-        scores = compare.compared([one for runs in run.finish() for one in runs], methods)
+        run = Run(self, compare_log, request, list[MethodScore], "comparing", (setups, keys))
+        scores = compared([one for runs in run.finish() for one in runs], methods)
         output.write_results(compare_results(scores), writer, self.output)
         if self.save_plot:
-            from svmdist.report.plots import save_compare_plot
+            from svmdist.report.plots import draw_compare, save_figure
 
-            save_compare_plot(scores, self.save_plot)
+            save_figure(self.save_plot, draw_compare, scores)
         return run.exit_code()
 
     @property
@@ -106,7 +106,7 @@ class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, Gro
 
 def compare_log(
     recording: Recording, request: Request, threads: int, setups: tuple[Setup, ...], keys: tuple[str, ...]
-) -> list[compare.Run]:
+) -> list[MethodScore]:
     """Measure a log with several methods under several conditions, with progress."""
     from svmdist.workflows.compare import measure_runs
 

@@ -16,7 +16,7 @@ from svmdist.cli.logs import GroupOption, LogOptions, Run, log_losses
 from svmdist.cli.options import PLOT, MeasureOptions, OutputOptions, format_option, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import UsageError
-from svmdist.report.writers import Holds, Results, Writer, choose_writer, require_report
+from svmdist.report.writers import Holds, Results, Writer, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.files import LogPath
@@ -45,7 +45,7 @@ class PictureOptions(OutputOptions):
             output.require_output(self.report, inputs)
             if self.report.suffix.lower() not in (".html", ".htm"):
                 raise UsageError(f"--report {self.report}: a report is a page: give it the ending .html")
-            require_report()
+            choose_writer(None, self.report, Holds.REPORT)
 
     def draw(
         self,
@@ -61,11 +61,11 @@ class PictureOptions(OutputOptions):
 
         measured = run.kept()
         if self.save_plot and result and kind == "fig6":
-            plots.save_plot(result, self.save_plot)
+            plots.save_figure(self.save_plot, plots.draw, result)
         elif self.save_plot:
             series = series_of(measured, request, result.reference if result else None)
             below_m = request.alarms.below_m if request.alarms else None
-            plots.save_series_plot(series, plots.SeriesPlot(kind), self.save_plot, below_m)
+            plots.save_figure(self.save_plot, plots.draw_series, series, plots.SeriesPlot(kind), below_m)
         if self.report:
             from svmdist.report.html import make_report, write_report
 
@@ -198,8 +198,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
 
         with output.steps(f"drawing {recording.name}", "images", recording.image_count()) as steps:
             frames = drawn_frames(seen, request.setup, request.alarms, request.instruments, self.jobs)
-            assert writer.save is not None
-            writer.save(counted(steps.of(frames)), seen, request.setup, self.output, self.force)
+            writer.write(counted(steps.of(frames)), self.output, seen, request.setup, self.force)
         code = _log_tally([tally])
         return log_losses(recording.path, recording.health) or code
 
@@ -256,14 +255,19 @@ def measure_rows(
 
 def corrected(recording: Recording, request: Request, jobs: int | None) -> Recording:
     """Say where the equations cannot be right, and apply the requested lag, with progress."""
-    from svmdist.workflows.estimate import with_requested_lag
+    from svmdist.workflows.estimate import with_lag
 
     for warning in request.setup.degeneracies(recording.camera):
         LOG.info("warning: %s", warning)
     if request.lag != "auto":
-        return with_requested_lag(recording, request, jobs)
+        return with_lag(recording, request)[0]
     with output.steps(f"lag of {recording.name}", "images", recording.image_count()) as steps:
-        return with_requested_lag(recording, request, jobs, steps.advance)
+        seen, found = with_lag(recording, request, jobs, steps.advance)
+    said = f"the lag cannot be estimated and none is applied: {found.reason}"
+    if found.told:
+        said = f"lag {found.lag_s * 1e3:+.1f} ms (confidence {found.confidence:.2f})"
+    LOG.info("note: %s: %s", recording.name, said)
+    return seen
 
 
 def _log_tally(tallies: Sequence[Tally]) -> ExitCode:

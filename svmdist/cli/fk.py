@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator
 from contextlib import closing
 from itertools import chain, islice
@@ -17,7 +18,7 @@ from svmdist.report.writers import Holds, Results
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.report.tables import Row
-    from svmdist.workflows.fk import PoseErrors
+    from svmdist.transforms import Array
     from svmdist.workflows.request import Request
 
 
@@ -68,41 +69,38 @@ def pose_rows_of(
     recording: Recording, request: Request, _threads: int, in_camera: bool, named: bool
 ) -> Generator[Row, None, int]:
     """The rows of one recording, which name it where there are several; the errors against its poses are logged."""
+    import numpy as np
+
     from svmdist.report.rows import pose_rows
     from svmdist.workflows.fk import fk_blocks
 
     profile = request.setup.profile.for_instrument(recording.instruments[0])
-    errors: list[PoseErrors] = []
-    count = 0
+    errors, count = [], 0
     with output.progress_bar("reading", "joint states") as advance:
         made = fk_blocks(recording, profile, in_camera=in_camera, window=request.window, on_progress=advance)
         with closing(made):
             for block in made:
-                if block.errors is not None:
-                    errors.append(block.errors)
+                errors.append(block.errors)
                 for row in pose_rows(block.stamps_ns, block.poses):
                     yield row | {"recording": recording.name} if named else row
                     count += 1
-    if errors:
-        _log_errors(errors, f"{recording.name}: " if named else "")
+    if recording.topic_of("pose") is not None:
+        of = f"{recording.name}: " if named else ""
+        _log_errors(np.concatenate(errors), recording.pose_track().parent, of)
     return count
 
 
-def _log_errors(errors: list[PoseErrors], of: str) -> None:
-    """Log root mean square and maximum of the errors against the poses of a topic."""
+def _log_errors(errors: Array, frame_id: str | None, of: str) -> None:
+    """Log errors against the poses of a topic, shape (n, 2): position in m and angle in rad, NaN without a pose."""
     import numpy as np
 
-    frame_id = errors[0].frame_id
-    position_mm = 1e3 * np.concatenate([one.position_m for one in errors])
-    angle_deg = np.degrees(np.concatenate([one.angle_rad for one in errors]))
-    if len(position_mm) == 0:
+    known = errors[np.isfinite(errors[:, 0])] * [1e3, math.degrees(1.0)]
+    if len(known) == 0:
         LOG.info("%sno pose of the topic (frame %s) is near a joint state in time", of, frame_id)
         return
+    (rmse_mm, rmse_deg), (max_mm, max_deg) = np.sqrt(np.mean(known**2, axis=0)), known.max(axis=0)
     LOG.info(
         "%sagainst %d poses in frame %s: position RMSE %.4g mm, max %.4g mm; angle RMSE %.4g°, max %.4g°;"
         " %d joint states without a pose",
-        *(of, len(position_mm), frame_id),
-        *(np.sqrt(np.mean(position_mm**2)), position_mm.max()),
-        *(np.sqrt(np.mean(angle_deg**2)), angle_deg.max()),
-        sum(one.unpaired_count for one in errors),
+        *(of, len(known), frame_id, rmse_mm, max_mm, rmse_deg, max_deg, len(errors) - len(known)),
     )

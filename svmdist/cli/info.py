@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,7 @@ from svmdist.cli.options import (
 )
 from svmdist.cli.output import LOG, ExitCode, require_output, write_lines, write_results
 from svmdist.errors import RecordingError
-from svmdist.report.writers import Holds, Results
+from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
@@ -45,30 +44,24 @@ class Info(LogOptions, ReadOptions, OutputOptions):
     form: str | None = format_option(Holds.TABLES)
 
     def _run(self) -> ExitCode:
-        from svmdist.report.info import logs_results
+        from svmdist.report.info import info_results, logs_results
         from svmdist.workflows.request import Request, Setup
 
         writer = self.writer(self.paths, Holds.TABLES)
         request = Request(Setup.reading(self.profile, self.hand_eye), self.topics)
-        tags = (writer.name != "csv",)
-        run = Run(self, inspect_log, request, dict[str, Any], "inspecting", tags, keeps=True)
-        run.finish()
-        documents = [(log.name, document) for log, _, document in run.measured]
-        (shown,) = run.kept() if self.is_one else [logs_results(documents)]
-        write_results(shown, writer, self.output)
+        run = Run(self, inspect_log, request, dict[str, Any], "inspecting", (writer.name != "csv",))
+        documents = run.finish()
+        names = [log.name for log, _, _ in run.measured]
+        several = list(zip(names, documents, strict=True))
+        results = info_results(documents[0]) if self.is_one else logs_results(several)
+        write_results(results, writer, self.output)
         return run.exit_code()
 
 
-def inspect_log(
-    recording: Recording,
-    request: Request,
-    _threads: int,
-    looks_for_tag: bool,
-    keep: Callable[[Results], None] = lambda _: None,
-) -> dict[str, Any]:
-    """A whole log as a document, with the profile's tag looked for in some images; `keep` is given what is in it."""
+def inspect_log(recording: Recording, request: Request, _threads: int, looks_for_tag: bool) -> dict[str, Any]:
+    """A whole log as a document, with the profile's tag looked for in some images."""
     from svmdist.recording.summary import inspect_recording
-    from svmdist.report.info import info_document, info_results
+    from svmdist.report.info import info_document
     from svmdist.workflows.capabilities import look_for_tag
 
     profile, tags = request.setup.profile, None
@@ -77,7 +70,6 @@ def inspect_log(
         with suppress(RecordingError):  # a calibration that is not usable: the summary says so
             tags = look_for_tag(recording, profile)
     recording.health.join(summary.health)
-    keep(info_results(summary, profile, tags))
     return info_document(summary, profile, tags)
 
 
@@ -101,12 +93,12 @@ class New(TopicOption):
 
     def _run(self) -> None:
         from svmdist.profile import Profile
-        from svmdist.report.profile_template import profile_lines
+        from svmdist.report.profile_template import profile_text
         from svmdist.workflows.new_profile import draft_profile
 
         require_output(self.output, [self.file], is_new=not self.force)
         draft = draft_profile(self.file, self.name or self.file.resolve().stem, self.topics)
-        text = "".join(f"{line}\n" for line in profile_lines(draft))
+        text = profile_text(draft)
         Profile.model_validate(tomllib.loads(text))
         write_lines([text], self.output)
         instruments = ", ".join(one.name for one in draft.instruments)

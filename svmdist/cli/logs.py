@@ -199,10 +199,9 @@ class Run(Generic[Result]):
 
     def ranking(self, keys: Sequence[str] = ()) -> Results:
         """The figures of each log, sorted by severity, worst first, of groups and of all logs."""
-        from svmdist.report.scores import log_results, pooled_log_figures, ranked
+        from svmdist.report.scores import log_results
 
-        each = self.figures(keys)
-        return log_results(ranked(each), pooled_log_figures(each))
+        return log_results(self.figures(keys))
 
     def kept(self) -> list[Any]:
         """What the job kept of one log; of many, those with which most went wrong are measured again for it."""

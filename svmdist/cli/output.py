@@ -204,13 +204,12 @@ def terminal_width(output: Path | None) -> int | None:
 
 def write_results(results: Results, writer: Writer, output: Path | None) -> None:
     """Write what a command gives in a format that holds rows or tables, to stdout or atomically to a file."""
-    if writer.lines is None:
-        assert writer.save is not None
-        writer.save(results, output)
+    if not writer.is_text:
+        writer.write(results, output)
         return
     width = terminal_width(output)
     colour = width is not None and "NO_COLOR" not in os.environ
-    write_lines(writer.lines(results, width, colour), output, is_json=writer.is_json)
+    write_lines(writer.write(results, width, colour), output, is_json=writer.is_json)
 
 
 def require_output(output: Path | None, inputs: Iterable[LogPath] = (), *, is_new: bool = False) -> None:

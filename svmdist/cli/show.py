@@ -153,15 +153,16 @@ def _is_one_picture(path: Path, count: int) -> bool:
 
 def _worst(recording: Recording, request: Request, count: int, jobs: int | None) -> set[int]:
     """The numbers of the worst frames of any instrument; says of each how bad it is."""
-    from svmdist.workflows.estimate import estimate
-    from svmdist.workflows.series import make_series, worst_frames
+    from svmdist.workflows.estimate import Measured, estimate
+    from svmdist.workflows.series import series_of, worst_frames
 
     instruments = request.instruments or recording.instruments
     with output.steps(
         f"measuring {recording.name}", "rows", recording.image_count(), len(instruments)
     ) as steps:
         rows = list(steps.of(estimate(recording, request.setup, request.instruments, jobs)))
-    worst = worst_frames(make_series(rows, recording, request.setup), count)
+    found = Measured(recording, recording, tuple(rows), None)
+    worst = worst_frames(series_of([found], request), count)
     for one in worst:
         LOG.info("%s", one.in_words)
     return {one.number for one in worst}

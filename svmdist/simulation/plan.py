@@ -45,7 +45,7 @@ def draw_nominal_kinematics(
     theirs is a part of the error of `T_camera_base`.
     """
     further = [arm] if arm else []
-    kinds = [row.joint for row in chain.rows if row.joint != "fixed"]
+    kinds = [row.type for row in chain.rows if row.type != "fixed"]
 
     def drawn(stream: int, std_rad: float, std_m: float, first: int = 0) -> Array:
         std = np.array([std_m if kind == "prismatic" else std_rad for kind in kinds])
