@@ -9,14 +9,15 @@ import ast
 import inspect
 import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 from svmdist.perturbations.table import TABLE
 from svmdist.profile.settings import Settings
 from svmdist.profile.toml import StrictModel
-from svmdist.report.columns_page import columns_page
+from svmdist.report.rows import ESTIMATE_COLUMNS
+from svmdist.workflows.metric_table import Output, Tolerance, figure_metrics, score_metrics
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 SETTINGS_HEAD = """# Settings
@@ -33,6 +34,53 @@ REASON = re.compile(r"(?<!\d): .*$")
 PERTURBATIONS_HEAD = """| name | unit | meaning | `--world real` |
 |---|---|---|---|
 """
+
+
+COLUMNS_HEAD = """# Columns and metrics
+
+The columns of rows and scores in CSV, JSON and Parquet, in SI units. An undefined value is an empty cell or `null`.
+Columns may be added at the end; none is renamed or removed.
+
+## Rows of `svmdist estimate`
+
+| columns | given by | meaning |
+|---|---|---|
+"""
+METRICS_HEAD = """
+## Metrics of `svmdist validate` and `svmdist compare`
+
+Without a prefix a metric is about the planar distance; `spatial_` and `clearance_` are about the other two. A
+baseline stores the metrics that have a tolerance: an amount, or a share of the stored value where that is more. 95 %
+intervals are moving-block bootstrap (Künsch 1989).
+
+| columns | tolerance | meaning |
+|---|---|---|
+"""
+
+
+def metrics_page(_: str) -> str:
+    """All columns; those with the same meaning stand in one line."""
+    metrics = {metric.key: metric for metric in (*score_metrics(), *figure_metrics())}.values()
+    rows = [(one.key, one.given_by, one.meaning) for one in ESTIMATE_COLUMNS if one.stored]
+    shown = [metric for metric in metrics if metric.outputs & (Output.SCORES | Output.FIGURES)]
+    figures = [(one.key, tolerance(one.tolerance, one.unit.name), one.meaning) for one in shown]
+    return COLUMNS_HEAD + by_meaning(rows) + METRICS_HEAD + by_meaning(figures)
+
+
+def by_meaning(rows: Sequence[tuple[str, str, str]]) -> str:
+    """Rows of a key and two cells; those with the same cells in one line."""
+    keys: dict[tuple[str, str], list[str]] = {}
+    for key, *cells in rows:
+        keys.setdefault((cells[0], cells[1]), []).append(f"`{key}`")
+    return "".join(table_row((", ".join(names), *cells)) for cells, names in keys.items())
+
+
+def tolerance(of: Tolerance | None, unit: str) -> str:
+    """How much worse a metric of a unit may get, in words."""
+    if of is None:
+        return ""
+    absolute = f"{of.absolute:g}{'' if unit == '1' else f' {unit}'}"
+    return f"{absolute} or {100 * of.relative:g} %" if of.relative else absolute
 
 
 def settings_page(_: str) -> str:
@@ -100,7 +148,7 @@ def table_in(page: str, name: str) -> str:
 
 
 PAGES: dict[str, Callable[[str], str]] = {
-    "metrics.md": lambda _: columns_page(),
+    "metrics.md": metrics_page,
     "settings.md": settings_page,
     "simulation.md": simulation_page,
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from svmdist.samples import JointSample, Rejection, Status, Vector
 from svmdist.transforms import Array
 
 Pixel = tuple[float, float]
+Z_95 = NormalDist().inv_cdf(0.975)
+"""Standard deviations that a normal 95 % interval reaches to either side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +90,12 @@ class Distance:
     direction: Vector | None = None
     start_m: Vector | None = None
     without_overlap_std_m: float | None = None
+
+    @property
+    def interval_m(self) -> tuple[float, float] | None:
+        """The bounds of the 95 % interval; None without a standard deviation."""
+        half_m = Z_95 * self.std_m if self.std_m is not None else None
+        return None if half_m is None else (self.value_m - half_m, self.value_m + half_m)
 
 
 @dataclass(frozen=True, slots=True)

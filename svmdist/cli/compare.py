@@ -121,9 +121,9 @@ def compare_command(given: CompareOptions) -> None:
     scores = compared([one for runs in run.results for one in runs], [one.method for one in setups])
     write_results(compare_results(scores), writer, given.output)
     if given.save_plot:
-        from svmdist.report.plots import save_compare_plot
+        from svmdist.report.plots import draw_compare, save_figure
 
-        save_compare_plot(scores, given.save_plot)
+        save_figure(given.save_plot, draw_compare, scores)
     raise typer.Exit(run.exit_code())
 
 

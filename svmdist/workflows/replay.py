@@ -29,7 +29,7 @@ from svmdist.results import Failure, FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection
 from svmdist.transforms import Array
 from svmdist.vision.frame_context import as_pinholes, seen_through, to_grey, with_first_fields
-from svmdist.vision.segmentation import AutoSegmenter, Segmenter
+from svmdist.vision.segmentation import LearningSegmenter, Segmenter
 from svmdist.vision.stereo import RowOffset, agreed_offset, rectified_pair, row_differences
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
 from svmdist.workflows.request import CLEAN, ReplayCondition, Setup
@@ -87,7 +87,7 @@ def adapted_segmenters(
     segmenter: Segmenter, recording: Recording, conditions: Sequence[ReplayCondition]
 ) -> list[Segmenter]:
     """The segmenter for each condition: one that learns has seen images of all of the log under that condition."""
-    if not isinstance(segmenter, AutoSegmenter):
+    if not isinstance(segmenter, LearningSegmenter):
         return [segmenter for _ in conditions]
     seen = spread_observations(recording, segmenter.adapting_frames)
     return [

@@ -28,7 +28,6 @@ from svmdist.estimation.plane_mapping import (
     load_calibration,
 )
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.tissue import require_tissue
 from svmdist.files import LogPath
 from svmdist.perturbations.calibration import stated_profile
 from svmdist.perturbations.chosen import Perturbations, require_at_replay
@@ -314,6 +313,8 @@ def prepare(
     # A network or a mesh that cannot be used is told before a recording is opened.
     _ = setup.segmenter
     if not is_planar:
+        from svmdist.estimation.tissue import require_tissue
+
         require_tissue(loaded)
     return setup
 

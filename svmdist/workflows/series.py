@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 
 from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.lag import LagEstimate
-from svmdist.metrics import deviations_at
 from svmdist.recording.log import Recording
-from svmdist.results import FrameResult
+from svmdist.results import Z_95, FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
-from svmdist.workflows.frame_drawing import LEVEL
 from svmdist.workflows.references import Reference, TruthRules, distance_truth
 from svmdist.workflows.request import Request, Setup
 from svmdist.workflows.scores import CLEARANCE, PLANAR, SPATIAL, Distance, truth_lag_ns
@@ -64,7 +62,7 @@ class Series:
     @property
     def half_m(self) -> Array:
         """Half of the stated 95 % interval."""
-        return np.asarray(deviations_at(LEVEL) * self.std_m)
+        return np.asarray(Z_95 * self.std_m)
 
     @property
     def badness_m(self) -> Array:
