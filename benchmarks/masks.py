@@ -25,9 +25,8 @@ from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.network import OnnxSegmenter
 from svmdist.vision.segmentation import AutoSegmenter, Segmenter
-from training.dataset import VALIDATION_SEED, iou
 from training.instruments import DISTAL
-from training.scene import render
+from training.scene import VALIDATION_SEED, iou, render
 
 Mask = NDArray[np.bool_]
 Masked = Iterator[tuple[Image, Mask]]

@@ -83,10 +83,12 @@ class _Samples:
         """The distance of the nearest sample, where none is inside."""
         best_m, alive = np.inf, np.ones(len(self._points_m), np.bool_)
         for level in self._levels:
-            groups = np.unique(level.group[alive])
+            groups = np.nonzero(np.bincount(level.group[alive]))[0]
             least_m, most_m = organ.bounds_m(self._placed(T_tissue_part, level.middle[groups]))
             best_m = min(best_m, float(most_m.min()))
-            alive &= np.isin(level.group, groups[least_m - level.radius_m[groups] <= best_m + SLACK_M])
+            near = np.zeros(len(level.middle), np.bool_)
+            near[groups] = least_m - level.radius_m[groups] <= best_m + SLACK_M
+            alive &= near[level.group]
         points_m = self._placed(T_tissue_part, np.nonzero(alive)[0])
         least_m, most_m = organ.bounds_m(points_m)
         return float(organ.distances_m(points_m[least_m <= most_m.min() + SLACK_M]).min())

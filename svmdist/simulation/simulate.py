@@ -24,13 +24,14 @@ from svmdist.samples import (
     TransformsSample,
 )
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
-from svmdist.simulation.effects import field_delays_ns
 from svmdist.simulation.plan import Block, Plan, SceneState
 from svmdist.simulation.render import Renderer
 from svmdist.simulation.scene import Options, raised
 from svmdist.transforms import Array, inverse
 from svmdist.vision.degradations import Degradation, degrade, image_seed
 
+FIELD_NS = 1e9 / 60.0
+"""Between both fields of an interlaced frame (59.94 fields a second, ITU-R BT.601)."""
 _NOISE_STREAMS = (11, 14)
 _DEGRADATION_STREAM = 15
 
@@ -146,7 +147,8 @@ class Simulator:
 
     def _images(self, stamp_ns: int, index: int, frame: int, noise: Noise) -> Iterator[tuple[str, Sample]]:
         scene, topics = self._plan.scene, self._plan.topics
-        delays_ns = field_delays_ns(scene.perturbations)
+        interlace = scene.perturbations["interlace"]
+        delays_ns = (0.0, interlace * FIELD_NS) if interlace else (0.0,)  # even rows first, then odd ones
         fields = [
             self._pictures(self._plan.state(index, after_ns), frame * len(delays_ns) + number)
             for number, after_ns in enumerate(delays_ns)
