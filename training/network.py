@@ -126,7 +126,7 @@ STAGES = (
 
 
 def train(pictures: Pictures, stages: tuple[Stage, ...], seed: int) -> InstrumentNet:
-    """Train on one thread, so that a run can be repeated; each stage goes on from the mean of the last one's weights."""
+    """Train on one thread, so that a run can be repeated; a stage goes on from the mean of the last one's weights."""
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     torch.use_deterministic_algorithms(True, warn_only=True)
