@@ -9,7 +9,7 @@ import ast
 import inspect
 import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -25,26 +25,20 @@ What a user may have reason to change; the defaults serve most logs. `stereo.nea
 table `[settings.stereo]`. A value outside its bounds is an error. Settings that became constants are
 named in one line of warning, and ignored.
 
-| setting | default | meaning |
-|---|---|---|
 """
 REASON = re.compile(r"(?<!\d): .*$")
 """What follows a colon says why, which is for who reads the code."""
-PERTURBATIONS_HEAD = """| name | unit | meaning | `--world real` |
-|---|---|---|---|
-"""
 
 
 def settings_page(_: str) -> str:
     """One row per setting."""
-    groups = Settings()
-    return SETTINGS_HEAD + "".join(
-        table_row(
-            (f"`{name}.{key}`", str(getattr(group, key)), REASON.sub(".", meanings(type(group))[key], 1))
-        )
-        for name, group in ((name, getattr(groups, name)) for name in Settings.model_fields)
-        for key in type(group).model_fields
+    groups = ((name, getattr(Settings(), name)) for name in Settings.model_fields)
+    rows = (
+        (f"`{name}.{key}`", str(getattr(group, key)), REASON.sub(".", text, 1))
+        for name, group in groups
+        for key, text in meanings(type(group)).items()
     )
+    return SETTINGS_HEAD + table(("setting", "default", "meaning"), rows)
 
 
 def meanings(group: type[StrictModel]) -> dict[str, str]:
@@ -71,10 +65,15 @@ def simulation_page(page: str) -> str:
         )
         for entry in TABLE.values()
     )
-    return with_table(page, "perturbations", PERTURBATIONS_HEAD + "".join(map(table_row, rows)))
+    return with_table(page, "perturbations", table(("name", "unit", "meaning", "`--world real`"), rows))
 
 
-def table_row(cells: tuple[str, ...]) -> str:
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return table_row(headings) + "|---" * len(headings) + "|\n" + "".join(map(table_row, rows))
+
+
+def table_row(cells: Sequence[str]) -> str:
     """A row of a table in Markdown."""
     return f"| {' | '.join(cells)} |\n"
 
@@ -87,6 +86,11 @@ def with_table(page: str, name: str, table: str) -> str:
     if not (found and closed):
         raise ValueError(f"the page has no place for the table {name}")
     return f"{before}{begin}{table}{end}{after}"
+
+
+def write_table(path: Path, name: str, table: str) -> None:
+    """Replace a table of a page."""
+    path.write_text(with_table(path.read_text("utf-8"), name, table), "utf-8")
 
 
 def table_in(page: str, name: str) -> str:

@@ -193,9 +193,9 @@ class Shader:
         )
         slopes = cv2.remap(self._slopes, column_px, row_px, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         smooth_m = cv2.GaussianBlur(points_m, (0, 0), NORMAL_SIGMA_PX)  # over the facets of meshes
-        across = np.cross(np.gradient(smooth_m, axis=0), np.gradient(smooth_m, axis=1))
-        normals = across / _lengths(across)[..., None]
-        normals = np.asarray(normals + slopes @ T_tissue_camera[:2, :3], np.float32)
+        across: Points = np.cross(np.gradient(smooth_m, axis=0), np.gradient(smooth_m, axis=1))
+        across /= _lengths(across)[..., None]
+        normals = np.asarray(across + slopes @ T_tissue_camera[:2, :3], np.float32)
         to_lamp = lamp.position_m.astype(np.float32) - points_m
         d_m = _lengths(to_lamp)
         half = to_lamp / d_m[..., None] - points_m / _lengths(points_m)[..., None]

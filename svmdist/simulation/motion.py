@@ -144,9 +144,9 @@ def _waves(rng: np.random.Generator, s: Array, stage: Stage, *, crosses_field: b
         amplitudes_m, cycles = (*FIELD_M, 0.002), (5, 4, 7.3)
     else:
         amplitudes_m, cycles = (0.034, 0.024, 0.0015), (*((3, 2), (2, 3), (3, 4))[rng.integers(3)], 4.4)
-    p_m = amplitudes_m * np.sin(2 * np.pi * np.array(cycles) * s[:, None] + phases)
+    p_m = np.array(amplitudes_m) * np.sin(2 * np.pi * np.array(cycles) * s[:, None] + phases)
     p_m[:, 2] += stage.working_height_m
-    return Motion(np.asarray(p_m), gentle_wrist(rng, s))
+    return Motion(p_m, gentle_wrist(rng, s))
 
 
 def _descent(
