@@ -1,17 +1,20 @@
 """docs/real-data.md: what each method measures on public images of real instruments, fetched beforehand to a folder.
 
 `uv run python -m benchmarks.real_images FOLDER [--out DIR] [--write]` runs on whatever of the sets is in FOLDER: thrust
-(fdheenmo/thrust), SuPer Deep (ambareeshsrja16/Surgical_Tool_Tracking) and ReCoDE
-(ImperialCollegeLondon/ReCoDE-HandEyeCalibration). Logs and profiles in DIR are made by the program's own commands.
+(fdheenmo/thrust), SuPer Deep (ambareeshsrja16/Surgical_Tool_Tracking), ReCoDE
+(ImperialCollegeLondon/ReCoDE-HandEyeCalibration) and the tags of AprilRobotics/apriltag. Logs and profiles in DIR are
+made by the program's own commands.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +29,9 @@ from svmdist.estimation.hand_eye import rigid_fit
 from svmdist.kinematics import chain_of, forward_kinematics
 from svmdist.profile import Profile, load_profile
 from svmdist.results import FrameResult
-from svmdist.transforms import (
-    Array,
-    quaternion_xyzw_from_rotation,
-    rotation_of,
-    rotation_vector,
-    transform_points,
-)
+from svmdist.transforms import Array, rotation_of, rotation_vector
+from svmdist.transforms import quaternion_xyzw_from_rotation as quaternion_of
+from svmdist.vision.tags import find_every_tag
 
 CHI_95, CHI_5_STD = 7.81, 31.8
 """Squares of normalised errors of 3 degrees of freedom: 95 %, and what five deviations of one are as unlikely as."""
@@ -55,6 +54,7 @@ LABELS = "CollectedData_Ambar.csv"
 WRISTS = {"left": "left_logobody_head_tip", "right": "right_logobody_head_tip"}
 """The label at the distal end of the wrist's body, where the jaws' joint begins, of each instrument."""
 RECODE = Path("ReCoDE-HandEyeCalibration", "input")
+TAGS = Path("apriltag", "test", "data")
 
 
 def run(*arguments: object) -> None:
@@ -99,7 +99,7 @@ def after_rigid_fit(places_m: Array, reference_m: Array) -> Array:
     off_m = np.zeros(len(places_m))
     for _ in range(10):
         T = rigid_fit(places_m, reference_m, weights)
-        off_m = np.linalg.norm(transform_points(T, reference_m) - places_m, axis=1)
+        off_m = np.linalg.norm((reference_m @ T[:3, :3].T + T[:3, 3]) - places_m, axis=1)
         weights = 1.0 / np.maximum(off_m, max(float(np.median(off_m)), 1e-6))
     return off_m
 
@@ -205,7 +205,7 @@ def noise(places_m: Array, face_std_m: float) -> Array:
 
 def poses_table(poses: Array, path: Path) -> Path:
     """A row for each image, as `svmdist import --poses` reads it."""
-    rows = np.column_stack([poses[:, :3, 3], quaternion_xyzw_from_rotation(poses[:, :3, :3])]).tolist()
+    rows = np.column_stack([poses[:, :3, 3], quaternion_of(poses[:, :3, :3])]).tolist()
     lines = (f"{n}_L.jpg," + ",".join(f"{value:.12g}" for value in row) for n, row in enumerate(rows, 1))
     path.write_text("\n".join(["image,x_m,y_m,z_m,qx,qy,qz,qw", *lines]) + "\n", "utf-8")
     return path
@@ -301,7 +301,35 @@ def recode(folder: Path, out: Path) -> Iterator[str]:
     yield table(("method", "rows", "standard deviation of the tool [mm], median"), [cells])
 
 
-SETS = {THRUST: thrust, SUPER_DEEP: super_deep, RECODE: recode}
+def tags(folder: Path, _: Path) -> Iterator[str]:
+    """Photographs of tags, with corners that count from a pixel's corner, ours from its middle.
+
+    They are those of AprilTag without its refinement of edges, so that they have errors of their own.
+    """
+    known, errors_px = 0, [np.empty(0)]
+    for path in sorted((folder / TAGS).glob("*.txt")):  # a line per tag: `id, (x y), (x y), (x y), (x y)`
+        image = np.asarray(cv2.imread(str(path.with_suffix(".jpg")), cv2.IMREAD_GRAYSCALE), np.uint8)
+        found = find_every_tag(image, "36h11")
+        for line in path.read_text().splitlines():
+            numbers = re.findall(r"-?\d+\.\d+", line)
+            if len(numbers) != 8:
+                continue
+            known += 1
+            true_px = np.array(numbers, float).reshape(4, 2) - 0.5
+            side_px = np.linalg.norm(true_px - np.roll(true_px, 1, 0), axis=1).mean()
+            alike = [tag.corners_px for tag in found if tag.number == int(line.split(",")[0])]
+            near = [c for c in alike if np.linalg.norm(np.mean(c - true_px, 0)) <= 0.3 * side_px]
+            # Whichever corner is the first.
+            orders = [np.roll(c, k, 0) for one in near for c, k in product((one, one[::-1]), range(4))]
+            off_px = [np.linalg.norm(order - true_px, axis=1) for order in orders]
+            errors_px += [min(off_px, key=np.sum)] if off_px else []
+    corners_px = np.concatenate(errors_px)
+    yield "### AprilTag: photographs of tags\n\n"
+    cells = (f"{len(corners_px) // 4} of {known}", share(corners_px < 0.5), number(corners_px))
+    yield table(("tags found", "corners within 0.5 px", "px, median"), [cells])
+
+
+SETS = {THRUST: thrust, SUPER_DEEP: super_deep, RECODE: recode, TAGS: tags}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
