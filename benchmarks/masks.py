@@ -23,8 +23,9 @@ from svmdist.profile import OnnxSegmentation
 from svmdist.profile.segmentation import INSTRUMENTS
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
+from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.network import OnnxSegmenter
-from svmdist.vision.segmentation import AutoSegmenter, Segmenter
+from svmdist.vision.segmentation import Segmenter
 from training.instruments import DISTAL
 from training.scene import VALIDATION_SEED, iou, render
 

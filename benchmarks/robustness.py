@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.generated_pages import DOCS, table, write_table
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.recording.log import Recording, open_recording
-from svmdist.workflows.compare import Run, measure_runs
+from svmdist.workflows.compare import MethodScore, measure_runs
 from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, prepare
 from svmdist.workflows.scores import Pairs, pooled_score
 
@@ -28,19 +28,19 @@ FAR_STDS = 5.0
 """So many standard deviations off is not bad luck: one frame in two million, if the deviations are right."""
 
 
-def measure(recordings: Sequence[Recording], methods: Sequence[str] = METHODS) -> list[Run]:
+def measure(recordings: Sequence[Recording], methods: Sequence[str] = METHODS) -> list[MethodScore]:
     """All methods on all logs in all worlds."""
     setups = [prepare(method=method) for method in methods]
     worlds: list[LogCondition] = [PerturbedCondition(parse_perturbations(text)) for text in WORLDS]
-    runs: list[Run] = []
+    runs: list[MethodScore] = []
     for recording in recordings:
         runs += measure_runs(recording, setups, [CLEAN, *([] if "perturb" in recording.metadata else worlds)])
     return runs
 
 
-def robustness_table(runs: Sequence[Run]) -> str:
+def robustness_table(runs: Sequence[MethodScore]) -> str:
     """One row per world, one column per method."""
-    members: dict[str, dict[str, list[Run]]] = {}
+    members: dict[str, dict[str, list[MethodScore]]] = {}
     for run in runs:
         members.setdefault(run.group.degradation, {}).setdefault(run.method, []).append(run)
     methods = list(dict.fromkeys(run.method for run in runs))
@@ -58,16 +58,17 @@ def far_share(pairs: Pairs) -> float:
     return float(np.mean(off_m[known] > FAR_STDS * pairs.std_m[known])) if known.any() else 0.0
 
 
-def _cell(runs: Sequence[Run]) -> str:
-    """RMSE in mm, the share of truths inside the 95 % interval, and what is wrong with other frames, if anything."""
-    count = sum(run.figures.frame_count for run in runs)
-    inconsistent = sum(run.statuses.get("inconsistent", 0) for run in runs) / count
+def _cell(runs: Sequence[MethodScore]) -> str:
+    """RMSE in mm, the share of truths inside the 95 % interval, and the frames that are far off or not measured."""
+    missing = 1.0 - sum(run.figures.measured_count for run in runs) / sum(
+        run.figures.frame_count for run in runs
+    )
     text = "–"
     if score := pooled_score([run.figures.spatial for run in runs]):
         text = f"{1e3 * score.statistics.rmse:.2f} ({100 * (score.interval_coverage or 0.0):.0f})"
         if (far := 100 * far_share(score.pairs)) >= 0.5:
             text += f", {far:.0f}% far off"
-    return text + (f", {100 * inconsistent:.0f}% inconsistent" if inconsistent >= 0.005 else "")
+    return text + (f", {100 * missing:.0f}% not measured" if missing >= 0.005 else "")
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -21,7 +21,7 @@ def samples_of(path: Path, seconds: float, *, decoded: bool = False) -> Log:
     log: Log = []
     decoder = Decoder(Limits())
     begin_ns = None
-    for raw in open_recording(path, load_profile()).raw_messages():
+    for raw in open_recording(path, load_profile()).file.source.messages():
         begin_ns = raw.log_time_ns if begin_ns is None else begin_ns
         if raw.log_time_ns > begin_ns + seconds * 1e9:
             break

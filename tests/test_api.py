@@ -16,7 +16,7 @@ from svmdist.api import Estimates
 from svmdist.estimation.frame import Frame
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Status
-from svmdist.workflows.request import OwnEstimator, name_of, prepare
+from svmdist.workflows.request import OwnEstimator, prepare
 from tests.cli.conftest import Cli, cli
 
 __all__ = ["cli"]
@@ -84,7 +84,7 @@ class Constant:
 def test_an_own_method_is_measured_and_each_instrument_has_its_own(golden: Path) -> None:
     recording = svmdist.open_recording(golden / "3d" / "duo.mcap")
     results = svmdist.estimate(recording, Constant())
-    assert name_of(Constant()) == "Constant"
+    assert OwnEstimator(Constant()).name == "Constant"
     for name in ("PSM1", "PSM2"):
         own = [result.distances.planar for result in results if result.instrument == name]
         values = [distance.value_m for distance in own if distance is not None]

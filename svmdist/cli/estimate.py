@@ -85,7 +85,6 @@ def estimate_command(given: EstimateOptions) -> None:
       Seconds 2 to 5, every fourth image, as a video:
         svmdist estimate log.mcap --start 2 --end 5 --every 4 -o seen.mp4
     """
-    from svmdist.report.scores import log_results, pooled_log_figures, ranked
     from svmdist.workflows.batch import Job
 
     logs = Logs(given)
@@ -123,17 +122,19 @@ def estimate_command(given: EstimateOptions) -> None:
     measured: list[Measured] = []
     keeps = report is not None or given.save_plot is not None
     _write_rows(run, run.rows(measured.append if keeps else None), request, writer, output)
-    each = run.figures(keys)
-    figures = log_results(ranked(each), pooled_log_figures(each))
-    if given.summary is not None:
+    figures = None
+    if given.summary is not None or not logs.is_one:
+        from svmdist.report.scores import log_results
+
+        figures = log_results(run.figures(keys))
+    if figures is not None and given.summary is not None:
         write_results(figures, summary_writer, given.summary)
     tally = sum((Counter(result.tally) for result in run.results), Counter[tuple[str, str]]())
     _log_tally(tally)
     if keeps:
         run.measure_again(measured.append)
-        _write_pictures(
-            measured, request, logs.jobs, None if logs.is_one else figures, report, given.save_plot
-        )
+        pooled = None if logs.is_one else figures
+        _write_pictures(measured, request, logs.jobs, pooled, report, given.save_plot)
     raise typer.Exit(_code(run.exit_code(), tally))
 
 
@@ -190,16 +191,22 @@ def measure_rows(
 
 def corrected(recording: Recording, request: Request, jobs: int | None) -> Recording:
     """Say where the equations cannot be right, and apply the requested lag, with progress."""
-    from svmdist.workflows.estimate import with_requested_lag
+    from svmdist.workflows.estimate import with_lag
     from svmdist.workflows.parallel import Steps
 
     for warning in request.setup.degeneracies(recording.camera):
         LOG.info("warning: %s", warning)
     if request.lag != "auto":
-        return with_requested_lag(recording, request, jobs)
+        return with_lag(recording, request)[0]
     with progress_bar(f"lag of {recording.name}", "images") as advance:
         steps = Steps(advance, recording.image_count())
-        return with_requested_lag(recording, request, jobs, steps.advance)
+        seen, found = with_lag(recording, request, jobs, steps.advance)
+    if found.told:
+        said = f"lag {found.lag_s * 1e3:+.1f} ms (confidence {found.confidence:.2f})"
+    else:
+        said = f"the lag cannot be estimated and none is applied: {found.reason}"
+    LOG.info("note: %s: %s", recording.name, said)
+    return seen
 
 
 def _write_rows(
@@ -237,11 +244,11 @@ def _write_pictures(
     plot: Path | None,
 ) -> None:
     if plot:
-        from svmdist.report.plots import SeriesPlot, save_series_plot
+        from svmdist.report.plots import SeriesPlot, draw_series, save_figure
         from svmdist.workflows.series import series_of
 
         below_m = request.alarms.below_m if request.alarms else None
-        save_series_plot(series_of(measured, request), SeriesPlot.TIME, plot, below_m)
+        save_figure(plot, draw_series, series_of(measured, request), SeriesPlot.TIME, below_m)
     if report:
         from svmdist.report.html import make_report, write_report
 
@@ -269,8 +276,7 @@ def _write_drawn(logs: Logs, request: Request, output: Path, writer: Writer, *, 
                 yield frame
                 advance(count, total)
 
-        assert writer.save is not None
-        writer.save(counted(), seen, request.setup, output, force)
+        writer.write(counted(), output, seen, request.setup, force)
     _log_tally(tally)
     return _code(log_losses(recording.path, recording.health), tally)
 

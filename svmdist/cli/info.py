@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from svmdist.cli.logs import Logs, Run
+from svmdist.cli.logs import Logs
 from svmdist.cli.options import LogOptions, ReadOptions, format_option, output_option
 from svmdist.cli.output import require_output, write_results
 from svmdist.errors import RecordingError
-from svmdist.report.writers import Holds, Results, choose_writer
+from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
@@ -42,7 +41,7 @@ def info_command(given: InfoOptions) -> None:
       For a program:
         svmdist info log.mcap -f json
     """
-    from svmdist.report.info import logs_results
+    from svmdist.report.info import info_results, logs_results
     from svmdist.workflows.batch import Job
     from svmdist.workflows.request import Request, Setup
 
@@ -51,30 +50,21 @@ def info_command(given: InfoOptions) -> None:
     setup = Setup.reading(given.profile, given.hand_eye)
     writer = choose_writer(given.form, given.output, Holds.TABLES)
     job = Job(inspect_log, Request(setup, given.topics), dict[str, Any], (writer.name != "csv",))
-    found: list[Results] = []
-    run: Run[dict[str, Any]] = Run(logs, job, "inspecting")
-    run.finish(found.append)
-    results = logs_results([(log.name, document) for log, _, document in run.measured])
-    write_results(found[0] if found else results, writer, given.output)
+    run = logs.run(job, "inspecting")
+    found = [(log.name, document) for log, _, document in run.measured]
+    write_results(info_results(found[0][1]) if logs.is_one else logs_results(found), writer, given.output)
     raise typer.Exit(run.exit_code())
 
 
-def inspect_log(
-    recording: Recording,
-    request: Request,
-    _threads: int,
-    looks_for_tag: bool,
-    keep: Callable[[Results], None] = lambda _: None,
-) -> dict[str, Any]:
-    """A whole log as a document, with the profile's tag looked for in some images; `keep` is given what is in it."""
+def inspect_log(recording: Recording, request: Request, _threads: int, looks_for_tag: bool) -> dict[str, Any]:
+    """A whole log as a document, with the profile's tag looked for in some images."""
     from svmdist.recording.summary import inspect_recording
-    from svmdist.report.info import info_document, info_results
+    from svmdist.report.info import info_document
 
     profile = request.setup.profile
     summary = inspect_recording(recording.path, profile, topics=dict(request.topics))
     tags = _look_for_tag(recording, request, summary) if looks_for_tag else None
     recording.health.join(summary.health)
-    keep(info_results(summary, profile, tags))
     return info_document(summary, profile, tags)
 
 

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, TextIO, TypeVar
 
 from svmdist.errors import OutputError, UsageError, printable
 from svmdist.files import FALLBACK, LogPath, why, write_atomically
-from svmdist.report.writers import plot_format
-from svmdist.report.writers import require_report as require_report_packages
+from svmdist.report.writers import Holds, choose_writer, plot_format
 
 if TYPE_CHECKING:
     from svmdist.report.writers import Results, Writer
@@ -220,13 +219,12 @@ def terminal_width(output: Path | None) -> int | None:
 
 def write_results(results: Results, writer: Writer, output: Path | None) -> None:
     """Write what a command gives in a format that holds rows or tables, to stdout or atomically to a file."""
-    if writer.lines is None:
-        assert writer.save is not None
-        writer.save(results, output)
+    if not writer.is_text:
+        writer.write(results, output)
         return
     width = terminal_width(output)
     colour = width is not None and "NO_COLOR" not in os.environ
-    write_lines(writer.lines(results, width, colour), output, is_json=writer.is_json)
+    write_lines(writer.write(results, width, colour), output, is_json=writer.is_json)
 
 
 def require_output(output: Path | None, inputs: Iterable[LogPath] = ()) -> None:
@@ -268,7 +266,7 @@ def require_report(report: Path | None, inputs: Iterable[LogPath] = ()) -> None:
     require_output(report, inputs)
     if report.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--report {report}: a report is a page: give it the ending .html")
-    require_report_packages()
+    choose_writer(None, report, Holds.REPORT)
 
 
 def require_plot(path: Path | None, inputs: Iterable[LogPath], kind: str | None = None) -> None:

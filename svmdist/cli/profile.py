@@ -31,13 +31,13 @@ def new_command(given: NewOptions) -> None:
         svmdist profile new log.mcap --topic image=/left/image_raw
     """
     from svmdist.profile import Profile
-    from svmdist.report.profile_template import profile_lines
+    from svmdist.report.profile_template import profile_text
     from svmdist.workflows.new_profile import draft_profile
 
     require_output(given.output, [given.file])
     require_new(given.output, force=given.force)
     draft = draft_profile(given.file, given.name or given.file.resolve().stem, given.topics)
-    text = "".join(f"{line}\n" for line in profile_lines(draft))
+    text = profile_text(draft)
     Profile.model_validate(tomllib.loads(text))
     write_lines([text], given.output)
     instruments = ", ".join(one.name for one in draft.instruments)

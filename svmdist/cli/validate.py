@@ -165,14 +165,17 @@ def score_log(recording: Recording, request: Request, threads: int, keep: Keep |
 def _save_plot(
     result: Validation, measured: list[Measured], request: Request, kind: PlotKind, path: Path
 ) -> None:
-    from svmdist.report.plots import SeriesPlot, save_plot, save_series_plot
+    from svmdist.report.plots import SeriesPlot, draw, draw_series, save_figure
     from svmdist.workflows.series import series_of
 
     if kind == "fig6":
-        save_plot(result, path)
+        save_figure(path, draw, result)
         return
-    series = series_of(measured, request, result.reference)
-    save_series_plot(series, SeriesPlot(kind), path, request.alarms.below_m if request.alarms else None)
+    series, below_m = (
+        series_of(measured, request, result.reference),
+        request.alarms and request.alarms.below_m,
+    )
+    save_figure(path, draw_series, series, SeriesPlot(kind), below_m)
 
 
 def _write_report(
@@ -185,10 +188,9 @@ def _write_report(
     path: Path,
 ) -> None:
     from svmdist.report.html import make_report, write_report
-    from svmdist.report.scores import log_results, pooled_log_figures, ranked
+    from svmdist.report.scores import log_results
 
-    each = run.figures(keys)
-    ranking = None if logs.is_one else log_results(ranked(each), pooled_log_figures(each))
+    ranking = None if logs.is_one else log_results(run.figures(keys))
     with progress_bar("drawing the worst frames", "images") as advance:
         page = make_report(
             measured, request, command_line(), result, jobs=logs.jobs, logs=ranking, on_progress=advance

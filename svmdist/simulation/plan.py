@@ -56,7 +56,7 @@ def draw_nominal_kinematics(
     theirs is a part of the error of `T_camera_base`.
     """
     further = [arm] if arm else []
-    slides = np.array([row.joint == "prismatic" for row in chain.rows if row.joint != "fixed"])
+    slides = np.array([row.type == "prismatic" for row in chain.rows if row.type != "fixed"])
 
     def drawn(stream: int, std_rad: float, std_m: float) -> Array:
         unit = np.random.default_rng([seed, stream, *further]).normal(0.0, 1.0, len(slides))

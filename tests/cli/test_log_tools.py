@@ -35,7 +35,7 @@ def golden_samples(golden: Path) -> Logs:
     for name in ("sweep", "random"):
         decoder = Decoder(Limits())
         logs[name] = []
-        for raw in open_recording(golden / f"{name}.mcap", load_profile()).raw_messages():
+        for raw in open_recording(golden / f"{name}.mcap", load_profile()).file.source.messages():
             logs[name].append((raw.topic, to_sample(decoder.decode(raw))))
     return logs
 

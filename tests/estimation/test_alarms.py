@@ -10,22 +10,20 @@ from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Status
 
 
-def row(seconds: float, clearance_m: float | None, std_m: float | None = 0.5e-3) -> FrameResult:
-    clearance = None if clearance_m is None else Distance(clearance_m, std_m)
+def row(seconds: float, clearance_m: float | None) -> FrameResult:
+    clearance = None if clearance_m is None else Distance(clearance_m, 0.5e-3)
     distances = Distances(planar=Distance(0.01), clearance=clearance)
     return FrameResult(round(seconds * 1e9), Status.OK, distances=distances)
 
 
-def test_probability() -> None:
-    """Half at the threshold, 97.7 % two deviations below, a step without a deviation."""
+def test_probability_and_confidence_decide() -> None:
+    """Half at the threshold, 97.7 % two deviations below, a step without a deviation.
+
+    Half a deviation below the threshold is an alarm at even odds, not at 90 %.
+    """
     assert probability_below(0.005, 0.005, 1e-3) == pytest.approx(0.5)
     assert probability_below(0.005, 0.003, 1e-3) == pytest.approx(0.97725, abs=1e-5)
-    assert probability_below(0.005, 0.004, 0.0) == 1.0
-    assert probability_below(0.005, 0.006, 0.0) == 0.0
-
-
-def test_confidence_decides() -> None:
-    """Half a deviation below the threshold is an alarm at even odds, not at 90 %."""
+    assert (probability_below(0.005, 0.004, 0.0), probability_below(0.005, 0.006, 0.0)) == (1.0, 0.0)
     near = row(0.0, 0.00475)
     assert AlarmWatch(AlarmRules(0.005, 0.5)).watch(near).alarm is True
     assert AlarmWatch(AlarmRules(0.005, 0.9)).watch(near).alarm is False
@@ -59,8 +57,6 @@ def test_an_opening_gap_has_no_contact() -> None:
     assert AlarmWatch(AlarmRules(0.005)).watch(row(0.0, -1e-4)).time_to_contact_s == 0.0
 
 
-def test_rows_that_cannot_tell() -> None:
-    """Without a clearance there is neither alarm nor safety."""
-    watch = AlarmWatch(AlarmRules(0.005))
-    assert watch.watch(row(0.0, None)) == AlarmState()
-    assert watch.watch(FrameResult(1, Status.NO_TISSUE)) == AlarmState()
+def test_without_a_clearance_there_is_neither_alarm_nor_safety() -> None:
+    for unmeasured in (row(0.0, None), FrameResult(1, Status.NO_TISSUE)):
+        assert AlarmWatch(AlarmRules(0.005)).watch(unmeasured) == AlarmState()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -52,6 +55,11 @@ def observe(
     )
 
 
+def across_m(row: Any, scene: SyntheticScene, seconds: float) -> float:
+    """The tool's error across the viewing ray."""
+    return float(np.hypot(*(np.array(row.tool_position_m) - scene.T_camera_tool_at(seconds)[:3, 3])[:2]))
+
+
 def test_kinematic_is_as_wrong_as_nominal_kinematics(scene: SyntheticScene, profile: Profile) -> None:
     """Right kinematics give the tool exactly; a shifted base shifts it, and the interval knows that."""
     estimator = Measuring("kinematic", profile)
@@ -77,16 +85,30 @@ def test_fused_corrects_nominal_kinematics_and_carries_on_in_the_dark(
     for step in range(20):
         row = estimator.estimate(observe(scene, 0.1 * step, shift_m))
         assert row.status is Status.OK
-    assert row.tool_position_m is not None
-    error_m = np.array(row.tool_position_m) - scene.T_camera_tool_at(1.9)[:3, 3]
-    assert np.hypot(*error_m[:2]) < 0.3e-3
+    assert across_m(row, scene, 1.9) < 0.3e-3
     dark = estimator.estimate(observe(scene, 2.0, shift_m, dark=True))
     assert dark.status is Status.OK
     assert dark.match_count == 0
-    assert dark.spatial_std_m is not None
-    assert row.spatial_std_m is not None
-    error_m = np.array(dark.tool_position_m) - scene.T_camera_tool_at(2.0)[:3, 3]
-    assert np.hypot(*error_m[:2]) < 1e-3
+    assert across_m(dark, scene, 2.0) < 1e-3
+
+
+def test_fused_rejects_an_outlier_and_follows_a_base_that_jumped(
+    scene: SyntheticScene, profile: Profile
+) -> None:
+    """An image of another time moves nothing; a base that is 10 mm elsewhere for good is reported and found again."""
+    estimator = Measuring("fused", profile)
+    shift_m = np.array([0.004, -0.003, 0.0])
+    for step in range(20):
+        estimator.estimate(observe(scene, 0.1 * step, shift_m))
+    seen = observe(scene, 2.0, shift_m)
+    wild = estimator.estimate(replace(seen, image_bgr=scene.frame_at(3.5)))
+    assert wild.detail == "refused: distal marker"
+    assert across_m(wild, scene, 2.0) < 0.3e-3
+    rows = [estimator.estimate(observe(scene, 2.1 + 0.1 * step, -shift_m)) for step in range(90)]
+    assert any(row.status is Status.INCONSISTENT for row in rows)
+    for step in range(75, 90):
+        assert rows[step].status is Status.OK
+        assert across_m(rows[step], scene, 2.1 + 0.1 * step) < 0.3e-3
 
 
 SEEDS = 600

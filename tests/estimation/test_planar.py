@@ -24,41 +24,33 @@ from svmdist.profile import load_profile
 from svmdist.samples import Observation, Status
 from tests.measuring import Measuring
 
-CORRECTED = PlaneMapping("corrected", PUBLISHED_X, PUBLISHED_Y)
-"""The published quadratics of the corrected screen coordinate: what eq. (6) would mean if only (4) were fixed."""
+
+@pytest.mark.parametrize(
+    ("pixel", "published_cm", "corrected_cm"),
+    [(0, 0.01, 0.0), (1, -0.0154, 0.0254), (100, -2.53, 2.54), (640, -16.246, 16.256)],
+)
+def test_eqs_3_4_as_published_run_backwards(pixel, published_cm, corrected_cm):
+    """(1 - T * 2.54) / 100 is +0.01 at pixel 0 and -16.2 at pixel 640; corrected, a hundred pixels are an inch."""
+    assert float(screen_cm_as_published(pixel)) == pytest.approx(published_cm, abs=1e-12)
+    assert float(screen_cm_corrected(pixel)) == pytest.approx(corrected_cm, abs=1e-12)
 
 
-@pytest.mark.parametrize(("pixel", "screen_cm"), [(0, 0.01), (1, -0.0154), (100, -2.53), (640, -16.246)])
-def test_eqs_3_4_as_published_run_backwards(pixel, screen_cm):
-    """(1 - T * 2.54) / 100 is +0.01 at pixel 0 and -16.2 at pixel 640, and nowhere 0.0245."""
-    assert float(screen_cm_as_published(pixel)) == pytest.approx(screen_cm, abs=1e-12)
-
-
-@pytest.mark.parametrize(("pixel", "screen_cm"), [(0, 0.0), (1, 0.0254), (100, 2.54), (640, 16.256)])
-def test_eqs_3_4_corrected_are_pixels_at_100_dpi(pixel, screen_cm):
-    """S = 0.0254 T cm: a hundred pixels are an inch."""
-    assert float(screen_cm_corrected(pixel)) == pytest.approx(screen_cm, abs=1e-12)
-
-
-@pytest.mark.parametrize("screen_cm", [-16.2, 0.0, 0.01, 2.9, 16.2])
-def test_eqs_5_6_are_the_published_quadratics(screen_cm):
-    """The shipped constants are those of the paper, evaluated here term by term."""
-    x = -0.0036 * screen_cm**2 + 0.7938 * screen_cm - 0.0403
-    y = -0.0068 * screen_cm**2 + 0.0395 * screen_cm - 0.4439
-    assert PUBLISHED_X(screen_cm) == pytest.approx(x, abs=1e-14)
-    assert PUBLISHED_Y(screen_cm) == pytest.approx(y, abs=1e-14)
-
-
-def test_eqs_25_to_27_are_the_euclidean_distance():
-    """3 mm and 4 mm apart is 5 mm, and the quadratics' constants cancel in the difference."""
+def test_eqs_5_6_are_the_published_quadratics_and_25_to_27_the_euclidean_distance():
+    """Term by term; 3 mm and 4 mm apart is 5 mm, and the quadratics' constants cancel in the difference."""
+    for screen_cm in (-16.2, 0.0, 0.01, 2.9, 16.2):
+        x = -0.0036 * screen_cm**2 + 0.7938 * screen_cm - 0.0403
+        y = -0.0068 * screen_cm**2 + 0.0395 * screen_cm - 0.4439
+        assert PUBLISHED_X(screen_cm) == pytest.approx(x, abs=1e-14)
+        assert PUBLISHED_Y(screen_cm) == pytest.approx(y, abs=1e-14)
     assert planar_distance_m(np.array([0.003, 0.0]), np.array([0.0, -0.004])) == pytest.approx(0.005)
+    published = PlaneMapping("corrected", PUBLISHED_X, PUBLISHED_Y)
     shifted = PlaneMapping("corrected", Quadratic(-0.0036, 0.7938, 7.0), Quadratic(-0.0068, 0.0395, -9.0))
     a_px, b_px = np.array([10.0, 20.0]), np.array([300.0, 400.0])
-    distances_m = [
+    one_m, other_m = (
         planar_distance_m(mapping.to_plane_m(a_px), mapping.to_plane_m(b_px))
-        for mapping in (CORRECTED, shifted)
-    ]
-    assert distances_m[0] == pytest.approx(distances_m[1], rel=1e-12)
+        for mapping in (published, shifted)
+    )
+    assert one_m == pytest.approx(other_m, rel=1e-12)
 
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
@@ -70,23 +62,15 @@ PLANAR = ("overlay", "centroid")
 ESTIMATORS = {method: Measuring(method, PROFILE, MAPPING) for method in PLANAR}
 
 
-def ground(seed: int = 1) -> np.ndarray:
-    """A dull textured ground without the colours of tissue or instrument."""
+def frame(tool_px: tuple[float, float] | None, tissue: bool = True, seed: int = 1) -> Observation:
+    """Pixel by pixel on a dull textured ground: the red ellipse about TISSUE_PX, and the cyan disc over it."""
     grey = np.random.default_rng(seed).integers(60, 130, (60, 80)).astype(np.uint8)
-    smooth = cv2.resize(grey, (640, 480), interpolation=cv2.INTER_CUBIC)
-    return np.asarray(cv2.merge([smooth, smooth, smooth]), np.uint8)
-
-
-def frame(
-    tool_px: tuple[float, float] | None, tissue: bool = True, seed: int = 1, radius_px: float = 12.0
-) -> Observation:
-    """A frame drawn pixel by pixel: the red ellipse about TISSUE_PX, and the cyan disc over it."""
-    image = ground(seed)
+    image = cv2.merge([cv2.resize(grey, (640, 480), interpolation=cv2.INTER_CUBIC)] * 3)
     ys, xs = np.mgrid[:480, :640]
     if tissue:
         image[((xs - TISSUE_PX[0]) / 150) ** 2 + ((ys - TISSUE_PX[1]) / 110) ** 2 <= 1] = (70, 60, 200)
     if tool_px is not None:
-        image[(xs - tool_px[0]) ** 2 + (ys - tool_px[1]) ** 2 <= radius_px**2] = (210, 190, 30)
+        image[(xs - tool_px[0]) ** 2 + (ys - tool_px[1]) ** 2 <= 12.0**2] = (210, 190, 30)
     return Observation(1_000, image, CAMERA)
 
 
@@ -122,18 +106,11 @@ def test_places_are_found_all_over_the_image(method, x, y, seed):
 
 
 @pytest.mark.parametrize("method", PLANAR)
-@pytest.mark.parametrize(
-    ("tool_px", "tissue", "status"),
-    [
-        (None, True, Status.NO_INSTRUMENT),
-        ((100.0, 100.0), False, Status.NO_TISSUE),
-        (None, False, Status.NO_TISSUE),
-    ],
-)
-def test_a_missing_region_is_the_reason(method, tool_px, tissue, status):
+@pytest.mark.parametrize(("tool_px", "tissue"), [(None, True), ((100.0, 100.0), False), (None, False)])
+def test_a_missing_region_is_the_reason(method, tool_px, tissue):
     """Without tissue or instrument the row says which, holds what was found, and has no distance."""
     row = ESTIMATORS[method].estimate(frame(tool_px, tissue))
-    assert row.status is status
+    assert row.status is (Status.NO_INSTRUMENT if tissue else Status.NO_TISSUE)
     check_consistent(row)
     assert (row.tissue_area_px is not None) is tissue
     assert (row.tool_area_px is not None) is (tool_px is not None)

@@ -10,8 +10,8 @@ from svmdist.estimation.plane_mapping import (
     displacement_cm_corrected,
     planar_distance_cm,
 )
-from svmdist.kinematics import DHChain, DHRow, forward_kinematics
-from svmdist.profile import load_profile
+from svmdist.kinematics import DHChain, forward_kinematics
+from svmdist.profile import Joint, load_profile
 from svmdist.transforms import Array
 
 ANGLES_RAD = (0.0, 0.3, np.pi / 2, -2.0, np.pi)
@@ -39,14 +39,14 @@ def last_link_corrected(theta_rad: float) -> Array:
 @pytest.mark.parametrize("q_m", [0.0, 0.17])
 def test_eq_29_is_a_standard_dh_row(q_m):
     """eq. (29) equals the row a = l1, α = 0, d = d1, θ = 0 of a prismatic joint, bit for bit."""
-    chain = DHChain((DHRow("slide", "prismatic", a_m=0.09, d_m=0.6),))
+    chain = DHChain((Joint(name="slide", type="prismatic", a_m=0.09, d_m=0.6),))
     np.testing.assert_array_equal(first_link(0.09, 0.6 + q_m), forward_kinematics(chain, [q_m]))
 
 
 @pytest.mark.parametrize("theta_rad", ANGLES_RAD)
 def test_eq_30_corrected_is_a_standard_dh_row(theta_rad):
     """eq. (30), corrected, equals the row a = 0, α = π/2, d = 0 of a revolute joint, bit for bit."""
-    chain = DHChain((DHRow("jaw", "revolute", alpha_rad=np.pi / 2),))
+    chain = DHChain((Joint(name="jaw", type="revolute", alpha_rad=np.pi / 2),))
     np.testing.assert_array_equal(last_link_corrected(theta_rad), forward_kinematics(chain, [theta_rad]))
 
 

@@ -8,7 +8,6 @@ import pytest
 from svmdist.errors import KinematicsError
 from svmdist.kinematics import (
     DHChain,
-    DHRow,
     forward_kinematics,
     frame_transforms,
     joint_axis,
@@ -16,6 +15,7 @@ from svmdist.kinematics import (
     solve_position,
 )
 from svmdist.kinematics.robot_state import RobotState
+from svmdist.profile import Joint
 from svmdist.results import Failure
 from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack
@@ -78,8 +78,8 @@ def test_poses_are_those_of_forward_kinematics() -> None:
 
 BOUNDED = DHChain(
     (
-        DHRow("arm", "revolute", lower=-1.0, upper=1.0),
-        DHRow("insertion", "prismatic", lower=0.0, upper=0.24),
+        Joint(name="arm", type="revolute", lower=-1.0, upper=1.0),
+        Joint(name="insertion", type="prismatic", lower=0.0, upper=0.24),
     ),
     limit_tolerance_rad=0.1,
     limit_tolerance_m=0.01,
@@ -149,6 +149,6 @@ def test_a_target_beyond_the_limits_is_an_error_that_names_the_joint() -> None:
 
 
 def test_a_target_out_of_reach_says_how_far_it_is() -> None:
-    arm = DHChain((DHRow("a", "revolute", a_m=0.5), DHRow("b", "revolute", a_m=0.5)))
+    arm = DHChain((Joint(name="a", type="revolute", a_m=0.5), Joint(name="b", type="revolute", a_m=0.5)))
     with pytest.raises(KinematicsError, match=r"out of reach: .* m are left"):
         solve_position(arm, np.array([[0.1, 0.2]]), np.array([[2.0, 0.0, 0.0]]), ("a", "b"))

@@ -111,7 +111,7 @@ def test_a_network_s_parts_and_scale() -> None:
     [
         ({"scale": 0}, "see nothing"),
         ({"instrument": {"class_ids": [1, 2], "min_area_px": 5}}, "class 1 cannot be tissue and instrument"),
-        ({"method": "svm"}, "expected 'hsv', 'onnx' or 'auto'"),
+        ({"method": "svm"}, "Input should be 'hsv', 'onnx' or 'auto'"),
         ({"tissue": {"class_ids": [], "min_area_px": 5}}, "class_ids"),
     ],
 )
@@ -130,7 +130,7 @@ def test_a_file_of_another_kind_is_told_as_such(tmp_path: Path) -> None:
 
 
 def test_many_faults_are_counted(tmp_path: Path) -> None:
-    """Five are told."""
+    """Five are listed."""
     keys = "".join(f"inner.k{number} = 1\n" for number in range(9))
     (tmp_path / "faulty.toml").write_text(keys)
     with pytest.raises(ProfileError, match=r"and \d+ more$") as caught:

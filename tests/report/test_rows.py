@@ -9,21 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.generated_pages import metrics_page
 from svmdist.estimation.alarms import AlarmState
 from svmdist.recording.log import open_recording
-from svmdist.report.columns_page import columns_page
 from svmdist.report.rows import (
     ESTIMATE_COLUMNS,
     ESTIMATE_KEYS,
+    POSE_COLUMNS,
     POSE_KEYS,
+    estimate_fields,
     estimate_row,
-    estimate_values,
     pose_rows,
     shown_columns,
     tum_lines,
 )
 from svmdist.report.scores import compare_columns, score_columns
 from svmdist.report.tables import keys_of, text_lines, text_width
+from svmdist.report.writers import Results
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.transforms import rotation_from_quaternion_xyzw, rotation_z
@@ -69,16 +71,14 @@ def test_a_rejected_frame_has_empty_cells() -> None:
 
 def test_the_message_has_the_numbers_of_the_row() -> None:
     """What an annotated log holds is read from the same columns, by the names of its schema."""
-    values = estimate_values(MEASURED, "fused", (0.002, 0.006), AlarmState(False, None, None))
-    numbers = {name: value for name, value in values.numbers.items() if value is not None}
-    clearance = {
-        "clearance_m": 0.004,
-        "clearance_std_m": 1e-3,
-        "clearance_low_m": 0.002,
-        "clearance_high_m": 0.006,
+    fields = estimate_fields(MEASURED, "fused", AlarmState(False, None, None))
+    numbers = {name: value for name, value in fields.items() if isinstance(value, float)}
+    bounds_m = {
+        "clearance_low_m": pytest.approx(0.00204, abs=1e-7),
+        "clearance_high_m": pytest.approx(0.00596, abs=1e-7),
     }
-    assert numbers == {"planar_m": 0.0123, **clearance}
-    assert values.alarm is False
+    assert numbers == {"planar_m": 0.0123, "clearance_m": 0.004, "clearance_std_m": 1e-3, **bounds_m}
+    assert fields["alarm"] == 0
 
 
 def test_a_person_sees_what_fits() -> None:
@@ -108,7 +108,7 @@ def test_poses_keep_every_nanosecond_and_bit() -> None:
     rows = list(pose_rows(stamps_ns, np.stack([T, T])))
     half = np.sqrt(0.5)
     assert list(rows[0].values()) == pytest.approx([stamps_ns[0], 1, 2, 3, 0, 0, half, half], abs=1e-15)
-    for line, row in zip(tum_lines(POSE_KEYS, rows), rows, strict=True):
+    for line, row in zip(tum_lines(Results(POSE_COLUMNS, rows)), rows, strict=True):
         seconds, *numbers = line.split()
         assert int(seconds.replace(".", "")) == row["stamp_ns"]
         assert [float(number) for number in numbers] == [row[key] for key in POSE_KEYS[1:]]
@@ -134,7 +134,7 @@ def test_trajectories_are_the_tools_poses(golden: Path, cli: Cli) -> None:
 
 def test_the_page_explains_every_column_once() -> None:
     """docs/metrics.md is made from the tables of columns: `uv run python -m benchmarks.generated_pages`."""
-    page = columns_page()
+    page = metrics_page("")
     assert (REPOSITORY / "docs" / "metrics.md").read_text("utf-8") == page
     of_rows, of_scores = (
         re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`.+?) \|", part, re.MULTILINE)))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from svmdist.samples import Image
-from svmdist.vision.segmentation import AutoSegmenter
+from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.working_image import picture_of
 from tests.surgery_images import BORDERS, surgery_image
 
@@ -17,18 +18,16 @@ def iou(a: Image, b: Image) -> float:
     return np.count_nonzero((a > 0) & (b > 0)) / union if union else 1.0
 
 
-def instruments(segmenter: AutoSegmenter, bgr: Image) -> Image:
+def instruments(bgr: Image) -> Image:
     """All instruments' pixels, shape (h, w)."""
-    masks = [one.mask for one in segmenter.masks(bgr).seen]
+    masks = [one.mask for one in AutoSegmenter().masks(bgr).seen]
     return np.asarray(np.any(masks, axis=0), np.uint8) if masks else np.zeros(bgr.shape[:2], np.uint8)
 
 
 @pytest.mark.slow
 def test_instruments_over_tissue() -> None:
     """Of each image alone: most of 16 pictures above 0.85, none below 0.6."""
-    found = [
-        iou(instruments(AutoSegmenter(), one.bgr), one.instruments) for one in map(surgery_image, range(16))
-    ]
+    found = [iou(instruments(one.bgr), one.instruments) for one in map(surgery_image, range(16))]
     assert np.median(found) > 0.88
     assert np.mean(np.array(found) > 0.85) >= 0.8
     assert min(found) > 0.6
@@ -48,16 +47,10 @@ def test_the_picture_inside_its_border(border: str) -> None:
         one = surgery_image(seed, border=border)
         assert iou(picture_of(one.bgr), one.picture) > 0.97
         masks = AutoSegmenter().masks(one.bgr)
-        outside = ~_near(one.picture)
+        outside = cv2.dilate(one.picture, np.ones((9, 9), np.uint8)) == 0
         assert masks.shaft is not None
         assert not (masks.shaft[outside] > 0).any()
         assert not (masks.tissue[outside] > 0).any()
-
-
-def _near(mask: Image) -> np.ndarray:
-    import cv2
-
-    return np.asarray(cv2.dilate(mask, np.ones((9, 9), np.uint8))) > 0
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.masks import instruments_of
 from svmdist.errors import ProfileError
-from svmdist.profile import ClassRegion, OnnxSegmentation, load_profile, profile_path
+from svmdist.profile import ClassRegion, OnnxSegmentation, load_profile
 from svmdist.vision.network import OnnxSegmenter
 from tests.onnx_file import node, tensor, value_info, write_classifier, write_model
 from tests.surgery_images import surgery_image
@@ -31,17 +31,12 @@ def rules(model: Path, size: tuple[int, int] = (64, 48), **changes: object) -> O
     return OnnxSegmentation.model_validate(values)
 
 
-def scores_of(image_rgb: np.ndarray, mean: object = 0.0, scale: object = 1 / 255) -> np.ndarray:
-    """The convolution without OpenCV: shape (h, w, C)."""
-    return ((image_rgb - np.array(mean)) * np.array(scale)) @ WEIGHTS.T + BIAS
-
-
 @pytest.mark.parametrize("labels", ["", "keep", "drop"])
 def test_masks_are_those_of_the_highest_score(tmp_path: Path, labels: str) -> None:
     """Scores and both shapes of labels give, pixel for pixel, the class that NumPy finds."""
     model = write_classifier(tmp_path / "net.onnx", WEIGHTS, BIAS, (64, 48), labels=labels)
     masks = OnnxSegmenter(rules(model)).masks(IMAGE)
-    best = scores_of(IMAGE[..., ::-1]).argmax(-1)
+    best = (IMAGE[..., ::-1] / 255 @ WEIGHTS.T + BIAS).argmax(-1)
     for number, mask in enumerate((masks.tissue, masks.instrument, masks.shaft), 1):
         assert mask is not None
         assert mask.dtype == np.uint8
@@ -67,13 +62,8 @@ def faulty(folder: Path, fault: str) -> OnnxSegmentation:
         case "operator":
             write_model(path, [node("Frobnicate", [x], "y")], [], [image], [value_info("y", [1, 4, 48, 64])])
         case "vector":
-            write_model(
-                path,
-                [node("GlobalAveragePool", [x], "p"), node("Flatten", ["p"], "y", axis=1)],
-                [],
-                [image],
-                [value_info("y", [1, 3])],
-            )
+            nodes = [node("GlobalAveragePool", [x], "p"), node("Flatten", ["p"], "y", axis=1)]
+            write_model(path, nodes, [], [image], [value_info("y", [1, 3])])
         case "fractions":
             write_classifier(path, WEIGHTS[:1], BIAS[:1], size)
         case "nan":
@@ -81,18 +71,15 @@ def faulty(folder: Path, fault: str) -> OnnxSegmentation:
         case "two outputs" | "wrong output":
             tensors = [tensor(n, WEIGHTS[..., None, None]) for n in ("V", "W")]
             nodes = [node("Conv", [x, w], y, kernel_shape=[1, 1]) for w, y in (("V", "main"), ("W", "aux"))]
-            write_model(
-                path, nodes, tensors, [image], [value_info(y, [1, 4, 48, 64]) for y in ("main", "aux")]
-            )
+            outputs = [value_info(y, [1, 4, 48, 64]) for y in ("main", "aux")]
+            write_model(path, nodes, tensors, [image], outputs)
             return rules(path, output="mian") if fault == "wrong output" else good
         case "class":
             write_classifier(path, WEIGHTS, BIAS, size)
             return rules(path, shaft={"class_ids": [3, 7], "min_area_px": 1})
         case "size":
-            product = node("MatMul", [x, "W"], "y")
-            write_model(
-                path, [product], [tensor("W", np.ones((5, 7)))], [image], [value_info("y", [1, 3, 48, 7])]
-            )
+            weights, output = tensor("W", np.ones((5, 7))), value_info("y", [1, 3, 48, 7])
+            write_model(path, [node("MatMul", [x, "W"], "y")], [weights], [image], [output])
         case "memory":
             # Padded to 2^25 px a side: 2^54 bytes and more, beyond any address space.
             write_classifier(path, WEIGHTS, BIAS, size, pad=1 << 24)
@@ -113,10 +100,7 @@ def faulty(folder: Path, fault: str) -> OnnxSegmentation:
         ("nan", "output scores is not finite"),
         ("two outputs", "has 2 outputs; name one in segmentation.output: .*aux"),
         ("wrong output", "no output mian: did you mean main"),
-        (
-            "class",
-            r"segmentation\.shaft\.class_ids asks for class 7, and the network tells 4 classes, 0 to 3",
-        ),
+        ("class", r"shaft\.class_ids asks for class 7, and the network tells 4 classes, 0 to 3"),
         ("size", "does not run on one RGB image of 64x48"),
         ("memory", "not enough memory to run the network on 64x48"),
     ],
@@ -132,34 +116,19 @@ def test_a_fault_is_one_line(
     assert capfd.readouterr().err == ""
 
 
-NAMED = '[segmentation]\nmethod = "onnx"\nmodel = "svmdist:{}"\n'
-
-
-@pytest.fixture(scope="module")
-def segmenter() -> OnnxSegmenter:
-    return OnnxSegmenter(OnnxSegmentation.model_validate({"method": "onnx", "model": "svmdist:instruments"}))
-
-
-def profile_with(folder: Path, segmentation: str) -> Path:
-    """The profile of the dVRK arm with another segmentation."""
-    text = profile_path("dvrk-psm").read_text("utf-8")
-    head, _, rest = text.partition("[segmentation")
-    tail = rest[rest.index("\n[") + 1 :]
-    while tail.startswith("[segmentation"):
-        tail = tail[tail.index("\n[") + 1 :]
-    path = folder / "mine.toml"
-    path.write_text(head + segmentation + "\n" + tail, "utf-8")
-    return path
-
-
 def test_an_unknown_name_is_one_line_with_the_choices(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('name = "mine"\n[segmentation]\nmethod = "onnx"\nmodel = "svmdist:instrument"\n', "utf-8")
     with pytest.raises(ProfileError, match=r"no such network ships: .*svmdist:instruments") as caught:
-        load_profile(profile_with(tmp_path, NAMED.format("instrument")))
+        load_profile(path)
     assert "\n" not in str(caught.value)
 
 
-def test_it_finds_instruments_in_pictures_of_another_renderer(segmenter: OnnxSegmenter) -> None:
+def test_it_finds_instruments_in_pictures_of_another_renderer() -> None:
     """IoU of the union of instruments over tissue, mean of 12 pictures that the tests of `auto` are drawn with."""
+    segmenter = OnnxSegmenter(
+        OnnxSegmentation.model_validate({"method": "onnx", "model": "svmdist:instruments"})
+    )
     ious = []
     for seed in range(12):
         drawn = surgery_image(7000 + seed)

@@ -9,7 +9,7 @@ import pytest
 
 from svmdist.profile import AutoSegmentation, load_profile
 from svmdist.recording.log import open_recording
-from svmdist.vision.segmentation import AutoSegmenter
+from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.workflows.replay import adapted_segmenters, spread_observations
 from svmdist.workflows.request import CLEAN, Condition, prepare
 from tests.synthetic import write_log

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.generated_pages import metrics_page
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import alarm_statistics
-from svmdist.report.columns_page import columns_page
 from svmdist.report.scores import (
     compare_columns,
     compare_results,
@@ -135,7 +135,7 @@ def test_a_new_metric_is_declared_once(added: str) -> None:
     results = validation_results(made)
     row = next(iter(results.rows))
     assert [row[key] for key in keys] == pytest.approx([expected] * 3)
-    header, cells = (line.split(",") for line in csv_lines(results.keys, [row]))
+    header, cells = (line.split(",") for line in csv_lines(replace(results, rows=[row])))
     assert header[-1].strip() == keys[-1]
     assert float(cells[-1]) == pytest.approx(expected)
     document = json.loads(json.dumps(validation_document(made)))
@@ -144,7 +144,7 @@ def test_a_new_metric_is_declared_once(added: str) -> None:
     for shown in (planar, in_3d):
         assert "p99" in shown
         assert f"{expected * 1e3:.2f}" in shown
-    assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | 1e-05 m |" in columns_page()
+    assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | 1e-05 m |" in metrics_page("")
 
 
 def test_a_new_metric_stands_in_replays(added: str) -> None:

@@ -9,7 +9,6 @@ from svmdist.samples import Status
 from svmdist.tracks import SampledDistances
 from svmdist.workflows.scores import (
     DISTANCES,
-    SPATIAL,
     Pairs,
     Readings,
     pooled,
@@ -50,7 +49,7 @@ def test_only_measured_rows_with_a_truth_make_pairs() -> None:
 def test_no_rows_make_no_pairs() -> None:
     """Without rows there are arrays of length 0, and no score."""
     none = SampledDistances(*np.empty((3, 0)), np.empty(0, np.bool_))
-    pairs = Readings().pairs(SPATIAL, none)
+    pairs = Readings().pairs("spatial", none)
     assert len(pairs) == 0
     assert score_pairs(pairs) is None
     assert pooled_score([None, score_pairs(pairs)]) is None
