@@ -87,8 +87,9 @@ def estimate(
 ) -> Estimates:
     """Measure every image of a recording. `lag` in s, or `"auto"`, is taken off the images' stamps first."""
     setup = _setup(recording, method, calibration)
-    read, _ = with_lag(recording, setup.profile, lag, instruments, jobs)
-    return Estimates(recording, setup, tuple(_estimate(read, setup, instruments, jobs)))
+    names = None if instruments is None else tuple(instruments)
+    read, _ = with_lag(recording, Request(setup, instruments=names, lag=lag), jobs)
+    return Estimates(recording, setup, tuple(_estimate(read, setup, names, jobs)))
 
 
 def validate(

@@ -191,16 +191,22 @@ def measure_rows(
 
 def corrected(recording: Recording, request: Request, jobs: int | None) -> Recording:
     """Say where the equations cannot be right, and apply the requested lag, with progress."""
-    from svmdist.workflows.estimate import with_requested_lag
+    from svmdist.workflows.estimate import with_lag
     from svmdist.workflows.parallel import Steps
 
     for warning in request.setup.degeneracies(recording.camera):
         LOG.info("warning: %s", warning)
     if request.lag != "auto":
-        return with_requested_lag(recording, request, jobs)
+        return with_lag(recording, request)[0]
     with progress_bar(f"lag of {recording.name}", "images") as advance:
         steps = Steps(advance, recording.image_count())
-        return with_requested_lag(recording, request, jobs, steps.advance)
+        seen, found = with_lag(recording, request, jobs, steps.advance)
+    if found.told:
+        said = f"lag {found.lag_s * 1e3:+.1f} ms (confidence {found.confidence:.2f})"
+    else:
+        said = f"the lag cannot be estimated and none is applied: {found.reason}"
+    LOG.info("note: %s: %s", recording.name, said)
+    return seen
 
 
 def _write_rows(
