@@ -9,14 +9,15 @@ import ast
 import inspect
 import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 from svmdist.perturbations.table import TABLE
 from svmdist.profile.settings import Settings
 from svmdist.profile.toml import StrictModel
-from svmdist.report.columns_page import columns_page
+from svmdist.report.rows import ESTIMATE_COLUMNS
+from svmdist.workflows.metric_table import Output, Tolerance, figure_metrics, score_metrics
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 SETTINGS_HEAD = """# Settings
@@ -25,38 +26,82 @@ What a user may have reason to change; the defaults serve most logs. `stereo.nea
 table `[settings.stereo]`. A value outside its bounds is an error. Settings that became constants are
 named in one line of warning, and ignored.
 
-| setting | default | meaning |
-|---|---|---|
 """
 REASON = re.compile(r"(?<!\d): .*$")
 """What follows a colon says why, which is for who reads the code."""
-PERTURBATIONS_HEAD = """| name | unit | meaning | `--world real` |
-|---|---|---|---|
+
+
+COLUMNS_HEAD = """# Columns and metrics
+
+The columns of rows and scores in CSV, JSON and Parquet, in SI units. An undefined value is an empty cell or `null`.
+Columns may be added at the end; none is renamed or removed.
+
+## Rows of `svmdist estimate`
+
 """
+METRICS_HEAD = """
+## Metrics of `svmdist validate` and `svmdist compare`
+
+Without a prefix a metric is about the planar distance; `spatial_` and `clearance_` are about the other two. A
+baseline stores the metrics that have a tolerance: an amount, or a share of the stored value where that is more. 95 %
+intervals are moving-block bootstrap (Künsch 1989).
+
+"""
+
+
+def metrics_page(_: str) -> str:
+    """All columns; those with the same meaning stand in one line."""
+    metrics = {metric.key: metric for metric in (*score_metrics(), *figure_metrics())}.values()
+    rows = [(one.key, one.given_by, one.meaning) for one in ESTIMATE_COLUMNS if one.stored]
+    shown = [metric for metric in metrics if metric.outputs & (Output.SCORES | Output.FIGURES)]
+    figures = [(one.key, tolerance(one.tolerance, one.unit.name), one.meaning) for one in shown]
+    return COLUMNS_HEAD + by_meaning("given by", rows) + METRICS_HEAD + by_meaning("tolerance", figures)
+
+
+def by_meaning(second: str, rows: Sequence[tuple[str, str, str]]) -> str:
+    """A table of a key and two cells; rows with the same cells in one line."""
+    keys: dict[tuple[str, str], list[str]] = {}
+    for key, *cells in rows:
+        keys.setdefault((cells[0], cells[1]), []).append(f"`{key}`")
+    return table(
+        ("columns", second, "meaning"), [(", ".join(names), *cells) for cells, names in keys.items()]
+    )
+
+
+def tolerance(of: Tolerance | None, unit: str) -> str:
+    """How much worse a metric of a unit may get, in words."""
+    if of is None:
+        return ""
+    absolute = f"{of.absolute:g}{'' if unit == '1' else f' {unit}'}"
+    return f"{absolute} or {100 * of.relative:g} %" if of.relative else absolute
 
 
 def settings_page(_: str) -> str:
     """One row per setting."""
-    groups = Settings()
-    return SETTINGS_HEAD + "".join(
-        table_row(
-            (f"`{name}.{key}`", str(getattr(group, key)), REASON.sub(".", meanings(type(group))[key], 1))
-        )
-        for name, group in ((name, getattr(groups, name)) for name in Settings.model_fields)
-        for key in type(group).model_fields
+    groups = ((name, getattr(Settings(), name)) for name in Settings.model_fields)
+    rows = (
+        (f"`{name}.{key}`", str(getattr(group, key)), REASON.sub(".", text, 1))
+        for name, group in groups
+        for key, text in meanings(type(group)).items()
     )
+    return SETTINGS_HEAD + table(("setting", "default", "meaning"), rows)
 
 
 def meanings(group: type[StrictModel]) -> dict[str, str]:
-    """The docstring below each field of a group, read from its source."""
-    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(group))).body
+    """The docstring below each field of a group, else the comment beside it, read from its source."""
+    source = textwrap.dedent(inspect.getsource(group))
+    (definition,) = ast.parse(source).body
     assert isinstance(definition, ast.ClassDef)
     found = {}
-    for field, below in pairwise(definition.body):
-        is_text = isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and is_text:
-            text = str(ast.literal_eval(below.value))  # type: ignore[attr-defined]
-            found[field.target.id] = " ".join(text.split()).replace("|", "\\|")
+    for field, below in pairwise([*definition.body, ast.Pass()]):
+        if not isinstance(field, ast.AnnAssign) or not isinstance(field.target, ast.Name):
+            continue
+        if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+            text = str(below.value.value)
+        else:
+            comment = source.splitlines()[field.lineno - 1].partition("  # ")[2]
+            text = f"{comment[:1].upper()}{comment[1:]}."
+        found[field.target.id] = " ".join(text.split()).replace("|", "\\|")
     return found
 
 
@@ -71,10 +116,15 @@ def simulation_page(page: str) -> str:
         )
         for entry in TABLE.values()
     )
-    return with_table(page, "perturbations", PERTURBATIONS_HEAD + "".join(map(table_row, rows)))
+    return with_table(page, "perturbations", table(("name", "unit", "meaning", "`--world real`"), rows))
 
 
-def table_row(cells: tuple[str, ...]) -> str:
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return table_row(headings) + "|---" * len(headings) + "|\n" + "".join(map(table_row, rows))
+
+
+def table_row(cells: Sequence[str]) -> str:
     """A row of a table in Markdown."""
     return f"| {' | '.join(cells)} |\n"
 
@@ -89,13 +139,18 @@ def with_table(page: str, name: str, table: str) -> str:
     return f"{before}{begin}{table}{end}{after}"
 
 
+def write_table(path: Path, name: str, table: str) -> None:
+    """Replace a table of a page."""
+    path.write_text(with_table(path.read_text("utf-8"), name, table), "utf-8")
+
+
 def table_in(page: str, name: str) -> str:
     """What stands between the marks of this name."""
     return page.partition(f"<!-- {name}:begin -->\n")[2].partition(f"<!-- {name}:end -->")[0]
 
 
 PAGES: dict[str, Callable[[str], str]] = {
-    "metrics.md": lambda _: columns_page(),
+    "metrics.md": metrics_page,
     "settings.md": settings_page,
     "simulation.md": simulation_page,
 }

@@ -14,16 +14,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from svmdist.api import (
-        Estimates,
-        Profile,
-        bgr_image,
-        compare,
-        estimate,
-        open_recording,
-        prepare,
-        validate,
-    )
+    from svmdist.api import Estimates, compare, estimate, open_recording, validate
+    from svmdist.profile import Profile
+    from svmdist.samples import bgr_image
+    from svmdist.workflows.request import prepare
 
     __version__: str
 
@@ -41,7 +35,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import the interface when it is used: the command line starts without it."""
+    """Import the interface on first use: the command line starts without it."""
     if name == "__version__":
         from importlib.metadata import version
 

@@ -15,7 +15,7 @@ from svmdist.recording.log import open_recording as _open
 from svmdist.report.rows import ESTIMATE_KEYS, estimate_row
 from svmdist.report.tables import Row
 from svmdist.results import FrameResult
-from svmdist.samples import bgr_image
+from svmdist.samples import bgr_image  # noqa: F401  (part of the interface)
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.estimate import estimate as _estimate
@@ -27,17 +27,6 @@ from svmdist.workflows.validate import validate as _validate
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-__all__ = [
-    "Estimates",
-    "Profile",
-    "bgr_image",
-    "compare",
-    "estimate",
-    "open_recording",
-    "prepare",
-    "validate",
-]
 
 Method = str | OwnMethod
 """The name of a method, or an object with `estimate(frame)`."""
@@ -67,7 +56,13 @@ class Estimates(Sequence[FrameResult]):
 
     def to_dataframe(self) -> DataFrame:
         """A pandas DataFrame with the columns of the CSV; raises SvmdistError where pandas is not installed."""
-        return _dataframe(list(self.rows()), ESTIMATE_KEYS)
+        try:
+            import pandas as pd
+        except ImportError:
+            raise SvmdistError(
+                "to_dataframe needs pandas, which is not installed: pip install pandas"
+            ) from None
+        return pd.DataFrame.from_records(list(self.rows()), columns=ESTIMATE_KEYS)
 
 
 def open_recording(
@@ -92,8 +87,9 @@ def estimate(
 ) -> Estimates:
     """Measure every image of a recording. `lag` in s, or `"auto"`, is taken off the images' stamps first."""
     setup = _setup(recording, method, calibration)
-    read, _ = with_lag(recording, setup.profile, lag, instruments, jobs)
-    return Estimates(recording, setup, tuple(_estimate(read, setup, instruments, jobs)))
+    names = None if instruments is None else tuple(instruments)
+    read, _ = with_lag(recording, Request(setup, instruments=names, lag=lag), jobs)
+    return Estimates(recording, setup, tuple(_estimate(read, setup, names, jobs)))
 
 
 def validate(
@@ -126,11 +122,3 @@ def compare(
 
 def _setup(recording: Recording, method: Method, calibration: Path | None = None) -> Setup:
     return prepare(recording.origin.profile, method, "corrected", calibration)
-
-
-def _dataframe(rows: Sequence[Row], keys: Sequence[str]) -> DataFrame:
-    try:
-        import pandas as pd
-    except ImportError:
-        raise SvmdistError("to_dataframe needs pandas, which is not installed: pip install pandas") from None
-    return pd.DataFrame.from_records([dict(row) for row in rows], columns=list(keys))

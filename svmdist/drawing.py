@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
-import numpy as np
-from numpy.typing import NDArray
-
+from svmdist.geometry import Capsules, Mesh
 from svmdist.transforms import Array
 
 Rgb = tuple[int, int, int]
@@ -82,25 +80,6 @@ class StatusLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
-    """Capsules in the camera frame: `start_m` and `end_m`, shape (n, 3), `radius_m`, shape (n,)."""
-
-    name: str
-    start_m: Array
-    end_m: Array
-    radius_m: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Surface:
-    """Triangles of a surface in the camera frame: `vertices_m`, shape (v, 3), and `faces`, shape (f, 3)."""
-
-    name: str
-    vertices_m: Array
-    faces: NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True)
 class Segment:
     """A measured distance in the camera frame, between two points, shape (3,), with its text."""
 
@@ -112,35 +91,13 @@ class Segment:
 
 
 @dataclass(frozen=True, slots=True)
-class SceneDrawing:
-    """What of a frame stands in space, in the camera frame."""
-
-    bodies: tuple[Body, ...] = ()
-    surface: Surface | None = None
-    segments: tuple[Segment, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class FrameDrawing:
-    """All that is drawn of one image."""
+    """All that is drawn of one image; in the camera frame: `bodies` by instrument, `tissue` and `segments`."""
 
     stamp_ns: int
     shapes: tuple[Shape, ...] = ()
     labels: tuple[Label, ...] = ()
     lines: tuple[StatusLine, ...] = ()
-    scene: SceneDrawing = SceneDrawing()
-
-
-@dataclass(frozen=True, slots=True)
-class EstimateValues:
-    """What was measured of one instrument in one image, as a recording holds it.
-
-    `numbers` has the fields of `svmdist.DistanceEstimate` by name, in SI, None for what does not exist.
-    """
-
-    instrument: str
-    method: str
-    status: str
-    detail: str
-    numbers: Mapping[str, float | None]
-    alarm: bool | None = None
+    bodies: Mapping[str, Capsules] = field(default_factory=dict)
+    tissue: Mesh | None = None
+    segments: tuple[Segment, ...] = ()

@@ -9,9 +9,12 @@ import unicodedata
 from collections.abc import Iterable
 from typing import Any
 
+UNSAFE = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}
+"""Categories of characters: control, such as ESC; format, such as the bidirectional overrides; line breaks."""
+
 
 class SvmdistError(Exception):
-    """Base of all errors that svmdist raises on purpose; its text is one line for a person."""
+    """Base of all errors that svmdist raises on purpose; its text is one line."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -88,9 +91,7 @@ def optional_package(name: str, extra: str, what: str, error: type[SvmdistError]
 
 def printable(text: str) -> str:
     """Text with U+FFFD for control, format and surrogate characters, which could drive a terminal."""
-    return "".join("\N{REPLACEMENT CHARACTER}" if _is_unsafe(character) else character for character in text)
-
-
-def _is_unsafe(character: str) -> bool:
-    # Cc: control, such as ESC; Cf: format, such as the bidirectional overrides; Zl, Zp: line breaks.
-    return unicodedata.category(character) in {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}
+    return "".join(
+        "\N{REPLACEMENT CHARACTER}" if unicodedata.category(character) in UNSAFE else character
+        for character in text
+    )

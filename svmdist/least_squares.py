@@ -2,7 +2,6 @@
 
 The state may be a pose or a correction: the problem linearises it into normal equations, `retract` applies a step of
 its tangent space. Triggs et al. 2000, "Bundle Adjustment: A Modern Synthesis", secs. 2.2 and 4, has the method.
-
 """
 
 from __future__ import annotations
@@ -59,11 +58,10 @@ class NormalEquations:
 
 @dataclass(frozen=True, slots=True)
 class Minimum(Generic[State]):
-    """The state that was reached, the normal equations there, and whether the last step was small enough."""
+    """The state that was reached, and the normal equations there."""
 
     state: State
     equations: NormalEquations
-    converged: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,20 +99,17 @@ def minimise(
         step = _step(equations, damping, steps.step_limit)
         trial_state = retract(state, step)
         trial = linearise(trial_state)
-        usable = trial is not None and trial.is_finite
-        settled = float(np.abs(step).max()) < steps.settled
-        if trial is not None and usable and (steps.damping == 0.0 or trial.cost <= equations.cost):
-            gain = equations.cost - trial.cost
+        converged = float(np.abs(step).max()) < steps.settled
+        if trial is not None and trial.is_finite and (steps.damping == 0.0 or trial.cost <= equations.cost):
+            converged |= steps.damping > 0.0 and equations.cost - trial.cost < steps.cost_settled
             state, equations, damping = trial_state, trial, max(0.1 * damping, 1e-9 * bool(steps.damping))
-            if settled or (steps.damping > 0.0 and gain < steps.cost_settled):
-                return Minimum(state, equations, True)
         elif steps.damping == 0.0:
             return None
         else:
-            if settled:
-                return Minimum(state, equations, True)
             damping *= 10.0
-    return Minimum(state, equations, False)
+        if converged:
+            break
+    return Minimum(state, equations)
 
 
 def _step(equations: NormalEquations, damping: float, limit: Array | None) -> Array:

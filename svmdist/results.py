@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 
@@ -10,11 +11,13 @@ from svmdist.samples import JointSample, Rejection, Status, Vector
 from svmdist.transforms import Array
 
 Pixel = tuple[float, float]
+Z_95 = NormalDist().inv_cdf(0.975)
+"""Standard deviations that a normal 95 % interval reaches to either side."""
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why something could not be found or computed, in words for a person."""
+    """Why something could not be found or computed, in readable words."""
 
     reason: str
 
@@ -88,6 +91,12 @@ class Distance:
     start_m: Vector | None = None
     without_overlap_std_m: float | None = None
 
+    @property
+    def interval_m(self) -> tuple[float, float] | None:
+        """The bounds of the 95 % interval; None without a standard deviation."""
+        half_m = Z_95 * self.std_m if self.std_m is not None else None
+        return None if half_m is None else (self.value_m - half_m, self.value_m + half_m)
+
 
 @dataclass(frozen=True, slots=True)
 class Distances:
@@ -127,14 +136,12 @@ class FrameResult:
     distances: Distances = Distances()
     detail: str = ""
     instrument: str = ""
-    consistency: float | None = None
-    """Innovations squared over what is expected of them, where a method watches them: 1 is as expected."""
-    doubt: str = ""
-    """Why it is not sure which instrument this is; empty where it is. The row's detail says so too."""
-    number: int = 0
-    """Number of the image in its log, from 0."""
-    seconds: float = 0.0
-    """Time since the first image of the log."""
+    consistency: float | None = (
+        None  # squared innovations over their expectation, where a method watches them
+    )
+    doubt: str = ""  # why it is not sure which instrument this is; the detail says so too
+    number: int = 0  # of the image in its log, from 0
+    seconds: float = 0.0  # since the first image of the log
 
     @property
     def measured(self) -> bool:
@@ -150,7 +157,7 @@ class FrameResult:
         return replace(self, doubt=doubt, detail=f"{self.detail}; {doubt}" if self.detail else doubt)
 
     def untrusted(self, detail: str) -> FrameResult:
-        """The same with what contradicts itself: no distance, and no tool that could be taken for one."""
+        """The same where measurements contradict each other: without distances."""
         return replace(self, status=Status.INCONSISTENT, detail=detail, distances=Distances())
 
     def with_image(self, **found: object) -> FrameResult:
@@ -160,9 +167,8 @@ class FrameResult:
     @staticmethod
     def of_rejection(rejection: Rejection, instrument: str = "") -> FrameResult:
         """The result of a frame that could not be read."""
-        return FrameResult(
-            rejection.stamp_ns, rejection.status, detail=rejection.detail, instrument=instrument
-        )
+        stamp_ns, status, detail = rejection.stamp_ns, rejection.status, rejection.detail
+        return FrameResult(stamp_ns, status, detail=detail, instrument=instrument)
 
 
 def as_pixel(point_px: Array) -> Pixel:
@@ -172,5 +178,5 @@ def as_pixel(point_px: Array) -> Pixel:
 
 def as_vector(values: Array) -> Vector:
     """Three floats from an array of shape (3,)."""
-    x, y, z = (float(value) for value in values)
+    x, y, z = values.tolist()
     return x, y, z

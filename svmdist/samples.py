@@ -19,8 +19,6 @@ from svmdist.transforms import Array
 
 Image = NDArray[np.uint8]
 """A BGR image, shape (height, width, 3), or a mask, shape (height, width)."""
-
-
 Vector = tuple[float, float, float]
 
 
@@ -54,7 +52,7 @@ class TransformSample:
 
 @dataclass(frozen=True, slots=True)
 class TransformsSample:
-    """Transforms that were published together, as one message of a tf topic."""
+    """Transforms of one message of a tf topic."""
 
     stamp_ns: int
     transforms: tuple[TransformSample, ...]
@@ -93,15 +91,12 @@ Sample = ImageSample | JointSample | TransformsSample | PoseSample | CameraSampl
 
 @dataclass(frozen=True, slots=True)
 class RightView:
-    """The right image of a stereo pair, its camera, and where that stands: `T_left_right`, shape (4, 4).
-
-    `delay_s` is by how much its stamp is later than the left image's.
-    """
+    """The right image of a stereo pair, its camera, and the camera's pose `T_left_right`, shape (4, 4)."""
 
     image_bgr: Image
     camera: Camera
     T_left_right: Array
-    delay_s: float = 0.0
+    delay_s: float = 0.0  # by which its stamp is later than the left image's
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +139,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """A frame that could not be measured, with the reason and a detail for a person."""
+    """A frame that could not be measured, with the reason and a readable detail."""
 
     stamp_ns: int
     status: Status
@@ -157,16 +152,15 @@ ORDERS = {"bgr8": (3, BGR), "rgb8": (3, RGB), "bgra8": (4, BGR), "rgba8": (4, RG
 
 
 class WrongImageError(SvmdistError, ValueError):
-    """An image of another type, layout, range or size than expected; says what was found."""
+    """An image of another type, layout, range or size than expected."""
 
 
 def bgr_image(image: object, encoding: str, camera: Camera | None = None) -> NDArray[np.uint8]:
     """An image as svmdist's methods take it: BGR, uint8, shape (height, width, 3), in an array of its own.
 
-    `encoding` says what `image` holds: `bgr8`, as OpenCV reads files; `rgb8`, as Pillow, imageio and matplotlib do;
-    `bgra8`, `rgba8` or `mono8`. It must fit the shape, (height, width, channels), or (height, width) of `mono8`. With
-    a camera, the image must have its size. Raises UsageError for an unknown encoding, WrongImageError for an array of
-    another kind.
+    `encoding` says what `image`, shape (height, width, channels) or (height, width), holds: `bgr8`, as OpenCV reads
+    files; `rgb8`, as Pillow, imageio and matplotlib do; `bgra8`, `rgba8` or `mono8`. With a camera, the image must have
+    its size. Raises UsageError for an unknown encoding, WrongImageError for an array of another kind.
     """
     if encoding not in ORDERS:
         raise UsageError(f"no encoding {encoding}: {did_you_mean(encoding, ORDERS)}")
@@ -203,7 +197,7 @@ def _checked(image: object, channels: int, camera: Camera | None, expected: str)
     if image.ndim != dimensions or (channels > 1 and image.shape[2] != channels) or image.size == 0:
         raise WrongImageError(found)
     if camera is not None and image.shape[:2] != (camera.height_px, camera.width_px):
-        turned = image.shape[1::-1] == (camera.height_px, camera.width_px)
-        hint = ": rows and columns are exchanged" if turned else " of another size than its camera's"
+        is_turned = image.shape[1::-1] == (camera.height_px, camera.width_px)
+        hint = ": rows and columns are exchanged" if is_turned else " of another size than its camera's"
         raise WrongImageError(f"{found}{hint}")
     return image

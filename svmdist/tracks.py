@@ -1,4 +1,4 @@
-"""Values over time: joints, transforms, poses and distances, and their interpolation between stamps.
+"""Values over time: joints, transforms and distances, and their interpolation between stamps.
 
 A track never extrapolates, and does not interpolate across a gap that is longer than a limit: invalid values are NaN.
 """
@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 
 from svmdist.transforms import (
     Array,
+    Stamps,
     make_transform,
     quaternion_xyzw_from_rotation,
     rotation_from_quaternion_xyzw,
     slerp_xyzw,
 )
 
-Stamps = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-MAX_GAP_NS = 100_000_000
-"""Longest gap to interpolate across, 0.1 s: ten samples of the slowest joint states that are useful."""
-RATE_WINDOW_NS = 40_000_000
-"""Rates are those of the samples within 40 ms: eight at 100 Hz, so that encoder noise averages out."""
+MAX_GAP_NS = 100_000_000  # longest gap to interpolate across: ten samples of the slowest useful joint states
+RATE_WINDOW_NS = (
+    40_000_000  # rates are those of the samples within: eight at 100 Hz average encoder noise out
+)
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,10 @@ class JointTrack:
 
 @dataclass(frozen=True)
 class TransformTrack:
-    """`T_parent_child` over time, shape (n, 4, 4); a static one holds one sample that is valid always."""
+    """`T_parent_child` over time, shape (n, 4, 4); a static one holds one sample that is valid always.
+
+    A pose is one of what has no frame of its own: `child` is empty.
+    """
 
     parent: str
     child: str
@@ -151,19 +154,6 @@ class TransformTrack:
 
 
 @dataclass(frozen=True)
-class PoseTrack:
-    """The pose of something in a frame over time, `T_frame_pose`, shape (n, 4, 4)."""
-
-    frame_id: str
-    stamps_ns: Stamps
-    T_frame_pose: Array
-
-    def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Sampled:
-        """Interpolate translations linearly and rotations by slerp; the values have shape (m, 4, 4)."""
-        return TransformTrack(self.frame_id, "", self.stamps_ns, self.T_frame_pose).at(at_ns, max_gap_ns)
-
-
-@dataclass(frozen=True)
 class SampledDistances:
     """Interpolated distances in m, shape (m,) each, and which of them are valid; the others are NaN."""
 
@@ -175,16 +165,13 @@ class SampledDistances:
 
 @dataclass(frozen=True)
 class DistanceTrack:
-    """The three true distances over time, shape (n,) each, in m."""
+    """The true planar distance, spatial distance and clearance over time, shape (n, 3), in m."""
 
     stamps_ns: Stamps
-    planar_m: Array
-    spatial_m: Array
-    clearance_m: Array
+    distances_m: Array
 
     def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> SampledDistances:
         """Interpolate linearly."""
-        rows = np.stack([self.planar_m, self.spatial_m, self.clearance_m], -1)
-        sampled = _interpolate_rows(rows, bracket(self.stamps_ns, at_ns, max_gap_ns))
+        sampled = _interpolate_rows(self.distances_m, bracket(self.stamps_ns, at_ns, max_gap_ns))
         planar_m, spatial_m, clearance_m = sampled.values.T
         return SampledDistances(planar_m, spatial_m, clearance_m, sampled.valid)

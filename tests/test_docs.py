@@ -145,7 +145,10 @@ def test_a_picture_is_what_its_command_makes_now(tmp_path: Path) -> None:
 
 def test_the_architecture_names_every_package() -> None:
     text = (DOCS / "architecture.md").read_text("utf-8").partition("svmdist/\n")[2].partition("```")[0]
-    folders = {path.parent.name for path in (REPOSITORY / "svmdist").glob("*/__init__.py")} | {"profiles"}
+    folders = {path.parent.name for path in (REPOSITORY / "svmdist").glob("*/__init__.py")} | {
+        "profiles",
+        "models",
+    }
     assert set(re.findall(r"^  (\w+)/ ", text, re.MULTILINE)) == folders
 
 

@@ -22,7 +22,6 @@ def _rosenbrock(x):
 def test_rosenbrock(damping):
     found = minimise(np.array([-1.2, 1.0]), _rosenbrock, np.add, Steps(100, settled=1e-10, damping=damping))
     assert found is not None
-    assert found.converged
     np.testing.assert_allclose(found.state, [1.0, 1.0], atol=1e-8)
 
 

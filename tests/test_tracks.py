@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from svmdist.tracks import JointTrack, PoseTrack, TransformTrack, bracket, sort_stamps
+from svmdist.tracks import JointTrack, TransformTrack, bracket, sort_stamps
 from svmdist.transforms import make_transform, rotation_z
 
 stamp_lists = st.lists(st.integers(0, 10**12), min_size=1, max_size=30, unique=True).map(sorted)
@@ -58,8 +58,6 @@ def test_interpolated_transforms_equal_scipys(start_ns: int) -> None:
     for axis in range(3):
         expected = np.interp(at_offset_ns, offsets_ns, T[:, axis, 3])
         np.testing.assert_allclose(found.values[:9, axis, 3], expected, atol=1e-14)
-    poses = PoseTrack("a", track.stamps_ns, T).at(start_ns + at_offset_ns)
-    np.testing.assert_array_equal(poses.values, found.values[:9])
 
 
 def test_a_static_transform_holds_always_and_a_single_sample_only_at_its_stamp() -> None:

@@ -93,10 +93,10 @@ def _joint_covariance(robot: RobotState, link: str, R_camera_base: Array, error:
             # Along x of its own frame; modified DH moves before it turns, along x of the frame before.
             x_row = index - 1 if chain.convention == "modified" else index
             columns.append(error.length_std_m * np.concatenate([robot.frames[x_row][:3, 0], np.zeros(3)]))
-        if row.joint == "fixed":
+        if row.type == "fixed":
             continue
         column, stds = sliding, (error.joint_std_m, error.play_std_m)
-        if row.joint == "revolute":
+        if row.type == "revolute":
             column, stds = turning, (error.joint_std_rad, error.play_std_rad)
         columns.append(float(np.hypot(*stds)) * column)
         late += robot.rates[chain.joint_names.index(row.name)] * column

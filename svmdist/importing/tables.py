@@ -20,8 +20,8 @@ import numpy as np
 from svmdist.errors import SourceError
 from svmdist.files import read_regular, why
 from svmdist.importing.images import numbers_of
-from svmdist.tracks import JointTrack, PoseTrack, Stamps
-from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
+from svmdist.tracks import JointTrack, TransformTrack
+from svmdist.transforms import Array, Stamps, make_transform, rotation_from_quaternion_xyzw
 
 MAX_BYTES = 1 << 28
 MAX_STAMP_NS = (1 << 63) - 1
@@ -117,7 +117,7 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
     return [found[place] for place in range(len(names))]
 
 
-def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> PoseTrack:
+def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> TransformTrack:
     """Poses of a table: columns by name, or `[time] x y z qx qy qz qw` (TUM), or 12 or 16 numbers of a matrix.
 
     `unit_m` is the unit of lengths whose column has none. Raises SourceError.
@@ -131,7 +131,7 @@ def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> 
         for row in np.flatnonzero(off > ROTATION_TOLERANCE):
             raise table.fail(int(row), "its matrix is no rotation")
         u, _, vt = np.linalg.svd(R)  # the nearest rotations of rounded ones
-        return PoseTrack(frame_id, stamps_ns, make_transform(u @ vt, matrices[:, :3, 3] * unit_m))
+        return TransformTrack(frame_id, "", stamps_ns, make_transform(u @ vt, matrices[:, :3, 3] * unit_m))
     if table.names is None:
         position, quaternion, scale = others[:3], others[3:], [unit_m] * 3
         if len(others) != 7:
@@ -149,7 +149,7 @@ def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> 
     for row in np.flatnonzero(np.abs(lengths - 1.0) > ROTATION_TOLERANCE):
         raise table.fail(int(row), f"its quaternion has length {lengths[row]:.4g}, 1 is expected")
     T = make_transform(rotation_from_quaternion_xyzw(quaternions), positions_m)
-    return PoseTrack(frame_id, stamps_ns, T)
+    return TransformTrack(frame_id, "", stamps_ns, T)
 
 
 def read_joints(path: Path, images: ImageTimes, names: Sequence[str] | None = None) -> JointTrack:

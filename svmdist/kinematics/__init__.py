@@ -16,32 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import KinematicsError
-from svmdist.profile import Robot
+from svmdist.profile import Joint, Robot
 from svmdist.transforms import Array
 
-JointType = Literal["revolute", "prismatic", "fixed"]
 Convention = Literal["standard", "modified"]
-CHUNK = 2048
-"""Joint vectors that are worked on together: more links at once leave the processor's cache."""
-
-
-@dataclass(frozen=True, slots=True)
-class DHRow:
-    """One row of a DH table: lengths in m, angles in rad, limits in the joint's own unit.
-
-    The joint variable adds to `theta_rad` (revolute) or to `d_m` (prismatic), so that the value in a published
-    table is the offset at joint value zero.
-    """
-
-    name: str
-    joint: JointType
-    a_m: float = 0.0
-    alpha_rad: float = 0.0
-    d_m: float = 0.0
-    theta_rad: float = 0.0
-    lower: float = -np.pi
-    upper: float = np.pi
-    aliases: tuple[str, ...] = ()
+CHUNK = 2048  # joint vectors that are worked on together: more links at once leave the processor's cache
+CLOSE_M, MAX_STEPS = 1e-9, 60  # of inverse kinematics
+DAMPING = 1e-4  # in m: far below a robot's lever arms, it slows convergence near singularities only
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +32,7 @@ class DHChain:
     Joints may be reported beyond their limits by `limit_tolerance_rad` (revolute) or `limit_tolerance_m` (prismatic).
     """
 
-    rows: tuple[DHRow, ...]
+    rows: tuple[Joint, ...]
     convention: Convention = "standard"
     T_last_tool: Array = field(default_factory=lambda: np.eye(4))
     limit_tolerance_rad: float = np.inf
@@ -60,27 +41,32 @@ class DHChain:
     @cached_property
     def moving_rows(self) -> NDArray[np.intp]:
         """Indices of the rows with a joint, base first, shape (n_joints,)."""
-        return np.array([i for i, row in enumerate(self.rows) if row.joint != "fixed"], np.intp)
+        return np.array([i for i, row in enumerate(self.rows) if row.type != "fixed"], np.intp)
+
+    @cached_property
+    def moving_joints(self) -> list[Joint]:
+        """The rows with a joint, base first."""
+        return [self.rows[index] for index in self.moving_rows]
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """The names of the joints that move, base first."""
-        return tuple(self.rows[i].name for i in self.moving_rows)
+        return tuple(joint.name for joint in self.moving_joints)
 
     @cached_property
     def lower(self) -> Array:
         """Lower joint limits in rad or m, shape (n_joints,)."""
-        return np.array([self.rows[i].lower for i in self.moving_rows])
+        return np.array([joint.lower for joint in self.moving_joints])
 
     @cached_property
     def upper(self) -> Array:
         """Upper joint limits in rad or m, shape (n_joints,)."""
-        return np.array([self.rows[i].upper for i in self.moving_rows])
+        return np.array([joint.upper for joint in self.moving_joints])
 
     @cached_property
     def is_revolute(self) -> NDArray[np.bool_]:
         """Which joints are revolute, shape (n_joints,); the others are prismatic."""
-        return np.array([self.rows[i].joint == "revolute" for i in self.moving_rows], np.bool_)
+        return np.array([joint.type == "revolute" for joint in self.moving_joints], np.bool_)
 
     @cached_property
     def limit_tolerance(self) -> Array:
@@ -93,49 +79,20 @@ class DHChain:
         return np.asarray((q >= self.lower - tolerance) & (q <= self.upper + tolerance))
 
     @cached_property
-    def row_indices(self) -> dict[str, int]:
-        """The index of each row by its name."""
-        return {row.name: index for index, row in reversed(list(enumerate(self.rows)))}
+    def terms(self) -> tuple[Array, ...]:
+        """What is constant in the rows' transforms, `constant` + cos θ `cosine` + sin θ `sine` + d `shift`.
 
-    @cached_property
-    def terms(self) -> LinkTerms:
-        """What is constant in the rows' transforms."""
-        return LinkTerms.of(self.rows, self.convention)
-
-
-def chain_of(robot: Robot) -> DHChain:
-    """The chain of a profile's robot, from base to tool."""
-    rows = tuple(DHRow(*dict(joint).values()) for joint in robot.joints)
-    return DHChain(
-        rows, robot.convention, robot.T_last_tool, robot.limit_tolerance_rad, robot.limit_tolerance_m
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class LinkTerms:
-    """The transforms of all rows as sums: `constant` + cos θ `cosine` + sin θ `sine` + d `shift`, (n_rows, 4, 4) each.
-
-    θ and d, shape (n_rows,), are those at joint value zero. `into_theta` and `into_d`, shape (n_joints, n_rows), add
-    the joints to them.
-    """
-
-    constant: Array
-    cosine: Array
-    sine: Array
-    shift: Array
-    theta_rad: Array
-    d_m: Array
-    into_theta: Array
-    into_d: Array
-
-    @classmethod
-    def of(cls, rows: tuple[DHRow, ...], convention: Convention) -> LinkTerms:
-        """Take the rows apart."""
-        a = np.array([row.a_m for row in rows])
-        ca, sa = _cosine_and_sine(np.array([row.alpha_rad for row in rows]))
+        These four, shape (n_rows, 4, 4); θ and d at joint value zero, shape (n_rows,); and the matrices that add the
+        joints to θ and to d, shape (n_joints, n_rows).
+        """
+        rows = self.rows
+        a, alpha, d, theta = np.array(
+            [(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in rows]
+        ).T.copy()
+        ca, sa = _cosine_and_sine(alpha)
         constant, cosine, sine, shift = np.zeros((4, len(rows), 4, 4))
         constant[:, 3, 3] = 1.0
-        if convention == "standard":
+        if self.convention == "standard":
             cosine[:, 0, 0], cosine[:, 0, 3], cosine[:, 1, 1], cosine[:, 1, 2] = 1.0, a, ca, -sa
             sine[:, 0, 1], sine[:, 0, 2], sine[:, 1, 0], sine[:, 1, 3] = -ca, sa, 1.0, a
             constant[:, 2, 1], constant[:, 2, 2] = sa, ca
@@ -145,13 +102,23 @@ class LinkTerms:
             sine[:, 0, 1], sine[:, 1, 0], sine[:, 2, 0] = -1.0, ca, sa
             constant[:, 0, 3], constant[:, 1, 2], constant[:, 2, 2] = a, -sa, ca
             shift[:, 1, 3], shift[:, 2, 3] = -sa, ca
-        into_theta, into_d = (
-            np.array([row.joint == joint for row in rows], np.float64)
-            * np.eye(len(rows))[[i for i, row in enumerate(rows) if row.joint != "fixed"]]
-            for joint in ("revolute", "prismatic")
+        into = np.eye(len(rows))[self.moving_rows]
+        return (
+            constant,
+            cosine,
+            sine,
+            shift,
+            theta,
+            d,
+            into * self.is_revolute[:, None],
+            into * ~self.is_revolute[:, None],
         )
-        theta, d = np.array([row.theta_rad for row in rows]), np.array([row.d_m for row in rows])
-        return cls(constant, cosine, sine, shift, theta, d, into_theta, into_d)
+
+
+def chain_of(robot: Robot) -> DHChain:
+    """The chain of a profile's robot, from base to tool."""
+    tolerances = robot.limit_tolerance_rad, robot.limit_tolerance_m
+    return DHChain(robot.joints, robot.convention, robot.T_last_tool, *tolerances)
 
 
 def link_transforms(chain: DHChain, q: ArrayLike, first: int = 0) -> Array:
@@ -160,14 +127,17 @@ def link_transforms(chain: DHChain, q: ArrayLike, first: int = 0) -> Array:
     The joints, shape (..., n_joints), are those of the whole chain. Standard: Rot_z(θ) Trans_z(d) Trans_x(a)
     Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d). Raises KinematicsError for a wrong number of joints.
     """
-    q = _checked_joints(chain, q)
-    terms = chain.terms
-    theta = (terms.theta_rad[first:] + q @ terms.into_theta[:, first:])[..., None, None]
-    d = (terms.d_m[first:] + q @ terms.into_d[:, first:])[..., None, None]
-    T = np.cos(theta) * terms.cosine[first:]
-    T += np.sin(theta) * terms.sine[first:]
-    T += d * terms.shift[first:]
-    T += terms.constant[first:]
+    q = np.asarray(q, np.float64)
+    count = len(chain.joint_names)
+    if q.ndim == 0 or q.shape[-1] != count:
+        raise KinematicsError(f"expected {count} joint values on the last axis, found shape {q.shape}")
+    constant, cosine, sine, shift, theta_rad, d_m, into_theta, into_d = chain.terms
+    theta = (theta_rad[first:] + q @ into_theta[:, first:])[..., None, None]
+    d = (d_m[first:] + q @ into_d[:, first:])[..., None, None]
+    T = np.cos(theta) * cosine[first:]
+    T += np.sin(theta) * sine[first:]
+    T += d * shift[first:]
+    T += constant[first:]
     return np.asarray(T)
 
 
@@ -208,27 +178,27 @@ def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) 
 
     A joint is found by its name or by an alias. Raises KinematicsError that names the joints that `names` lacks.
     """
-    rows = [chain.rows[index] for index in chain.moving_rows]
-    found = {
-        row.name: next((name for name in (row.name, *row.aliases) if name in names), None) for row in rows
-    }
-    missing = [name for name, logged in found.items() if logged is None]
+    places, missing = [], []
+    for joint in chain.moving_joints:
+        logged = next((name for name in (joint.name, *joint.aliases) if name in names), None)
+        if logged is None:
+            missing.append(joint.name)
+        else:
+            places.append(names.index(logged))
     if missing:
         raise KinematicsError(
             f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
         )
-    return np.asarray(positions, np.float64)[
-        ..., [names.index(logged) for logged in found.values() if logged]
-    ]
+    return np.asarray(positions, np.float64)[..., places]
 
 
 def jacobian_of_frames(chain: DHChain, frames: Array, row: str | None = None) -> Array:
     """Derivative of a frame's pose in the base frame by the joints, shape (..., 6, n_joints).
 
     `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames; `row` names one of them, None is the tool.
-    Rows are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with R' = exp([δθ]) R, both in
-    the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a prismatic one (z, 0), a
-    joint behind the frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
+    Rows of the result are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with
+    R' = exp([δθ]) R, both in the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a
+    prismatic one (z, 0), a joint behind the frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
     """
     last = len(chain.rows) - 1 if row is None else row_index(chain, row)
     T_base_frame = frames[..., last, :, :] @ chain.T_last_tool if row is None else frames[..., last, :, :]
@@ -258,10 +228,8 @@ def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]
 
 
 def row_index(chain: DHChain, name: str) -> int:
-    """Place of a row in the table; raises ValueError for a name it lacks."""
-    if name not in chain.row_indices:
-        raise ValueError(f"the chain has no row {name}; it has {', '.join(chain.row_indices)}")
-    return chain.row_indices[name]
+    """Index of a row in the table; raises ValueError for a name that no row has."""
+    return [row.name for row in chain.rows].index(name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +243,7 @@ class ShaftAxis:
 
 def shaft_of(chain: DHChain) -> ShaftAxis | None:
     """The shaft of a chain; None for a chain in which nothing slides."""
-    prismatic = [row for row in chain.rows if row.joint == "prismatic"]
+    prismatic = [row for row in chain.rows if row.type == "prismatic"]
     if not prismatic:
         return None
     row = prismatic[-1]
@@ -307,17 +275,9 @@ def wrist_rows(chain: DHChain) -> WristRows | None:
 
 def rows_behind_insertion(chain: DHChain) -> list[int]:
     """Indices of the revolute rows behind the last prismatic one, the shaft's roll first; none without one."""
-    slides = [index for index, row in enumerate(chain.rows) if row.joint == "prismatic"]
+    slides = [index for index, row in enumerate(chain.rows) if row.type == "prismatic"]
     behind = range(slides[-1] + 1, len(chain.rows)) if slides else ()
-    return [index for index in behind if chain.rows[index].joint == "revolute"]
-
-
-def _checked_joints(chain: DHChain, q: ArrayLike) -> Array:
-    q = np.asarray(q, np.float64)
-    count = len(chain.joint_names)
-    if q.ndim == 0 or q.shape[-1] != count:
-        raise KinematicsError(f"expected {count} joint values on the last axis, found shape {q.shape}")
-    return q
+    return [index for index in behind if chain.rows[index].type == "revolute"]
 
 
 def _cosine_and_sine(angles_rad: Array) -> Array:
@@ -332,34 +292,28 @@ def solve_position(
     q_start: ArrayLike,
     p_base_tool_m: ArrayLike,
     free_joints: Sequence[str],
-    *,
-    tolerance_m: float = 1e-9,
-    damping: float = 1e-4,
-    max_iterations: int = 60,
 ) -> Array:
     """Find joints, shape (n, n_joints), that bring the tool's origin to targets in the base frame, (n, 3).
 
-    `q_start`, shape (n, n_joints), has the first guess of the free joints and the values of all others, which stay.
-    `damping` is in the unit of the Jacobian; 1e-4 m is far below the lever arms of a surgical robot: it slows
-    convergence near singularities only. Raises KinematicsError for a target that is out of reach or needs a joint
-    outside its limits.
+    By damped least squares, from `q_start`, shape (n, n_joints); joints that are not free stay. Raises KinematicsError
+    for a target that is out of reach or needs a joint outside its limits.
     """
     q, targets_m = np.array(q_start, np.float64), np.asarray(p_base_tool_m, np.float64)
     free = [chain.joint_names.index(name) for name in free_joints]
-    for _ in range(max_iterations):
+    for _ in range(MAX_STEPS):
         frames = frame_transforms(chain, q)
         error_m = targets_m - (frames[:, -1] @ chain.T_last_tool)[:, :3, 3]
-        if float(np.max(np.abs(error_m), initial=0.0)) <= tolerance_m:
+        if float(np.max(np.abs(error_m), initial=0.0)) <= CLOSE_M:
             break
         J = jacobian_of_frames(chain, frames)[:, :3, free]
         # dq = J^T (J J^T + λ² I)^-1 e (Nakamura & Hanafusa 1986)
-        damped = J @ np.swapaxes(J, 1, 2) + damping**2 * np.eye(3)
+        damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(3)
         q[:, free] += (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, error_m[:, :, None]))[..., 0]
     else:
         worst = int(np.argmax(np.linalg.norm(error_m, axis=1)))
         raise KinematicsError(
             f"position {worst} is out of reach: {np.linalg.norm(error_m[worst]):.3g} m are left "
-            f"after {max_iterations} steps"
+            f"after {MAX_STEPS} steps"
         )
     for row, joint in np.argwhere((q < chain.lower) | (q > chain.upper)):
         raise KinematicsError(

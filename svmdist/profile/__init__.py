@@ -1,6 +1,6 @@
 """The scene profile (TOML): a log's topics, frames and limits, what its images show, and the robot.
 
-Everything that depends on a scene stands here, so that another scene needs another profile and no other code.
+Everything that depends on a scene is here, so that another scene needs another profile and no other code.
 """
 
 from __future__ import annotations
@@ -12,23 +12,10 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from svmdist.errors import ProfileError, UsageError, did_you_mean
-from svmdist.profile.hand_eye import (
-    BASELINE,
-    FOCAL_LENGTH,
-    PRINCIPAL_POINT,
-    SHAFT_RADIUS,
-    TAG_SIZE,
-    TIME_OFFSET,
-    HandEye,
-    HandEyeFile,
-    NamedHandEye,
-    length_of,
-    load_hand_eye,
-    offset_of,
-    with_hand_eye,
-)
+from svmdist.profile.hand_eye import HandEye, HandEyeFile, NamedHandEye, load_hand_eye, with_hand_eye
 from svmdist.profile.robot import (
     ARM_TOPICS,
+    TAGS,
     ArmFrames,
     CameraError,
     Dome,
@@ -42,7 +29,6 @@ from svmdist.profile.robot import (
     Robot,
     Simulation,
     Tissue,
-    require_tag,
 )
 from svmdist.profile.segmentation import (
     AnySegmentation,
@@ -54,13 +40,12 @@ from svmdist.profile.segmentation import (
     OnnxSegmentation,
     Segmentation,
 )
-from svmdist.profile.settings import Settings, StereoSettings, without_former
-from svmdist.profile.toml import Byte, Size, StrictModel, parse_toml
+from svmdist.profile.settings import Settings, StereoSettings, without_former_keys
+from svmdist.profile.toml import Byte, Positive, Share, Size, StrictModel, parse_toml
 
 DEFAULT_PROFILE = "psm13"
 SHIPPED = Path(__file__).parent.with_name("profiles")
-BEHIND_PLANE = 1.5
-"""The range of stereo over the distance of the plane that the tissue lies on."""
+BEHIND_PLANE = 1.5  # the range of stereo over the distance of the plane that the tissue lies on
 
 
 class Topics(StrictModel):
@@ -92,27 +77,16 @@ class Frames(StrictModel):
 class Limits(StrictModel):
     """What a log may ask of the reader, checked before memory is allocated; what asks for more is a loss."""
 
-    record_bytes: Size = 256 << 20
-    """One record of the file; it may never reach beyond the file either."""
-    chunk_bytes: Size = 256 << 20
-    """One chunk after expansion; it must have exactly the size that it declares."""
-    window_bytes: Size = 128 << 20
-    """Memory that a zstd frame may claim for its window, beside the expanded chunk."""
+    record_bytes: Size = 256 << 20  # one record of the file; it may never reach beyond the file either
+    chunk_bytes: Size = 256 << 20  # one chunk after expansion; it must have exactly the size that it declares
+    window_bytes: Size = 128 << 20  # that a zstd frame may claim for its window, beside the expanded chunk
     image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)
     """One image, by the dimensions in its header, before it is decoded; OpenCV itself is held to 2^26."""
-    image_bytes: Size = 32 << 20
-    """One compressed image."""
-    message_bytes: Size = 1 << 20
-    """One message that is no image: joints, transforms and the like hold a few kilobytes."""
+    image_bytes: Size = 32 << 20  # one compressed image
+    message_bytes: Size = 1 << 20  # one message that is no image: joints and the like hold a few kilobytes
     pair_tolerance_s: float = Field(default=5e-4, ge=0.0, le=0.5)
     """How far the stamps of the left and the right image of a pair may be apart. Cameras that are triggered together
     differ by less than half a millisecond, which is less than any exposure; others by up to half a frame."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_former_keys(cls, data: Any) -> Any:
-        former = {"chunk_records", "definition_bytes", "metadata_bytes", "json_bytes"}
-        return without_former("limits", data, former)
 
 
 class Marker(StrictModel):
@@ -127,8 +101,7 @@ class Marker(StrictModel):
 
     @model_validator(mode="after")
     def _one_colour(self) -> Marker:
-        given = self.model_fields_set & {"outline", "outline_bgr"}
-        if len(given) == 1:
+        if len(self.model_fields_set & {"outline", "outline_bgr"}) == 1:
             raise ValueError(
                 "outline_bgr is drawn and outline finds it again: give both of them, or neither for pure green"
             )
@@ -139,8 +112,8 @@ class Features(StrictModel):
     """ORB, matching and homography, with the paper's values as defaults."""
 
     feature_count: int = Field(default=1500, ge=50, le=20000)
-    ratio: float = Field(default=0.75, gt=0.0, lt=1.0)
-    reprojection_px: float = Field(default=3.0, gt=0.0)
+    ratio: Share = 0.75
+    reprojection_px: Positive = 3.0
     min_match_count: int = Field(default=10, ge=4)
 
 
@@ -149,10 +122,9 @@ class Profile(StrictModel):
 
     name: str
     description: str = ""
-    calibration: str | None = None
-    """File name of the calibration that ships beside this profile."""
+    calibration: str | None = None  # file name of the calibration that ships beside this profile
     hand_eye: NamedHandEye | None = None
-    """What `svmdist hand-eye` wrote, in a file: where robots' bases stand for the camera, in place of the log's."""
+    """A file that `svmdist hand-eye` wrote: the camera-to-base transforms, in place of the log's."""
     topics: Topics = Topics()
     frames: Frames = Frames()
     limits: Limits = Limits()
@@ -166,13 +138,15 @@ class Profile(StrictModel):
     fiducial: Fiducial | None = None
     tissue: Tissue | None = None
     simulation: Simulation | None = None
-    settings: Settings = Settings()
-    """What detectors and estimators may assume; the defaults serve most logs."""
-    instrument_name: str = Field(default="PSM1", min_length=1)
-    """What the instrument is called that everything above is about."""
-    entry: EntrySide | None = None
-    """The side of the picture that it comes in from, where no joints tell instruments apart."""
+    settings: Settings = Settings()  # what detectors and estimators may assume; the defaults serve most logs
+    instrument_name: str = Field(default="PSM1", min_length=1)  # of what everything above is about
+    entry: EntrySide | None = None  # the side of the picture that it comes in from, needed without joints
     other_instruments: tuple[OtherInstrument, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_former_keys(cls, data: Any) -> Any:
+        return without_former_keys(data) if isinstance(data, dict) else data
 
     @property
     def stereo_in_range(self) -> StereoSettings:
@@ -193,42 +167,33 @@ class Profile(StrictModel):
 
         Raises UsageError that lists the names.
         """
-        if name == self.instrument_name:
-            return self.model_copy(update={"other_instruments": ()})._with_hand_eye()
+        update: dict[str, object] = {"other_instruments": ()}
         other = next((other for other in self.other_instruments if other.name == name), None)
-        if other is None:
-            raise UsageError(
-                f"profile {self.name} has no instrument {name}: {did_you_mean(name, self.instrument_names)}"
-            )
-        topics = {role: other.logged_topics.get(role) for role in ARM_TOPICS}
-        frames = other.frames or ArmFrames(base=f"{name}_base", tool=name)
-        update: dict[str, object] = {
-            "topics": self.topics.model_copy(update=topics),
-            "frames": self.frames.model_copy(update={"base": frames.base, "tool": frames.tool}),
-            "instrument_name": name,
-            "entry": other.entry,
-            "other_instruments": (),
-        }
-        if self.fiducial is not None:
-            tag_id = other.fiducial_id
-            update["fiducial"] = None if tag_id is None else self.fiducial.model_copy(update={"id": tag_id})
-        update |= {
-            part: found for part in ("robot", "instrument") if (found := getattr(other, part)) is not None
-        }
-        if other.simulation is not None and self.simulation is not None:
-            update["simulation"] = self.simulation.model_copy(update=other.simulation.model_dump())
-        return self.model_copy(update=update)._with_hand_eye()
-
-    def _with_hand_eye(self) -> Profile:
-        """With the kinematic error of an instrument whose base is known by hand-eye; the same of any other."""
-        if (found := self.camera_to_base) is None:
-            return self
-        error = with_hand_eye(self.kinematic_error, found, stated_deviations(self))
-        return self.model_copy(update={"kinematic_error": error})
+        if name != self.instrument_name:
+            if other is None:
+                raise UsageError(
+                    f"profile {self.name} has no instrument {name}: {did_you_mean(name, self.instrument_names)}"
+                )
+            topics = {role: other.logged_topics.get(role) for role in ARM_TOPICS}
+            frames = other.frames or ArmFrames(base=f"{name}_base", tool=name)
+            update |= {
+                "topics": self.topics.model_copy(update=topics),
+                "frames": self.frames.model_copy(update=frames.model_dump()),
+                "instrument_name": name,
+                "entry": other.entry,
+                "robot": other.robot or self.robot,
+                "instrument": other.instrument or self.instrument,
+            }
+            if self.fiducial is not None:
+                tag = None if other.fiducial_id is None else {"id": other.fiducial_id}
+                update["fiducial"] = tag and self.fiducial.model_copy(update=tag)
+            if other.simulation is not None and self.simulation is not None:
+                update["simulation"] = self.simulation.model_copy(update=other.simulation.model_dump())
+        return with_hand_eye(self.model_copy(update=update))
 
     @property
     def camera_to_base(self) -> HandEye | None:
-        """Where the base of this profile's own instrument stands, by hand-eye; None where no file says it."""
+        """The camera-to-base transform of this profile's own instrument; None where no hand-eye file has it."""
         return None if self.hand_eye is None else self.hand_eye.of(self.instrument_name)
 
     @model_validator(mode="after")
@@ -258,12 +223,15 @@ class Profile(StrictModel):
         views = [self.for_instrument(name) for name in dict.fromkeys(self.instrument_names)]
         tags = [view.fiducial for view in views if view.fiducial is not None]
         for tag in tags:
-            require_tag(tag.family, tag.id)
+            count, _ = TAGS[tag.family]
+            if tag.id >= count:
+                raise ValueError(
+                    f"fiducial: family {tag.family} has the tags 0 to {count - 1}, found {tag.id}"
+                )
         for other in self.other_instruments:
             if other.topics is None and not isinstance(self.segmentation, AutoSegmentation):
                 raise ValueError(
-                    f"other_instruments: {other.name} has no topics, and only [segmentation] method = 'auto' tells such"
-                    " instruments apart"
+                    f"other_instruments: {other.name} has no topics, which needs [segmentation] method = 'auto'"
                 )
         distinct = {
             "name": list(self.instrument_names),
@@ -283,15 +251,14 @@ class Profile(StrictModel):
     def _names_joints_that_are_there(self) -> Profile:
         link = None if self.fiducial is None else self.fiducial.link
         first = self.kinematic_error.first_moving_joint
-        for robot in (self.robot, *(other.robot for other in self.other_instruments)):
-            joints = () if robot is None else robot.joints
-            names = [joint.name for joint in joints]
-            moving = [joint.name for joint in joints if joint.type != "fixed"]
+        robots = (self.robot, *(other.robot for other in self.other_instruments))
+        for robot in [robot for robot in robots if robot is not None]:
+            moving = [joint.name for joint in robot.joints if joint.type != "fixed"]
             for key, name, known in (
-                ("fiducial.link", link, names),
+                ("fiducial.link", link, [joint.name for joint in robot.joints]),
                 ("kinematic_error.first_moving_joint", first, moving),
             ):
-                if joints and name is not None and name not in known:
+                if name is not None and name not in known:
                     raise ValueError(f"{key}: no joint named {name}: {did_you_mean(name, known)}")
         return self
 
@@ -329,25 +296,3 @@ def profile_path(name_or_path: str | Path) -> Path:
             f"no profile named {text}: {did_you_mean(text, shipped_profiles())}; or give a path to a .toml"
         )
     return path
-
-
-def stated_deviations(profile: Profile) -> dict[str, float]:
-    """Deviations in m, rad, s, px, or fractions of the constant itself."""
-    camera, kinematic = profile.camera_error, profile.kinematic_error
-    found = {
-        FOCAL_LENGTH: camera.focal_std_fraction,
-        PRINCIPAL_POINT: camera.centre_std_px,
-        BASELINE: camera.baseline_std_fraction,
-        TIME_OFFSET: kinematic.time_offset_std_s,
-    }
-    if profile.instrument is not None:
-        found[SHAFT_RADIUS] = profile.instrument.shaft_radius_std_fraction
-    if profile.fiducial is not None:
-        found[TAG_SIZE] = profile.fiducial.size_std_fraction
-    joints = () if profile.robot is None else profile.robot.joints
-    for index, joint in enumerate(joints):
-        slides = joint.type == "prismatic"
-        found[offset_of(joint.name)] = kinematic.joint_std_m if slides else kinematic.joint_std_rad
-        # A row has two lengths at most.
-        found |= {length_of(place): kinematic.length_std_m for place in (2 * index, 2 * index + 1)}
-    return found

@@ -1,10 +1,10 @@
-"""The hand-eye file (TOML): where robots' bases stand for the camera, how certain that is, what it was fitted on."""
+"""The hand-eye file (TOML): camera-to-base transforms, how certain they are, and what they were fitted on."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tomli_w
@@ -13,8 +13,11 @@ from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 from svmdist.errors import ProfileError
 from svmdist.files import write_atomically
 from svmdist.profile.robot import KinematicError, Rotation, Vector
-from svmdist.profile.toml import StrictModel, parse_toml
+from svmdist.profile.toml import NonNegative, Positive, StrictModel, parse_toml
 from svmdist.transforms import Array, make_transform, skew
+
+if TYPE_CHECKING:
+    from svmdist.profile import Profile
 
 FORMAT: Literal["svmdist.hand-eye/1"] = "svmdist.hand-eye/1"
 FOCAL_LENGTH, PRINCIPAL_POINT, BASELINE = "focal length", "principal point", "baseline"
@@ -40,7 +43,7 @@ class ConstantEffect(StrictModel):
     """
 
     constant: str = Field(min_length=1)
-    deviation: float = Field(gt=0.0)
+    deviation: Positive
     effects: tuple[Six, ...] = Field(min_length=1)
 
 
@@ -57,13 +60,11 @@ class HandEye(StrictModel):
     rotation: Rotation
     translation_m: Vector
     covariance: tuple[Six, Six, Six, Six, Six, Six]
-    method: str = ""
-    """The method that measured the tool."""
-    reference: str = ""
-    """What it was compared with: kinematics of the joints, or recorded poses."""
+    method: str = ""  # that measured the tool
+    reference: str = ""  # what it was compared with: kinematics of the joints, or recorded poses
     frame_count: int = Field(default=0, ge=0)
     inlier_count: int = Field(default=0, ge=0)
-    residual_rms_m: float = Field(default=0.0, ge=0.0)
+    residual_rms_m: NonNegative = 0.0
     constants: tuple[ConstantEffect, ...] = ()
 
     @model_validator(mode="after")
@@ -141,15 +142,39 @@ class HandEyeError(KinematicError):
     hand_eye: HandEye
 
 
-def with_hand_eye(error: KinematicError, hand_eye: HandEye, stated: Mapping[str, float]) -> HandEyeError:
-    """The errors with hand-eye's covariance in place of the transform's; `stated`: deviations of all constants now."""
-    hand_eye = hand_eye.with_deviations(stated)
-    rotation_var = float(np.linalg.eigvalsh(np.array(hand_eye.covariance)[3:, 3:])[-1])
-    values = error.model_dump() | {
-        "camera_base_std_rad": float(np.sqrt(max(rotation_var, 0.0))),
-        "hand_eye": hand_eye,
+def stated_deviations(profile: Profile) -> dict[str, float]:
+    """Standard deviations of all calibration parameters by name: in m, rad, s, px, or fractions of themselves."""
+    camera, kinematic = profile.camera_error, profile.kinematic_error
+    found = {
+        FOCAL_LENGTH: camera.focal_std_fraction,
+        PRINCIPAL_POINT: camera.centre_std_px,
+        BASELINE: camera.baseline_std_fraction,
+        TIME_OFFSET: kinematic.time_offset_std_s,
     }
-    return HandEyeError(**values)
+    if profile.instrument is not None:
+        found[SHAFT_RADIUS] = profile.instrument.shaft_radius_std_fraction
+    if profile.fiducial is not None:
+        found[TAG_SIZE] = profile.fiducial.size_std_fraction
+    joints = () if profile.robot is None else profile.robot.joints
+    for index, joint in enumerate(joints):
+        slides = joint.type == "prismatic"
+        found[offset_of(joint.name)] = kinematic.joint_std_m if slides else kinematic.joint_std_rad
+        # A row has two lengths at most.
+        found |= {length_of(place): kinematic.length_std_m for place in (2 * index, 2 * index + 1)}
+    return found
+
+
+def with_hand_eye(profile: Profile) -> Profile:
+    """The profile with its instrument's hand-eye covariance in place of the transform's; the same without one."""
+    if (found := profile.camera_to_base) is None:
+        return profile
+    found = found.with_deviations(stated_deviations(profile))
+    rotation_var = float(np.linalg.eigvalsh(np.array(found.covariance)[3:, 3:])[-1])
+    values = profile.kinematic_error.model_dump() | {
+        "camera_base_std_rad": float(np.sqrt(max(rotation_var, 0.0))),
+        "hand_eye": found,
+    }
+    return profile.model_copy(update={"kinematic_error": HandEyeError(**values)})
 
 
 def load_hand_eye(path: Path) -> HandEyeFile:
@@ -159,12 +184,12 @@ def load_hand_eye(path: Path) -> HandEyeFile:
 
 def save_hand_eye(path: Path, file: HandEyeFile) -> None:
     """Write a hand-eye file atomically; raises OutputError where that fails."""
-    note = "# Where robots' bases stand for the camera, by `svmdist hand-eye`; covariance of (t, rotation vector).\n"
+    note = "# Camera-to-base transforms, by `svmdist hand-eye`; covariance of (t, rotation vector).\n"
     write_atomically(path, [note, tomli_w.dumps(file.model_dump(mode="json"))])
 
 
 def _read(value: Any, info: ValidationInfo) -> Any:
-    """Replace a file's name in a profile by what it holds; a relative one starts from the profile's folder."""
+    """What a file that a profile names holds; a relative name starts from the profile's folder."""
     if not isinstance(value, str | Path):
         return value
     folder = Path(info.context["folder"]) if info.context else Path()

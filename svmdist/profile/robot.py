@@ -8,7 +8,16 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from svmdist.profile.toml import Angle, Length, NeighbourFile, SmallLength, StrictModel
+from svmdist.profile.toml import (
+    Angle,
+    Fraction,
+    Length,
+    NeighbourFile,
+    NonNegative,
+    Positive,
+    SmallLength,
+    StrictModel,
+)
 from svmdist.transforms import Array, make_transform, rotation_z
 
 Vector = tuple[float, float, float]
@@ -16,12 +25,10 @@ EntrySide = Literal["left", "right", "above", "below"]
 """The side of the picture that an instrument comes in from."""
 ARM_TOPICS = ("joints", "pose", "ground_truth_distance")
 """The topics that every instrument has of its own; the others are the whole scene's."""
-AWAY = 0.5
-"""z of a plane's normal from which on no camera of less than 120° sees the plane."""
-ROUNDED = 0.01
-"""How far a normal's length may be from 1, written with two digits. It is normalised."""
-TAG_COUNTS = {"16h5": 30, "25h9": 35, "36h10": 2320, "36h11": 587}
-"""Number of tags of each AprilTag family; they are numbered from 0."""
+AWAY = 0.5  # z of a plane's normal from which on no camera of less than 120° sees the plane
+ROUNDED = 0.01  # how far a normal's length may be from 1, written with two digits; it is normalised
+TAGS = {"16h5": (30, 6), "25h9": (35, 7), "36h10": (2320, 8), "36h11": (587, 8)}
+"""Of each AprilTag family: the number of its tags, which count from 0, and the cells of a black square's side."""
 
 
 def _require_rotation(rotation: tuple[Vector, Vector, Vector]) -> tuple[Vector, Vector, Vector]:
@@ -34,14 +41,11 @@ def _require_rotation(rotation: tuple[Vector, Vector, Vector]) -> tuple[Vector, 
 Rotation = Annotated[tuple[Vector, Vector, Vector], AfterValidator(_require_rotation)]
 
 
-def require_tag(family: str, tag_id: int) -> None:
-    """Raise ValueError where the family has no tag of that number."""
-    if tag_id >= TAG_COUNTS[family]:
-        raise ValueError(f"family {family} has the tags 0 to {TAG_COUNTS[family] - 1}, found {tag_id}")
-
-
 class Joint(StrictModel):
-    """One DH row; see `svmdist.kinematics.DHRow`."""
+    """One row of a DH table: lengths in m, angles in rad, limits in the joint's own unit.
+
+    The joint variable adds to `theta_rad` (revolute) or to `d_m` (prismatic): a published table has its offset.
+    """
 
     name: str
     type: Literal["revolute", "prismatic", "fixed"]
@@ -51,8 +55,7 @@ class Joint(StrictModel):
     theta_rad: Angle = 0.0
     lower: Angle = -np.pi
     upper: Angle = np.pi
-    aliases: tuple[str, ...] = ()
-    """Other names of this joint in logs."""
+    aliases: tuple[str, ...] = ()  # other names of this joint in logs
 
     @model_validator(mode="after")
     def _ordered(self) -> Joint:
@@ -71,8 +74,7 @@ class Robot(StrictModel):
     tool_rotation: Rotation | None = None
     limit_tolerance_rad: Angle = Field(default=0.5, ge=0.0)
     """How far beyond its limits a revolute joint may be reported: encoders have offsets, and limits are rounded."""
-    limit_tolerance_m: float = Field(default=0.05, ge=0.0)
-    """The same for a prismatic joint. Frames whose joints are farther out have the status `no_joints`."""
+    limit_tolerance_m: NonNegative = 0.05  # frames whose joints are farther out have the status `no_joints`
 
     @model_validator(mode="after")
     def _sound(self) -> Robot:
@@ -101,48 +103,42 @@ class KinematicError(StrictModel):
     """
 
     joint_std_rad: Angle = float(np.deg2rad(1.0))
-    joint_std_m: float = Field(default=1e-3, ge=0.0)
+    joint_std_m: NonNegative = 1e-3
     camera_base_std_rad: Angle = float(np.deg2rad(2.0))
-    camera_base_std_m: float = Field(default=5e-3, ge=0.0)
+    camera_base_std_m: NonNegative = 5e-3
     first_moving_joint: str | None = None
     """The joints before this one hold still while the instrument works: their errors are one with the
     camera-to-base transform's. None: every joint moves."""
-    drift_rad_per_sqrt_s: float = Field(default=1e-4, ge=0.0)
-    drift_m_per_sqrt_s: float = Field(default=1e-5, ge=0.0)
+    drift_rad_per_sqrt_s: NonNegative = 1e-4
+    drift_m_per_sqrt_s: NonNegative = 1e-5
     play_std_rad: Angle = float(np.deg2rad(0.4))
     """Joint errors that change with the motion: backlash, cables that stretch, friction, encoder noise."""
-    play_std_m: float = Field(default=1e-4, ge=0.0)
-    play_time_s: float = Field(default=0.5, gt=0.0)
-    """Correlation time of these errors: about the time between two reversals of a joint."""
-    length_std_m: float = Field(default=5e-4, ge=0.0)
-    """Of the chain's lengths behind the first moving joint."""
-    time_offset_std_s: float = Field(default=0.05, ge=0.0)
-    """Of the offset between the stamps of joints and images."""
-    time_offset_drift_s_per_sqrt_s: float = Field(default=5e-4, ge=0.0)
+    play_std_m: NonNegative = 1e-4
+    play_time_s: Positive = 0.5  # correlation time of these errors: about that between a joint's reversals
+    length_std_m: NonNegative = 5e-4  # of the chain's lengths behind the first moving joint
+    time_offset_std_s: NonNegative = 0.05  # of the offset between the stamps of joints and images
+    time_offset_drift_s_per_sqrt_s: NonNegative = 5e-4
 
 
 class CameraError(StrictModel):
-    """Standard deviations of the cameras' calibration.
+    """Standard deviations of the cameras' calibration; fractions are of the values themselves.
 
     The defaults are those of repeated calibrations of an endoscope with a chessboard; its focus moves between them.
     """
 
-    focal_std_fraction: float = Field(default=4e-3, ge=0.0)
-    """Of the focal lengths, over themselves; the same error in both cameras."""
-    centre_std_px: float = Field(default=1.5, ge=0.0)
-    """Of the principal point along each axis."""
-    baseline_std_fraction: float = Field(default=0.01, ge=0.0)
-    """Of the distance between both cameras, over itself."""
-    right_rotation_std_rad: Angle = float(np.deg2rad(0.03))
-    """Of the right camera's rotation against the left one, about each axis."""
+    focal_std_fraction: NonNegative = 4e-3  # of the focal lengths: the same error in both cameras
+    centre_std_px: NonNegative = 1.5  # of the principal point along each axis
+    baseline_std_fraction: NonNegative = 0.01  # of the distance between both cameras
+    right_rotation_std_rad: Angle = float(
+        np.deg2rad(0.03)
+    )  # of the right camera to the left, about each axis
 
 
 class Instrument(StrictModel):
     """The instrument's shape, in m, about the tool frame."""
 
     shaft_radius_m: SmallLength
-    shaft_radius_std_fraction: float = Field(default=0.02, ge=0.0, le=1.0)
-    """Over the shaft's radius."""
+    shaft_radius_std_fraction: Fraction = 0.02  # of the radius itself
     shaft_length_m: Length
     shaft_end_m: SmallLength | None = None
     """From the wrist's hinge back to where the dark shaft visibly ends; None: 2.2 radii of the wrist."""
@@ -151,16 +147,12 @@ class Instrument(StrictModel):
     radii of the shaft, and less certain."""
     wrist_radius_m: SmallLength
     knuckle_radius_m: SmallLength
-    knuckle_radius_std_fraction: float = Field(default=0.03, ge=0.0, le=1.0)
-    """Of the distal marker's radius, over itself."""
-    knuckle_position_m: Vector = (0.0, 0.0, 0.0)
-    """The distal marker's middle in the tool's frame."""
-    knuckle_position_std_m: float = Field(default=2e-4, ge=0.0)
-    """Of that position along each axis."""
+    knuckle_radius_std_fraction: Fraction = 0.03  # of the distal marker's radius itself
+    knuckle_position_m: Vector = (0.0, 0.0, 0.0)  # the distal marker's middle in the tool's frame
+    knuckle_position_std_m: NonNegative = 2e-4  # along each axis
     jaw_length_m: SmallLength
     jaw_radius_m: SmallLength
-    body_std_m: float = Field(default=1e-4, ge=0.0)
-    """Of the distance between the real instrument's surface and the capsules of its model."""
+    body_std_m: NonNegative = 1e-4  # between the real instrument's surface and the capsules of its model
 
 
 class Fiducial(StrictModel):
@@ -172,28 +164,18 @@ class Fiducial(StrictModel):
 
     family: Literal["16h5", "25h9", "36h10", "36h11"] = "36h11"
     id: int = Field(default=0, ge=0)
-    size_m: SmallLength
-    """Side of the black square, without the white margin."""
-    size_std_fraction: float = Field(default=0.005, ge=0.0, le=1.0)
-    """Of that side over itself, as printed."""
-    position_std_m: float = Field(default=3e-4, ge=0.0)
-    """Of the tag's position along each axis: glued by hand."""
-    rotation_std_rad: Angle = float(np.deg2rad(1.3))
-    """Of its rotation about each axis."""
-    link: str
-    """The joint whose DH frame carries the plate."""
+    size_m: SmallLength  # side of the black square, without the white margin
+    size_std_fraction: Fraction = 0.005  # of that side itself, as printed
+    position_std_m: NonNegative = 3e-4  # along each axis: glued by hand
+    rotation_std_rad: Angle = float(np.deg2rad(1.3))  # about each axis
+    link: str  # the joint whose DH frame carries the plate
     position_m: Vector
     rotation: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
-    @model_validator(mode="after")
-    def _sound(self) -> Fiducial:
-        require_tag(self.family, self.id)
-        return self
 
     @property
     def plate_side_m(self) -> float:
         """Side of the plate, with a white margin of one cell around the black square."""
-        cells = {"16h5": 6, "25h9": 7, "36h10": 8, "36h11": 8}[self.family]
+        _, cells = TAGS[self.family]
         return self.size_m * (cells + 2) / cells
 
     @property
@@ -210,13 +192,12 @@ class Dome(StrictModel):
     """
 
     height_m: SmallLength
-    height_std_m: float = Field(default=0.0, ge=0.0)
-    apex_std_m: float = Field(default=0.0, ge=0.0)
-    """Of the apex beside the outline's middle, along each of two axes."""
+    height_std_m: NonNegative = 0.0
+    apex_std_m: NonNegative = 0.0  # of the apex beside the outline's middle, along each of two axes
     gauge_exponent: float = Field(default=2.0, ge=1.0, le=20.0)
     height_exponent: float = Field(default=0.5, gt=0.0, le=2.0)
     gauge_exponent_std: float = Field(default=0.3, ge=0.0, le=10.0)
-    height_exponent_std: float = Field(default=0.1, ge=0.0, le=1.0)
+    height_exponent_std: Fraction = 0.1
 
 
 class Tissue(StrictModel):
@@ -231,24 +212,17 @@ class Tissue(StrictModel):
 
     plane_normal: Vector = (0.0, 0.0, -1.0)
     plane_distance_m: Length
-    plane_distance_std_m: float = Field(default=1e-3, ge=0.0)
-    plane_tilt_std_rad: Angle = float(np.deg2rad(1.0))
-    """Of the normal's direction about each of two axes."""
-    motion_std_m: float = Field(default=1e-3, ge=0.0)
-    """Of the tissue's motion along the plane's normal: breath and pulse."""
-    motion_time_s: float = Field(default=0.5, gt=0.0)
-    """Correlation time of that motion: a breath of 4 s turns within as long."""
+    plane_distance_std_m: NonNegative = 1e-3
+    plane_tilt_std_rad: Angle = float(np.deg2rad(1.0))  # of the normal's direction about each of two axes
+    motion_std_m: NonNegative = 1e-3  # of the tissue's motion along the plane's normal: breath and pulse
+    motion_time_s: Positive = 0.5  # correlation time of that motion: a breath of 4 s turns within as long
     dome: Dome | None = None
     mesh: NeighbourFile | None = None
     """A closed surface in a file .obj or .stl, in place of a dome; a relative path starts from the profile's folder."""
-    mesh_unit: Literal["m", "cm", "mm"] = "m"
-    """The unit of the file's numbers; the formats do not say."""
-    mesh_position_m: Vector = (0.0, 0.0, 0.0)
-    """The mesh's origin in the tissue's frame."""
-    mesh_yaw_rad: Angle = 0.0
-    """The mesh's rotation about the tissue's z axis, counter-clockwise seen from the camera's side."""
-    surface_std_m: float = Field(default=0.0, ge=0.0)
-    """Of the distance between shape and real surface, beside what a dome's own deviations say."""
+    mesh_unit: Literal["m", "cm", "mm"] = "m"  # of the file's numbers; the formats do not say
+    mesh_position_m: Vector = (0.0, 0.0, 0.0)  # the mesh's origin in the tissue's frame
+    mesh_yaw_rad: Angle = 0.0  # about the tissue's z axis, counter-clockwise seen from the camera's side
+    surface_std_m: NonNegative = 0.0  # between shape and real surface, beside a dome's own deviations
 
     @field_validator("plane_normal")
     @classmethod
@@ -264,7 +238,7 @@ class Tissue(StrictModel):
     @model_validator(mode="after")
     def _sound(self) -> Tissue:
         if self.mesh is not None and self.dome is not None:
-            raise ValueError("a dome and a mesh exclude each other: which of them is the tissue's shape?")
+            raise ValueError("a dome and a mesh cannot be combined; give one")
         lost = sorted(self.model_fields_set & {"mesh_unit", "mesh_position_m", "mesh_yaw_rad"})
         if self.mesh is None and lost:
             raise ValueError(f"{lost[0]} needs a mesh")
@@ -284,21 +258,18 @@ class Placement(StrictModel):
 
 
 class Simulation(Placement):
-    """What `svmdist record` needs beside the chain: where things stand, and the encoders' errors."""
+    """What `svmdist record` needs beside the chain: positions of things, and the encoders' errors."""
 
     camera_height_m: Length
     horizontal_fov_rad: Angle
     width_px: int = Field(default=640, ge=16, le=4096)
     height_px: int = Field(default=480, ge=16, le=4096)
-    working_height_m: Length
-    """Height of the tool origin above the floor in the plane in which distances are measured."""
-    posture: dict[str, Angle]
-    """Value of every joint in the middle of the work space; the scenarios start their search here."""
+    working_height_m: Length  # of the tool origin above the floor in the plane of the measured distances
+    posture: dict[str, Angle]  # of every joint in the middle of the work space; scenarios search from here
     joint_rate_hz: float = Field(default=100.0, ge=1.0)
-    encoder_std_rad: float = Field(default=0.0, ge=0.0)
-    encoder_std_m: float = Field(default=0.0, ge=0.0)
-    stereo_baseline_m: SmallLength = 0.005
-    """Of a da Vinci's endoscope: the right camera stands that far along the left one's x axis."""
+    encoder_std_rad: NonNegative = 0.0
+    encoder_std_m: NonNegative = 0.0
+    stereo_baseline_m: SmallLength = 0.005  # a da Vinci's; the right camera is so far along the left's x
 
 
 class ArmTopics(StrictModel):
@@ -325,15 +296,14 @@ class ArmFrames(StrictModel):
 class OtherInstrument(StrictModel):
     """An instrument beside the profile's own; what is left out is as for that one.
 
-    One without topics is known by images alone: every log has it, and its side of the picture tells it from others.
+    One without topics is known by images alone: every log has it, and its side of the picture distinguishes it.
     """
 
     name: str = Field(min_length=1)
     topics: ArmTopics | None = None
     frames: ArmFrames | None = None
     entry: EntrySide | None = None
-    fiducial_id: int | None = Field(default=None, ge=0)
-    """The number of the tag that this instrument carries where the profile's own does."""
+    fiducial_id: int | None = Field(default=None, ge=0)  # of the tag it carries where the profile's own does
     robot: Robot | None = None
     instrument: Instrument | None = None
     simulation: Placement | None = None
@@ -347,8 +317,7 @@ class OtherInstrument(StrictModel):
     @property
     def logged_topics(self) -> dict[str, str]:
         """Its topics that have a name, by role; none for an instrument known by images alone."""
-        topics = {} if self.topics is None else self.topics.model_dump(exclude_none=True)
-        return {role: topics[role] for role in ARM_TOPICS if role in topics}
+        return {} if self.topics is None else self.topics.model_dump(exclude_none=True)
 
     def is_in(self, topics: Set[str]) -> bool:
         """Whether a log with these topics has the instrument."""

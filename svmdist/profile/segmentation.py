@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from svmdist.errors import did_you_mean
 from svmdist.profile.toml import Byte, Hue, NeighbourFile, StrictModel
@@ -29,7 +29,7 @@ SHIPPED = {"instruments": INSTRUMENTS}
 
 
 class AreaGate(StrictModel):
-    """What of a mask is a region, and where its centroid is: the same for every way to segment."""
+    """Which parts of a mask are a region, and where its centroid is: the same for every way to segment."""
 
     min_area_px: int = Field(ge=1)
     components: Literal["all", "largest"] = "all"
@@ -37,7 +37,7 @@ class AreaGate(StrictModel):
     an organ cuts its region in two. `largest`: one part only."""
     occlusion: Literal["none", "hull", "outline"] = "none"
     """Where the centroid is taken when an instrument hides a part: of the visible pixels (`none`), of their
-    convex hull (`hull`), or of a smooth outline fitted to what of it is visible (`outline`)."""
+    convex hull (`hull`), or of a smooth outline fitted to its visible part (`outline`)."""
 
 
 class ColourRegion(AreaGate):
@@ -64,33 +64,26 @@ class ClassRegion(AreaGate):
     class_ids: tuple[Annotated[int, Field(ge=0)], ...] = Field(min_length=1)
 
 
-METHODS = ("hsv", "onnx", "auto")
-
-
-def _known(method: Any) -> Any:
-    if method not in METHODS:
-        raise ValueError("expected 'hsv', 'onnx' or 'auto'")
-    return method
+Method = Literal["hsv", "onnx", "auto"]
 
 
 class HsvSegmentation(StrictModel):
-    """Tissue and instrument told apart from the rest of the image by their colours."""
+    """Tissue and instrument found by their colours."""
 
-    method: Annotated[Literal["hsv"], BeforeValidator(_known)] = "hsv"
+    method: Method = "hsv"
     tissue: ColourRegion
     instrument: ColourRegion
-    shaft: ColourRegion | None = None
-    """The instrument's dark shaft, which comes in from the border; the method `shaft` looks for it."""
+    shaft: ColourRegion | None = None  # dark, from the border on; the method `shaft` looks for it
 
 
 class OnnxSegmentation(StrictModel):
-    """Tissue and instrument told apart by a network of the user's own, in an ONNX file.
+    """Tissue and instrument found by a network of the user's own, in an ONNX file.
 
     Its input is one image of shape (1, 3, h, w) and type float32, (pixel - `mean`) * `scale` with pixels from 0 to
     255. Its output is class scores of shape (1, C, h', w'), C >= 2, or labels of shape (1, 1, h', w') or (1, h', w').
     """
 
-    method: Annotated[Literal["onnx"], BeforeValidator(_known)]
+    method: Method
     model: NeighbourFile
     """The ONNX file; a relative path starts from the profile's folder. `svmdist:instruments` is the network that ships,
     for which all that follows has a default."""
@@ -102,10 +95,8 @@ class OnnxSegmentation(StrictModel):
     """What is subtracted from each channel, in the order of `channels`, of pixels from 0 to 255."""
     scale: tuple[float, float, float] = (1 / 255, 1 / 255, 1 / 255)
     """What each channel is then multiplied by; one number serves all three."""
-    output: str | None = None
-    """Name of the output to take; None: the only one."""
-    from_border: bool = False
-    """Whether parts of instruments that do not reach the border of the picture are left out."""
+    output: str | None = None  # name of the output to take; None: the only one
+    from_border: bool = False  # leave out parts of instruments that do not reach the border of the picture
     tissue: ClassRegion
     instrument: ClassRegion
     shaft: ClassRegion | None = None
@@ -113,7 +104,7 @@ class OnnxSegmentation(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _shipped(cls, data: Any) -> Any:
-        """A network that ships knows its own layout; what the profile says of it comes first."""
+        """The layout of a network that ships, as far as the profile does not give it."""
         model = data.get("model") if isinstance(data, dict) else None
         if not isinstance(model, str) or not model.startswith(PREFIX):
             return data
@@ -145,12 +136,12 @@ class OnnxSegmentation(StrictModel):
 
 
 class AutoSegmentation(StrictModel):
-    """Tissue and instruments told apart without a colour from the user: by straight edges, and what they enclose.
+    """Tissue and instruments found without a colour from the user: by straight edges, and what they enclose.
 
     Its tables are area gates only, and may all be left out. `[settings.auto]` holds what it assumes.
     """
 
-    method: Annotated[Literal["auto"], BeforeValidator(_known)]
+    method: Method
     tissue: AreaGate = AreaGate(min_area_px=2000, occlusion="outline")
     instrument: AreaGate = AreaGate(min_area_px=50)
     shaft: AreaGate | None = AreaGate(min_area_px=200)
@@ -162,7 +153,7 @@ Segmentation = HsvSegmentation | OnnxSegmentation | AutoSegmentation
 def _method_of(value: Any) -> str:
     """The union's tag of a table or a model; the model of colours reports what is neither."""
     method = value.get("method") if isinstance(value, dict) else getattr(value, "method", None)
-    return f"({method if method in METHODS else 'hsv'})"
+    return f"({method if method in get_args(Method) else 'hsv'})"
 
 
 AnySegmentation = Annotated[

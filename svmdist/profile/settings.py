@@ -1,51 +1,55 @@
 """What a user may change of detectors and estimators: the tables `[settings.NAME]` of a profile.
 
-The suffix of a name is its unit; what has none is a ratio or a count. Every other number is a constant beside its use.
+The suffix of a name is its unit; what has none is a ratio or a count; levels are of 255. Every other number is a
+constant beside its use.
 """
 
 from __future__ import annotations
 
 import logging
 import tomllib
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from svmdist.profile.toml import StrictModel
+from svmdist.profile.toml import Count, Level, NonNegative, Positive, Share, StrictModel
 
 LOG = logging.getLogger(__name__)
-Positive = Annotated[float, Field(gt=0.0)]
-Share = Annotated[float, Field(gt=0.0, lt=1.0)]
-Count = Annotated[int, Field(ge=1)]
 
 
-def without_former(table: str, given: Any, keys: set[str]) -> Any:
-    """A table of a profile without the keys that are no longer settings; those that are given are told."""
-    former = keys & set(given) if isinstance(given, dict) else set()
-    for key in sorted(former):
-        LOG.warning("%s.%s is no longer a setting; ignored", table, key)
-    return {key: value for key, value in given.items() if key not in former} if former else given
-
-
+@cache
 def former_keys() -> dict[str, set[str]]:
-    """The keys of older profiles that are no settings any more, by table."""
+    """The keys of older profiles that are no longer settings, by the dotted name of their table."""
     text = Path(__file__).with_name("former_settings.toml").read_text("utf-8")
     return {table: set(keys.split()) for table, keys in tomllib.loads(text).items()}
+
+
+def without_former_keys(table: dict[str, Any], name: str = "") -> dict[str, Any]:
+    """A profile, or its table `name`, without the keys of older profiles; each is named in a warning."""
+    kept: dict[str, Any] = {}
+    for key, value in table.items():
+        inner = f"{name}.{key}" if name else key
+        if key in former_keys().get(name, ()):
+            LOG.warning("%s is no longer a setting; ignored", inner)
+        elif not isinstance(value, dict):
+            kept[key] = value
+        elif (rest := without_former_keys(value, inner)) or inner not in former_keys():
+            kept[key] = rest
+    return kept
 
 
 class InterlaceSettings(StrictModel):
     """When the rows of an image show two instants; the first field is kept, whose instant the stamp is."""
 
-    comb_levels: Positive = 14.0
-    """Levels of 255 by which a row differs from both neighbours where motion combs it: above a sensor's noise."""
+    comb_levels: Positive = 14.0  # levels by which a combed row differs from both neighbours: above noise
 
 
 class ExposureSettings(StrictModel):
-    """When an image counts as dim or veiled, and how far it is corrected; levels are of 255."""
+    """When an image counts as dim or veiled, and how far it is corrected."""
 
-    dark_level: float = Field(default=45.0, ge=0.0, le=255.0)
-    """Level that the darkest things reach without a veil: a dark shaft has 20 to 40."""
+    dark_level: Level = 45.0  # level that the darkest things reach without a veil: a dark shaft has 20 to 40
     fair_level: float = Field(default=110.0, gt=0.0, le=255.0)
     """Where automatic exposure puts the middle of a scene at least; less is dim light."""
 
@@ -56,15 +60,12 @@ class AutoSettings(StrictModel):
     working_px: int = Field(default=320, ge=160, le=1280)
     """Longer side of the working image: a shaft of 8 mm at 200 mm is 10 to 20 px wide there."""
     network_weight: float = Field(default=1.0, ge=0.0, le=4.0)
-    """Weight of the log odds of the network that ships beside those of learnt colours. 1: both count as independent.
+    """Weight of the log-odds of the network that ships beside those of learnt colours. 1: both count as independent.
     0: the network is not run."""
     adapting_frames: int = Field(default=8, ge=1, le=64)
-    """Images of a log, evenly over its length, that colours are learnt from before the first row: so many, or up to
-    twice as many."""
-    least_area: float = Field(default=0.003, gt=0.0, lt=0.5)
-    """An instrument's least part of the picture."""
-    most_instruments: int = Field(default=5, ge=1, le=16)
-    """Instruments of one image."""
+    """Images, evenly over a log, that colours are learnt from before the first row: so many, or up to twice as many."""
+    least_area: float = Field(default=0.003, gt=0.0, lt=0.5)  # an instrument's least part of the picture
+    most_instruments: int = Field(default=5, ge=1, le=16)  # instruments of one image
 
 
 class OutlineSettings(StrictModel):
@@ -75,9 +76,7 @@ class OutlineSettings(StrictModel):
     it; the k-th falls as 1 / k³."""
     min_visible_fraction: float = Field(default=0.25, gt=0.0, le=1.0)
     """With less of the outline than this the prior alone would shape the curve; the hull is used as it is."""
-    border_std_px: float = Field(default=0.3, ge=0.0)
-    """Standard deviation of an error that a whole side has in common: a threshold cuts a blurred border up to half a
-    pixel outside or inside."""
+    border_std_px: NonNegative = 0.3  # standard deviation of an error that a whole side has in common
 
 
 class MarkerSettings(StrictModel):
@@ -90,8 +89,9 @@ class MarkerSettings(StrictModel):
 class ShaftSettings(StrictModel):
     """Finding a shaft, its edges and its end, and fitting its pose."""
 
-    min_contrast_levels: float = Field(default=18.0, gt=0.0, lt=255.0)
-    """Levels of 255 between shaft and background: less is a shadow."""
+    min_contrast_levels: float = Field(
+        default=18.0, gt=0.0, lt=255.0
+    )  # contrast of a shaft: less is a shadow
     end_model_std_m: float = Field(default=0.0002, ge=0.0, lt=0.1)
     """Standard deviation of the dark part's end: a bevel, and glare on it, hide it."""
     unknown_bend_rad: float = Field(default=0.8, gt=0.0, lt=3.2)
@@ -104,13 +104,11 @@ class ShaftSettings(StrictModel):
 class DistalMarkerSettings(StrictModel):
     """Measuring the coloured distal marker, a sphere of the profile's `knuckle_radius_m`."""
 
-    min_saturation: float = Field(default=50.0, ge=0.0, le=255.0)
-    """Median saturation, of 255, below which the region is bare steel, even in coloured light."""
+    min_saturation: Level = 50.0  # median below which a region is bare steel, even in coloured light
     visible_radius: float = Field(default=0.97, gt=0.5, le=1.5)
     """Apparent radius over that of the whole sphere: jaws and fork hide a part, and the limb is in shade. Measured 0.96
     ± 0.02 in 72 simulated frames."""
-    radius_std: Share = 0.04
-    """Standard deviation of that ratio: twice the measured one, for light from the endoscope's tip, and blood."""
+    radius_std: Share = 0.04  # standard deviation of that ratio: twice the measured one, for light and blood
 
 
 class StereoSettings(StrictModel):
@@ -118,20 +116,15 @@ class StereoSettings(StrictModel):
 
     near_m: float = Field(default=0.04, gt=0.0, lt=10.0)
     """The shortest working distance of an endoscope: it bounds the disparities."""
-    far_m: float = Field(default=0.25, gt=0.0, lt=10.0)
-    """The longest working distance of an endoscope."""
-    min_matches: int = Field(default=2000, ge=100)
-    """Pixels of the tissue that must match: fewer are no view of an organ."""
+    far_m: float = Field(default=0.25, gt=0.0, lt=10.0)  # the longest working distance
+    min_matches: int = Field(default=2000, ge=100)  # pixels of the tissue that must match: an organ's
     block_px: int = Field(default=9, ge=3, le=31)
     """Side of the blocks of semi-global matching in the reduced views, an odd number: wet tissue shows its texture over
     no less."""
     row_pairs: int = Field(default=4, ge=0, le=100)
-    """Pairs of a log's beginning from which the offset between the rows of both views is found; 0: rows are as the
-    calibration has them."""
-    max_row_offset_px: float = Field(default=8.0, gt=0.0, le=100.0)
-    """The largest offset between rows that is looked for."""
-    max_depth_std_m: Positive = 0.008
-    """A tool whose position is less certain than this along any direction is not measured."""
+    """Pairs of a log's beginning that the offset between the rows of both views is found from; 0: no offset."""
+    max_row_offset_px: float = Field(default=8.0, gt=0.0, le=100.0)  # the largest such offset
+    max_depth_std_m: Positive = 0.008  # standard deviation beyond which a tool is not measured
 
 
 class TagSettings(StrictModel):
@@ -150,8 +143,7 @@ class TagSettings(StrictModel):
 class FilterSettings(StrictModel):
     """The filter over kinematic errors, and when it withholds a distance."""
 
-    gate_z: Positive = 3.09
-    """Normal quantile of the gate, which rejects 1 in 1,000 true measurements."""
+    gate_z: Positive = 3.09  # normal quantile of the gate, which rejects 1 in 1,000 true measurements
     point_correlation_time_s: Positive = 30.0
     """Of the bias of points and sizes: what hides a part of the distal marker is fixed to it."""
     edge_correlation_time_s: Positive = 30.0
@@ -162,10 +154,9 @@ class FilterSettings(StrictModel):
     """Mean normalised innovation per degree of freedom beyond which no distance is reported: 1 where models hold, 4 for
     deviations that are wrong by a factor of two."""
     max_constant_deviations: Positive = 4.0
-    """Deviations of a constant from the profile's value beyond which no distance is reported: true deviations exceed
-    it in one log of a thousand."""
-    given_lag_std_s: float = Field(default=5e-3, ge=0.0)
-    """Standard deviation of the time offset that `--lag` leaves, in place of `time_offset_std_s`."""
+    """Deviations of a calibration parameter from the profile's value beyond which no distance is reported: true ones
+    exceed it in one log of a thousand."""
+    given_lag_std_s: NonNegative = 5e-3  # standard deviation after `--lag`, in place of `time_offset_std_s`
 
 
 class FusedSettings(StrictModel):
@@ -179,18 +170,15 @@ class FusedSettings(StrictModel):
 class HandEyeSettings(StrictModel):
     """The fit of the camera-to-base transform."""
 
-    min_count: int = Field(default=8, ge=4)
-    """Frames in which the detected tool agrees with the robot's."""
-    max_turn_std_rad: Positive = 0.26
-    """Largest standard deviation of the rotation, 15°: beyond it the tool has not moved enough."""
-    pose_std_m: Positive = 1e-3
-    """Standard deviation of recorded poses along each axis, where no joints are known: cables stretch."""
+    min_count: int = Field(default=8, ge=4)  # frames in which the detected tool agrees with the robot's
+    max_turn_std_rad: Positive = 0.26  # largest standard deviation of the rotation, 15°: the tool must move
+    pose_std_m: Positive = 1e-3  # standard deviation of recorded poses along each axis: cables stretch
 
 
 class AssociationSettings(StrictModel):
     """Assigning coloured regions and dark shafts to instruments."""
 
-    miss_cost: float = Field(default=3.0, ge=0.0)
+    miss_cost: NonNegative = 3.0
     """-log of the probability that an instrument shows no region: hidden or outside in one frame of twenty."""
     acceleration_widths: Positive = 0.8
     """Standard deviation of an instrument's acceleration, in image widths per s²: a brisk turn of the wrist."""
@@ -222,16 +210,3 @@ class Settings(StrictModel):
     hand_eye: HandEyeSettings = HandEyeSettings()
     association: AssociationSettings = AssociationSettings()
     tissue: TissueTrackingSettings = TissueTrackingSettings()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_former_keys(cls, data: Any) -> Any:
-        """Drop the keys of older profiles that are constants now, with a warning for each."""
-        if not isinstance(data, dict) or not data:
-            return data
-        kept, all_former = {}, former_keys()
-        for table, given in data.items():
-            rest = without_former(f"settings.{table}", given, all_former.get(table, set()))
-            if rest or table in cls.model_fields:
-                kept[table] = rest
-        return kept

@@ -25,12 +25,9 @@ from pydantic_core import PydanticCustomError
 from svmdist.errors import SvmdistError, did_you_mean
 from svmdist.files import read_regular, why
 
-MAX_FAULTS = 5
-"""More faults of a file than these are counted, not listed."""
-FEW_KEYS = 3
-"""A file with more keys, most of which are unknown, is of another kind."""
-MAX_FILE_BYTES = 4 << 20
-"""A profile has a few kilobytes."""
+MAX_FAULTS = 5  # of a file that are listed; the others are counted
+FEW_KEYS = 3  # a file with more, most of which are unknown, is of another kind
+MAX_FILE_BYTES = 4 << 20  # a profile has a few kilobytes
 MAX_NUMBER, MIN_NUMBER = 1e9, 1e-30
 """Nothing real is beyond, and squares and quotients of such numbers neither overflow nor vanish."""
 UNKNOWN = "unknown_key"
@@ -70,14 +67,10 @@ def _parse_angle(value: Any) -> Any:
     """Accept a number in rad, or a multiple of pi such as `pi`, `-pi/2`, `2*pi/3`, which has no last digit."""
     if not isinstance(value, str):
         return value
-    text = value.replace(" ", "")
-    sign, text = (-1.0, text[1:]) if text.startswith("-") else (1.0, text)
-    factor, times, rest = text.rpartition("*")
-    symbol, over, divisor = rest.partition("/")
+    found = re.fullmatch(r"(-?)(?:(.+)\*)?pi(?:/(.+))?", value.replace(" ", ""))
     try:
-        if symbol != "pi":
-            raise ValueError
-        return sign * (float(factor) if times else 1.0) * math.pi / (float(divisor) if over else 1.0)
+        sign, factor, divisor = found.groups("1") if found else ("", "", "")
+        return float(f"{sign}1") * float(factor) * math.pi / float(divisor)
     except (ValueError, ZeroDivisionError):
         raise ValueError(
             f"expected rad as a number or a multiple of pi such as 'pi/2', found {value!r}"
@@ -101,6 +94,12 @@ def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
     return Path(info.context["folder"]) / path if info.context else path
 
 
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+Share = Annotated[float, Field(gt=0.0, lt=1.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+Level = Annotated[float, Field(ge=0.0, le=255.0)]
+Count = Annotated[int, Field(ge=1)]
 Angle = Annotated[float, BeforeValidator(_parse_angle)]
 Size = Annotated[int, BeforeValidator(_parse_size), Field(ge=1 << 10, le=1 << 40)]
 Length = Annotated[float, Field(gt=1e-6, lt=10.0)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,16 +18,14 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from svmdist.drawing import (
     ALARM_COLOUR,
     COLOURS,
-    Body,
-    EstimateValues,
     Form,
     FrameDrawing,
     Part,
     Rgb,
-    SceneDrawing,
     Segment,
     Shape,
 )
+from svmdist.geometry import Capsules
 from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
 from svmdist.recording.writer import EncodedSample, encode, serialised, set_stamp
 from svmdist.samples import TransformSample, TransformsSample
@@ -60,21 +58,18 @@ def image_annotations(drawing: FrameDrawing) -> EncodedSample:
     return _encoded(message, drawing.stamp_ns)
 
 
-def scene_update(
-    drawing: SceneDrawing, instruments: Iterable[str], frame_id: str, stamp_ns: int
-) -> EncodedSample:
+def scene_update(drawing: FrameDrawing, instruments: Iterable[str], frame_id: str) -> EncodedSample:
     """Instruments, tissue and distances in space as `foxglove.SceneUpdate`; what is not there now is deleted."""
-    message = SceneUpdate()
-    for body in drawing.bodies:
-        _capsules(_entity(message, f"{body.name} instrument", frame_id, stamp_ns), body)
-    if drawing.surface is not None:
-        entity = _entity(message, drawing.surface.name, frame_id, stamp_ns)
-        triangles = entity.triangles.add()
+    message, stamp_ns = SceneUpdate(), drawing.stamp_ns
+    for name, body in drawing.bodies.items():
+        _capsules(_entity(message, f"{name} instrument", frame_id, stamp_ns), body)
+    if drawing.tissue is not None:
+        triangles = _entity(message, "tissue", frame_id, stamp_ns).triangles.add()
         triangles.pose.orientation.w = 1.0
         _colour(triangles.color, COLOURS[Part.TISSUE], SHEER)
-        for corner in drawing.surface.vertices_m.tolist():
+        for corner in drawing.tissue.vertices_m.tolist():
             triangles.points.add(x=corner[0], y=corner[1], z=corner[2])
-        triangles.indices.extend(drawing.surface.faces.ravel().tolist())
+        triangles.indices.extend(drawing.tissue.faces.ravel().tolist())
     for segment in drawing.segments:
         _segment(_entity(message, segment.name, frame_id, stamp_ns), segment)
     known = {entity.id for entity in message.entities}
@@ -92,17 +87,9 @@ def tool_transforms(poses: Iterable[tuple[str, Array]], frame_id: str, stamp_ns:
     return encode(TransformsSample(stamp_ns, transforms))
 
 
-def distance_estimate(values: EstimateValues, stamp_ns: int) -> EncodedSample:
-    """What was measured of one instrument as `svmdist.DistanceEstimate`; a value that does not exist is left out."""
-    message = DistanceEstimate(
-        instrument=values.instrument, method=values.method, status=values.status, detail=values.detail
-    )
-    for name, value in values.numbers.items():
-        if value is not None:
-            setattr(message, name, value)
-    if values.alarm is not None:
-        message.alarm = values.alarm
-    return _encoded(message, stamp_ns)
+def distance_estimate(fields: Mapping[str, Any], stamp_ns: int) -> EncodedSample:
+    """What was measured of one instrument as `svmdist.DistanceEstimate`; a field that is None is left out."""
+    return _encoded(DistanceEstimate(**fields), stamp_ns)
 
 
 def log_line(text: str, stamp_ns: int, *, is_warning: bool) -> EncodedSample:
@@ -143,7 +130,7 @@ def _entity(message: Any, name: str, frame_id: str, stamp_ns: int) -> SceneEntit
     return entity
 
 
-def _capsules(entity: Any, body: Body) -> None:
+def _capsules(entity: Any, body: Capsules) -> None:
     """Each capsule as a cylinder with a sphere at both ends."""
     colour = COLOURS[Part.INSTRUMENT]
     for start_m, end_m, radius_m in zip(body.start_m, body.end_m, body.radius_m, strict=True):

@@ -7,26 +7,21 @@ from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from svmdist.errors import OutputError, optional_package
+from svmdist.errors import OutputError
 from svmdist.files import atomic_file
+from svmdist.recording import viewer_messages
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.summary import copied_messages
 from svmdist.recording.topics import Role
-from svmdist.recording.viewer_messages import (
-    distance_estimate,
-    image_annotations,
-    log_line,
-    scene_update,
-    tool_transforms,
-)
 from svmdist.recording.writer import EncodedSample, RecordingWriter
 from svmdist.report.panels import draw_on
-from svmdist.report.rows import estimate_values
+from svmdist.report.rows import estimate_fields
 from svmdist.samples import Image
-from svmdist.workflows.frame_drawing import DrawnFrame, interval_m
+from svmdist.workflows.frame_drawing import DrawnFrame
 from svmdist.workflows.request import Setup
 
 ANNOTATIONS = "annotations"
@@ -43,7 +38,7 @@ LARGEST_STEP_MS = 10_000
 
 
 def write_annotated(
-    frames: Iterable[DrawnFrame], recording: Recording, setup: Setup, output: Path, *, force: bool = False
+    frames: Iterable[DrawnFrame], output: Path, recording: Recording, setup: Setup, force: bool = False
 ) -> None:
     """Copy a recording (`copied_messages`) to `output`, each image followed by what was drawn of it.
 
@@ -68,40 +63,47 @@ def _annotations(
         drawing, stamp_ns, results = frame.drawing, frame.drawing.stamp_ns, frame.replayed.results
         if at == 0:
             text = f"svmdist {version('svmdist')}, method {setup.method}, profile {setup.profile.name}"
-            yield LOG_TOPIC, log_line(text, stamp_ns, is_warning=False)
-        yield image_topic, image_annotations(drawing)
+            yield LOG_TOPIC, viewer_messages.log_line(text, stamp_ns, is_warning=False)
+        yield image_topic, viewer_messages.image_annotations(drawing)
         for result in results:
-            bounds_m = interval_m(result.distances.clearance) if result.distances.clearance else None
-            values = estimate_values(result, setup.method, bounds_m, frame.alarms.get(result.instrument))
-            yield f"/svmdist/{result.instrument}/distance", distance_estimate(values, stamp_ns)
+            fields = estimate_fields(result, setup.method, frame.alarms.get(result.instrument))
+            yield (
+                f"/svmdist/{result.instrument}/distance",
+                viewer_messages.distance_estimate(fields, stamp_ns),
+            )
         poses = [
             (f"{result.instrument}_tool_estimate", result.tool.pose.T_camera_tool)
             for result in results
             if result.measured and result.tool is not None
         ]
         if poses:
-            yield TF_TOPIC, tool_transforms(poses, frame_id, stamp_ns)
+            yield TF_TOPIC, viewer_messages.tool_transforms(poses, frame_id, stamp_ns)
         names = [result.instrument for result in results]
-        yield SCENE_TOPIC, scene_update(drawing.scene, names, frame_id, stamp_ns)
+        yield SCENE_TOPIC, viewer_messages.scene_update(drawing, names, frame_id)
         for line in drawing.lines:
             if not line.measured or line.alarm:
-                yield LOG_TOPIC, log_line(line.text, stamp_ns, is_warning=True)
+                yield LOG_TOPIC, viewer_messages.log_line(line.text, stamp_ns, is_warning=True)
 
 
-def write_video(frames: Iterable[DrawnFrame], path: Path, size_px: tuple[int, int]) -> None:
-    """Write an MP4 of images of a size (width, height) in px; one that could not be read is black, with the reason.
+def write_video(frames: Iterable[DrawnFrame], path: Path, recording: Recording, *_: object) -> None:
+    """Write an MP4 of images, as large as the recording's; one that could not be read is black, with the reason.
 
-    Raises OutputError where PyAV is missing, or the file cannot be written.
+    Raises OutputError where the file cannot be written.
     """
-    av = optional_package("av", "video", "a video", OutputError)
-    width, height = (length + length % 2 for length in size_px)  # the codecs halve the colours' resolution
+    import av
+
+    camera = recording.logged_camera
+    # The codecs halve the colours' resolution.
+    width, height = (length + length % 2 for length in (camera.width_px, camera.height_px))
     begin_ns: int | None = None
     shown_ms = -1
     with atomic_file(path) as target:
         try:
             with av.open(str(target), "w", format="mp4") as container:
                 codec = next(name for name in CODECS if name in av.codecs_available)
-                stream = container.add_stream(codec, rate=30, options=QUALITY if codec == "libx264" else {})
+                stream: Any = container.add_stream(
+                    codec, rate=30, options=QUALITY if codec == "libx264" else {}
+                )
                 stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
                 stream.codec_context.time_base = TIME_BASE
                 for frame in frames:
@@ -110,8 +112,7 @@ def write_video(frames: Iterable[DrawnFrame], path: Path, size_px: tuple[int, in
                     at_ms = round((stamp_ns - begin_ns) / 1e6)
                     # Clocks that are set back, or forth, make no gaps: a video's time only goes on.
                     at_ms = min(max(at_ms, shown_ms + 1), shown_ms + LARGEST_STEP_MS)
-                    begin_ns = stamp_ns - at_ms * 1_000_000
-                    shown_ms = at_ms
+                    begin_ns, shown_ms = stamp_ns - at_ms * 1_000_000, at_ms
                     picture = av.VideoFrame.from_ndarray(_picture(frame, width, height), format="bgr24")
                     picture.pts, picture.time_base = at_ms, TIME_BASE
                     container.mux(stream.encode(picture))
@@ -121,9 +122,8 @@ def write_video(frames: Iterable[DrawnFrame], path: Path, size_px: tuple[int, in
 
 
 def _picture(frame: DrawnFrame, width: int, height: int) -> Image:
-    image = frame.replayed.image_bgr
-    drawn = draw_on(np.zeros((height, width, 3), np.uint8) if image is None else image, frame.drawing)
-    padded = np.zeros((height, width, 3), np.uint8)
+    image, padded = frame.replayed.image_bgr, np.zeros((height, width, 3), np.uint8)
+    drawn = draw_on(padded if image is None else image, frame.drawing)
     rows, columns = min(height, drawn.shape[0]), min(width, drawn.shape[1])
     padded[:rows, :columns] = drawn[:rows, :columns]
     return padded

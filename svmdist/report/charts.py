@@ -59,6 +59,14 @@ class Chart:
     """Whether x and y are pixels: y runs down."""
 
 
+def with_errors(series: Sequence[Series]) -> list[list[Series]]:
+    """The series that have an error, by their distance."""
+    known = [one for one in series if np.isfinite(one.error_m).any()]
+    return [
+        [one for one in known if one.distance == of] for of in dict.fromkeys(one.distance for one in known)
+    ]
+
+
 def distance_name(series: Series) -> str:
     """The series' distance in words."""
     return series.distance if series.distance == "clearance" else f"{series.distance} distance"

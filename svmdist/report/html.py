@@ -5,10 +5,10 @@ from __future__ import annotations
 import base64
 import hashlib
 import platform
-from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from svmdist.files import write_atomically
 from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit
 from svmdist.recording.log import Recording
 from svmdist.report import charts
-from svmdist.report.charts import Chart, Curve, Form, Role, runs
+from svmdist.report.charts import Chart, Curve, Role, runs
 from svmdist.report.panels import draw_on
 from svmdist.report.scores import remarks, validation_tables
 from svmdist.report.tables import Column, Table, row_of
@@ -117,14 +117,8 @@ def facts(setup: Setup, recordings: Sequence[Recording], command: str) -> list[t
         (str(one.path), f"SHA-256 {one.sha256()}, {one.size_bytes() / 1e6:.2f} MB") for one in recordings
     ]
     found.append(("Python", f"{platform.python_version()} on {platform.system()} {platform.machine()}"))
-    return found + [(name, _version(name)) for name in PACKAGES]
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
+    versions = {one.name: one.version for one in distributions()}
+    return found + [(name, versions.get(name, "not installed")) for name in PACKAGES]
 
 
 def _worst(
@@ -135,20 +129,19 @@ def _worst(
     on_progress: Progress | None,
 ) -> list[tuple[str, bytes]]:
     """The worst frames of all logs with their captions, worst first; they are measured once more, to draw them."""
-    found = [
-        frame
-        for log in measured
-        for frame in worst_frames([one for one in series if one.recording == log.recording.name], WORST_COUNT)
-    ]
+    logs = {one.recording.name: one.read for one in measured}
+    of_logs = ([one for one in series if one.recording == name] for name in logs)
+    found = [frame for of_log in of_logs for frame in worst_frames(of_log, WORST_COUNT)]
     chosen = sorted(found, key=lambda frame: -frame.badness_m)[:WORST_COUNT]
-    wanted = defaultdict[str, set[int]](set)
-    for frame in chosen:
-        wanted[frame.series.recording].add(frame.number)
-    steps = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values()))
-    pictures = {}
-    for name, log in ((one.recording.name, one) for one in measured if one.recording.name in wanted):
+    wanted = {
+        name: {frame.number for frame in chosen if frame.series.recording == name}
+        for name in logs
+        if any(frame.series.recording == name for frame in chosen)
+    }
+    steps, pictures = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values())), {}
+    for name, numbers in wanted.items():
         for drawn in drawn_frames(
-            log.read, request.setup, request.alarms, jobs=jobs, numbers=wanted[name], on_image=steps.advance
+            logs[name], request.setup, request.alarms, jobs=jobs, numbers=numbers, on_image=steps.advance
         ):
             if drawn.replayed.image_bgr is not None:
                 pictures[name, drawn.number] = _jpeg(draw_on(drawn.replayed.image_bgr, drawn.drawing))
@@ -160,11 +153,10 @@ def _worst(
 
 
 def _jpeg(picture: Image) -> bytes:
-    if picture.shape[1] > MAX_WIDTH_PX:
-        scale = MAX_WIDTH_PX / picture.shape[1]
-        picture = np.asarray(
-            cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8
-        )
+    scale = min(1.0, MAX_WIDTH_PX / picture.shape[1])
+    if scale < 1.0:
+        size_px = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        picture = np.asarray(size_px, np.uint8)
     return bytes(cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes())
 
 
@@ -178,6 +170,7 @@ def _span(series: Series) -> str:
     return f"{known_mm.min():.2f} to {known_mm.max():.2f}" if len(known_mm) else "–"
 
 
+# fmt: off
 SERIES_COLUMNS = (
     Column("recording", TEXT, "recording"),
     Column("instrument", TEXT, "instrument"),
@@ -188,15 +181,16 @@ SERIES_COLUMNS = (
     Column("span", TEXT, "range [mm]", _span),
     Column("half_m", LENGTH, "median half interval [mm]",
            lambda one: float(np.nanmedian(one.half_m)) if np.isfinite(one.half_m).any() else None),
-)  # fmt: skip
+)
 LAG_COLUMNS = (
     Column("recording", TEXT, "recording"),
-    Column("reference", TEXT, "against", lambda score: str(score.reference)),
-    Column("lag_s", Unit("s", "ms", 1e3, 1), "lag [ms]", lambda score: score.lag.lag_s),
-    Column("confidence", Unit("1", digits=2), "confidence", lambda score: score.lag.confidence),
-    Column("before_m", LENGTH, "RMSE before [mm]", lambda score: score.uncorrected.rmse),
-    Column("after_m", LENGTH, "RMSE after [mm]", lambda score: score.statistics.rmse),
+    Column("reference", TEXT, "against"),
+    Column("lag_s", Unit("s", "ms", 1e3, 1), "lag [ms]", "lag.lag_s"),
+    Column("confidence", Unit("1", digits=2), "confidence", "lag.confidence"),
+    Column("before_m", LENGTH, "RMSE before [mm]", "uncorrected.rmse"),
+    Column("after_m", LENGTH, "RMSE after [mm]", "statistics.rmse"),
 )
+# fmt: on
 
 
 def write_report(report: Report, path: Path) -> None:
@@ -235,18 +229,17 @@ def _sections(report: Report) -> list[tuple[str, list[tuple[str, Chart]]]]:
         if np.isfinite(one.consistency).any():
             named.append((f"consistency-{at}", charts.consistency_over_time(one)))
         sections.append((f"{one.recording}, {one.instrument}: {one.method}", named))
-    for distance in dict.fromkeys(one.distance for one in report.series):
-        known = [one for one in report.series if one.distance == distance and np.isfinite(one.error_m).any()]
-        if known:
-            named = [
-                (f"by-distance-{distance}", charts.errors_over(known, "distance")),
-                (f"by-place-{distance}", charts.error_over_image(known)),
-                (f"bland-altman-{distance}", charts.agreement(known)),
-                (f"distribution-{distance}", charts.distribution(known)),
-            ]
-            if any(np.isfinite(one.std_m).any() for one in known):
-                named.append((f"calibration-{distance}", charts.calibration(known)))
-            sections.append((f"Errors of the {charts.distance_name(known[0])}, all logs", named))
+    for known in charts.with_errors(report.series):
+        distance = known[0].distance
+        named = [
+            (f"by-distance-{distance}", charts.errors_over(known, "distance")),
+            (f"by-place-{distance}", charts.error_over_image(known)),
+            (f"bland-altman-{distance}", charts.agreement(known)),
+            (f"distribution-{distance}", charts.distribution(known)),
+        ]
+        if any(np.isfinite(one.std_m).any() for one in known):
+            named.append((f"calibration-{distance}", charts.calibration(known)))
+        sections.append((f"Errors of the {charts.distance_name(known[0])}, all logs", named))
     return sections
 
 
@@ -264,43 +257,70 @@ def plotly_figure(chart: Chart) -> go.Figure:
     )
     dots = sum(curve.form == "dots" for curve in chart.curves)
     for curve in chart.curves:
-        _ADD[curve.form](figure, curve, dots)
+        hover = {"hovertemplate": curve.hover} if curve.hover else {}
+        for x, y, look in _traces(curve, dots):
+            options = {"name": printable(curve.name), **hover, **look}
+            if curve.form == "bars":
+                figure.add_bar(x=x, y=y, **options)
+                figure.update_layout(bargap=0.02)
+            else:
+                figure.add_scatter(x=x.astype(np.float32), y=y.astype(np.float32), **options)
+        if curve.form == "spans":
+            top = {"overlaying": "y", "range": [0, 1], "fixedrange": True, "visible": False}
+            figure.update_layout(yaxis2=top)
     if chart.over_time:  # all plots over time begin and end alike
         seconds = np.concatenate([curve.x for curve in chart.curves if curve.form == "line"])
-        if np.nanmin(seconds) < np.nanmax(seconds):
-            ends = [round(float(end), 3) for end in (np.nanmin(seconds), np.nanmax(seconds))]
+        ends = [round(float(end), 3) for end in (np.nanmin(seconds), np.nanmax(seconds))]
+        if ends[0] < ends[1]:
             figure.update_xaxes(range=ends, autorange=False)
     if chart.is_image:
         figure.update_yaxes(autorange="reversed")
     return figure
 
 
-def _trace(figure: go.Figure, curve: Curve, x: Array, y: Array, **options: Any) -> None:
-    hover = {"hovertemplate": curve.hover} if curve.hover else {}
-    options = {"name": printable(curve.name), **hover, **options}
-    figure.add_scatter(x=x.astype(np.float32), y=y.astype(np.float32), **options)
-
-
-def _add_line(figure: go.Figure, curve: Curve, _: int) -> None:
-    """A line with gaps; frames that stand alone, which a line without markers does not show, as short dashes."""
+def _traces(curve: Curve, sharing: int) -> Iterator[tuple[Array, Array, dict[str, Any]]]:
+    """The traces of a curve: x, y, and how they look; `sharing` curves of dots share the room."""
     colour, dash = COLOURS[curve.role]
+    area = {"mode": "lines", "line": {"width": 0}, "fillcolor": colour, "hoverinfo": "skip"}
+    if curve.form == "line":
+        yield from _line(curve, colour, dash)
+    elif curve.form == "band":
+        yield *_outlines(curve), area | {"fill": "toself"}
+    elif curve.form == "spans":  # as one area from the bottom to the top: thousands of shapes take seconds
+        x = np.stack([curve.x, curve.x, curve.y, curve.y], 1).ravel()
+        yield x, np.tile([0, 1, 1, 0], len(curve.x)), area | {"fill": "tozeroy", "yaxis": "y2"}
+    elif curve.form == "bars":
+        yield curve.x, curve.y, {"marker": {"color": colour}}
+    else:  # dots, thinned out evenly where there are many
+        count = len(curve.x)
+        kept = np.linspace(0, max(count - 1, 0), min(count, MAX_MARKERS // sharing))
+        chosen = np.unique(kept.round().astype(int))
+        marker: dict[str, Any] = {"color": COLOURS["estimate"][0], "size": 5, "opacity": 0.6}
+        if curve.colour_by is not None:
+            bar = {"title": {"text": curve.name}, "thickness": 12}
+            marker |= {"color": curve.colour_by[chosen].astype(np.float32), "colorscale": "Cividis",
+                       "showscale": True, "colorbar": bar, "opacity": 0.9}  # fmt: skip
+        yield curve.x[chosen], curve.y[chosen], {"mode": "markers", "marker": marker, "showlegend": False}
+
+
+def _line(curve: Curve, colour: str, dash: str) -> Iterator[tuple[Array, Array, dict[str, Any]]]:
+    """A line with gaps; frames that stand alone, which a line without markers does not show, as short dashes."""
     few = len(curve.x) <= MAX_MARKERS
-    markers = curve.role in ("estimate", "error") and few
     numbers = {} if curve.number is None else {"customdata": np.nan_to_num(curve.number).astype(np.int32)}
-    line = {"color": colour, "width": 1.8, "dash": dash}
-    _trace(figure, curve, curve.x, curve.y, mode="lines+markers" if markers else "lines", line=line,
-           marker={"size": 4}, **numbers)  # fmt: skip
+    mode = "lines+markers" if few and curve.role in ("estimate", "error") else "lines"
+    look = {"line": {"color": colour, "width": 1.8, "dash": dash}, "marker": {"size": 4}}
+    yield curve.x, curve.y, {"mode": mode, **look, **numbers}
     alone = [begin for begin, end in runs(np.isfinite(curve.y)) if end - begin == 1]
     if alone and not few:
         reach_s, gap = _reach_s(curve.x), np.full(len(alone), np.nan)
         x = np.stack([curve.x[alone] - reach_s, curve.x[alone] + reach_s, gap], 1).ravel()
         y = np.stack([curve.y[alone], curve.y[alone], gap], 1).ravel()
         dashes = {"name": "single frames", "hovertemplate": None, "hoverinfo": "skip", "showlegend": False}
-        _trace(figure, curve, x, y, mode="lines", line={"color": colour, "width": 3}, **dashes)
+        yield x, y, {"mode": "lines", "line": {"color": colour, "width": 3}, **dashes}
 
 
-def _add_band(figure: go.Figure, curve: Curve, _: int) -> None:
-    """The area between two curves, an outline for each run of frames that have both.
+def _outlines(curve: Curve) -> tuple[Array, Array]:
+    """The outline of the area of a band for each run of frames that have both of its curves.
 
     As a fill between two traces it would reach across what was not measured. Frames that stand alone have a width.
     """
@@ -315,50 +335,9 @@ def _add_band(figure: go.Figure, curve: Curve, _: int) -> None:
             lows, highs = np.repeat(lows, 2), np.repeat(highs, 2)
         x += [times, times[::-1], gap]
         y += [lows, highs[::-1], gap]
-    _trace(figure, curve, np.concatenate(x), np.concatenate(y), **_area(curve, "toself"))
-
-
-def _add_spans(figure: go.Figure, curve: Curve, _: int) -> None:
-    """Spans as one area from the bottom to the top: a browser takes seconds for thousands of shapes."""
-    x = np.stack([curve.x, curve.x, curve.y, curve.y], 1).ravel()
-    y = np.tile([0, 1, 1, 0], len(curve.x))
-    _trace(figure, curve, x, y, yaxis="y2", **_area(curve, "tozeroy"))
-    figure.update_layout(yaxis2={"overlaying": "y", "range": [0, 1], "fixedrange": True, "visible": False})
-
-
-def _area(curve: Curve, fill: str) -> dict[str, Any]:
-    colour, _ = COLOURS[curve.role]
-    return {"mode": "lines", "line": {"width": 0}, "fill": fill, "fillcolor": colour, "hoverinfo": "skip"}
-
-
-def _add_dots(figure: go.Figure, curve: Curve, sharing: int) -> None:
-    """Dots, thinned out evenly where there are many; `sharing` curves share the room."""
-    count = len(curve.x)
-    kept = np.linspace(0, max(count - 1, 0), min(count, MAX_MARKERS // sharing))
-    chosen = np.unique(kept.round().astype(int))
-    marker: dict[str, Any] = {"color": COLOURS["estimate"][0], "size": 5, "opacity": 0.6}
-    if curve.colour_by is not None:
-        bar = {"title": {"text": curve.name}, "thickness": 12}
-        marker |= {"color": curve.colour_by[chosen].astype(np.float32), "colorscale": "Cividis", "showscale": True,
-                   "colorbar": bar, "opacity": 0.9}  # fmt: skip
-    _trace(figure, curve, curve.x[chosen], curve.y[chosen], mode="markers", marker=marker, showlegend=False)
-
-
-def _add_bars(figure: go.Figure, curve: Curve, _: int) -> None:
-    colour, _dash = COLOURS[curve.role]
-    figure.add_bar(x=curve.x, y=curve.y, name=curve.name, marker={"color": colour}, hovertemplate=curve.hover)
-    figure.update_layout(bargap=0.02)
+    return np.concatenate(x), np.concatenate(y)
 
 
 def _reach_s(seconds: Array) -> float:
     """How far what stands for one frame reaches to either side: less than half of the way to the next one."""
     return 0.3 * float(np.nanmedian(np.diff(seconds))) if len(seconds) > 1 else 0.05
-
-
-_ADD: dict[Form, Callable[[go.Figure, Curve, int], None]] = {
-    "line": _add_line,
-    "band": _add_band,
-    "spans": _add_spans,
-    "dots": _add_dots,
-    "bars": _add_bars,
-}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -18,14 +18,8 @@ from svmdist.recording.summary import RecordingSummary
 from svmdist.report.tables import Column, Table, render, row_of
 from svmdist.report.writers import Results
 from svmdist.transforms import quaternion_xyzw_from_rotation
+from svmdist.workflows import capabilities
 from svmdist.workflows.calibrate import HandEyeResult
-from svmdist.workflows.capabilities import (
-    Capability,
-    TagCheck,
-    capabilities,
-    instruments_in,
-    method_capabilities,
-)
 
 SCHEMA = "svmdist.info/1"
 
@@ -50,23 +44,24 @@ def _image_count(log: dict[str, Any]) -> int:
     return next((int(topic["message_count"]) for topic in log["topics"] if topic["topic"] == image), 0)
 
 
+def _methods(log: dict[str, Any]) -> str:
+    return ", ".join(name for name, found in log["methods"].items() if found["served"]) or "none"
+
+
 LOG_COLUMNS = (
     Column("recording", TEXT, "recording", itemgetter("recording")),
     Column("duration_s", SECONDS, "duration [s]", itemgetter("duration_s")),
     Column("size_bytes", Unit("B", "MB", 1e-6, 2), "size [MB]", itemgetter("size_bytes")),
     Column("images", COUNT, "images", _image_count),
     Column("messages", COUNT, "messages", lambda log: sum(topic["message_count"] for topic in log["topics"])),
-    Column("methods", TEXT, "methods",
-           lambda log: ", ".join(name for name, of in log["methods"].items() if of["served"]) or "none"),
+    Column("methods", TEXT, "methods", _methods),
     Column("loss_count", COUNT, "losses", lambda log: len(log["losses"])),
-)  # fmt: skip
+)
 
 
-def info_results(summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None) -> Results:
-    """A recording: its topics as rows, what can be done with it in lines for a person, and all as a JSON document."""
-    rows = [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics]
-    found = info_document(summary, profile, tags)
-    return Results(TOPIC_COLUMNS, rows, lambda width: _info_lines(summary, found, width), document=found)
+def info_results(found: dict[str, Any]) -> Results:
+    """A recording by its document: its topics as rows, and what can be done with it in lines for a person."""
+    return Results(TOPIC_COLUMNS, found["topics"], lambda width: _info_lines(found, width), document=found)
 
 
 def logs_results(documents: Sequence[tuple[str, dict[str, Any]]]) -> Results:
@@ -78,7 +73,7 @@ def logs_results(documents: Sequence[tuple[str, dict[str, Any]]]) -> Results:
 
 
 def info_document(
-    summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
+    summary: RecordingSummary, profile: Profile, tags: capabilities.TagCheck | None = None
 ) -> dict[str, Any]:
     """The JSON document `svmdist.info/1`."""
     return {
@@ -89,18 +84,18 @@ def info_document(
         "metadata": summary.metadata,
         "topics": [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics],
         "roles": summary.roles,
-        "instruments": list(instruments_in(summary, profile)),
+        "instruments": list(capabilities.instruments_in(summary, profile)),
         "cameras": {topic: _camera_document(camera) for topic, camera in summary.cameras.items()},
         "frames": list(summary.frames),
         "joint_names": {topic: list(names) for topic, names in summary.joint_names.items()},
         "is_clean": summary.health.is_clean,
         "losses": [str(loss) for loss in summary.health.losses],
-        "commands": _capability_documents(capabilities(summary, profile, tags)),
-        "methods": _capability_documents(method_capabilities(summary, profile, tags)),
+        "commands": _served(capabilities.capabilities(summary, profile, tags)),
+        "methods": _served(capabilities.method_capabilities(summary, profile, tags)),
     }
 
 
-def _capability_documents(found: Iterable[Capability]) -> dict[str, dict[str, Any]]:
+def _served(found: Iterable[capabilities.Capability]) -> dict[str, dict[str, Any]]:
     return {
         one.name: {
             "served": one.served,
@@ -116,85 +111,73 @@ def _camera_document(camera: Camera) -> dict[str, Any]:
     return size | {"K": camera.K.tolist(), "D": camera.D.tolist(), "frame_id": camera.frame_id}
 
 
-def _info_lines(summary: RecordingSummary, document: dict[str, Any], width: int | None) -> Iterator[str]:
+def _info_lines(log: dict[str, Any], width: int | None) -> Iterator[str]:
 
     def line(name: str, text: str) -> str:
         return f"{name:<11} {printable(text)}\n"
 
-    yield f"{printable(document['path'])}: {summary.size_bytes / 1e6:.2f} MB, {summary.duration_s:.2f} s\n"
-    if summary.metadata:
-        yield line("made with", ", ".join(f"{key} {value}" for key, value in summary.metadata.items()))
-    shown = [column for column in TOPIC_COLUMNS if column.heading]
-    yield render(Table.of("", shown, document["topics"]), width=width)
-    for topic, camera in summary.cameras.items():
+    def missing(found: dict[str, Any]) -> str:
+        return f"no: it lacks {'; '.join(found['missing'])}"
+
+    yield f"{printable(log['path'])}: {log['size_bytes'] / 1e6:.2f} MB, {log['duration_s']:.2f} s\n"
+    if log["metadata"]:
+        yield line("made with", ", ".join(f"{key} {value}" for key, value in log["metadata"].items()))
+    yield render(Table.of("", [one for one in TOPIC_COLUMNS if one.heading], log["topics"]), width=width)
+    for topic, camera in log["cameras"].items():
         yield line("camera", f"{topic}: {_camera_in_words(camera)}")
-    if summary.frames:
-        yield line("frames", ", ".join(summary.frames))
-    for topic, names in summary.joint_names.items():
+    if log["frames"]:
+        yield line("frames", ", ".join(log["frames"]))
+    for topic, names in log["joint_names"].items():
         yield line("joints", f"{topic}: {', '.join(names)}")
-    roles = ", ".join(f"{role} {topic}" for role, topic in summary.roles.items())
+    roles = ", ".join(f"{role} {topic}" for role, topic in log["roles"].items())
     yield line("roles", roles or "none of the topics is one that svmdist reads")
-    yield line("instruments", ", ".join(document["instruments"]))
-    for name, found in document["commands"].items():
+    yield line("instruments", ", ".join(log["instruments"]))
+    for name, found in log["commands"].items():
         served = ", ".join(filter(None, ("yes", found.get("note"))))
-        yield line(name, served if found["served"] else _missing(found))
-    methods = document["methods"]
-    yield line("methods", ", ".join(name for name, found in methods.items() if found["served"]) or "none")
-    for name, found in methods.items():
+        yield line(name, served if found["served"] else missing(found))
+    yield line("methods", _methods(log))
+    for name, found in log["methods"].items():
         if not found["served"]:
-            yield f"  {name:<9} {_missing(found)}\n"
-    yield line("health", "clean" if summary.health.is_clean else f"{len(summary.health.losses)} losses")
+            yield f"  {name:<9} {printable(missing(found))}\n"
+    yield line("health", "clean" if log["is_clean"] else f"{len(log['losses'])} losses")
 
 
-def _missing(found: dict[str, Any]) -> str:
-    return printable(f"no: it lacks {'; '.join(found['missing'])}")
-
-
-def _camera_in_words(camera: Camera) -> str:
-    K, D = camera.K, camera.D
-    distortion = f"distortion {' '.join(f'{d:.4g}' for d in D)}" if D.any() else "no distortion"
+def _camera_in_words(camera: dict[str, Any]) -> str:
+    (fx, _, cx), (_, fy, cy), _ = camera["K"]
+    bends = " ".join(f"{value:.4g}" for value in camera["D"]) if any(camera["D"]) else ""
     return (
-        f"{camera.width_px}x{camera.height_px}, fx {K[0, 0]:.2f}, fy {K[1, 1]:.2f}, cx {K[0, 2]:.2f},"
-        f" cy {K[1, 2]:.2f} px, {distortion}, frame {camera.frame_id}"
+        f"{camera['width_px']}x{camera['height_px']}, fx {fx:.2f}, fy {fy:.2f}, cx {cx:.2f}, cy {cy:.2f} px,"
+        f" {f'distortion {bends}' if bends else 'no distortion'}, frame {camera['frame_id']}"
     )
 
 
+def _quaternion(at: int) -> Callable[[HandEyeResult], float]:
+    return lambda found: float(quaternion_xyzw_from_rotation(found.hand_eye.T_camera_base[:3, :3])[at])
+
+
 def _deviation(at: int) -> Callable[[HandEyeResult], float]:
-    return lambda result: float(np.sqrt(max(result.hand_eye.covariance[at][at], 0.0)))
-
-
-def _pose_column(key: str, unit: Unit, at: int) -> Column:
-
-    def read(result: HandEyeResult) -> float:
-        T = result.hand_eye.T_camera_base
-        return float(T[at, 3] if at < 3 else quaternion_xyzw_from_rotation(T[:3, :3])[at - 3])
-
-    return Column(key, unit, of=read)
-
-
-def _found(key: str, unit: Unit) -> Column:
-    return Column(key, unit, of=attrgetter(f"hand_eye.{key}"))
+    return lambda found: float(np.sqrt(max(found.hand_eye.covariance[at][at], 0.0)))
 
 
 HAND_EYE_COLUMNS = (
-    *(_found(key, TEXT) for key in ("instrument", "camera", "base")),
-    *(_pose_column(f"{axis}_m", LENGTH, at) for at, axis in enumerate("xyz")),
-    *(_pose_column(f"q{axis}", RATIO, at) for at, axis in enumerate("xyzw", 3)),
+    *(Column(key, TEXT, of=f"hand_eye.{key}") for key in ("instrument", "camera", "base")),
+    *(Column(f"{axis}_m", LENGTH, of=f"hand_eye.translation_m.{at}") for at, axis in enumerate("xyz")),
+    *(Column(f"q{axis}", RATIO, of=_quaternion(at)) for at, axis in enumerate("xyzw")),
     *(Column(f"{axis}_std_m", LENGTH, of=_deviation(at)) for at, axis in enumerate("xyz")),
     *(Column(f"turn_{axis}_std_rad", RADIANS, of=_deviation(at)) for at, axis in enumerate("xyz", 3)),
     Column("tool_std_m", LENGTH),
-    *(_found(key, TEXT) for key in ("method", "reference")),
-    *(_found(key, COUNT) for key in ("frame_count", "inlier_count")),
-    _found("residual_rms_m", LENGTH),
-    Column("log_turn_rad", RADIANS, of=lambda result: result.from_log[0] if result.from_log else None),
-    Column("log_shift_m", LENGTH, of=lambda result: result.from_log[1] if result.from_log else None),
+    *(Column(key, TEXT, of=f"hand_eye.{key}") for key in ("method", "reference")),
+    *(Column(key, COUNT, of=f"hand_eye.{key}") for key in ("frame_count", "inlier_count")),
+    Column("residual_rms_m", LENGTH, of="hand_eye.residual_rms_m"),
+    Column("log_turn_rad", RADIANS, of="from_log.0"),
+    Column("log_shift_m", LENGTH, of="from_log.1"),
 )
 
 
 def hand_eye_results(results: Sequence[HandEyeResult]) -> Results:
     """A row per instrument, and for a person the transforms with what they rest on."""
     rows = [row_of(HAND_EYE_COLUMNS, result) for result in results]
-    lines = [line for result in results for line in _hand_eye_lines(result, row_of(HAND_EYE_COLUMNS, result))]
+    lines = [line for found in zip(results, rows, strict=True) for line in _hand_eye_lines(*found)]
     return Results(HAND_EYE_COLUMNS, rows, lambda _: lines, document=rows)
 
 

@@ -132,35 +132,35 @@ def _under(lines: Sequence[tuple[str, Rgb] | str], pixels: Image, scale: float =
     return np.vstack([bar, pixels])
 
 
-def _tinted(pixels: Image, parts: Sequence[tuple[Part, Image]]) -> Image:
+def _tinted(pixels: Image, parts: Sequence[tuple[Part, Image | None]]) -> Image:
     pixels = np.array(pixels)
     for part, mask in parts:
-        under = mask > 0
-        tint = np.array(bgr(COLOURS[part]), np.float64)
-        pixels[under] = ((1.0 - TINT) * pixels[under] + TINT * tint).astype(np.uint8)
+        if mask is not None:
+            tint = TINT * np.array(bgr(COLOURS[part]), np.float64)
+            pixels[mask > 0] = ((1.0 - TINT) * pixels[mask > 0] + tint).astype(np.uint8)
     return pixels
 
 
 def masks_picture(frame: DrawnFrame, title: str) -> Image:
     """What was segmented, shape (h, w, 3) in BGR, under lines that name it; only the status of an unreadable frame."""
-    if not frame.replayed.frames:
+    frames = frame.replayed.frames
+    if not frames:
         return phases_picture(frame, title)
-    masks = frame.replayed.frames[0].scene.left.masks
-    image = frame.replayed.frames[0].scene.observation.image_bgr
-    parts = (("tissue", Part.TISSUE, masks.tissue), ("shaft", Part.SHAFT, masks.shaft),
-             ("distal part", Part.INSTRUMENT, masks.instrument))  # fmt: skip
+    masks, image = frames[0].scene.left.masks, frames[0].scene.observation.image_bgr
     lines: list[tuple[str, Rgb] | str] = [title]
     shapes: list[Shape] = []
-    for name, part, mask in parts:
+    labels = []
+    named = {"tissue": (Part.TISSUE, masks.tissue), "shaft": (Part.SHAFT, masks.shaft),
+             "distal part": (Part.INSTRUMENT, masks.instrument)}  # fmt: skip
+    for name, (part, mask) in named.items():
         share = "not in the profile" if mask is None else f"{100.0 * np.mean(mask > 0):.1f} % of the image"
         lines.append((f"{name}: {share}", COLOURS[part]))
         shapes += [] if mask is None else contours_of(mask, part)
     if masks.black is not None and masks.black.any():
         shapes += contours_of(masks.black, Part.MATCH)
         lines.append(("border of the picture", COLOURS[Part.MATCH]))
-    labels = []
     if masks.seen is None:
-        for one in frame.replayed.frames:
+        for one in frames:
             places = np.argwhere(one.left.masks.instrument)[:, ::-1]
             if len(places):
                 labels.append(Label(Part.INSTRUMENT, places.mean(0), one.arm.profile.instrument_name))
@@ -173,16 +173,14 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
             name = _owner(frame, seen.mask) or f"instrument {at + 1}"
             place_px = 0.5 * (seen.entry_px + seen.end_px)
             labels.append(Label(Part.MARKER, place_px, f"{name}  {seen.evidence:.2f}"))
-    tinted = _tinted(image, [(part, mask) for _, part, mask in parts[1:] if mask is not None])
+    tinted = _tinted(image, [(part, mask) for part, mask in named.values() if part is not Part.TISSUE])
     times = max(1, -(-LEAST_WIDTH_PX // image.shape[1]))
     large = cv2.resize(tinted, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)
-
-    def enlarged(points_px: Array) -> Array:
-        return np.asarray((points_px + 0.5) * times - 0.5)
-
-    large_shapes = tuple(replace(shape, points_px=enlarged(shape.points_px)) for shape in shapes)
-    large_labels = tuple(replace(label, place_px=enlarged(label.place_px)) for label in labels)
-    drawing = FrameDrawing(frame.drawing.stamp_ns, large_shapes, large_labels)
+    drawing = FrameDrawing(
+        frame.drawing.stamp_ns,
+        tuple(replace(one, points_px=(one.points_px + 0.5) * times - 0.5) for one in shapes),
+        tuple(replace(one, place_px=(one.place_px + 0.5) * times - 0.5) for one in labels),
+    )
     return _under(lines, draw_on(np.asarray(large, np.uint8), drawing, lines=False))
 
 
@@ -201,74 +199,58 @@ def phases_picture(frame: DrawnFrame, title: str, method: str = "") -> Image:
 
     A frame that could not be read has its status only.
     """
-    lines = [title, *(line.text for line in frame.drawing.lines)]
-    if not frame.replayed.frames or frame.replayed.image_bgr is None:
+    lines, image = [title, *(line.text for line in frame.drawing.lines)], frame.replayed.image_bgr
+    if image is None or not frame.replayed.frames:
         return _under(lines, np.zeros((40, 960, 3), np.uint8))
     panels = []
     for name in REGISTRY[method].draws:
-        panel = _PHASES[name](frame)
+        phase = _PHASES[name]
+        if isinstance(phase, tuple):
+            panel = draw_on(image, frame.drawing, parts=phase, lines=False)
+        else:
+            panel = phase(frame, np.array(image))
         panels.append(_under([name], panel, max(0.6, panel.shape[1] / 1100.0)))
-    return _under(lines, _grid(panels))
-
-
-def _grid(panels: Sequence[Image]) -> Image:
     columns = min(len(panels), 2 if len(panels) in (2, 4) else COLUMNS)
     height, width = panels[0].shape[:2]
-    rows = -(-len(panels) // columns)
-    sheet = np.full((rows * height, columns * (width + 4), 3), DARK, np.uint8)
+    sheet = np.full((-(-len(panels) // columns) * height, columns * (width + 4), 3), DARK, np.uint8)
     for at, panel in enumerate(panels):
         y, x = at // columns * height, at % columns * (width + 4)
         sheet[y : y + height, x : x + width] = panel
-    return sheet
+    return _under(lines, sheet)
 
 
-def _image(frame: DrawnFrame) -> Image:
-    image = frame.replayed.image_bgr
-    assert image is not None  # the caller looked
-    return image
-
-
-def _only(*parts: Part) -> Callable[[DrawnFrame], Image]:
-    return lambda frame: draw_on(_image(frame), frame.drawing, parts=parts, lines=False)
-
-
-def _segmentation(frame: DrawnFrame) -> Image:
+def _segmentation(frame: DrawnFrame, _: Image) -> Image:
     first = frame.replayed.frames[0]
     recorded = "regions_as_recorded" in first.left.found
-    parts: list[tuple[Part, Image]] = []
+    parts: list[tuple[Part, Image | None]] = []
     for one in frame.replayed.frames:
         masks = one.left.masks_as_recorded if recorded else one.left.masks
         parts += [] if parts else [(Part.TISSUE, masks.tissue)]
-        parts.append((Part.INSTRUMENT, masks.instrument))
-        if masks.shaft is not None and not recorded:
-            parts.append((Part.SHAFT, masks.shaft))
+        parts += [(Part.INSTRUMENT, masks.instrument), (Part.SHAFT, None if recorded else masks.shaft)]
     return _tinted(first.scene.observation.image_bgr, parts)
 
 
-def _marker(frame: DrawnFrame) -> Image:
-    pixels = np.array(_image(frame))
+def _marker(frame: DrawnFrame, pixels: Image) -> Image:
     for one in frame.replayed.frames:
-        found = virtual_marker(one, one.arm.profile)
+        found = virtual_marker(one)
         if found is None:
             continue
-        x0, y0 = found.window.origin_px
-        window = found.window.window_bgr
-        rows = np.arange(window.shape[0]) + y0
-        columns = np.arange(window.shape[1]) + x0
-        r = (rows >= 0) & (rows < pixels.shape[0])
-        c = (columns >= 0) & (columns < pixels.shape[1])
-        pixels[np.ix_(rows[r], columns[c])] = window[np.ix_(r, c)]
-        for x, y in found.keypoints_px:
-            cv2.circle(pixels, (round(x), round(y)), 2, bgr(COLOURS[Part.MATCH]), 1, cv2.LINE_AA)
+        (x, y), window = found.window.origin_px, found.window.window_bgr
+        rows, columns = (np.arange(length) for length in window.shape[:2])
+        r = (rows + y >= 0) & (rows + y < pixels.shape[0])
+        c = (columns + x >= 0) & (columns + x < pixels.shape[1])
+        pixels[np.ix_(rows[r] + y, columns[c] + x)] = window[np.ix_(r, c)]
+        for x_px, y_px in found.keypoints_px:
+            cv2.circle(pixels, (round(x_px), round(y_px)), 2, bgr(COLOURS[Part.MATCH]), 1, cv2.LINE_AA)
     return pixels
 
 
-def _matches(frame: DrawnFrame) -> Image:
+def _matches(frame: DrawnFrame, sheet: Image) -> Image:
     """The template beside the marked window, with lines between matched points: inliers apart from the others."""
-    height, width = _image(frame).shape[:2]
-    sheet = np.full((height, width, 3), DARK, np.uint8)
+    sheet[:] = DARK
+    height, width = sheet.shape[:2]
     one = frame.replayed.frames[0]
-    found = virtual_marker(one, one.arm.profile)
+    found = virtual_marker(one)
     if found is None:
         return sheet
     template = padded_template(one.arm.profile.marker.size_px, EDGE_MARGIN_PX)
@@ -290,9 +272,8 @@ def _matches(frame: DrawnFrame) -> Image:
     return sheet
 
 
-def _surface(frame: DrawnFrame) -> Image:
+def _surface(frame: DrawnFrame, pixels: Image) -> Image:
     """Points of the stereo surface, coloured by depth: yellow is near, violet far."""
-    pixels = np.array(_image(frame))
     scene = frame.replayed.frames[0].scene
     surface = scene.found.get("stereo_surface")
     if surface is None or len(surface.points_m) == 0:
@@ -306,20 +287,17 @@ def _surface(frame: DrawnFrame) -> Image:
     return pixels
 
 
-def _result(frame: DrawnFrame) -> Image:
-    parts = (Part.TIP, Part.TISSUE, Part.MARKER, Part.DISTANCE, Part.BETWEEN)
-    return draw_on(_image(frame), frame.drawing, parts=parts, lines=False)
-
-
-_PHASES: dict[Phase, Callable[[DrawnFrame], Image]] = {
+_RESULT = (Part.TIP, Part.TISSUE, Part.MARKER, Part.DISTANCE, Part.BETWEEN)
+_PHASES: dict[Phase, Callable[[DrawnFrame, Image], Image] | tuple[Part, ...]] = {
     "segmentation": _segmentation,
-    "contours": _only(Part.TISSUE, Part.INSTRUMENT),
+    "contours": (Part.TISSUE, Part.INSTRUMENT),
     "marker": _marker,
     "matches": _matches,
-    "outline and distance": _result,
-    "edges": _only(Part.SHAFT),
-    "tip": _only(Part.MARKER, Part.TIP),
-    "tag": _only(Part.TAG),
+    "outline and distance": _RESULT,
+    "edges": (Part.SHAFT,),
+    "tip": (Part.MARKER, Part.TIP),
+    "tag": (Part.TAG,),
     "surface": _surface,
-    "distance": _result,
+    "distance": _RESULT,
 }
+"""What each phase draws on a copy of the image: a function's picture, or these parts of the drawing."""

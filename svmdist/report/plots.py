@@ -5,9 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from enum import StrEnum
-from functools import partial
 from itertools import product
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +18,14 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from svmdist.errors import OutputError, printable
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import atomic_file
-from svmdist.metrics import deviations_at
+from svmdist.metrics import SHARE
 from svmdist.report import charts
 from svmdist.report.charts import Chart, Curve, Role
 from svmdist.report.tables import counted
 from svmdist.report.writers import plot_format
-from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
+from svmdist.results import Z_95
+from svmdist.workflows.compare import ALL, Group, MethodScore
+from svmdist.workflows.metric_table import figure_metrics
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import DistanceScore, Score
 from svmdist.workflows.series import Series
@@ -68,14 +68,14 @@ LOOKS: Any = {
 }
 
 
-def _write(draw_figure: Callable[[], Figure], path: Path) -> None:
-    """Draw a figure with the looks of print; raises OutputError where it cannot be written."""
+def save_figure(path: Path, draw: Callable[..., Figure], *given: Any) -> None:
+    """Draw a figure with the looks of print and write it; raises OutputError where that cannot be done."""
     suffix = plot_format(path)
     metadata = {"Date": None} if suffix == "svg" else None
     with mpl.rc_context(LOOKS), warnings.catch_warnings(), atomic_file(path) as target:
         # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
         warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
-        draw_figure().savefig(target, dpi=DPI, format=suffix, metadata=metadata)
+        draw(*given).savefig(target, dpi=DPI, format=suffix, metadata=metadata)
 
 
 def plain_name(text: str) -> str:
@@ -119,35 +119,25 @@ class SeriesPlot(StrEnum):
     CALIBRATION = "calibration"
 
 
-def save_series_plot(
-    series: Sequence[Series], kind: SeriesPlot, path: Path, alarm_below_m: float | None = None
-) -> None:
-    """Draw series and write the figure; raises OutputError for a wrong ending, nothing to draw, or a failed write."""
-    _write(lambda: draw_series(series, kind, path, alarm_below_m), path)
-
-
-def draw_series(
-    series: Sequence[Series], kind: SeriesPlot, path: Path, alarm_below_m: float | None = None
-) -> Figure:
-    """The figure: a panel for each series over time, else one for all of each distance."""
+def draw_series(series: Sequence[Series], kind: SeriesPlot, alarm_below_m: float | None = None) -> Figure:
+    """A panel for each series over time, else one for all of each distance; raises OutputError without any."""
     panels: list[tuple[Chart, str]] = []
     for one in series if kind is SeriesPlot.TIME else ():
         name = plain_name(f"{one.recording} {one.instrument}")
         title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
         panels.append((charts.distance_over_time(one, alarm_below_m), title))
-    for distance in dict.fromkeys(one.distance for one in series if kind is not SeriesPlot.TIME):
-        group = [one for one in series if one.distance == distance and np.isfinite(one.error_m).any()]
-        of = f"{group[0].method}: {charts.distance_name(group[0])}" if group else ""
-        if group and kind is SeriesPlot.RESIDUALS:
+    for group in () if kind is SeriesPlot.TIME else charts.with_errors(series):
+        of = f"{group[0].method}: {charts.distance_name(group[0])}"
+        if kind is SeriesPlot.RESIDUALS:
             panels.append((charts.errors_over(group, "time"), f"{of}, errors over time"))
             panels.append((charts.errors_over(group, "distance"), "over distance"))
-        elif group and kind is SeriesPlot.BLAND_ALTMAN:
+        elif kind is SeriesPlot.BLAND_ALTMAN:
             panels.append((charts.agreement(group), of))
-        elif group and np.isfinite(charts.pooled(group)[2]).any():
+        elif np.isfinite(charts.pooled(group)[2]).any():
             panels.append((charts.calibration(group), f"{of}, interval"))
     if not panels:
         lacking = "an interval" if kind is SeriesPlot.CALIBRATION else "a truth"
-        raise OutputError(f"{path}: nothing to draw: no frame has {lacking}")
+        raise OutputError(f"--plot {kind}: nothing to draw: no frame has {lacking}")
     across = 2 if kind is SeriesPlot.RESIDUALS else 1
     rows, height_in = len(panels) // across, PANEL_IN if kind is SeriesPlot.TIME else 1.3 * PANEL_IN
     width_in = COLUMN_IN if kind in (SeriesPlot.BLAND_ALTMAN, SeriesPlot.CALIBRATION) else PAGE_IN
@@ -157,17 +147,12 @@ def draw_series(
     return figure
 
 
-def save_plot(validation: Validation, path: Path) -> None:
-    """Draw Fig. 6 of the paper, a panel per recording, and write it; raises OutputError where that cannot be.
+def draw(validation: Validation) -> Figure:
+    """Draw Fig. 6 of the paper: truth and estimate of each log above the error, in two columns for several.
 
     Drawn is the clearance, else the spatial, else the planar distance, against the strongest reference.
     """
     scores = [score for score in validation.scores if score.reference is validation.reference]
-    _write(lambda: draw(scores, validation.alarm_rules), path)
-
-
-def draw(scores: Sequence[Score], alarms: AlarmRules | None = None) -> Figure:
-    """Truth and estimate of each score above the error, two columns wide where there are several."""
     columns = 1 if len(scores) == 1 else 2
     rows = -(-len(scores) // columns)
     width_in = COLUMN_IN if columns == 1 else PAGE_IN
@@ -177,7 +162,7 @@ def draw(scores: Sequence[Score], alarms: AlarmRules | None = None) -> Figure:
         cell = grid[index // columns, index % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.04)
         upper = figure.add_subplot(cell[0])
         lower = figure.add_subplot(cell[1], sharex=upper)
-        _draw_score(upper, lower, score, alarms)
+        _draw_score(upper, lower, score, validation.alarm_rules)
         if index == 0:
             handles, labels = upper.get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside lower center", ncols=4)
@@ -190,7 +175,7 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
     pairs = in_3d.pairs if in_3d else score.pairs
     seconds = (pairs.stamps_ns - score.start_ns) / 1e9
     truth_mm, estimate_mm = pairs.truth_m * 1e3, pairs.estimate_m * 1e3
-    half_mm = deviations_at(0.95) * pairs.std_m * 1e3
+    half_mm = Z_95 * pairs.std_m * 1e3
     if alarms is not None and distance == "clearance":
         _draw_curves(upper, [charts.threshold(seconds, alarms.below_m)])
     truth_name = f"truth ({REFERENCE_NAMES[score.reference]})"
@@ -218,17 +203,12 @@ def _title(score: Score, distance: str, in_3d: DistanceScore | None) -> str:
     return f"{name}\nR² {r2}, RMSE {found.rmse * 1e3:.2f} mm, σ {found.truth_std * 1e3:.1f} mm, n {found.count}{fitted}"
 
 
-NAMES = {"planar": "planar distance", "spatial": "spatial distance", "clearance": "clearance"}
+NAMES = {"": "planar distance", "spatial_": "spatial distance", "clearance_": "clearance"}
+"""The distances, by what the keys of their metrics begin with."""
 LINE_IN, HEAD_IN = 0.19, 0.75
 """Height of a method's line, and of what a row of panels needs besides, in inches."""
 WIDE = 20.0
 """Errors that differ by more than this factor are drawn on a logarithmic axis."""
-NOMINAL = 95.0
-
-
-def save_compare_plot(scores: Sequence[MethodScore], path: Path) -> None:
-    """Draw methods side by side and write the figure; raises OutputError for a wrong ending or a failed write."""
-    _write(lambda: draw_compare(scores), path)
 
 
 def draw_compare(scores: Sequence[MethodScore]) -> Figure:
@@ -238,56 +218,42 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     """
     groups = list(dict.fromkeys(score.group for score in scores))
     methods = list(dict.fromkeys(score.method for score in scores))
-    distances = [name for name in NAMES if any(getattr(score.figures, name) for score in scores)]
-    looks = _group_looks(groups)
+    metrics, looks = {metric.key: metric for metric in figure_metrics()}, _group_looks(groups)
+    known = [key for key in NAMES if any(metrics[f"{key}rmse_m"].of(score.figures) for score in scores)]
     legend_rows = -(-len(groups) // 4) if len(groups) > 1 else 0
     height_in = 2 * (LINE_IN * len(methods) + HEAD_IN) + 0.17 * legend_rows + 0.25
     figure = Figure(figsize=(PAGE_IN, height_in), layout="constrained")
-    axes = figure.subplots(2, 1 + len(distances), squeeze=False, sharey=True)
+    axes = figure.subplots(2, 1 + len(known), squeeze=False, sharey=True)
     frame_count = max(score.figures.frame_count for score in scores)
     title = f"{', '.join(map(plain_name, methods))}: {counted(frame_count, 'frame')}"
     figure.suptitle(title, fontsize=8, x=0.01, ha="left")
-
-    def dots(panel: Axes, value: Callable[[Figures], float | None]) -> list[float]:
-        shown = []
+    labels = {"coverage": "frames measured [%]", "ms_per_frame": "time per frame [ms]"}
+    for key in known:
+        labels[f"{key}rmse_m"] = f"RMSE [mm]\n{NAMES[key]}"
+        labels[f"{key}interval_coverage"] = f"truths in 95 % interval [%]\n{NAMES[key]}"
+    for panel, (key, label) in zip(axes.T.flat, labels.items(), strict=True):
+        metric, shown = metrics[key], []
         for score in scores:
-            found, (colour, marker, size) = value(score.figures), looks[score.group]
-            if found is not None and np.isfinite(found):
-                panel.plot([found], [methods.index(score.method)], linestyle="none", marker=marker, color=colour,
+            value, (colour, marker, size) = metric.of(score.figures), looks[score.group]
+            if isinstance(value, float) and np.isfinite(value):
+                shown.append(value * metric.unit.factor)
+                panel.plot(shown[-1:], [methods.index(score.method)], linestyle="none", marker=marker, color=colour,
                            markersize=size, markerfacecolor=colour if size > 4 else "none", markeredgewidth=0.8,
                            clip_on=False, zorder=4 - 0.2 * size, label=plain_name(str(score.group)) or ALL)  # fmt: skip
-                shown.append(found)
-        return shown
-
-    panels: list[tuple[Axes, str, Callable[[Figures], float | None], bool]] = [
-        (axes[0, 0], "frames measured [%]", lambda figures: 100.0 * figures.coverage, True),
-        (axes[1, 0], "time per frame [ms]", attrgetter("ms_per_frame"), False),
-    ]
-    for column, name in enumerate(distances, 1):
-        panels += [
-            (axes[0, column], f"RMSE [mm]\n{NAMES[name]}", partial(_rmse_mm, name), False),
-            (axes[1, column], f"truths in 95 % interval [%]\n{NAMES[name]}", partial(_held, name), True),
-        ]
-    for panel, label, value, is_share in panels:
-        shown = dots(panel, value)
         panel.set_xlabel(label)
-        panel.set_visible(bool(shown) or not label.startswith("truths"))  # planar methods state no interval
-        if is_share:
+        if metric.unit is SHARE:
             panel.set_xlim(0, 100)
         else:
             _decades(panel, shown)
-        if label.startswith("truths"):
-            panel.axvline(NOMINAL, color="0.0", linewidth=0.8, linestyle="--")
-    for panel in axes.flat:
+        if key.endswith("interval_coverage"):
+            panel.set_visible(bool(shown))  # planar methods state no interval
+            panel.axvline(95.0, color="0.0", linewidth=0.8, linestyle="--")
         panel.set_ylim(len(methods) - 0.5, -0.5)
         panel.set_yticks(range(len(methods)), [plain_name(method) for method in methods])
-        panel.tick_params(labelsize=7)
-    for row in axes:
-        for panel in row[1:]:
-            panel.tick_params(labelleft=False)
+        panel.tick_params(labelsize=7, labelleft=panel in axes[:, 0])
     if len(groups) > 1:
-        known = dict(zip(*reversed(axes[0, 0].get_legend_handles_labels()), strict=True))
-        figure.legend(known.values(), known.keys(), loc="outside lower left", ncols=4)
+        by_label = dict(zip(*reversed(axes[0, 0].get_legend_handles_labels()), strict=True))
+        figure.legend(by_label.values(), by_label.keys(), loc="outside lower left", ncols=4)
     return figure
 
 
@@ -296,16 +262,6 @@ def _group_looks(groups: Sequence[Group]) -> dict[Group, tuple[str, str, float]]
     pairs = product(("0.35", "0.6", "0.0"), MARKERS[1:])
     looks = {group: (grey, marker, 4.0) for group, (grey, marker) in zip(others, pairs, strict=False)}
     return {group: looks.get(group, ("0.0", MARKERS[0], 5.5)) for group in groups}
-
-
-def _rmse_mm(distance: str, figures: Figures) -> float | None:
-    score: DistanceScore | None = getattr(figures, distance)
-    return None if score is None else score.statistics.rmse * 1e3
-
-
-def _held(distance: str, figures: Figures) -> float | None:
-    score: DistanceScore | None = getattr(figures, distance)
-    return None if score is None or score.interval_coverage is None else 100.0 * score.interval_coverage
 
 
 def _decades(panel: Axes, shown: Sequence[float]) -> None:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from typing import Any
 
 from svmdist.errors import printable
@@ -26,7 +26,7 @@ from svmdist.workflows.metric_table import (
     score_metrics,
     within,
 )
-from svmdist.workflows.scores import DistanceScore, Score
+from svmdist.workflows.scores import Score
 from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 
 VALIDATION_SCHEMA = "svmdist.validation/1"
@@ -54,21 +54,16 @@ def _in_order(before: Sequence[Column], metrics: Sequence[Metric], after: Sequen
 def score_columns() -> list[Column]:
     """The columns of a score. Some may be added at the end, none is renamed or removed."""
     labels = [Column(key, TEXT, key) for key in ("recording", "method", "equations")]
-    labels.append(Column("reference", TEXT, "against", lambda score: str(score.reference)))
+    labels.append(Column("reference", TEXT, "against"))
     instrument = Column("instrument", TEXT, "instrument", lambda score: score.instrument or None)
     return _in_order(labels, within(score_metrics(), Output.SCORES), [instrument])
 
 
 def validation_results(validation: Validation) -> Results:
     """The scores of all recordings, then of groups, then overall."""
-    columns, tables, document = (
-        score_columns(),
-        validation_tables(validation),
-        validation_document(validation),
-    )
-    scores = (*validation.scores, *validation.groups, *validation.overall)
-    rows = [row_of(columns, score) for score in scores]
-    return Results(columns, rows, tables=tables, notes=remarks(validation), document=document)
+    columns, document = score_columns(), validation_document(validation)
+    rows = [row_of(columns, one) for one in (*validation.scores, *validation.groups, *validation.overall)]
+    return Results(columns, rows, None, validation_tables(validation), remarks(validation), document)
 
 
 def validation_document(validation: Validation) -> dict[str, Any]:
@@ -95,13 +90,25 @@ def validation_document(validation: Validation) -> dict[str, Any]:
     }
 
 
-_NAME = Column("recording", TEXT, "recording", attrgetter("recording"))
+_NAME = Column("recording", TEXT, "recording", "recording")
 _AGAINST = Column("against", TEXT, "against", lambda one: str(one.reference).replace("ground_truth", "truth"))
-_BOUNDS = {
-    "r_squared": ("r_squared_low", "r_squared_high", Unit("1", digits=3)),
-    "rmse_m": ("rmse_low_m", "rmse_high_m", LENGTH),
+
+
+def _interval_column(key: str, unit: Unit) -> Column:
+    bound = Column(key, unit)
+
+    def read(score: Score) -> str:
+        found = getattr(score, key)
+        return "–" if found is None else f"{bound.show(found.low)}–{bound.show(found.high)}"
+
+    return Column(key, TEXT, "95 %", read)
+
+
+_INTERVALS = {
+    "r_squared": [_interval_column("r_squared_interval", Unit("1", digits=3))],
+    "rmse_m": [_interval_column("rmse_interval_m", LENGTH)],
 }
-"""Metrics beside which their bootstrap interval is shown: its bounds in a row, and how they are shown."""
+"""The bootstrap interval that is shown beside a metric."""
 
 
 def validation_tables(validation: Validation) -> list[Table]:
@@ -112,9 +119,7 @@ def validation_tables(validation: Validation) -> list[Table]:
     columns = [_NAME, _AGAINST]
     for metric in within(score_metrics(), Output.SCORE_TABLE):
         # Lengths in mm, as the title says: a unit in every heading would not fit a terminal.
-        columns.append(metric_column(metric))
-        if metric.key in _BOUNDS:
-            columns.append(_interval_column(metric.key))
+        columns += [metric_column(metric), *_INTERVALS.get(metric.key, [])]
     title = f"{first.method}, {how}; errors and σ (of the truth) in mm; 95 %: bootstrap interval"
     tables = [Table.of(title, columns, *([row_of(columns, score) for score in part] for part in parts))]
     if any(score.spatial or score.clearance for part in parts for score in part):
@@ -135,23 +140,11 @@ def validation_tables(validation: Validation) -> list[Table]:
     return tables
 
 
-def _interval_column(key: str) -> Column:
-    low, high, unit = _BOUNDS[key]
-    of = {column.key: column.value for column in score_columns()}
-    bound = Column(low, unit)
-
-    def read(score: Score) -> str:
-        return "–" if of[low](score) is None else "–".join(bound.show(of[end](score)) for end in (low, high))
-
-    return Column(f"{key} interval", TEXT, "95 %", read)
-
-
 def _distance_rows(scores: Iterable[Score], metrics: list[Metric]) -> Iterator[Row]:
     for score in scores:
-        for distance in ("planar", "spatial", "clearance"):
-            part: DistanceScore | None = getattr(score, distance)
-            if part is not None:
-                yield row_of((_NAME, _AGAINST), score) | {"distance": distance} | cells(metrics, part)
+        for name in ("planar", "spatial", "clearance"):
+            if (part := getattr(score, name)) is not None:
+                yield row_of((_NAME, _AGAINST), score) | {"distance": name} | cells(metrics, part)
 
 
 def remarks(validation: Validation) -> list[str]:
@@ -181,8 +174,8 @@ def compare_columns() -> list[Column]:
     """The columns of a comparison."""
     labels = [Column("group", TEXT, of=lambda score: str(score.group)), Column("method", TEXT, "method")]
     after = [
-        Column("scenario", TEXT, of=attrgetter("group.scenario")),
-        Column("degradation", TEXT, of=attrgetter("group.degradation")),
+        Column("scenario", TEXT, of="group.scenario"),
+        Column("degradation", TEXT, of="group.degradation"),
         Column("instrument", TEXT),
     ]
     metrics = of_part(within(figure_metrics(), Output.FIGURES), "figures")
@@ -192,31 +185,24 @@ def compare_columns() -> list[Column]:
 def compare_results(scores: Sequence[MethodScore]) -> Results:
     """One row per group and method; one table per group, since one of all would be too wide for a terminal."""
     columns, tables = compare_columns(), []
-    shown = [Column("method", TEXT, "method"), *_figure_columns()]
+    shown = [Column("method", TEXT, "method")]
+    # The columns of a distance stand below its name, and the time is the last one.
+    metrics = within(figure_metrics(), Output.FIGURE_TABLE)
+    metrics.sort(key=lambda metric: metric.key == "ms_per_frame")
+    for name, of in groupby(metrics, lambda metric: metric.group.replace("clearance", "clear.")):
+        for index, metric in enumerate(of):
+            title = metric.narrow_title or metric.title
+            heading = f"{'' if index else name}\n{title}" if name else title.replace(" ", "\n")
+            shown.append(metric_column(metric, heading))
     for group, members in groupby(scores, lambda score: score.group):
-        of = list(members)
-        frames = counted(of[0].figures.frame_count, "frame")
-        title = f"{group}: {counted(len(of), 'method')} on {frames}"
-        tables.append(Table.of(title, shown, [row_of(columns, score) for score in of]))
+        rows = [row_of(columns, score) for score in members]
+        frames = counted(int(rows[0]["frame_count"] or 0), "frame")
+        tables.append(Table.of(f"{group}: {counted(len(rows), 'method')} on {frames}", shown, rows))
     return Results(columns, [row_of(columns, score) for score in scores], tables=tables, notes=[FIGURE_NOTE])
 
 
-def _figure_columns() -> list[Column]:
-    """The columns for a person: those of a distance stand below its name, and the time is the last one."""
-    columns = []
-    shown = within(figure_metrics(), Output.FIGURE_TABLE)
-    metrics = sorted(shown, key=lambda metric: metric.key == "ms_per_frame")
-    for group, members in groupby(metrics, lambda metric: metric.group):
-        name = group.replace("clearance", "clear.")
-        for index, metric in enumerate(members):
-            title = metric.narrow_title or metric.title
-            heading = f"{name if index == 0 else ''}\n{title}" if group else title.replace(" ", "\n")
-            columns.append(metric_column(metric, heading))
-    return columns
-
-
 BLUR_COLUMNS = (
-    Column("blur", TEXT, "blur", lambda row: str(row.blur)),
+    Column("blur", TEXT, "blur"),
     Column("kernel_px", COUNT, "kernel [px]"),
     Column("keypoint_count", Unit(digits=1), "features, alone"),
     Column("contour_area_px", Unit("px²", digits=0), "area [px²]"),
@@ -226,8 +212,8 @@ BLUR_COLUMNS = (
     Column("coverage", SHARE, "coverage [%]"),
     Column("rmse_m", Unit("m", "mm", 1e3, 3), "RMSE [mm]"),
     Column("frame_count"),
-    Column("paper_keypoint_count", COUNT, "paper", lambda row: row.printed and row.printed.keypoint_count),
-    Column("paper_contour_area_px", COUNT, "paper", lambda row: row.printed and row.printed.contour_area_px),
+    Column("paper_keypoint_count", COUNT, "paper", "printed.keypoint_count"),
+    Column("paper_contour_area_px", COUNT, "paper", "printed.contour_area_px"),
 )
 
 
@@ -280,30 +266,23 @@ class LogFigures:
         return max(lost, key=itemgetter(1), default=(None, None))
 
 
-def _reason(log: LogFigures) -> str | None:
-    return f"{log.failed_count} of {log.log_count} logs failed" if log.failed_count else log.failure
-
-
+# fmt: off
 LOG_COLUMNS = (
-    Column("rank", COUNT, "rank"),
-    Column("recording", TEXT, "recording"),
-    Column("state", TEXT, "state"),
+    *(Column(key, unit, key) for key, unit in (("rank", COUNT), ("recording", TEXT), ("state", TEXT))),
     Column("frame_count", COUNT, "frames"),
     Column("measured_count", COUNT, "measured"),
-    Column(
-        "coverage",
-        SHARE,
-        "coverage [%]",
-        lambda log: coverage(log.measured_count, log.frame_count) if log.frame_count else None,
-    ),
-    Column("worst", TEXT, "most often", lambda log: log.worst[0]),
-    Column("worst_count", COUNT, "frames so", lambda log: log.worst[1]),
+    Column("coverage", SHARE, "coverage [%]",
+           lambda log: coverage(log.measured_count, log.frame_count) if log.frame_count else None),
+    Column("worst", TEXT, "most often", "worst.0"),
+    Column("worst_count", COUNT, "frames so", "worst.1"),
     Column("loss_count", COUNT, "losses"),
-    Column("reason", TEXT, "reason", _reason),
+    Column("reason", TEXT, "reason",
+           lambda log: f"{log.failed_count} of {log.log_count} logs failed" if log.failed_count else log.failure),
     Column("group", TEXT, "group", lambda log: log.group or None),
     Column("path", TEXT, of=lambda log: log.path or None),
 )
 """The contract: columns may be added at the end, none is renamed or removed."""
+# fmt: on
 
 
 def ranked(figures: Sequence[LogFigures]) -> list[LogFigures]:
@@ -328,10 +307,11 @@ def pooled_log_figures(figures: Sequence[LogFigures]) -> list[LogFigures]:
     return pooled
 
 
-def log_results(each: Sequence[LogFigures], together: Sequence[LogFigures]) -> Results:
-    """A row per ranked log, then groups and all logs."""
+def log_results(figures: Sequence[LogFigures]) -> Results:
+    """A row per log, worst first, then groups and all logs."""
+    together = pooled_log_figures(figures)
     left_out = "" if len(together) > 1 else "group"
     columns = [column for column in LOG_COLUMNS if column.heading and column.key != left_out]
-    rows = [row_of(LOG_COLUMNS, one) for one in (*each, *together)]
+    rows = [row_of(LOG_COLUMNS, one) for one in (*ranked(figures), *together)]
     tables = [Table.of("Logs, sorted by severity, worst first", columns, rows)]
     return Results(LOG_COLUMNS, rows, tables=tables)

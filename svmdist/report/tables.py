@@ -9,17 +9,20 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import chain, islice
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from svmdist.errors import OutputError, optional_package, printable
+from svmdist.errors import printable
 from svmdist.files import atomic_file
 from svmdist.metrics import COUNT, TEXT, Unit
 
 if TYPE_CHECKING:  # rows that are written as they come need no layout, and start sooner without it
     from rich.table import Table as RichTable
 
+    from svmdist.report.writers import Results
     from svmdist.workflows.metric_table import Metric
 
 Cell = str | int | float | None
@@ -32,20 +35,25 @@ PARQUET_ROWS = 1 << 14
 """Rows that are held at once."""
 
 
+@cache
+def _steps(path: str) -> list[str | int]:
+    return [int(step) if step.isdecimal() else step for step in path.split(".")]
+
+
 @dataclass(frozen=True, slots=True)
 class Column:
     """One column: `key` in machine output, in SI; `heading` in a table for a person, in the unit that is shown.
 
-    `of` reads the value from the object that a row is made of; None: its attribute of the key's name. A column without
-    a heading is for machines only, one that is not `stored` for a person only. `meaning` and `given_by` are for the
-    documentation; columns with the same meaning stand in one line there. `field` is its name in
-    `svmdist.DistanceEstimate`. `width` is the least one of a plain table, in characters.
+    `of` reads the value from the object that a row is made of: a function, or a path of attributes and indices; by
+    default the key. A column without a heading is for machines only, one that is not `stored` for a person only.
+    `meaning` and `given_by` are for the documentation; columns with the same meaning stand in one line there. `field`
+    is its name in `svmdist.DistanceEstimate`. `width` is the least one of a plain table, in characters.
     """
 
     key: str
     unit: Unit = COUNT
     heading: str = ""
-    of: Callable[[Any], Cell] | None = None
+    of: Callable[[Any], Cell] | str = ""
     meaning: str = ""
     given_by: str = ""
     field: str = ""
@@ -53,8 +61,14 @@ class Column:
     stored: bool = True
 
     def value(self, source: Any) -> Cell:
-        """The value of a row's source."""
-        return getattr(source, self.key) if self.of is None else self.of(source)
+        """The value of a row's source; None where its path leads nowhere."""
+        if callable(self.of):
+            return self.of(source)
+        for step in _steps(self.of or self.key):
+            if source is None:
+                return None
+            source = source[step] if isinstance(step, int) else getattr(source, step)
+        return float(source) if isinstance(source, float) else source
 
     def show(self, value: Cell) -> str:
         """The value for a person; a number that does not exist is a dash."""
@@ -96,32 +110,39 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     overall: tuple[tuple[str, ...], ...] = ()
 
-    @staticmethod
-    def of(title: str, columns: Sequence[Column], rows: Iterable[Row], overall: Iterable[Row] = ()) -> Table:
-        """The table of some rows."""
+    @classmethod
+    def of(cls, title: str, columns: Sequence[Column], *parts: Iterable[Row]) -> Table:
+        """The table of some rows, and of those overall."""
+        texts = [
+            tuple(tuple(one.show(row.get(one.key)) for one in columns) for row in rows) for rows in parts
+        ]
+        headings = tuple(column.heading for column in columns)
+        return cls(printable(title), headings, tuple(column.is_text for column in columns), *texts)
 
-        def texts(some: Iterable[Row]) -> tuple[tuple[str, ...], ...]:
-            return tuple(tuple(column.show(row.get(column.key)) for column in columns) for row in some)
 
-        return Table(
-            printable(title),
-            tuple(column.heading for column in columns),
-            tuple(column.is_text for column in columns),
-            texts(rows),
-            texts(overall),
-        )
+def table_lines(results: Results, width: int | None, colour: bool) -> Iterator[str]:
+    """The text for a person: the results' own, or their tables and notes, or their rows as they come."""
+    if results.text is not None:
+        yield from results.text(width)
+        return
+    if not results.tables:
+        yield from text_lines([column for column in results.columns if column.heading], results.rows)
+    yield from (render(table, width=width, colour=colour) for table in results.tables)
+    for note in results.notes:
+        yield from (f"{line}\n" for line in (wrap(note, width) if width else [note]))
 
 
 def render(table: Table, *, width: int | None = None, colour: bool = False) -> str:
     """Render a table to text, as wide as it needs without a width; a wider one comes in parts with whole cells."""
     from rich.console import Console
 
-    buffer = io.StringIO()
-    console = Console(file=buffer, width=width or 1000, force_terminal=colour, no_color=not colour, emoji=False,
-                      highlight=False)  # fmt: skip
-    for at, indices in enumerate(_parts(table, width) if width else [range(len(table.headings))]):
-        console.print(_rich(table, indices, table.title if at == 0 else ""))
-    return "\n".join(line.rstrip() for line in buffer.getvalue().splitlines()) + "\n"
+    console = Console(
+        width=width or 1000, force_terminal=colour, no_color=not colour, emoji=False, highlight=False
+    )
+    with console.capture() as captured:
+        for at, indices in enumerate(_parts(table, width) if width else [range(len(table.headings))]):
+            console.print(_rich(table, indices, table.title if at == 0 else ""))
+    return "\n".join(line.rstrip() for line in captured.get().splitlines()) + "\n"
 
 
 def _parts(table: Table, width: int) -> Iterator[list[int]]:
@@ -129,8 +150,13 @@ def _parts(table: Table, width: int) -> Iterator[list[int]]:
 
     Columns under one heading, those whose own begins with an empty line, stay together.
     """
+    from rich.console import Console
+
+    def is_within(indices: Sequence[int], limit: int) -> bool:
+        return Console(width=1000).measure(_rich(table, indices, "")).maximum <= limit
+
     lead = [0]
-    while table.is_text[len(lead)] and _natural_width(table, [*lead, len(lead)]) <= width // 2:
+    while table.is_text[len(lead)] and is_within([*lead, len(lead)], width // 2):
         lead.append(len(lead))
     groups: list[list[int]] = []
     for index in range(len(lead), len(table.headings)):
@@ -140,17 +166,11 @@ def _parts(table: Table, width: int) -> Iterator[list[int]]:
             groups.append([index])
     taken = lead
     for group in groups:
-        if taken != lead and _natural_width(table, taken + group) > width:
+        if taken != lead and not is_within(taken + group, width):
             yield taken
             taken = lead
         taken = taken + group
     yield taken
-
-
-def _natural_width(table: Table, indices: Sequence[int]) -> int:
-    from rich.console import Console
-
-    return Console(width=1000).measure(_rich(table, indices, "")).maximum
 
 
 def _rich(table: Table, indices: Sequence[int], title: str) -> RichTable:
@@ -159,17 +179,15 @@ def _rich(table: Table, indices: Sequence[int], title: str) -> RichTable:
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    made = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left",
-                     title=Text(title) if title else None, title_style="bold")  # fmt: skip
+    shown, looks = Text(title) if title else None, {"title_justify": "left", "title_style": "bold"}
+    made = RichTable(title=shown, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, **looks)  # type: ignore[arg-type]
     for index in indices:
         justify = "left" if table.is_text[index] else "right"
         made.add_column(Text(table.headings[index]), justify=justify, overflow="fold")  # type: ignore[arg-type]
-    for row in table.rows:
-        made.add_row(*(Text(row[index]) for index in indices))
-    if table.overall:
+    for rows, style in ((table.rows, None), (table.overall, "bold")):
+        for row in rows:
+            made.add_row(*(Text(row[index]) for index in indices), style=style)
         made.add_section()
-    for row in table.overall:
-        made.add_row(*(Text(row[index]) for index in indices), style="bold")
     return made
 
 
@@ -199,28 +217,31 @@ def _text_widths(columns: Sequence[Column]) -> list[int]:
     return [max(len(column.heading), column.width or (16 if column.is_text else 7)) for column in columns]
 
 
-def csv_lines(keys: Sequence[str], rows: Iterable[Row]) -> Iterator[str]:
+def csv_lines(results: Results, *_: object) -> Iterator[str]:
     """Yield CSV, RFC 4180, header first; a value that does not exist is an empty cell."""
     buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    cells = ([_csv_cell(row.get(key)) for key in keys] for row in rows)
-    for line in chain([keys], cells):
+    writer, keys = csv.writer(buffer, lineterminator="\n"), results.keys
+    for line in chain([keys], ([_csv_cell(row.get(key)) for key in keys] for row in results.rows)):
         writer.writerow(line)
         yield buffer.getvalue()
         buffer.seek(0)
         buffer.truncate()
 
 
-def json_lines(keys: Sequence[str], rows: Iterable[Row]) -> Iterator[str]:
+def json_lines(results: Results, *_: object) -> Iterator[str]:
     """Yield one JSON object a line; a value that does not exist is null."""
-    for row in rows:
+    keys = results.keys
+    for row in results.rows:
         yield json_text({key: finite(row.get(key)) for key in keys}) + "\n"
 
 
-def json_array_lines(keys: Sequence[str], rows: Iterable[Row]) -> Iterator[str]:
-    """Yield one JSON array of objects, a line an object, without holding the rows."""
+def json_document(results: Results, *_: object) -> Iterator[str]:
+    """Yield the document of a summary, else one array of objects, a line an object, without holding the rows."""
+    if results.document is not None:
+        yield json_text(results.document, indent=1) + "\n"
+        return
     separator = "[\n"
-    for line in json_lines(keys, rows):
+    for line in json_lines(results):
         yield separator + line.rstrip("\n")
         separator = ",\n"
     yield "[]\n" if separator == "[\n" else "\n]\n"
@@ -239,23 +260,24 @@ def finite(value: Cell) -> Cell:
 
 def _csv_cell(value: Cell) -> str:
     value = finite(value)
+    if value is None:
+        return ""
     if isinstance(value, str):
         text = printable(value)
         return f"'{text}" if text.startswith(FORMULA_STARTS) else text
     # A NumPy float writes its type into its repr.
-    return "" if value is None else repr(float(value)) if isinstance(value, float) else repr(value)
+    return repr(float(value)) if isinstance(value, float) else repr(value)
 
 
-def write_parquet(path: Path, columns: Sequence[Column], rows: Iterable[Row]) -> None:
+def write_parquet(results: Results, path: Path) -> None:
     """Write rows atomically, in pieces; a value that does not exist is null."""
-    pyarrow = optional_package("pyarrow", "parquet", "Parquet", OutputError)
+    import pyarrow
     from pyarrow.parquet import ParquetWriter
 
-    stored = [column for column in columns if column.stored]
-    schema = pyarrow.schema([
-        (one.key, "string" if one.is_text else "int64" if one.unit.digits is None else "float64") for one in stored
-    ])  # fmt: skip
-    left = iter(rows)
+    stored = [column for column in results.columns if column.stored]
+    types = ["string" if one.is_text else "int64" if one.unit.digits is None else "float64" for one in stored]
+    schema = pyarrow.schema([(one.key, kind) for one, kind in zip(stored, types, strict=True)])
+    left = iter(results.rows)
     with atomic_file(path) as target, ParquetWriter(target, schema, compression="zstd") as writer:
         while piece := list(islice(left, PARQUET_ROWS)):
             cells = [{column.key: _parquet_cell(row.get(column.key)) for column in stored} for row in piece]
@@ -279,43 +301,44 @@ LATEX_SPECIAL = str.maketrans(
 MARKDOWN_SPECIAL = str.maketrans({letter: f"\\{letter}" for letter in "\\|*_`<"})
 
 
-def latex(tables: Iterable[Table], notes: Iterable[str]) -> Iterator[str]:
+def latex(results: Results, *_: object) -> Iterator[str]:
     """Each table as a `table` of the package booktabs, its title as the caption; notes as comments."""
 
     def line(cells: Iterable[str]) -> str:
-        return " & ".join(printable(cell).translate(LATEX_SPECIAL) for cell in cells) + " \\\\\n"
+        return " & ".join(_escaped(cell, LATEX_SPECIAL) for cell in cells) + " \\\\\n"
 
-    for table in tables:
+    for table in results.tables:
         yield "\\begin{table}\n\\centering\n"
         if table.title:
-            yield f"\\caption{{{table.title.translate(LATEX_SPECIAL)}}}\n"
+            yield f"\\caption{{{_escaped(table.title, LATEX_SPECIAL)}}}\n"
         sides = "".join("l" if is_text else "r" for is_text in table.is_text)
-        yield f"\\begin{{tabular}}{{{sides}}}\n\\toprule\n{line(_on_one_line(table.headings))}\\midrule\n"
+        yield f"\\begin{{tabular}}{{{sides}}}\n\\toprule\n{line(table.headings)}\\midrule\n"
         yield from map(line, table.rows)
         yield "\\midrule\n" if table.overall else ""
         yield from map(line, table.overall)
         yield "\\bottomrule\n\\end{tabular}\n\\end{table}\n"
-    yield from (f"% {printable(note)}\n" for note in notes)
+    yield from (f"% {printable(note)}\n" for note in results.notes)
 
 
-def markdown(tables: Iterable[Table], notes: Iterable[str]) -> Iterator[str]:
+def markdown(results: Results, *_: object) -> Iterator[str]:
     """Each table with pipes, its title above it; notes below."""
 
     def line(cells: Iterable[str]) -> str:
-        return "| " + " | ".join(printable(cell).translate(MARKDOWN_SPECIAL) for cell in cells) + " |\n"
+        return "| " + " | ".join(_escaped(cell, MARKDOWN_SPECIAL) for cell in cells) + " |\n"
 
-    for table in tables:
+    for table in results.tables:
         if table.title:
-            yield f"**{table.title.translate(MARKDOWN_SPECIAL)}**\n\n"
-        yield line(_on_one_line(table.headings))
+            yield f"**{_escaped(table.title, MARKDOWN_SPECIAL)}**\n\n"
+        yield line(table.headings)
         yield "|" + "|".join("---" if is_text else "---:" for is_text in table.is_text) + "|\n"
         yield from map(line, (*table.rows, *table.overall))
         yield "\n"
-    yield from (f"{printable(note).translate(MARKDOWN_SPECIAL)}\n\n" for note in notes)
+    yield from (f"{_escaped(note, MARKDOWN_SPECIAL)}\n\n" for note in results.notes)
 
 
-def _on_one_line(headings: Iterable[str]) -> Iterator[str]:
-    return (" ".join(heading.split()) for heading in headings)
+def _escaped(text: str, special: dict[int, str]) -> str:
+    """Text on one line, with the markup's special characters escaped."""
+    return printable(" ".join(text.split())).translate(special)
 
 
 def counted(count: int, noun: str) -> str:

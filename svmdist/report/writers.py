@@ -1,40 +1,31 @@
-"""The output formats, one table: their names, the endings of their files, what they hold and how they are written.
+"""The output formats, one table: their names, the endings of their files, what they hold and who writes them.
 
 Light to import: `svmdist --help` reads the names.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Flag, auto
-from importlib import import_module
 from pathlib import Path
-from textwrap import wrap
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from svmdist.errors import OutputError, UsageError, did_you_mean, optional_package
 
 if TYPE_CHECKING:
-    from svmdist.recording.log import Recording
     from svmdist.report.tables import Column, Row, Table
-    from svmdist.workflows.frame_drawing import DrawnFrame
-    from svmdist.workflows.request import Setup
 
 
 class Holds(Flag):
     """What a file can hold; a command gives one or several of these."""
 
-    ROWS = auto()
-    """Rows of any number, written as they come."""
-    POSES = auto()
-    """Rows with poses."""
-    TABLES = auto()
-    """Tables for a person, with the rows behind them."""
-    FIGURES = auto()
-    """The same of metrics, which papers and pages want too."""
-    FRAMES = auto()
-    """Images with what was found and measured drawn on them."""
+    ROWS = auto()  # of any number, written as they come
+    POSES = auto()  # rows with poses
+    TABLES = auto()  # for a person, with the rows behind them
+    FIGURES = auto()  # tables of metrics, which papers and pages want too
+    FRAMES = auto()  # images with what was found and measured drawn on them
     REPORT = auto()
     PLOT = auto()
 
@@ -59,101 +50,45 @@ class Results:
     @property
     def keys(self) -> tuple[str, ...]:
         """The columns for machines."""
-        return tuple(_tables().keys_of(self.columns))
-
-    def table_lines(self, width: int | None, colour: bool) -> Iterator[str]:
-        """The text for a person."""
-        if self.text is not None:
-            yield from self.text(width)
-            return
-        tables = _tables()
-        if not self.tables:
-            yield from tables.text_lines([column for column in self.columns if column.heading], self.rows)
-        yield from (tables.render(table, width=width, colour=colour) for table in self.tables)
-        for note in self.notes:
-            yield from (f"{line}\n" for line in (wrap(note, width) if width else [note]))
-
-    def json_lines(self) -> Iterator[str]:
-        """The document, or the rows as an array."""
-        if self.document is None:
-            yield from _tables().json_array_lines(self.keys, self.rows)
-        else:
-            yield _tables().json_text(self.document, indent=1) + "\n"
-
-
-Lines = Callable[[Results, int | None, bool], Iterator[str]]
-"""Texts of results, for a terminal of a width in characters, None for a file or a pipe, and with or without colour."""
+        return tuple(column.key for column in self.columns if column.stored)
 
 
 @dataclass(frozen=True)
 class Writer:
-    """One format. A text format has `lines`; a binary one has `save`, which a command calls with what it holds.
+    """One format. `by` names the function that writes it, in a module of `svmdist.report`.
 
-    `needs` raises OutputError where a package is missing.
+    Of a text format it yields the text of `Results`, given also the terminal's width in characters, None for a file or
+    a pipe, and whether there are colours; of another it writes the file. `needs`: what needs which extra's packages.
     """
 
     name: str
     endings: tuple[str, ...]
     holds: Holds
-    lines: Lines | None = None
-    save: Callable[..., Any] | None = None
-    needs: Callable[[], object] = tuple
+    by: str = ""
+    is_text: bool = True
     is_json: bool = False
+    needs: tuple[str, ...] = ("", "")
 
-
-def _tables() -> Any:
-    return import_module("svmdist.report.tables")
-
-
-def _tum_lines(results: Results, *_: object) -> Iterator[str]:
-    from svmdist.report.rows import tum_lines
-
-    return tum_lines(results.keys, results.rows)
-
-
-def _save_annotated(
-    frames: Iterable[DrawnFrame], seen: Recording, setup: Setup, output: Path, force: bool
-) -> None:
-    from svmdist.report.annotated import write_annotated
-
-    write_annotated(frames, seen, setup, output, force=force)
-
-
-def _save_video(frames: Iterable[DrawnFrame], seen: Recording, _: Setup, output: Path, __: bool) -> None:
-    from svmdist.report.annotated import write_video
-
-    write_video(frames, output, (seen.logged_camera.width_px, seen.logged_camera.height_px))
-
-
-def _package(name: str, extra: str, what: str) -> Callable[[], object]:
-    return lambda: optional_package(name, extra, what, OutputError)
-
-
-def require_report() -> None:
-    """Raise OutputError where a package is missing that makes a report: plotly carries the code that draws plots."""
-    for name in ("plotly", "jinja2"):
-        optional_package(name, "report", "a report", OutputError)
+    def write(self, *given: object) -> Any:
+        """Call the function, whose module is imported now."""
+        return resolve_name(f"svmdist.report.{self.by}")(*given)
 
 
 # fmt: off
 WRITERS = (
-    Writer("table", ("", ".txt", ".log", ".out"), Holds.ROWS | Holds.TABLES | Holds.FIGURES, Results.table_lines),
-    Writer("csv", (".csv",), ANY_ROWS, lambda results, *_: _tables().csv_lines(results.keys, results.rows)),
-    Writer("json", (".json",), ANY_ROWS, lambda results, *_: results.json_lines(), is_json=True),
-    Writer("jsonl", (".jsonl",), Holds.ROWS,
-           lambda results, *_: _tables().json_lines(results.keys, results.rows), is_json=True),
-    Writer("tum", (".tum",), Holds.ROWS | Holds.POSES, _tum_lines),
-    Writer("latex", (".tex",), Holds.FIGURES, lambda results, *_: _tables().latex(results.tables, results.notes)),
-    Writer("markdown", (".md",), Holds.FIGURES, lambda results, *_: _tables().markdown(results.tables, results.notes)),
-    Writer("parquet", (".parquet",), Holds.ROWS | Holds.POSES | Holds.FIGURES,
-           save=lambda results, output: _tables().write_parquet(output, results.columns, results.rows),
-           needs=_package("pyarrow", "parquet", "Parquet")),
-    Writer("mcap", (".mcap",), Holds.FRAMES, save=_save_annotated),
-    Writer("mp4", (".mp4",), Holds.FRAMES, save=_save_video, needs=_package("av", "video", "a video")),
-    Writer("html", (".html", ".htm"), Holds.REPORT, needs=require_report),
-    Writer("png", (".png",), Holds.PLOT),
-    Writer("svg", (".svg",), Holds.PLOT),
-    Writer("pdf", (".pdf",), Holds.PLOT),
+    Writer("table", ("", ".txt", ".log", ".out"), Holds.ROWS | Holds.TABLES | Holds.FIGURES, "tables:table_lines"),
+    Writer("csv", (".csv",), ANY_ROWS, "tables:csv_lines"),
+    Writer("json", (".json",), ANY_ROWS, "tables:json_document", is_json=True),
+    Writer("jsonl", (".jsonl",), Holds.ROWS, "tables:json_lines", is_json=True),
+    Writer("tum", (".tum",), Holds.ROWS | Holds.POSES, "rows:tum_lines"),
+    Writer("latex", (".tex",), Holds.FIGURES, "tables:latex"),
+    Writer("markdown", (".md",), Holds.FIGURES, "tables:markdown"),
+    Writer("parquet", (".parquet",), Holds.ROWS | Holds.POSES | Holds.FIGURES, "tables:write_parquet", is_text=False,
+           needs=("Parquet", "parquet", "pyarrow")),
+    Writer("mcap", (".mcap",), Holds.FRAMES, "annotated:write_annotated", is_text=False),
+    Writer("mp4", (".mp4",), Holds.FRAMES, "annotated:write_video", is_text=False, needs=("a video", "video", "av")),
+    Writer("html", (".html", ".htm"), Holds.REPORT, is_text=False, needs=("a report", "report", "plotly", "jinja2")),
+    *(Writer(name, (f".{name}",), Holds.PLOT, is_text=False) for name in ("png", "svg", "pdf")),
 )
 """Every format that a command writes. A new one is an entry here."""
 # fmt: on
@@ -194,9 +129,11 @@ def choose_writer(given: str | None, output: Path | None, holds: Holds) -> Write
             f"-o {output}: no format has the ending {ending}: the choices are {choices}, and .txt for"
             f" {'a table' if plain.name == 'table' else plain.name.upper()}; or give --format{hint}"
         )
-    if chosen.lines is None and chosen.holds & ANY_ROWS and output is None:
+    if not chosen.is_text and output is None:
         raise UsageError(f"--format {chosen.name} is no text: give a file with -o FILE{chosen.endings[0]}")
-    chosen.needs()
+    what, extra, *packages = chosen.needs
+    for package in packages:
+        optional_package(package, extra, what, OutputError)
     return chosen
 
 

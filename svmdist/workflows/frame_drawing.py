@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -11,52 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.camera import Camera
-from svmdist.drawing import (
-    Body,
-    Form,
-    FrameDrawing,
-    Label,
-    Part,
-    SceneDrawing,
-    Segment,
-    Shape,
-    StatusLine,
-    Surface,
-)
+from svmdist.drawing import Form, FrameDrawing, Label, Part, Segment, Shape, StatusLine
 from svmdist.errors import UsageError
 from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, ShaftDetection
 from svmdist.estimation.planar import mark, template_features
 from svmdist.geometry import Mesh
-from svmdist.metrics import deviations_at
-from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import LEFT_IMAGES
 from svmdist.recording.topics import Role
 from svmdist.results import Distance, FrameResult
 from svmdist.samples import Image, Status
 from svmdist.transforms import Array
+from svmdist.vision import marker
 from svmdist.vision.frame_context import seen_through, to_grey
-from svmdist.vision.marker import (
-    MarkedWindow,
-    detect_orb,
-    fit_homography,
-    is_plausible,
-    match_features,
-    square_corners,
-    transfer,
-)
 from svmdist.vision.regions import Region
 from svmdist.vision.shaft_segmentation import ShaftRegion
 from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import Setup
 
-LEVEL = 0.95
-"""Of the intervals that are shown."""
 CIRCLE_POINTS = 36
-MIN_CONTOUR_PX = 6
-"""Shorter contours are specks."""
+MIN_CONTOUR_PX = 6  # shorter contours are specks
 BEND_STEP_PX = 10.0
 """A straight line of an ideal camera is drawn in pieces of this length where the lens bends it."""
 
@@ -135,32 +111,45 @@ def frame_drawing(
     lines = tuple(status_line(result, setup.method, alarms.get(result.instrument)) for result in results)
     if not frames:
         return FrameDrawing(results[0].stamp_ns, lines=lines)
-    lens = frames[0].scene.lens
-    shapes = list(_through_lens(_detected(frames, results, setup), lens))
+    scene = frames[0].scene
+    shapes = [_through_lens(shape, scene.lens) for shape in _detected(frames, results, setup)]
     labels: dict[tuple[Part, str], Label] = {}
-    for result in results:
-        where = (
+    bodies = {}
+    for frame, result in zip(frames, results, strict=True):
+        places = (
             (Part.TIP, result.image.tool_px, result.instrument),
             (Part.TISSUE, result.image.tissue_px, ""),
         )
         shapes += [
-            Shape(part, Form.POINTS, np.array([px]), name) for part, px, name in where if px is not None
+            Shape(part, Form.POINTS, np.array([px]), name) for part, px, name in places if px is not None
         ]
-        for line, label in distance_shapes(result, lens):
+        for line, label in distance_shapes(result, scene.lens):
             shapes.append(line)
             labels.setdefault((label.part, label.text), label)  # that between two instruments is written once
-    scene = _scene_drawing(frames, results)
-    return FrameDrawing(results[0].stamp_ns, tuple(shapes), tuple(labels.values()), lines, scene)
+        tool, body = result.tool, frame.arm.body
+        if tool is not None and body is not None and result.measured:
+            bodies[result.instrument] = body.posed(tool.pose, tool.joints, tool.has_plate)
+    tissue = scene.found.get("tissue")
+    mesh = tissue.pose.surface if tissue is not None and tissue.pose is not None else None
+    return FrameDrawing(
+        results[0].stamp_ns,
+        tuple(shapes),
+        tuple(labels.values()),
+        lines,
+        bodies,
+        mesh if isinstance(mesh, Mesh) else None,
+        tuple(one for result in results for one in segments(result)),
+    )
 
 
-def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup: Setup) -> Iterable[Shape]:
+def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup: Setup) -> Iterator[Shape]:
     tissue = frames[0].scene.found.get("tissue")
     if tissue is not None:
         yield from _contours(frames[0].scene.left.masks.tissue, tissue.region, Part.TISSUE)
         yield Shape(Part.TISSUE, Form.LOOP, np.asarray(tissue.outline.curve_px, np.float64))
     for frame, result in zip(frames, results, strict=True):
         yield from _tool_shapes(frame, result.instrument)
-        found = virtual_marker(frame, frame.arm.profile) if setup.method == "overlay" else None
+        found = virtual_marker(frame) if setup.method == "overlay" else None
         if found is None:
             continue
         if found.corners_px is not None:
@@ -170,23 +159,20 @@ def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup
                 yield Shape(part, Form.POINTS, found.matched_px[chosen], result.instrument)
 
 
-def _through_lens(shapes: Iterable[Shape], lens: Camera) -> Iterable[Shape]:
-    """The shapes where the lens shows them: detectors looked at an image without distortion."""
-    for shape in shapes:
-        points_px = shape.points_px
-        if lens.has_distortion and shape.form is not Form.POINTS:
-            points_px = _in_pieces(points_px, is_closed=shape.form is Form.LOOP)
-        yield replace(shape, points_px=seen_through(lens, points_px)) if lens.has_distortion else shape
-
-
-def _in_pieces(points_px: Array, *, is_closed: bool) -> Array:
-    """The polyline with points no further apart than a step, shape (m, 2)."""
-    path_px = np.vstack([points_px, points_px[:1]]) if is_closed else points_px
-    pieces = []
-    for start, end in pairwise(path_px):
-        count = max(1, int(np.ceil(np.linalg.norm(end - start) / BEND_STEP_PX)))
-        pieces.append(np.linspace(start, end, count, endpoint=False))
-    return np.concatenate(pieces if is_closed else [*pieces, path_px[-1:]])
+def _through_lens(shape: Shape, lens: Camera) -> Shape:
+    """The shape where the lens shows it, in short pieces: detectors looked at an image without distortion."""
+    if not lens.has_distortion:
+        return shape
+    points_px = shape.points_px
+    if shape.form is not Form.POINTS:
+        is_closed = shape.form is Form.LOOP
+        path_px = np.vstack([points_px, points_px[:1]]) if is_closed else points_px
+        pieces = []
+        for start, end in pairwise(path_px):
+            count = max(1, int(np.ceil(np.linalg.norm(end - start) / BEND_STEP_PX)))
+            pieces.append(np.linspace(start, end, count, endpoint=False))
+        points_px = np.concatenate(pieces if is_closed else [*pieces, path_px[-1:]])
+    return replace(shape, points_px=seen_through(lens, points_px))
 
 
 def _tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
@@ -200,8 +186,8 @@ def _tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
         yield from _contours(frame.left.masks_as_recorded.instrument, instrument, Part.INSTRUMENT, name)
     if (region := found.get("region")) is not None:
         yield from _contours(frame.left.masks.instrument, region, Part.INSTRUMENT, name)
-    if (marker := found.get("distal_marker")) is not None:
-        yield _distal_marker(marker, name)
+    if (distal := found.get("distal_marker")) is not None:
+        yield _distal_marker(distal, name)
     if (shaft := found.get("shaft")) is not None and (outline := found.get("shaft_region")) is not None:
         yield from _shaft(frame, shaft, outline, name)
     corners_px = frame.left.tag_corners_px if "tags" in vars(frame.scene.left) else None
@@ -228,11 +214,10 @@ def contours_of(mask: Image, part: Part, name: str = "", offset: tuple[int, int]
             yield Shape(part, Form.LOOP, contour.reshape(-1, 2).astype(np.float64), name)
 
 
-def _distal_marker(marker: DistalMarker, name: str) -> Shape:
+def _distal_marker(distal: DistalMarker, name: str) -> Shape:
     """The circle of the marker; its centre where no circle fits."""
-    centre_px, radius_px = marker.centre_px, marker.radius_px
-    if marker.disc is not None:
-        centre_px, radius_px = marker.disc.centre_px, marker.disc.radius_px
+    circle = distal if distal.disc is None else distal.disc
+    centre_px, radius_px = circle.centre_px, circle.radius_px
     if radius_px is None:
         return Shape(Part.MARKER, Form.POINTS, np.atleast_2d(centre_px), name)
     angles = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
@@ -242,11 +227,10 @@ def _distal_marker(marker: DistalMarker, name: str) -> Shape:
 
 def _shaft(frame: Frame, shaft: ShaftDetection, region: ShaftRegion, name: str) -> Iterator[Shape]:
     """The measured edges, as long as the shaft is visible, and its end across its middle line."""
-    half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
     for contour in shaft.contours:
-        ends_px = _edge(contour, region, frame.left.camera.K)
-        yield Shape(Part.SHAFT, Form.LINE, ends_px, name)
+        yield Shape(Part.SHAFT, Form.LINE, _edge(contour, region, frame.left.camera.K), name)
     if shaft.rim is not None:
+        half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
         across = np.array([-shaft.rim.towards_tip[1], shaft.rim.towards_tip[0]])
         ends_px = shaft.rim.pixel + np.outer([-half_width_px, half_width_px], across)
         yield Shape(Part.SHAFT, Form.LINE, ends_px, name)
@@ -273,7 +257,7 @@ class VirtualMarker:
     those that agree with the homography; `corners_px`, shape (4, 2), is the outline, None where there is none.
     """
 
-    window: MarkedWindow
+    window: marker.MarkedWindow
     keypoints_px: Array
     template_px: Array
     matched_px: Array
@@ -281,22 +265,23 @@ class VirtualMarker:
     corners_px: Array | None
 
 
-def virtual_marker(frame: Frame, profile: Profile) -> VirtualMarker | None:
+def virtual_marker(frame: Frame) -> VirtualMarker | None:
     """Search for the marker as `overlay` did in this frame; None where it pasted none."""
     tissue, instrument = frame.left.found.get("regions_as_recorded") or (None, None)
     if tissue is None or instrument is None:
         return None
+    profile = frame.arm.profile
     rules, settings = profile.features, profile.settings.marker
     window = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, profile.marker)
     origin_px = np.array(window.origin_px, np.float64)
-    features = detect_orb(to_grey(window.window_bgr), rules.feature_count)
-    matches = match_features(template_features(profile.marker, rules), features, rules.ratio)
+    features = marker.detect_orb(to_grey(window.window_bgr), rules.feature_count)
+    matches = marker.match_features(template_features(profile.marker, rules), features, rules.ratio)
     inliers, corners_px = np.zeros(len(matches), np.bool_), None
     if len(matches) >= rules.min_match_count:
-        homography = fit_homography(matches, rules.reprojection_px)
-        if homography is not None and is_plausible(homography.H, profile.marker.size_px, settings):
-            inliers = homography.inliers
-            corners_px = transfer(homography.H, square_corners(profile.marker.size_px)) + origin_px
+        fitted = marker.fit_homography(matches, rules.reprojection_px)
+        if fitted is not None and marker.is_plausible(fitted.H, profile.marker.size_px, settings):
+            inliers, corners = fitted.inliers, marker.square_corners(profile.marker.size_px)
+            corners_px = marker.transfer(fitted.H, corners) + origin_px
     found_px, matched_px = features.points_px + origin_px, matches.frame_px + origin_px
     return VirtualMarker(window, found_px, matches.template_px, matched_px, inliers, corners_px)
 
@@ -309,25 +294,16 @@ def _shown_distance(result: FrameResult) -> tuple[str, Distance] | None:
     return next(((name, found) for name in names if (found := getattr(result.distances, name))), None)
 
 
-def interval_m(distance: Distance) -> tuple[float, float] | None:
-    """The bounds of the stated 95 % interval; None where the method states none."""
-    if distance.std_m is None:
-        return None
-    half_m = deviations_at(LEVEL) * distance.std_m
-    return distance.value_m - half_m, distance.value_m + half_m
-
-
 def in_words(distance: Distance) -> str:
     """A length and its interval in mm: `4.21 mm [3.40, 5.02]`."""
-    bounds_m = interval_m(distance)
-    interval = "" if bounds_m is None else f" [{bounds_m[0] * 1e3:.2f}, {bounds_m[1] * 1e3:.2f}]"
+    bounds_m = distance.interval_m
+    interval = f" [{bounds_m[0] * 1e3:.2f}, {bounds_m[1] * 1e3:.2f}]" if bounds_m else ""
     return f"{distance.value_m * 1e3:.2f} mm{interval}"
 
 
 def status_line(result: FrameResult, method: str, alarm: AlarmState | None = None) -> StatusLine:
     """One line about one instrument's result."""
-    who = f"{result.instrument} {method}".strip()
-    shown = _shown_distance(result)
+    who, shown = f"{result.instrument} {method}".strip(), _shown_distance(result)
     if shown is None:
         detail = f" ({result.detail})" if result.detail else ""
         return StatusLine(f"{who}: not measured: {result.status}{detail}", False)
@@ -357,28 +333,9 @@ def distance_shapes(result: FrameResult, lens: Camera) -> list[tuple[Shape, Labe
         if min(one.start_m[2], one.end_m[2]) > 0.0
     ]
     shown, ends = _shown_distance(result), (result.image.tool_px, result.image.tissue_px)
-    if (
-        shown
-        and shown[0] != "clearance"
-        and None not in ends
-        and Part.DISTANCE not in (one[0] for one in drawn)
-    ):
+    if shown and shown[0] != "clearance" and None not in ends:
         drawn.append((Part.DISTANCE, np.array(ends), f"{shown[0]} {in_words(shown[1])}"))
     return [
         (Shape(part, Form.LINE, ends_px, result.instrument), Label(part, ends_px.mean(0), text))
         for part, ends_px, text in drawn
     ]
-
-
-def _scene_drawing(frames: tuple[Frame, ...], results: tuple[FrameResult, ...]) -> SceneDrawing:
-    """Instruments, tissue and distances in space, as far as the method knows them."""
-    bodies = []
-    for frame, result in zip(frames, results, strict=True):
-        tool, body = result.tool, frame.arm.body
-        if tool is not None and body is not None and result.measured:
-            posed = body.posed(tool.pose, tool.joints, tool.has_plate)
-            bodies.append(Body(result.instrument, posed.start_m, posed.end_m, posed.radius_m))
-    tissue = frames[0].scene.found.get("tissue")
-    mesh = tissue.pose.surface if tissue is not None and tissue.pose is not None else None
-    surface = Surface("tissue", mesh.vertices_m, mesh.faces) if isinstance(mesh, Mesh) else None
-    return SceneDrawing(tuple(bodies), surface, tuple(one for result in results for one in segments(result)))

@@ -168,8 +168,8 @@ def _table_messages(options: ImportOptions, times: ImageTimes) -> list[list[Mess
     found: list[list[Message]] = []
     for name, path in options.poses.items():
         poses = read_poses(path, times, options.calibration.unit_m, f"{name}_base")
-        rows = zip(poses.stamps_ns.tolist(), poses.T_frame_pose, strict=True)
-        found.append([(ns, f"/{name}/measured_cp", PoseSample(ns, poses.frame_id, T)) for ns, T in rows])
+        rows = zip(poses.stamps_ns.tolist(), poses.T_parent_child, strict=True)
+        found.append([(ns, f"/{name}/measured_cp", PoseSample(ns, poses.parent, T)) for ns, T in rows])
     for name, path in options.joints.items():
         joints = read_joints(path, times, options.joint_names)
         rows = zip(joints.stamps_ns.tolist(), joints.positions, strict=True)

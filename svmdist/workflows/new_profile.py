@@ -22,8 +22,8 @@ from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
 from svmdist.samples import Image, Vector
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
+from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.frame_context import as_pinholes
-from svmdist.vision.segmentation import AutoSegmenter
 from svmdist.vision.stereo import StereoPlane, fit_plane
 from svmdist.workflows.capabilities import observations_of
 
@@ -286,7 +286,7 @@ def _instrument(
     base, frames = None, set(summary.frames)
     if pose:
         with suppress(RecordingError):  # poses in several frames, or in one without a name
-            base = open_recording(path, blank, topics={"pose": pose}).pose_track().frame_id or None
+            base = open_recording(path, blank, topics={"pose": pose}).pose_track().parent or None
     if base is None:
         own = f"{name}_base"
         base = "base" if count == 1 and own not in frames and "base" in frames else own

@@ -135,7 +135,7 @@ def tool_track(
         return partial(recording.transform_track(*pair, ground_truth=is_truth).at, max_gap_ns=gap_ns)
     if reference is Reference.POSE:
         poses = recording.pose_track()
-        frame: str = poses.frame_id
+        frame: str = poses.parent
         in_frame: PoseAt = partial(poses.at, max_gap_ns=gap_ns)
     else:
         frame, in_frame = frames.base, _kinematic_poses(recording, profile, gap_ns)

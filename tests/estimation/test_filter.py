@@ -39,7 +39,7 @@ def joints_path(seed: int) -> Array:
     for name, swing in (("wrist_pitch", 0.3), ("wrist_yaw", 0.4), ("roll", 0.3)):
         q[:, CHAIN.joint_names.index(name)] += swing * np.sin(2.6 * np.pi * s + phase[0])
     p_base_m = transform_points(inverse(T_WORLD_BASE), np.stack([x_m, y_m, z_m], -1))
-    return solve_position(CHAIN, q, p_base_m, ["yaw", "pitch", "insertion"], tolerance_m=1e-7)
+    return solve_position(CHAIN, q, p_base_m, ["yaw", "pitch", "insertion"])
 
 
 def measure(q: Array, rng: np.random.Generator) -> list[LinkMeasurement]:

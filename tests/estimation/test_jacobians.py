@@ -32,9 +32,9 @@ from svmdist.estimation.instrument.shaft_model import (
     tip_residual,
 )
 from svmdist.estimation.instrument.tag_pose import nudged
-from svmdist.kinematics import DHChain, DHRow, forward_kinematics, frame_transforms, row_index
+from svmdist.kinematics import DHChain, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import KinematicError
+from svmdist.profile import Joint, KinematicError
 from svmdist.profile.settings import ShaftSettings
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, rotation_x
@@ -89,8 +89,9 @@ def test_derivatives_are_those_of_the_residual(measurement: LinkMeasurement) -> 
 
 T_CAMERA_BASE = make_transform(rotation_of([2.0, 0.4, -0.3]), [0.1, -0.2, 0.9])
 rng = np.random.default_rng(11)
+LENGTHS = ("a_m", "alpha_rad", "d_m", "theta_rad")
 ROWS = tuple(
-    DHRow(f"j{index}", kind, *rng.uniform(-1.0, 1.0, 4))  # type: ignore[arg-type]
+    Joint(name=f"j{index}", type=kind, **dict(zip(LENGTHS, rng.uniform(-1.0, 1.0, 4), strict=True)))  # type: ignore[arg-type]
     for index, kind in enumerate(("prismatic", "revolute", "fixed", "revolute", "prismatic", "revolute"))
 )
 SHORT = DHChain(ROWS, "modified", make_transform(rotation_x(0.7), [0.1, -0.2, 0.05]))
@@ -126,9 +127,9 @@ def by_definition(
     for index in range(first + is_modified, len(rows)):
         row = rows[index]
         if row.a_m != 0.0:
-            rows[index] = replace(rows[index], a_m=row.a_m + next(lengths))
-        if row.d_m != 0.0 and row.joint != "prismatic" and (is_modified or index > first):
-            rows[index] = replace(rows[index], d_m=row.d_m + next(lengths))
+            rows[index] = rows[index].model_copy(update={"a_m": row.a_m + next(lengths)})
+        if row.d_m != 0.0 and row.type != "prismatic" and (is_modified or index > first):
+            rows[index] = rows[index].model_copy(update={"d_m": row.d_m + next(lengths)})
     assert next(lengths, None) is None
     chain = DHChain(tuple(rows), model.chain.convention, model.chain.T_last_tool)
     last = forward_kinematics(chain, q)

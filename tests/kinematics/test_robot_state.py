@@ -8,6 +8,7 @@ import pytest
 from svmdist import kinematics
 from svmdist.errors import KinematicsError
 from svmdist.kinematics.robot_state import RobotState
+from svmdist.profile import Joint
 from svmdist.results import Failure
 from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack
@@ -63,8 +64,8 @@ def test_poses_are_those_of_forward_kinematics() -> None:
 
 BOUNDED = kinematics.DHChain(
     (
-        kinematics.DHRow("arm", "revolute", lower=-1.0, upper=1.0),
-        kinematics.DHRow("insertion", "prismatic", lower=0.0, upper=0.24),
+        Joint(name="arm", type="revolute", lower=-1.0, upper=1.0),
+        Joint(name="insertion", type="prismatic", lower=0.0, upper=0.24),
     ),
     limit_tolerance_rad=0.1,
     limit_tolerance_m=0.01,
@@ -126,7 +127,7 @@ def test_a_target_beyond_the_limits_or_out_of_reach_is_an_error() -> None:
     with pytest.raises(KinematicsError, match="outside its limits"):
         kinematics.solve_position(CHAIN, POSTURE[None], target_m[None], FREE)
     arm = kinematics.DHChain(
-        (kinematics.DHRow("a", "revolute", a_m=0.5), kinematics.DHRow("b", "revolute", a_m=0.5))
+        (Joint(name="a", type="revolute", a_m=0.5), Joint(name="b", type="revolute", a_m=0.5))
     )
     with pytest.raises(KinematicsError, match=r"out of reach: .* m are left"):
         kinematics.solve_position(arm, np.array([[0.1, 0.2]]), np.array([[2.0, 0.0, 0.0]]), ("a", "b"))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.profile import Profile, load_profile, stated_deviations
+from svmdist.profile import Profile, load_profile
 from svmdist.profile.hand_eye import (
     SHAFT_RADIUS,
     ConstantEffect,
@@ -17,6 +17,7 @@ from svmdist.profile.hand_eye import (
     load_hand_eye,
     offset_of,
     save_hand_eye,
+    stated_deviations,
 )
 from svmdist.transforms import skew
 

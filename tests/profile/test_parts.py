@@ -108,7 +108,7 @@ def test_a_network_s_parts_and_scale() -> None:
     [
         ({"scale": 0}, "see nothing"),
         ({"instrument": {"class_ids": [1, 2], "min_area_px": 5}}, "class 1 cannot be tissue and instrument"),
-        ({"method": "svm"}, "expected 'hsv', 'onnx' or 'auto'"),
+        ({"method": "svm"}, "Input should be 'hsv', 'onnx' or 'auto'"),
         ({"tissue": {"class_ids": [], "min_area_px": 5}}, "class_ids"),
     ],
 )

@@ -17,7 +17,7 @@ from svmdist.profile import (
     profile_path,
     shipped_profiles,
 )
-from svmdist.profile.robot import TAG_COUNTS
+from svmdist.profile.robot import TAGS
 
 TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")
 NO_ANGLES = "|-|90|90deg|pi/0|pi*2|pi/2/2|pi/pi|2pi|--pi|tau|nan*pi|pi/nan|inf*pi|pi/|*pi"
@@ -59,7 +59,7 @@ def test_shipped_profiles_load_and_the_default_is_the_papers():
 
 def test_the_tags_are_those_of_opencv():
     """OpenCV knows as many tags of each family as a profile may name."""
-    for family, count in TAG_COUNTS.items():
+    for family, (count, _) in TAGS.items():
         dictionary = getattr(cv2.aruco, f"DICT_APRILTAG_{family}")
         assert len(cv2.aruco.getPredefinedDictionary(dictionary).bytesList) == count
 

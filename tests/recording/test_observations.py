@@ -14,8 +14,8 @@ from svmdist import samples
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
-from svmdist.recording.log import open_recording
-from svmdist.recording.observations import LEFT_IMAGES
+from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
 from svmdist.recording.source import LossKind
 from svmdist.recording.writer import RecordingWriter, encode, message_class_of
 from svmdist.transforms import Array, inverse, make_transform
@@ -145,14 +145,22 @@ def damaged(path: Path) -> Path:
     return write_messages(path, rows)
 
 
+def decoded(
+    recording: Recording, needs: Needs = EVERYTHING
+) -> list[tuple[samples.Observation, ...] | samples.Rejection]:
+    """One after another."""
+    encoded = recording.encoded_observations(recording.instruments, needs)
+    return [recording.record_losses(one.decode()) for one in encoded]
+
+
 def test_losses_are_in_file_order_whenever_they_are_found(tmp_path: Path, profile: Profile) -> None:
     """Images decoded in threads and handed in in reverse are those of one thread, and so are their losses."""
     path = damaged(tmp_path / "a.mcap")
     one_by_one, ahead = open_recording(path, profile), open_recording(path, profile)
-    mine = list(one_by_one.observations_of(one_by_one.instruments))
+    mine = decoded(one_by_one)
     with ThreadPoolExecutor(3) as pool:
-        decoded = list(pool.map(lambda one: one.decode(), ahead.encoded_observations(ahead.instruments)))
-    others = [ahead.record_losses(one) for one in reversed(decoded)][::-1]
+        found = list(pool.map(lambda one: one.decode(), ahead.encoded_observations(ahead.instruments)))
+    others = [ahead.record_losses(one) for one in reversed(found)][::-1]
     for one, other in zip(mine, others, strict=True):
         if isinstance(one, samples.Rejection) or isinstance(other, samples.Rejection):
             assert one == other
@@ -163,7 +171,7 @@ def test_losses_are_in_file_order_whenever_they_are_found(tmp_path: Path, profil
     assert ahead.health.losses == one_by_one.health.losses
     # A planar method gets images alone; a broken joint state is a loss all the same.
     planar = open_recording(path, profile)
-    found = list(planar.observations_of(planar.instruments, LEFT_IMAGES))
+    found = decoded(planar, LEFT_IMAGES)
     assert len(found) == 60
     assert all(item[0].joints is None for item in found if not isinstance(item, samples.Rejection))
     assert {loss.topic for loss in planar.health.losses} == {"/ECM/left/image", "/PSM1/measured_js"}

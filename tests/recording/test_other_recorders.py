@@ -77,7 +77,9 @@ def test_the_same_scene_comes_out(
         other_track = theirs.transform_track("camera", "tool", ground_truth=ground_truth)
         np.testing.assert_array_equal(mine_track.stamps_ns, other_track.stamps_ns)
         np.testing.assert_allclose(mine_track.T_parent_child, other_track.T_parent_child, atol=1e-15)
-    np.testing.assert_allclose(ours.pose_track().T_frame_pose, theirs.pose_track().T_frame_pose, atol=1e-15)
+    np.testing.assert_allclose(
+        ours.pose_track().T_parent_child, theirs.pose_track().T_parent_child, atol=1e-15
+    )
     np.testing.assert_array_equal(ours.joint_track().positions, theirs.joint_track().positions)
     assert theirs.health.losses == ()
     assert len(theirs.sha256()) == 64
@@ -91,8 +93,8 @@ def test_a_stamped_transform_is_a_pose(tmp_path: Path, profile: Profile) -> None
     }
     messages = [("/PSM1/measured_cp", "geometry_msgs/msg/TransformStamped", fields, 7)]
     track = open_recording(write_ros2_mcap(tmp_path / "a.mcap", messages), profile).pose_track()
-    assert (track.frame_id, track.stamps_ns.tolist()) == ("base", [7])
-    np.testing.assert_allclose(track.T_frame_pose[0], pose(3), atol=1e-15)
+    assert (track.parent, track.stamps_ns.tolist()) == ("base", [7])
+    np.testing.assert_allclose(track.T_parent_child[0], pose(3), atol=1e-15)
 
 
 def test_a_bare_file_with_compressed_messages_says_to_open_the_folder(

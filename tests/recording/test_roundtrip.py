@@ -80,8 +80,8 @@ def test_a_recording_gives_everything_back(native: Path, entries: list[Entry], p
     assert recording.metadata == {"scenario": "test", "seed": "7"}
     assert recording.camera.same_optics(CAMERA)
     assert recording.joint_track().positions.shape == (20, 2)
-    assert recording.distance_track().clearance_m.tolist() == [-0.001 * frame for frame in range(5)]
-    assert recording.pose_track().frame_id == "base"
+    assert recording.distance_track().distances_m[:, 2].tolist() == [-0.001 * frame for frame in range(5)]
+    assert recording.pose_track().parent == "base"
     truth = recording.transform_track("camera", "tool", ground_truth=True)
     np.testing.assert_allclose(truth.T_parent_child[:, 0, 3], 0.01 * np.arange(5), atol=1e-15)
     assert {info.topic: info.message_count for info in recording.topics()}["/PSM1/measured_js"] == 20

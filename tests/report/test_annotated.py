@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections import Counter, defaultdict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
+from svmdist.camera import Camera
 from svmdist.drawing import Part
 from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
 from svmdist.recording.log import Recording, open_recording
@@ -28,10 +30,8 @@ from svmdist.results import FrameResult
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.frame_drawing import DrawnFrame, drawn_frames
 from svmdist.workflows.request import Setup, prepare
-from tests.cli.conftest import Cli, cli
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, Cli
 
-__all__ = ["cli"]
 Annotated = tuple[Recording, list[DrawnFrame], Setup]
 DUO = REPOSITORY / "recordings" / "3d" / "duo.mcap"
 ANNOTATION_TOPICS = {
@@ -57,13 +57,15 @@ def annotated(tmp_path_factory: pytest.TempPathFactory) -> Annotated:
             yield frame
 
     recording = open_recording(DUO, setup.profile)
-    write_annotated(kept(), recording, setup, path)
+    write_annotated(kept(), path, recording, setup)
     assert len(frames) == 80
     return open_recording(path, setup.profile), frames, setup
 
 
 def messages_of(recording: Recording, topic: str, kind: Any) -> list[Any]:
-    return [kind.FromString(bytes(raw.data)) for raw in recording.raw_messages() if raw.topic == topic]
+    return [
+        kind.FromString(bytes(raw.data)) for raw in recording.file.source.messages() if raw.topic == topic
+    ]
 
 
 def stamp_ns(message: Any) -> int:
@@ -73,11 +75,11 @@ def stamp_ns(message: Any) -> int:
 def test_every_message_of_the_log_is_copied_and_the_images_bit_for_bit(annotated: Annotated) -> None:
     copy, _, setup = annotated
     original = open_recording(DUO, setup.profile)
-    counts = Counter(raw.topic for raw in copy.raw_messages())
-    assert set(counts) - {raw.topic for raw in original.raw_messages()} == ANNOTATION_TOPICS
+    counts = Counter(raw.topic for raw in copy.file.source.messages())
+    assert set(counts) - {raw.topic for raw in original.file.source.messages()} == ANNOTATION_TOPICS
     before, after = defaultdict(list), defaultdict(list)
     for log, messages in ((original, before), (copy, after)):
-        for raw in log.raw_messages():
+        for raw in log.file.source.messages():
             messages[raw.topic].append(bytes(raw.data))
     for topic, messages in before.items():
         assert len(after[topic]) == len(messages), topic
@@ -146,7 +148,7 @@ def test_the_log_says_why_a_frame_was_not_measured(tmp_path: Path) -> None:
     setup = prepare()
     recording = open_recording(REPOSITORY / "recordings" / "occlusion.mcap", setup.profile)
     frames = list(drawn_frames(recording, setup))
-    write_annotated(iter(frames), recording, setup, tmp_path / "out.mcap")
+    write_annotated(iter(frames), tmp_path / "out.mcap", recording, setup)
     lines = messages_of(open_recording(tmp_path / "out.mcap", setup.profile), "/svmdist/log", Log)
     assert lines[0].level == Log.INFO
     assert "method overlay" in lines[0].message
@@ -225,7 +227,7 @@ def test_every_image_is_shown_at_its_stamp_with_its_drawing(golden: Path, tmp_pa
     setup = prepare()
     recording = open_recording(golden / "occlusion.mcap", setup.profile)
     frames = list(drawn_frames(recording, setup, numbers=range(12)))
-    write_video(frames, tmp_path / "out.mp4", (640, 480))
+    write_video(frames, tmp_path / "out.mp4", recording)
     shown = decoded(tmp_path / "out.mp4")
     begin_ns = frames[0].drawing.stamp_ns
     np.testing.assert_allclose(
@@ -246,7 +248,9 @@ def test_an_odd_size_and_a_clock_that_is_set_back_give_a_video(golden: Path, tmp
     setup = prepare()
     recording = open_recording(golden / "sweep.mcap", setup.profile)
     frames = list(drawn_frames(recording, setup, numbers=range(3)))
-    write_video([*frames, *frames], tmp_path / "out.mp4", (639, 479))
+    K = [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
+    odd = SimpleNamespace(logged_camera=Camera(639, 479, K, np.zeros(5)))
+    write_video([*frames, *frames], tmp_path / "out.mp4", odd)  # type: ignore[arg-type]
     shown = decoded(tmp_path / "out.mp4")
     assert [pixels.shape for _, pixels in shown] == [(480, 640, 3)] * 6
     assert (np.diff([seconds for seconds, _ in shown]) > 0).all()
@@ -257,10 +261,9 @@ def test_estimate_writes_a_video_by_its_ending(
 ) -> None:
     """And says without PyAV what to install."""
     outcome = cli("estimate", golden / "sweep.mcap", "--method", "centroid", "-o", tmp_path / "out.mp4")
-    assert outcome.code == 0
     assert "80 of 80 frames measured" in outcome.err
     assert len(decoded(tmp_path / "out.mp4")) == 80
     monkeypatch.setitem(sys.modules, "av", None)
-    outcome = cli("estimate", golden / "sweep.mcap", "-o", tmp_path / "none.mp4")
-    assert (outcome.code, "svmdist[video]" in outcome.err) == (1, True)
+    refused = cli("estimate", golden / "sweep.mcap", "-o", tmp_path / "none.mp4", code=1)
+    assert "svmdist[video]" in refused.line
     assert not (tmp_path / "none.mp4").exists()

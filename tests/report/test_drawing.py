@@ -13,9 +13,10 @@ from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist.camera import Camera
-from svmdist.drawing import COLOURS, Body, Form, FrameDrawing, Label, Part, SceneDrawing, Shape, StatusLine
+from svmdist.drawing import COLOURS, Form, FrameDrawing, Label, Part, Shape, StatusLine
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmState
+from svmdist.geometry import Capsules
 from svmdist.recording.log import open_recording
 from svmdist.recording.viewer_messages import image_annotations, scene_update
 from svmdist.report.panels import bgr, draw_on, masks_picture, write_picture
@@ -89,8 +90,9 @@ def test_annotations_keep_forms_texts_and_stamps() -> None:
 
 
 def test_a_scene_holds_capsules_and_deletes_what_is_gone() -> None:
-    body = Body("PSM1", np.zeros((1, 3)), np.array([[0.0, 0.03, 0.04]]), np.array([0.002]))
-    message = SceneUpdate.FromString(scene_update(SceneDrawing((body,)), ["PSM1"], "camera", 3).data)
+    body = Capsules(np.zeros((1, 3)), np.array([[0.0, 0.03, 0.04]]), np.array([0.002]))
+    drawing = FrameDrawing(3, bodies={"PSM1": body})
+    message = SceneUpdate.FromString(scene_update(drawing, ["PSM1"], "camera").data)
     (entity,) = message.entities
     (cylinder,) = entity.cylinders
     assert cylinder.size.z == pytest.approx(0.05)
@@ -130,9 +132,9 @@ def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(
 ) -> None:
     setup, replayed = duo
     drawing = frame_drawing(replayed, setup)
-    for result, body in zip(replayed.results, drawing.scene.bodies, strict=True):
+    for result, body in zip(replayed.results, drawing.bodies.values(), strict=True):
         name = f"{result.instrument} {Part.DISTANCE}"
-        (segment,) = (one for one in drawing.scene.segments if one.name == name)
+        (segment,) = (one for one in drawing.segments if one.name == name)
         clearance = result.distances.clearance
         assert clearance is not None
         length_m = np.linalg.norm(segment.end_m - segment.start_m)
@@ -175,7 +177,7 @@ def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo: tuple[Setup
 def test_the_markers_matches_are_those_that_overlay_counted(sweep: tuple[Setup, Replayed]) -> None:
     """And the line of a planar distance runs from tool to tissue."""
     setup, replayed = sweep
-    found = virtual_marker(replayed.frames[0], setup.profile)
+    found = virtual_marker(replayed.frames[0])
     image = replayed.results[0].image
     assert found is not None
     counts = len(found.keypoints_px), len(found.matched_px), int(found.inliers.sum())
@@ -201,7 +203,7 @@ def test_shapes_follow_the_lens(sweep: tuple[Setup, Replayed]) -> None:
     shapes = [shape for shape in frame_drawing(replayed, setup).shapes if shape.form is Form.LOOP]
     camera = replayed.frames[0].scene.lens
     bent = replace(camera, D=np.array([-0.3, 0.1, 0.0, 0.0, 0.0]))
-    for before, after in zip(shapes, _through_lens(shapes, bent), strict=True):
+    for before, after in zip(shapes, [_through_lens(shape, bent) for shape in shapes], strict=True):
         corners_px = seen_through(bent, before.points_px)
         gaps_px = np.linalg.norm(after.points_px[:, None] - corners_px, axis=2).min(0)
         assert gaps_px.max() < 1e-9  # every corner is still one

@@ -23,7 +23,7 @@ from svmdist.report.tables import (
     Row,
     Table,
     csv_lines,
-    json_array_lines,
+    json_document,
     json_lines,
     latex,
     markdown,
@@ -31,16 +31,15 @@ from svmdist.report.tables import (
     text_lines,
     write_parquet,
 )
-from svmdist.report.writers import WRITERS, Holds, choose_writer, names_of
+from svmdist.report.writers import WRITERS, Holds, Results, choose_writer, names_of
 
-KEYS = ("name", "value")
 COLUMNS = (Column("name", TEXT, "name"), Column("value", LENGTH, "value [mm]"))
-LINES = (csv_lines, json_lines, json_array_lines)
+LINES = (csv_lines, json_lines, json_document)
 
 
 def in_csv(*rows: Row) -> list[list[str]]:
     """The cells of rows, as a reader of CSV gets them."""
-    return list(csv.reader(io.StringIO("".join(csv_lines(KEYS, rows)))))
+    return list(csv.reader(io.StringIO("".join(csv_lines(Results(COLUMNS, rows))))))
 
 
 def shown(name: str, title: str = "") -> str:
@@ -56,7 +55,7 @@ def test_markup_in_a_name_is_text(name: str) -> None:
     """Names that look like rich's markup come out as they are in rows and titles, and crash nothing."""
     assert shown(name, f"log {name}").count(name) == 3
     assert in_csv({"name": name, "value": 1})[1] == [name, "1"]
-    assert json.loads("".join(json_lines(KEYS, [{"name": name}])))["name"] == name
+    assert json.loads("".join(json_lines(Results(COLUMNS, [{"name": name}]))))["name"] == name
 
 
 @pytest.mark.parametrize(
@@ -65,7 +64,7 @@ def test_markup_in_a_name_is_text(name: str) -> None:
 def test_characters_that_drive_a_terminal_are_replaced(code: str) -> None:
     """ESC, bell, line breaks and bidirectional overrides never reach a terminal, the letters around them do."""
     name = f"a{code}b"
-    for text in (shown(name, name), "".join(csv_lines(KEYS, [{"name": name}])), printable(name)):
+    for text in (shown(name, name), "".join(csv_lines(Results(COLUMNS, [{"name": name}]))), printable(name)):
         assert code[0] not in text.replace("\n", "" if code == "\n" else "\n")
         assert "a\N{REPLACEMENT CHARACTER}" in text
 
@@ -88,8 +87,8 @@ def test_what_does_not_exist_is_empty(missing: float | None) -> None:
     """An empty cell in CSV, null in JSON, a dash for a person; never the text NaN."""
     row = {"name": "a", "value": missing}
     assert in_csv(row) == in_csv({"name": "a"}) == [["name", "value"], ["a", ""]]
-    for lines in (json_lines, json_array_lines):
-        text = "".join(lines(KEYS, [row]))
+    for lines in (json_lines, json_document):
+        text = "".join(lines(Results(COLUMNS, [row])))
         assert "null" in text
         assert "NaN" not in text
         assert "Infinity" not in text
@@ -101,16 +100,16 @@ def test_numbers_survive_the_round_trip(value: float) -> None:
     """A number read back from CSV or JSON equals the one written, bit for bit, also where NumPy made it."""
     row = {"name": "a", "value": value}
     assert float(in_csv(row)[1][1]) == value
-    assert json.loads("".join(json_lines(KEYS, [row])))["value"] == value
+    assert json.loads("".join(json_lines(Results(COLUMNS, [row]))))["value"] == value
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 500])
 def test_a_json_array_is_valid_for_any_number_of_rows(count: int) -> None:
     rows = [{"name": f"row {index}", "value": index / 7} for index in range(count)]
-    text = "".join(json_array_lines(KEYS, iter(rows)))
+    text = "".join(json_document(Results(COLUMNS, iter(rows))))
     assert json.loads(text) == rows
     assert text.count("\n") == (count + 2 if count else 1)
-    assert [json.loads(line) for line in json_lines(KEYS, iter(rows))] == rows
+    assert [json.loads(line) for line in json_lines(Results(COLUMNS, iter(rows)))] == rows
 
 
 @pytest.mark.parametrize(("lines", "first"), [*zip(LINES, (2, 1, 1), strict=True)])
@@ -123,7 +122,7 @@ def test_rows_are_written_as_they_come(lines: Callable[..., Iterator[str]], firs
             read.append(index)
             yield {"more": 2, "value": index, "name": "a"}
 
-    made = lines(KEYS, rows())
+    made = lines(Results(COLUMNS, rows()))
     texts = [next(made) for _ in range(first)]
     assert len(read) == 1
     assert "more" not in texts[-1]
@@ -163,12 +162,12 @@ MARKED = Table.of(
 
 def test_markup_is_escaped_and_aligned() -> None:
     """LaTeX and Markdown show every cell as it is."""
-    text = "".join(latex([MARKED], ["a note"]))
+    text = "".join(latex(Results((), (), tables=[MARKED], notes=["a note"])))
     caption, head = r"\caption{R\textsuperscript{2} \& more}", r"\begin{tabular}{lr}"
     assert all(part in text for part in (caption, head, r"name & n [\%] \\", r"a\_b|c & 3 \\"))
     assert text.endswith("% a note\n")
     table = ["| name | n [%] |", "|---|---:|", r"| a\_b\|c | 3 |", ""]
-    assert "".join(markdown([MARKED], [])).splitlines()[2:] == table
+    assert "".join(markdown(Results((), (), tables=[MARKED]))).splitlines()[2:] == table
 
 
 def in_parquet(path: Path) -> list[dict[str, object]]:
@@ -183,7 +182,7 @@ def test_parquet_has_the_values_in_pieces(tmp_path: Path) -> None:
     given = [("a", 0.1 + 0.2, True), (None, math.nan, None), ("\udcff", 3, None)]
     rows = [dict(zip(("name", "value", "count"), row, strict=True)) for row in given]
     path = tmp_path / "a.parquet"
-    write_parquet(path, columns, (rows[at % 3] for at in range(2 * PARQUET_ROWS + 1)))
+    write_parquet(Results(columns, (rows[at % 3] for at in range(2 * PARQUET_ROWS + 1))), path)
     expected = [
         {"name": "a", "count": 1, "value": 0.1 + 0.2},
         {"name": None, "count": None, "value": None},
@@ -191,10 +190,10 @@ def test_parquet_has_the_values_in_pieces(tmp_path: Path) -> None:
     ]
     found = in_parquet(path)
     assert (found[:3], len(found)) == (expected, 2 * PARQUET_ROWS + 1)
-    write_parquet(path, columns, [])
+    write_parquet(Results(columns, []), path)
     assert in_parquet(path) == []
     with pytest.raises(ValueError, match="no more"):
-        write_parquet(path, columns, _broken())
+        write_parquet(Results(columns, _broken()), path)
     assert in_parquet(path) == []
 
 

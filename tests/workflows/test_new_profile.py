@@ -14,7 +14,7 @@ from svmdist.errors import RecordingError
 from svmdist.profile import Profile, load_profile
 from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import RecordingWriter
-from svmdist.report.profile_template import profile_lines
+from svmdist.report.profile_template import profile_text
 from svmdist.samples import CameraSample, ImageSample, PoseSample
 from svmdist.vision.colour import find_distinct_colour
 from svmdist.vision.stereo import fit_plane
@@ -26,7 +26,7 @@ CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 
 
 def _profile(path: Path, **topics: str) -> Profile:
-    text = "\n".join(profile_lines(draft_profile(path, "mine", topics)))
+    text = profile_text(draft_profile(path, "mine", topics))
     return Profile.model_validate(tomllib.loads(text))
 
 

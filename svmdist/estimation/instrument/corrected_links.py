@@ -94,7 +94,7 @@ def _lengths(chain: DHChain, first_row: int) -> Iterator[RowLength]:
         # Standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d).
         if row.a_m != 0.0:
             yield RowLength(index, index - 1 if is_modified else index, 0)
-        if row.d_m != 0.0 and row.joint != "prismatic" and (is_modified or index > first_row):
+        if row.d_m != 0.0 and row.type != "prismatic" and (is_modified or index > first_row):
             yield RowLength(index, index if is_modified else index - 1, 2)
 
 

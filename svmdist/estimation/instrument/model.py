@@ -89,7 +89,7 @@ class WristKinematics:
         jaw_axis, opening_rad = pivot, 0.0
         if self.rows.jaw is not None:
             jaw_axis, _ = joint_axis(self.chain, frames, self.rows.jaw)
-            joints_before = sum(other.joint != "fixed" for other in self.chain.rows[: self.rows.jaw])
+            joints_before = sum(other.type != "fixed" for other in self.chain.rows[: self.rows.jaw])
             opening_rad = float(q[joints_before])
         hinge_m, shaft, pivot, jaw_axis = np.stack([hinge_m - tool_m, shaft, pivot, jaw_axis]) @ R
         return Wrist(hinge_m, np.zeros(3), shaft, pivot, jaws_of(self.straight, jaw_axis, opening_rad))

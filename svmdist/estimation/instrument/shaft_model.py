@@ -73,7 +73,7 @@ def shaft_model(
         R_nominal = np.asarray((state.T_camera_base @ T_base_shaft)[:3, :3])
         moving = [row.name for row in chain.rows]
         first = moving.index(error.first_moving_joint) if error.first_moving_joint in moving else 0
-        turning = sum(row.joint == "revolute" for row in chain.rows[first : roll + 1])
+        turning = sum(row.type == "revolute" for row in chain.rows[first : roll + 1])
         rotation_std_rad = float(np.hypot(error.camera_base_std_rad, error.joint_std_rad * np.sqrt(turning)))
         bend_std_rad = float(np.hypot(error.joint_std_rad, error.play_std_rad))
     elif q is not None:
