@@ -236,11 +236,11 @@ def _write_pictures(
     plot: Path | None,
 ) -> None:
     if plot:
-        from svmdist.report.plots import SeriesPlot, draw_series, save_figure
+        from svmdist.report.plots import draw_series, save_figure
         from svmdist.workflows.series import series_of
 
         below_m = request.alarms.below_m if request.alarms else None
-        save_figure(plot, draw_series, series_of(measured, request), SeriesPlot.TIME, below_m)
+        save_figure(plot, draw_series, series_of(measured, request), "time", below_m)
     if report:
         from svmdist.report.html import make_report, write_report
 

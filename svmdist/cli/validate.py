@@ -165,7 +165,7 @@ def score_log(recording: Recording, request: Request, threads: int, keep: Keep |
 def _save_plot(
     result: Validation, measured: list[Measured], request: Request, kind: PlotKind, path: Path
 ) -> None:
-    from svmdist.report.plots import SeriesPlot, draw, draw_series, save_figure
+    from svmdist.report.plots import draw, draw_series, save_figure
     from svmdist.workflows.series import series_of
 
     if kind == "fig6":
@@ -175,7 +175,7 @@ def _save_plot(
         series_of(measured, request, result.reference),
         request.alarms and request.alarms.below_m,
     )
-    save_figure(path, draw_series, series, SeriesPlot(kind), below_m)
+    save_figure(path, draw_series, series, kind, below_m)
 
 
 def _write_report(
