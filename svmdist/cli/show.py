@@ -108,7 +108,7 @@ def show_command(given: ShowOptions) -> None:
 
 def _numbers(given: ShowOptions, recording: Recording, request: Request) -> set[int]:
     """The numbers of the images to draw; raises UsageError."""
-    from svmdist.workflows.frame_drawing import image_stamps_ns, spread
+    from svmdist.workflows.frame_drawing import image_stamps_ns
 
     stamps_ns = image_stamps_ns(recording)
     count = len(stamps_ns)
@@ -121,7 +121,9 @@ def _numbers(given: ShowOptions, recording: Recording, request: Request) -> set[
     if given.at is not None:
         at = given.at
         return {min(range(count), key=lambda n: abs((stamps_ns[n] - stamps_ns[0]) * 1e-9 - at))}
-    return set(spread(count, DEFAULT_COUNT))
+    if count <= DEFAULT_COUNT:
+        return set(range(count))
+    return {round(at * (count - 1) / (DEFAULT_COUNT - 1)) for at in range(DEFAULT_COUNT)}
 
 
 def _is_one_picture(output: Path, count: int) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import groupby
 from operator import itemgetter
 from typing import Any
@@ -230,7 +230,6 @@ class LogFigures:
     group: str = ""
     log_count: int = 1
     failed_count: int = 0
-    rank: int | None = None
 
     @property
     def frame_count(self) -> int:
@@ -260,7 +259,9 @@ class LogFigures:
 
 # fmt: off
 LOG_COLUMNS = (
-    *(Column(key, unit, key) for key, unit in (("rank", COUNT), ("recording", TEXT), ("state", TEXT))),
+    Column("rank", COUNT, "rank", lambda _: None),
+    Column("recording", TEXT, "recording"),
+    Column("state", TEXT, "state"),
     Column("frame_count", COUNT, "frames"),
     Column("measured_count", COUNT, "measured"),
     Column("coverage", SHARE, "coverage [%]",
@@ -283,7 +284,7 @@ def ranked(figures: Sequence[LogFigures]) -> list[LogFigures]:
     def severity(one: LogFigures) -> tuple[bool, float, int]:
         return one.failure is None, coverage(one.measured_count, one.frame_count), -one.loss_count
 
-    return [replace(one, rank=rank) for rank, one in enumerate(sorted(figures, key=severity), 1)]
+    return sorted(figures, key=severity)
 
 
 def pooled_log_figures(figures: Sequence[LogFigures]) -> list[LogFigures]:
@@ -304,6 +305,7 @@ def log_results(figures: Sequence[LogFigures]) -> Results:
     together = pooled_log_figures(figures)
     left_out = "" if len(together) > 1 else "group"
     columns = [column for column in LOG_COLUMNS if column.heading and column.key != left_out]
-    rows = [row_of(LOG_COLUMNS, one) for one in (*ranked(figures), *together)]
+    rows = [row_of(LOG_COLUMNS, one) | {"rank": rank} for rank, one in enumerate(ranked(figures), 1)]
+    rows += [row_of(LOG_COLUMNS, one) for one in together]
     tables = [Table.of("Logs, sorted by severity, worst first", columns, rows)]
     return Results(LOG_COLUMNS, rows, tables=tables)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from textwrap import wrap
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from svmdist.errors import printable
@@ -213,13 +213,11 @@ def _text_widths(columns: Sequence[Column]) -> list[int]:
 
 def csv_lines(results: Results, *_: object) -> Iterator[str]:
     """Yield CSV, RFC 4180, header first; a value that does not exist is an empty cell."""
-    buffer = io.StringIO()
-    writer, keys = csv.writer(buffer, lineterminator="\n"), results.keys
-    for line in chain([keys], ([_csv_cell(row.get(key)) for key in keys] for row in results.rows)):
-        writer.writerow(line)
-        yield buffer.getvalue()
-        buffer.seek(0)
-        buffer.truncate()
+    echo: Any = SimpleNamespace(write=str)  # `writerow` returns what `write` does: the line itself
+    writer, keys = csv.writer(echo, lineterminator="\n"), results.keys
+    yield writer.writerow(keys)
+    for row in results.rows:
+        yield writer.writerow([_csv_cell(row.get(key)) for key in keys])
 
 
 def json_lines(results: Results, *_: object) -> Iterator[str]:
