@@ -56,7 +56,13 @@ class Estimates(Sequence[FrameResult]):
 
     def to_dataframe(self) -> DataFrame:
         """A pandas DataFrame with the columns of the CSV; raises SvmdistError where pandas is not installed."""
-        return _dataframe(list(self.rows()), ESTIMATE_KEYS)
+        try:
+            import pandas as pd
+        except ImportError:
+            raise SvmdistError(
+                "to_dataframe needs pandas, which is not installed: pip install pandas"
+            ) from None
+        return pd.DataFrame.from_records(list(self.rows()), columns=ESTIMATE_KEYS)
 
 
 def open_recording(
@@ -81,8 +87,9 @@ def estimate(
 ) -> Estimates:
     """Measure every image of a recording. `lag` in s, or `"auto"`, is taken off the images' stamps first."""
     setup = _setup(recording, method, calibration)
-    read, _ = with_lag(recording, setup.profile, lag, instruments, jobs)
-    return Estimates(recording, setup, tuple(_estimate(read, setup, instruments, jobs)))
+    names = None if instruments is None else tuple(instruments)
+    read, _ = with_lag(recording, Request(setup, instruments=names, lag=lag), jobs)
+    return Estimates(recording, setup, tuple(_estimate(read, setup, names, jobs)))
 
 
 def validate(
@@ -115,11 +122,3 @@ def compare(
 
 def _setup(recording: Recording, method: Method, calibration: Path | None = None) -> Setup:
     return prepare(recording.origin.profile, method, "corrected", calibration)
-
-
-def _dataframe(rows: Sequence[Row], keys: Sequence[str]) -> DataFrame:
-    try:
-        import pandas as pd
-    except ImportError:
-        raise SvmdistError("to_dataframe needs pandas, which is not installed: pip install pandas") from None
-    return pd.DataFrame.from_records([dict(row) for row in rows], columns=list(keys))

@@ -55,7 +55,7 @@ def calibrate_command(given: CalibrateOptions) -> None:
     logs = Logs(given)
     require_output(given.output, logs.paths)
     require_new(given.output, force=given.force)
-    setup = Setup(load_profile(given.profile, given.hand_eye), given.method, "corrected", None)
+    setup = Setup(load_profile(given.profile, given.hand_eye), given.method)
     request = Request(setup, given.topics, given.window)
     run = logs.run(Job(collect_log, request, CalibrationPart), "measuring")
     calibration = fit_parts(run.results, setup.method)

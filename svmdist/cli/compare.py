@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.vision.degradations import Blur
     from svmdist.workflows.blur_bench import BlurTally
-    from svmdist.workflows.compare import Run
+    from svmdist.workflows.compare import MethodScore
     from svmdist.workflows.request import LogCondition, Request, Setup
 
 
@@ -100,8 +100,7 @@ def compare_command(given: CompareOptions) -> None:
     """
     from svmdist.report.scores import compare_results
     from svmdist.workflows.batch import Job
-    from svmdist.workflows.compare import Run as CompareRun
-    from svmdist.workflows.compare import compared
+    from svmdist.workflows.compare import MethodScore, compared
     from svmdist.workflows.request import Request, prepare
 
     logs = Logs(given)
@@ -117,7 +116,7 @@ def compare_command(given: CompareOptions) -> None:
         prepare(given.profile, method, "corrected", files[method], given.hand_eye) for method in methods
     )
     request = Request(setups[0], given.topics, given.window, lag=lag, conditions=tuple(conditions))
-    run = logs.run(Job(compare_log, request, list[CompareRun], (setups, keys)), "comparing")
+    run = logs.run(Job(compare_log, request, list[MethodScore], (setups, keys)), "comparing")
     scores = compared([one for runs in run.results for one in runs], [one.method for one in setups])
     write_results(compare_results(scores), writer, given.output)
     if given.save_plot:
@@ -129,7 +128,7 @@ def compare_command(given: CompareOptions) -> None:
 
 def compare_log(
     recording: Recording, request: Request, threads: int, setups: tuple[Setup, ...], keys: tuple[str, ...]
-) -> list[Run]:
+) -> list[MethodScore]:
     """Measure a log with several methods under several conditions, with progress."""
     from svmdist.workflows.compare import measure_runs
     from svmdist.workflows.parallel import Steps, image_total

@@ -85,7 +85,6 @@ def estimate_command(given: EstimateOptions) -> None:
       Seconds 2 to 5, every fourth image, as a video:
         svmdist estimate log.mcap --start 2 --end 5 --every 4 -o seen.mp4
     """
-    from svmdist.report.scores import log_results
     from svmdist.workflows.batch import Job
 
     logs = Logs(given)
@@ -123,16 +122,19 @@ def estimate_command(given: EstimateOptions) -> None:
     measured: list[Measured] = []
     keeps = report is not None or given.save_plot is not None
     _write_rows(run, run.rows(measured.append if keeps else None), request, writer, output)
-    figures = log_results(run.figures(keys))
-    if given.summary is not None:
+    figures = None
+    if given.summary is not None or not logs.is_one:
+        from svmdist.report.scores import log_results
+
+        figures = log_results(run.figures(keys))
+    if figures is not None and given.summary is not None:
         write_results(figures, summary_writer, given.summary)
     tally = sum((Counter(result.tally) for result in run.results), Counter[tuple[str, str]]())
     _log_tally(tally)
     if keeps:
         run.measure_again(measured.append)
-        _write_pictures(
-            measured, request, logs.jobs, None if logs.is_one else figures, report, given.save_plot
-        )
+        pooled = None if logs.is_one else figures
+        _write_pictures(measured, request, logs.jobs, pooled, report, given.save_plot)
     raise typer.Exit(_code(run.exit_code(), tally))
 
 
@@ -189,16 +191,22 @@ def measure_rows(
 
 def corrected(recording: Recording, request: Request, jobs: int | None) -> Recording:
     """Say where the equations cannot be right, and apply the requested lag, with progress."""
-    from svmdist.workflows.estimate import with_requested_lag
+    from svmdist.workflows.estimate import with_lag
     from svmdist.workflows.parallel import Steps
 
     for warning in request.setup.degeneracies(recording.camera):
         LOG.info("warning: %s", warning)
     if request.lag != "auto":
-        return with_requested_lag(recording, request, jobs)
+        return with_lag(recording, request)[0]
     with progress_bar(f"lag of {recording.name}", "images") as advance:
         steps = Steps(advance, recording.image_count())
-        return with_requested_lag(recording, request, jobs, steps.advance)
+        seen, found = with_lag(recording, request, jobs, steps.advance)
+    if found.told:
+        said = f"lag {found.lag_s * 1e3:+.1f} ms (confidence {found.confidence:.2f})"
+    else:
+        said = f"the lag cannot be estimated and none is applied: {found.reason}"
+    LOG.info("note: %s: %s", recording.name, said)
+    return seen
 
 
 def _write_rows(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,7 +27,7 @@ from svmdist.report.writers import Holds, Results, choose_writer
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.report.tables import Row
-    from svmdist.workflows.fk import PoseErrors
+    from svmdist.transforms import Array
     from svmdist.workflows.request import Request
 
 
@@ -85,64 +84,39 @@ def pose_rows_of(
     recording: Recording, request: Request, _threads: int, in_camera: bool, named: bool
 ) -> Generator[Row, None, int]:
     """The rows of one recording, which name it where there are several; the errors against its poses are logged."""
+    import numpy as np
+
     from svmdist.report.rows import pose_rows
     from svmdist.workflows.fk import fk_blocks
 
     profile = request.setup.profile.for_instrument(recording.instruments[0])
-    sums, count = ErrorSums(), 0
+    errors, count = [], 0
     with progress_bar("reading", "joint states") as advance:
         made = fk_blocks(recording, profile, in_camera=in_camera, window=request.window, on_progress=advance)
         with closing(made):
             for block in made:
-                if block.errors is not None:
-                    sums.add(block.errors)
+                errors.append(block.errors)
                 for row in pose_rows(block.stamps_ns, block.poses):
                     yield row | {"recording": recording.name} if named else row
                     count += 1
-    sums.log(recording.name if named else "")
+    if recording.topic_of("pose") is not None:
+        _log_errors(
+            np.concatenate(errors), recording.pose_track().parent, f"{recording.name}: " if named else ""
+        )
     return count
 
 
-@dataclass
-class ErrorSums:
-    """Errors against a pose topic, added up block by block."""
+def _log_errors(errors: Array, frame_id: str | None, of: str) -> None:
+    """Log errors against the poses of a topic, shape (n, 2): position in m and angle in rad, NaN without a pose."""
+    import numpy as np
 
-    count: int = 0
-    unpaired_count: int = 0
-    frame_id: str | None = None
-    square_mm2: float = 0.0
-    max_mm: float = 0.0
-    square_deg2: float = 0.0
-    max_deg: float = 0.0
-
-    def add(self, errors: PoseErrors) -> None:
-        """Take in a block."""
-        import numpy as np
-
-        self.frame_id = errors.frame_id
-        self.unpaired_count += errors.unpaired_count
-        if len(errors.stamps_ns) == 0:
-            return
-        position_mm, angle_deg = errors.position_m * 1e3, np.degrees(errors.angle_rad)
-        self.count += len(position_mm)
-        self.square_mm2 += float(np.sum(position_mm**2))
-        self.square_deg2 += float(np.sum(angle_deg**2))
-        self.max_mm = max(self.max_mm, float(position_mm.max()))
-        self.max_deg = max(self.max_deg, float(angle_deg.max()))
-
-    def log(self, name: str) -> None:
-        """Log the errors, where there is a pose topic."""
-        if self.frame_id is None:
-            return
-        of = f"{name}: " if name else ""
-        if self.count == 0:
-            LOG.info("%sno pose of the topic (frame %s) is near a joint state in time", of, self.frame_id)
-            return
-        LOG.info(
-            "%sagainst %d poses in frame %s: position RMSE %.4g mm, max %.4g mm; angle RMSE %.4g°, max %.4g°;"
-            " %d joint states without a pose",
-            *(of, self.count, self.frame_id),
-            *(math.sqrt(self.square_mm2 / self.count), self.max_mm),
-            *(math.sqrt(self.square_deg2 / self.count), self.max_deg),
-            self.unpaired_count,
-        )
+    known = errors[np.isfinite(errors[:, 0])] * [1e3, math.degrees(1.0)]
+    if len(known) == 0:
+        LOG.info("%sno pose of the topic (frame %s) is near a joint state in time", of, frame_id)
+        return
+    (rmse_mm, rmse_deg), (max_mm, max_deg) = np.sqrt(np.mean(known**2, axis=0)), known.max(axis=0)
+    LOG.info(
+        "%sagainst %d poses in frame %s: position RMSE %.4g mm, max %.4g mm; angle RMSE %.4g°, max %.4g°;"
+        " %d joint states without a pose",
+        *(of, len(known), frame_id, rmse_mm, max_mm, rmse_deg, max_deg, len(errors) - len(known)),
+    )

@@ -161,15 +161,16 @@ def _pictures(
 
 def _worst(recording: Recording, request: Request, count: int, jobs: int | None) -> set[int]:
     """The numbers of the worst frames of any instrument; says of each how bad it is."""
-    from svmdist.workflows.estimate import estimate
+    from svmdist.workflows.estimate import Measured, estimate
     from svmdist.workflows.parallel import Steps, image_total
-    from svmdist.workflows.series import make_series, worst_frames
+    from svmdist.workflows.series import series_of, worst_frames
 
     instruments = request.instruments or recording.instruments
     with progress_bar(f"measuring {recording.name}", "rows") as advance:
         steps = Steps(advance, image_total([recording], lambda _: len(instruments)))
         rows = list(steps.of(estimate(recording, request.setup, request.instruments, jobs)))
-    worst = worst_frames(make_series(rows, recording, request.setup), count)
+    found = Measured(recording, recording, tuple(rows), None)
+    worst = worst_frames(series_of([found], request), count)
     for one in worst:
         LOG.info("%s", one.in_words)
     return {one.number for one in worst}

@@ -64,7 +64,10 @@ class Job(Generic[Result]):
 
 @dataclass(frozen=True)
 class Outcome(Generic[Result]):
-    """What came of a log. `failure` says why there is no result; `notes` are (level, text) of what was logged."""
+    """What came of a log. `failure` says why there is no result; `notes` are (level, text) of what was logged.
+
+    `losses` are those found while it was read, and `unlisted_count` more; `packed_rows` holds the rows.
+    """
 
     result: Result | None
     failure: str | None = None
@@ -112,67 +115,51 @@ def outcome_of(job: Job[Result], threads: int, log: LogFile) -> Outcome[Result]:
                 row = {key: value for key, value in next(steps).items() if value is not None}
                 packed += packer.compress(json.dumps(row, separators=(",", ":")).encode() + b"\n")
         except StopIteration as end:
-            found: Outcome[Result] = end.value
+            rows = base64.b64encode(packed + packer.flush()).decode("ascii")
+            return replace(end.value, notes=tuple(notes), packed_rows=rows)
         except (UsageError, ProfileError):
             raise
         except SvmdistError as problem:
             return Outcome(None, str(problem))
-        except Exception as problem:
-            return Outcome(None, _fault(problem))
-    rows = base64.b64encode(packed + packer.flush()).decode("ascii")
-    return replace(found, notes=tuple(notes), packed_rows=rows)
-
-
-def _fault(problem: Exception) -> str:
-    """A fault of svmdist's own, or of the machine, in a line."""
-    if isinstance(problem, MemoryError):
-        return "there is not enough memory"
-    frames = traceback.extract_tb(problem.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    what = f"{type(problem).__name__}: {' '.join(str(problem).split())}"
-    return f"svmdist failed on it, please report this: {what}{place}"
-
-
-class _Collector(logging.Filter):
-    """Keeps what one thread logs, in place of printing it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.notes: list[tuple[int, str]] = []
-        self._thread = threading.get_ident()
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        if record.thread != self._thread:
-            return True
-        self.notes.append((record.levelno, record.getMessage()))
-        return False
+        except MemoryError:
+            return Outcome(None, "there is not enough memory")
+        except Exception as problem:  # a fault of svmdist's own, or of the machine
+            frames = traceback.extract_tb(problem.__traceback__)
+            place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+            what = f"{type(problem).__name__}: {' '.join(str(problem).split())}"
+            return Outcome(None, f"svmdist failed on it, please report this: {what}{place}")
 
 
 @contextmanager
 def collected_notes() -> Iterator[list[tuple[int, str]]]:
-    """Collect what this thread logs: the remarks on a log travel with its outcome."""
-    collector, level = _Collector(), LOG.level
-    LOG.addFilter(collector)
+    """Collect what this thread logs, in place of printing it: the remarks on a log travel with its outcome."""
+    notes: list[tuple[int, str]] = []
+    thread, level = threading.get_ident(), LOG.level
+
+    def collect(record: logging.LogRecord) -> bool:
+        if record.thread == thread:
+            notes.append((record.levelno, record.getMessage()))
+        return record.thread != thread
+
+    LOG.addFilter(collect)
     LOG.setLevel(logging.DEBUG)
     try:
-        yield collector.notes
+        yield notes
     finally:
-        LOG.removeFilter(collector)
+        LOG.removeFilter(collect)
         LOG.setLevel(level)
 
 
 def log_notes(outcomes: Sequence[Outcome[Any]], most: int = 3) -> None:
     """Log what was noted on logs; what is true of more than `most` is said once."""
-    counts = Counter(note for one in outcomes for note in set(one.notes))
-    said = set()
+    counts = Counter(note for one in outcomes for note in dict.fromkeys(one.notes))
+    for (level, text), count in counts.items():
+        if count > most:
+            LOG.log(level, "%s (so in %d logs)", text, count)
     for one in outcomes:
-        for note in one.notes:
-            level, text = note
-            if counts[note] <= most:
+        for level, text in one.notes:
+            if counts[level, text] <= most:
                 LOG.log(level, "%s", text)
-            elif note not in said:
-                LOG.log(level, "%s (so in %d logs)", text, counts[note])
-            said.add(note)
 
 
 def measure_logs(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -10,18 +10,15 @@ import numpy as np
 
 from svmdist.errors import RecordingError
 from svmdist.estimation.frame import Frame
-from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
-from svmdist.samples import Image
-from svmdist.transforms import Array
 from svmdist.vision.degradations import Blur
 from svmdist.vision.frame_context import to_grey
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
 from svmdist.vision.regions import find_region
-from svmdist.workflows.references import Reference, distance_truth
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import BlurCondition, Setup
+from svmdist.workflows.scores import Readings
 
 DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
     Blur.NONE: 1,
@@ -76,11 +73,11 @@ class BlurRow:
 
 @dataclass
 class BlurTally:
-    """What one blur collects while the frames pass by: `values` by the column that has their mean."""
+    """What one blur collects over the frames of a log: `values` by the column that has their mean."""
 
     frame_count: int = 0
     measured_count: int = 0
-    values: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    values: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in MEANS})
     squared_errors_m2: list[float] = field(default_factory=list)
 
 
@@ -96,21 +93,21 @@ def blur_tallies(
     The marker is virtual: it is pasted on the degraded image and is not degraded itself.
     """
     tallies = {blur: BlurTally() for blur in kernels_px}
+    readings = {blur: Readings() for blur in kernels_px}
     conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
-    measured: dict[Blur, list[FrameResult]] = {blur: [] for blur in kernels_px}
-    first = recording.instruments[:1]
-    for replayed in replay(recording, [setup], conditions, wanted=first, jobs=jobs):
+    for replayed in replay(recording, [setup], conditions, wanted=recording.instruments[:1], jobs=jobs):
         for blur, lane in zip(kernels_px, replayed, strict=True):
             (result,) = lane.results
-            tallies[blur].frame_count += 1
+            readings[blur].add(result)
             for frame in lane.frames:
                 _count(frame, result, tallies[blur].values)
-            if result.measured:
-                measured[blur].append(result)
         advance()
-    for blur, results in measured.items():
-        tallies[blur].measured_count += len(results)
-        tallies[blur].squared_errors_m2 += _squared_errors_m2(recording, setup, results)
+    truth = recording.distance_track()
+    for blur, found in readings.items():
+        tallies[blur].frame_count = len(found)
+        tallies[blur].measured_count = len(found) - found.rejected.total()
+        pairs = found.pairs("planar", truth.at(found.stamps_ns))
+        tallies[blur].squared_errors_m2 = ((pairs.estimate_m - pairs.truth_m) ** 2).tolist()
     return tallies
 
 
@@ -122,22 +119,23 @@ def blur_rows(parts: Sequence[Mapping[Blur, BlurTally]], kernels_px: Mapping[Blu
         frame_count = sum(tally.frame_count for tally in tallies)
         if not frame_count:
             raise RecordingError("there is no image to measure in these recordings")
-        squares_m2 = [square for tally in tallies for square in tally.squared_errors_m2]
-        values = {
-            name: [value for tally in tallies for value in tally.values.get(name, ())] for name in MEANS
-        }
+        mse_m2 = _mean([square for tally in tallies for square in tally.squared_errors_m2])
         found.append(
             BlurRow(
                 blur=blur,
                 kernel_px=kernel_px,
                 frame_count=frame_count,
                 coverage=sum(tally.measured_count for tally in tallies) / frame_count,
-                rmse_m=float(np.sqrt(np.mean(squares_m2))) if squares_m2 else None,
+                rmse_m=None if mse_m2 is None else math.sqrt(mse_m2),
                 printed=TABLE_I.get(blur),
-                **{name: float(np.mean(each)) if each else None for name, each in values.items()},
+                **{name: _mean([v for tally in tallies for v in tally.values[name]]) for name in MEANS},
             )
         )
     return found
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
 
 
 def _count(frame: Frame, result: FrameResult, values: dict[str, list[float]]) -> None:
@@ -145,32 +143,16 @@ def _count(frame: Frame, result: FrameResult, values: dict[str, list[float]]) ->
     instrument = find_region(masks.instrument, profile.segmentation.instrument, profile.settings.outline)
     if instrument is None:
         return
-    counts = {
-        "keypoint_count": len(detect_orb(context.grey, profile.features.feature_count, masks.instrument)),
-        "contour_area_px": instrument.area_px,
-        "marker_keypoint_count": _marker_keypoint_count(
-            context.bgr_as_recorded, instrument.centroid_px, profile
-        ),
-        "match_count": result.image.match_count,
-        "inlier_count": result.image.inlier_count,
-    }
-    for name, count in counts.items():
-        if count is not None:
-            values[name].append(count)
-
-
-def _marker_keypoint_count(image_bgr: Image, centre_px: Array, profile: Profile) -> int:
-    size_px = profile.marker.size_px
-    marked = paste_marker(image_bgr, centre_px, size_px, EDGE_MARGIN_PX)
-    grey = to_grey(marked.window_bgr)
-    points_px = detect_orb(grey, profile.features.feature_count).points_px - EDGE_MARGIN_PX
-    return int(np.count_nonzero(np.all((points_px >= 0) & (points_px < size_px), axis=1)))
-
-
-def _squared_errors_m2(recording: Recording, setup: Setup, results: Sequence[FrameResult]) -> list[float]:
-    stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
-    distance_m = np.array(
-        [planar.value_m for result in results if (planar := result.distances.planar)], np.float64
+    size_px, feature_count = profile.marker.size_px, profile.features.feature_count
+    marked = paste_marker(context.bgr_as_recorded, instrument.centroid_px, size_px, EDGE_MARGIN_PX)
+    points_px = detect_orb(to_grey(marked.window_bgr), feature_count).points_px - EDGE_MARGIN_PX
+    counts = (
+        len(detect_orb(context.grey, feature_count, masks.instrument)),
+        instrument.area_px,
+        np.count_nonzero(np.all((points_px >= 0) & (points_px < size_px), axis=1)),
+        result.image.match_count,
+        result.image.inlier_count,
     )
-    truth = distance_truth(recording, setup.profile, Reference.GROUND_TRUTH, stamps_ns)
-    return [float(value) for value in (distance_m - truth.planar_m)[truth.valid] ** 2]
+    for name, count in zip(MEANS, counts, strict=True):
+        if count is not None:
+            values[name].append(int(count))

@@ -13,16 +13,9 @@ from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, KinematicsError, RecordingError
+from svmdist.estimation import plane_mapping
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.estimation.plane_mapping import (
-    Calibration,
-    CalibrationSamples,
-    PlaneMapping,
-    Quadratic,
-    SourceFile,
-    fit_calibration,
-)
 from svmdist.geometry import pixel_rays
 from svmdist.kinematics import chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
@@ -48,7 +41,9 @@ from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Setup
 
-PIXELS_AS_THEY_ARE = PlaneMapping("corrected", Quadratic(0.0, 1.0, 0.0), Quadratic(0.0, 1.0, 0.0))
+PIXELS_AS_THEY_ARE = plane_mapping.PlaneMapping(
+    "corrected", plane_mapping.Quadratic(0.0, 1.0, 0.0), plane_mapping.Quadratic(0.0, 1.0, 0.0)
+)
 """The estimator needs a mapping; calibration reads its pixels only."""
 
 
@@ -60,14 +55,14 @@ class CalibrationPart:
     file_name: str
     sha256: str
     camera: Camera
-    samples: CalibrationSamples
+    samples: plane_mapping.CalibrationSamples
 
 
 def collect_part(
     recording: Recording, profile: Profile, method: str, jobs: int | None = None, steps: Steps | None = None
 ) -> CalibrationPart:
     """Pairs of tool pixel and true position in the camera's plane; RecordingError where the log has no true pose."""
-    setup = Setup(profile, method, "corrected", None, PIXELS_AS_THEY_ARE)
+    setup = Setup(profile, method, mapping=PIXELS_AS_THEY_ARE)
     rows = (steps or Steps(None, None)).of(estimate(recording, setup, recording.instruments[:1], jobs))
     results = [result for result in rows if result.measured]
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
@@ -78,11 +73,11 @@ def collect_part(
         tool_px = camera.pinhole.project(pixel_rays(camera, tool_px))
     truth = recording.transform_track(profile.frames.camera, profile.frames.tool, ground_truth=True)
     tool = truth.at(stamps_ns)
-    samples = CalibrationSamples(tool_px[tool.valid], tool.values[tool.valid, :2, 3])
+    samples = plane_mapping.CalibrationSamples(tool_px[tool.valid], tool.values[tool.valid, :2, 3])
     return CalibrationPart(recording.name, recording.path.name, recording.sha256(), camera, samples)
 
 
-def fit_parts(parts: Sequence[CalibrationPart], method: str) -> Calibration:
+def fit_parts(parts: Sequence[CalibrationPart], method: str) -> plane_mapping.Calibration:
     """Fit a calibration; CalibrationError for different cameras, too few frames or too little of the image covered."""
     first = parts[0]
     for part in parts:
@@ -90,15 +85,15 @@ def fit_parts(parts: Sequence[CalibrationPart], method: str) -> Calibration:
             raise CalibrationError(
                 f"recordings of different cameras cannot be calibrated together: {first.name} and {part.name} differ"
             )
-    return fit_calibration(
-        CalibrationSamples(
+    return plane_mapping.fit_calibration(
+        plane_mapping.CalibrationSamples(
             np.concatenate([part.samples.tool_px for part in parts]),
             np.concatenate([part.samples.tool_m for part in parts]),
         ),
         first.camera,
         method,
         created_by=f"svmdist {version('svmdist')}",
-        sources=tuple(SourceFile(name=part.file_name, sha256=part.sha256) for part in parts),
+        sources=tuple(plane_mapping.SourceFile(name=part.file_name, sha256=part.sha256) for part in parts),
     )
 
 

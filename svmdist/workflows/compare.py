@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from svmdist.errors import RecordingError
 from svmdist.metrics import coverage
@@ -13,15 +12,7 @@ from svmdist.recording.log import Recording
 from svmdist.recording.source import Health
 from svmdist.recording.topics import Role
 from svmdist.tracks import DistanceTrack
-from svmdist.workflows.parallel import (
-    Progress,
-    Steps,
-    each_in_processes,
-    image_total,
-    is_worker,
-    step,
-    usable_cores,
-)
+from svmdist.workflows import parallel
 from svmdist.workflows.references import truth_follows_images
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, Setup
@@ -85,20 +76,6 @@ class Figures:
 
 
 @dataclass(frozen=True)
-class Run:
-    """One method on one instrument of one recording under one condition, and the group that it belongs to.
-
-    `statuses` counts the frames by how they ended.
-    """
-
-    group: Group
-    method: str
-    instrument: str
-    figures: Figures
-    statuses: Mapping[str, int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class MethodScore:
     """One method on one group of frames, and the instrument that it measured."""
 
@@ -114,13 +91,15 @@ def compare(
     conditions: Sequence[LogCondition] = (CLEAN,),
     *,
     jobs: int | None = None,
-    on_progress: Progress | None = None,
+    on_progress: parallel.Progress | None = None,
 ) -> list[MethodScore]:
     """Run every setup on every recording under every condition; each process decodes an image once.
 
     Raises RecordingError where a recording has no ground-truth distances, and where there is no image.
     """
-    steps = Steps(on_progress, image_total(recordings, lambda _: len(conditions) * len(setups)))
+    steps = parallel.Steps(
+        on_progress, parallel.image_total(recordings, lambda _: len(conditions) * len(setups))
+    )
     runs = [
         run
         for recording in recordings
@@ -137,88 +116,105 @@ def measure_runs(
     jobs: int | None = None,
     by: GroupBy | None = None,
     advance: Callable[[], None] = lambda: None,
-) -> list[Run]:
-    """A run for every condition, setup and instrument, in that order.
+) -> list[MethodScore]:
+    """A score for every condition, setup and instrument of a recording, in that order.
 
     With several jobs, processes share conditions or methods; `jobs` threads work ahead where nothing can be shared.
     The figures are the same. Raises RecordingError where the recording has no ground-truth distances; another
     instrument than the first is left out where it has none. `advance` is called for every image, condition and setup;
     `by` groups by other metadata than the scenario.
     """
-    jobs = usable_cores() if jobs is None else jobs
+    jobs = parallel.usable_cores() if jobs is None else jobs
     first, *others = recording.instruments
     role = Role.GROUND_TRUTH_DISTANCE
     names = [first, *(name for name in others if recording.for_instrument(name).topic_of(role) is not None)]
     truths = {name: recording.for_instrument(name).distance_track() for name in names}
-    parts = _parts(recording, truths, dict(enumerate(conditions)), dict(enumerate(setups)), jobs)
-    if jobs > 1 and len(parts) > 1 and recording.origin is not None and not is_worker():
-        measured = [found for _, found in each_in_processes(_measured_part, parts, jobs, on_step=advance)]
+    parts = _parts(setups, len(conditions), jobs)
+    if jobs == 1 or len(parts) == 1 or recording.origin is None or parallel.is_worker():
+        parts = [(range(len(conditions)), range(len(setups)))]
+    work = _Work(recording, truths, conditions, setups, max(1, jobs // len(parts)))
+    if len(parts) > 1:
+        ended = [
+            found for _, found in parallel.each_in_processes(work.in_worker, parts, jobs, on_step=advance)
+        ]
         # Methods that need both views lose what others lose, and right images: their list has all in file order.
-        for _, health in sorted(measured, key=lambda one: -len(one[1].losses)):
+        for _, health in sorted(ended, key=lambda one: -len(one[1].losses)):
             recording.health.join(health)
-        found = {place: runs for runs_at, _ in measured for place, runs in runs_at.items()}
+        found = {place: figures for figures_at, _ in ended for place, figures in figures_at.items()}
     else:
-        whole = _Part(recording, truths, dict(enumerate(conditions)), dict(enumerate(setups)), jobs)
-        found = whole.measure(advance)
+        found = work.measure(parts[0], advance)
     return [
-        Run(group_of(recording, conditions[at], name, by), setups[of].method, name, figures, dict(statuses))
-        for at, of in sorted(found)
-        for name, (figures, statuses) in found[at, of].items()
+        MethodScore(group_of(recording, conditions[at], name, by), setups[of].method, figures, name)
+        for (at, of, name), figures in sorted(found.items(), key=lambda one: one[0][:2])
     ]
 
 
-Found = dict[tuple[int, int], dict[str, tuple[Figures, Counter[str]]]]
+Part = tuple[Sequence[int], Sequence[int]]
+"""What one process measures: the places of its conditions and of its setups."""
+Found = dict[tuple[int, int, str], Figures]
 """By the places of condition and setup, and by instrument."""
 
 
+def _parts(setups: Sequence[Setup], condition_count: int, jobs: int) -> list[Part]:
+    """Deal the work out to processes: by conditions, and by methods where those are too few.
+
+    A part reads and decodes the recording once more, so that there are no more of them than even the load.
+    """
+    size = -(-condition_count // min(condition_count, CHUNKS_PER_PROCESS * jobs))
+    chunks = [range(start, min(start + size, condition_count)) for start in range(0, condition_count, size)]
+    groups: list[Sequence[int]] = [range(len(setups))]
+    if len(chunks) < jobs:
+        with_fused = [at for at, setup in enumerate(setups) if setup.method in WITH_FUSED]
+        rest = [at for at in range(len(setups)) if at not in with_fused]
+        groups = [group for group in (with_fused, rest) if group]
+    return [(chunk, group) for chunk in chunks for group in groups]
+
+
 @dataclass(frozen=True)
-class _Part:
-    """What one process measures: some methods under some conditions, by their places among all, with some threads."""
+class _Work:
+    """A recording, the true distances of its instruments, and all that it is measured by, with so many threads."""
 
     recording: Recording
     truths: Mapping[str, DistanceTrack]
-    conditions: Mapping[int, LogCondition]
-    setups: Mapping[int, Setup]
+    conditions: Sequence[LogCondition]
+    setups: Sequence[Setup]
     threads: int
 
-    def measure(self, advance: Callable[[], None]) -> Found:
+    def in_worker(self, part: Part) -> tuple[Found, Health]:
+        return self.measure(part, parallel.step), self.recording.health
+
+    def measure(self, part: Part, advance: Callable[[], None]) -> Found:
         """One pass over the log for all conditions of its images, and one for every perturbed world."""
-        images = [at for at, one in self.conditions.items() if not isinstance(one, PerturbedCondition)]
-        worlds = [[at] for at in self.conditions if at not in images]
+        places, setups_at = part
+        images = [at for at in places if not isinstance(self.conditions[at], PerturbedCondition)]
+        passes = [images, *([at] for at in places if at not in images)]
         return {
-            key: found for at in [images, *worlds] if at for key, found in self._one_pass(at, advance).items()
+            key: found for at in passes if at for key, found in self._one_pass(at, setups_at, advance).items()
         }
 
-    def _one_pass(self, at: Sequence[int], advance: Callable[[], None]) -> Found:
+    def _one_pass(self, at: Sequence[int], setups_at: Sequence[int], advance: Callable[[], None]) -> Found:
         conditions = [self.conditions[place] for place in at]
-        setups, profile = list(self.setups.values()), next(iter(self.setups.values())).profile
-        read, told = self.recording, setups
+        read, setups, profile = self.recording, [self.setups[of] for of in setups_at], self.setups[0].profile
         for condition in conditions:
             if isinstance(condition, PerturbedCondition):  # alone
                 read = self.recording.perturbed(condition.perturbations, profile)
-                told = [setup.perturbed(condition.perturbations, read.world_seed) for setup in setups]
-        lanes = [(place, of) for place in at for of in self.setups]
-        tallies = {lane: {name: _Tally() for name in self.truths} for lane in lanes}
-        for replayed in replay(read, told, conditions, wanted=list(self.truths), jobs=self.threads):
-            for lane, of_lane in zip(replayed, tallies.values(), strict=True):
-                for result, seconds, tally in zip(lane.results, lane.seconds, of_lane.values(), strict=True):
-                    tally.seconds += seconds
-                    tally.statuses[str(result.status)] += 1
-                    if result.measured:
-                        tally.readings.add(result)
+                setups = [setup.perturbed(condition.perturbations, read.world_seed) for setup in setups]
+        keys = [(place, of, name) for place in at for of in setups_at for name in self.truths]
+        readings, seconds = {key: Readings() for key in keys}, dict.fromkeys(keys, 0.0)
+        for replayed in replay(read, setups, conditions, wanted=list(self.truths), jobs=self.threads):
+            results = [pair for lane in replayed for pair in zip(lane.results, lane.seconds, strict=True)]
+            for key, (result, spent_s) in zip(keys, results, strict=True):
+                readings[key].add(result)
+                seconds[key] += spent_s
+            for _ in replayed:
                 advance()
         late_ns = {
             name: _truth_late_ns(read.for_instrument(name), profile.for_instrument(name))
             for name in self.truths
         }
         return {
-            lane: {name: tally.figures(self.truths[name], late_ns[name]) for name, tally in of_lane.items()}
-            for lane, of_lane in tallies.items()
+            key: _figures(readings[key], self.truths[key[2]], late_ns[key[2]], seconds[key]) for key in keys
         }
-
-
-def _measured_part(part: _Part) -> tuple[Found, Health]:
-    return part.measure(step), part.recording.health
 
 
 def _truth_late_ns(read: Recording, profile: Profile) -> int:
@@ -226,50 +222,11 @@ def _truth_late_ns(read: Recording, profile: Profile) -> int:
     return 0 if read.lag is None or truth_follows_images(read, profile) else read.lag.lag_ns
 
 
-class _Tally:
-    """One method on one instrument under one condition while the frames pass by: numbers, no image."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-        self.statuses: Counter[str] = Counter()
-        self.readings = Readings()
-
-    def figures(self, truth: DistanceTrack, late_ns: int) -> tuple[Figures, Counter[str]]:
-        sampled = truth.at(self.readings.stamps_ns - late_ns)
-        planar, spatial, clearance = (score_pairs(self.readings.pairs(one, sampled)) for one in DISTANCES)
-        count, measured_count = self.statuses.total(), len(self.readings)
-        return Figures(count, measured_count, planar, spatial, clearance, self.seconds), self.statuses
-
-
-def _parts(
-    recording: Recording,
-    truths: Mapping[str, DistanceTrack],
-    conditions: Mapping[int, LogCondition],
-    setups: Mapping[int, Setup],
-    jobs: int,
-) -> list[_Part]:
-    """Deal the work out to processes: by conditions, and by methods where those are too few.
-
-    A part reads and decodes the recording once more, so that there are no more of them than even the load.
-    """
-    size = -(-len(conditions) // min(len(conditions), CHUNKS_PER_PROCESS * jobs))
-    starts = range(0, len(conditions), size)
-    groups = [list(setups)]
-    if len(starts) < jobs:
-        with_fused = [at for at, setup in setups.items() if setup.method in WITH_FUSED]
-        groups = [group for group in (with_fused, [at for at in setups if at not in with_fused]) if group]
-    threads = max(1, jobs // (len(starts) * len(groups)))
-    return [
-        _Part(
-            recording,
-            truths,
-            {at: conditions[at] for at in range(start, min(start + size, len(conditions)))},
-            {at: setups[at] for at in group},
-            threads,
-        )
-        for start in starts
-        for group in groups
-    ]
+def _figures(readings: Readings, truth: DistanceTrack, late_ns: int, seconds: float) -> Figures:
+    sampled = truth.at(readings.stamps_ns - late_ns)
+    planar, spatial, clearance = (score_pairs(readings.pairs(one, sampled)) for one in DISTANCES)
+    count = len(readings)
+    return Figures(count, count - readings.rejected.total(), planar, spatial, clearance, seconds)
 
 
 def group_of(
@@ -291,9 +248,7 @@ def group_of(
 
 def pooled_figures(figures: Sequence[Figures]) -> Figures:
     """Several figures as one."""
-    planar, spatial, clearance = (
-        pooled_score([getattr(one, of.name) for one in figures]) for of in DISTANCES
-    )
+    planar, spatial, clearance = (pooled_score([getattr(one, name) for one in figures]) for name in DISTANCES)
     return Figures(
         sum(one.frame_count for one in figures),
         sum(one.measured_count for one in figures),
@@ -304,38 +259,42 @@ def pooled_figures(figures: Sequence[Figures]) -> Figures:
     )
 
 
-def compared(runs: Sequence[Run], methods: Sequence[str]) -> list[MethodScore]:
-    """The scores of runs, by group and over groups; RecordingError where there is no image.
+def compared(runs: Sequence[MethodScore], methods: Sequence[str]) -> list[MethodScore]:
+    """The scores of recordings by group and over groups; RecordingError where there is no image.
 
     Scores stand per scenario and degradation; then, where there are several of both, per degradation over all
     scenarios; then over all.
     """
     if not any(run.figures.frame_count for run in runs):
         raise RecordingError("there is no image to measure in these recordings")
-    groups = list(dict.fromkeys(run.group for run in runs))
-    scores = _scores([(run.group, run) for run in runs], methods)
-    if len({group.degradation for group in groups}) > 1 and len({group.scenario for group in groups}) > 1:
-        of_all = [
-            (Group(ALL, run.group.degradation or UNDEGRADED, run.group.other_instrument), run) for run in runs
-        ]
-        scores += _scores(of_all, methods)
-    if len({(group.scenario, group.degradation) for group in groups}) > 1:
-        scores += _scores([(Group(ALL, ALL, run.group.other_instrument), run) for run in runs], methods)
+    kinds = {(run.group.scenario, run.group.degradation) for run in runs}
+    scores = _pooled(runs, methods)
+    if all(len(set(several)) > 1 for several in zip(*kinds, strict=True)):
+        scores += _pooled(
+            [
+                replace(
+                    run,
+                    group=replace(run.group, scenario=ALL, degradation=run.group.degradation or UNDEGRADED),
+                )
+                for run in runs
+            ],
+            methods,
+        )
+    if len(kinds) > 1:
+        of_all = [replace(run, group=replace(run.group, scenario=ALL, degradation=ALL)) for run in runs]
+        scores += _pooled(of_all, methods)
     return scores
 
 
-def _scores(runs: Iterable[tuple[Group, Run]], methods: Sequence[str]) -> list[MethodScore]:
+def _pooled(runs: Sequence[MethodScore], methods: Sequence[str]) -> list[MethodScore]:
     """The scores of each group, in the order of the methods."""
-    members: dict[Group, list[Run]] = {}
-    for group, run in runs:
-        members.setdefault(group, []).append(run)
+    members: dict[Group, list[MethodScore]] = {}
+    for run in runs:
+        members.setdefault(run.group, []).append(run)
     return [
-        MethodScore(
-            group,
-            method,
-            pooled_figures([run.figures for run in of if run.method == method]),
-            of[0].instrument,
+        replace(
+            of[0], method=method, figures=pooled_figures([run.figures for run in of if run.method == method])
         )
-        for group, of in members.items()
+        for of in members.values()
         for method in dict.fromkeys(methods)
     ]

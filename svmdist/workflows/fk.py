@@ -6,51 +6,34 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.errors import RecordingError
 from svmdist.kinematics import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Window
-from svmdist.tracks import MAX_GAP_NS, TransformTrack
-from svmdist.transforms import Array, inverse, rotation_angle
+from svmdist.transforms import Array, Stamps, inverse, rotation_angle
 from svmdist.workflows.parallel import Progress
 
 BLOCK = 1 << 14
 
 
 @dataclass(frozen=True)
-class PoseErrors:
-    """Kinematics against a pose topic: position error, shape (n,) in m, and angle, shape (n,) in rad.
-
-    `frame_id` is the frame of the topic's poses. Where it is not the chain's base, a constant offset
-    between the frames is part of the error.
-    """
-
-    stamps_ns: NDArray[np.int64]
-    position_m: Array
-    angle_rad: Array
-    frame_id: str
-    unpaired_count: int
-
-
-@dataclass(frozen=True)
 class PoseBlock:
     """Some thousand poses of the tool, (n, 4, 4) in the base's frame or the camera's, at the joint states' stamps.
 
-    `errors` are those against a pose topic, in the base's frame; None where the log has none.
+    `errors`, (m, 2), are those of all joint states against the log's pose topic: position in m and angle in rad, NaN
+    without a pose. Where its frame is not the chain's base, a constant offset between the frames is part of them.
     """
 
-    stamps_ns: NDArray[np.int64]
+    stamps_ns: Stamps
     poses: Array
-    errors: PoseErrors | None
+    errors: Array
 
 
 def fk_blocks(
     recording: Recording,
     profile: Profile,
-    max_gap_ns: int = MAX_GAP_NS,
     *,
     in_camera: bool = False,
     window: Window | None = None,
@@ -59,8 +42,8 @@ def fk_blocks(
     """Yield the tool's pose for every joint state of a recording, or those in a window, by the profile's chain.
 
     With `in_camera` in the camera's frame, by the transform of a hand-eye file or of the log; joint states without a
-    transform at their stamp are left out. `on_progress` hears when the joint states are read. Raises, before the first
-    block, RecordingError where there are no joint states, no transform, or the profile has no chain, and
+    transform at their stamp are left out. `on_progress` is called when the joint states are read. Raises, before the
+    first block, RecordingError where there are no joint states, no transform, or the profile has no chain, and
     KinematicsError where the chain's joints are not in them.
     """
     if profile.robot is None:
@@ -81,23 +64,13 @@ def fk_blocks(
     for start in range(0, len(q), BLOCK):
         at_ns = stamps_ns[start : start + BLOCK]
         T = forward_kinematics(chain, q[start : start + BLOCK])
-        errors = None if poses is None else _errors(at_ns, T, poses, max_gap_ns)
+        errors = np.full((len(T), 2), np.nan)
+        if poses is not None:
+            measured = poses.at(at_ns)
+            difference = inverse(T[measured.valid]) @ measured.values[measured.valid]
+            errors[measured.valid, 0] = np.linalg.norm(difference[:, :3, 3], axis=-1)
+            errors[measured.valid, 1] = rotation_angle(difference[:, :3, :3], np.eye(3))
         if base is not None:
-            T_camera_base = base.at(at_ns, max_gap_ns)
+            T_camera_base = base.at(at_ns)
             at_ns, T = at_ns[T_camera_base.valid], (T_camera_base.values @ T)[T_camera_base.valid]
         yield PoseBlock(at_ns, T, errors)
-
-
-def _errors(
-    stamps_ns: NDArray[np.int64], T_base_tool: Array, poses: TransformTrack, max_gap_ns: int
-) -> PoseErrors:
-    measured = poses.at(stamps_ns, max_gap_ns)
-    valid = measured.valid
-    difference = inverse(T_base_tool[valid]) @ measured.values[valid]
-    return PoseErrors(
-        stamps_ns[valid],
-        np.linalg.norm(difference[:, :3, 3], axis=-1),
-        rotation_angle(difference[:, :3, :3], np.eye(3)),
-        poses.parent,
-        int(np.count_nonzero(~valid)),
-    )

@@ -22,8 +22,8 @@ from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
 from svmdist.samples import Image, Vector
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
+from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.frame_context import as_pinholes
-from svmdist.vision.segmentation import AutoSegmenter
 from svmdist.vision.stereo import StereoPlane, fit_plane
 from svmdist.workflows.capabilities import observations_of
 

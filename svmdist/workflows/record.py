@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, suppress
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+import numpy as np
 
 from svmdist.errors import OutputError, RecordingError, SvmdistError, UsageError
 from svmdist.perturbations.chosen import Perturbations, draw_world
@@ -18,21 +21,14 @@ from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.plan import Block, Plan, make_plan
 from svmdist.simulation.scene import Options
-from svmdist.simulation.simulate import NoiseStates, Sensors, Simulator
-from svmdist.workflows.parallel import (
-    WorkerDiedError,
-    each_in_processes,
-    in_order,
-    one_opencv_thread,
-    process_pool,
-    usable_cores,
-)
+from svmdist.simulation.simulate import Sensors, Simulator
+from svmdist.workflows import parallel
 
 VERSIONED_PACKAGES = ("svmdist", "pybullet", "numpy", "opencv-python-headless")
 FRAMES_PER_WORKER = 12
 """What a worker's start costs, about a second, is what so many images take: below this, one worker less is faster."""
 
-Task = tuple[list[Block], NoiseStates]
+Task = tuple[list[Block], list[np.random.Generator]]
 
 
 @dataclass(frozen=True)
@@ -75,7 +71,7 @@ def record(
     try:
         with writer:
             plan = make_plan(scenario, profile, noise=noise, options=options)
-            with closing(encoded_samples(plan, jobs or usable_cores(), jpeg_quality)) as samples:
+            with closing(encoded_samples(plan, jobs or parallel.usable_cores(), jpeg_quality)) as samples:
                 for topic, sample in samples:
                     writer.write(topic, sample)
                     message_count += 1
@@ -83,7 +79,7 @@ def record(
                         frame_count += 1
                         if on_progress is not None:
                             on_progress(frame_count, scenario.frame_count)
-    except WorkerDiedError:
+    except parallel.WorkerDiedError:
         writer.part_path.unlink(missing_ok=True)
         raise
     return Recorded(output, frame_count, message_count, output.stat().st_size)
@@ -124,58 +120,58 @@ def encoded_samples(
     """
     require_pybullet()  # before there are workers, each of which would report it
     workers = min(jobs, len(plan.blocks) // FRAMES_PER_WORKER)
-    with one_opencv_thread():  # the cores are taken
+    with parallel.one_opencv_thread():  # the cores are taken
         if workers <= 1:
             with Simulator(plan) as simulator:
-                for block in plan.blocks:
-                    for topic, sample in simulator.samples(block, simulator.sensors.draw_noise()):
-                        yield topic, encode(sample, jpeg_quality)
+                yield from _encoded(simulator, plan.blocks, jpeg_quality)
             return
-        with process_pool(workers, _begin, (plan, jpeg_quality)) as pool:
-            for encoded in in_order(_work, _tasks(plan), workers, pool):
+        with parallel.process_pool(workers, _begin, (plan, jpeg_quality)) as pool:
+            for encoded in parallel.in_order(_work, _tasks(plan), workers, pool):
                 yield from encoded
 
 
+def _encoded(
+    simulator: Simulator, blocks: Sequence[Block], jpeg_quality: int | None
+) -> Iterator[tuple[str, EncodedSample]]:
+    for block in blocks:
+        for topic, sample in simulator.samples(block, simulator.sensors.draw_noise()):
+            yield topic, encode(sample, jpeg_quality)
+
+
 def _tasks(plan: Plan) -> Iterator[Task]:
-    """The blocks of each task, and the state of the noise before it.
+    """The blocks of each task, and the random streams of the noise before it.
 
     A task has an even number of pictures, which spares the renderer a turn (see `DrawnWorld`).
     """
     sensors = Sensors(plan.scene.camera, plan.scene.seed, plan.noise, plan.options)
-    all_blocks = plan.blocks
     size = 1 if plan.options.stereo else 2
-    for begin in range(0, len(all_blocks), size):
-        blocks = all_blocks[begin : begin + size]
-        yield blocks, sensors.noise_states
+    for begin in range(0, len(plan.blocks), size):
+        blocks = plan.blocks[begin : begin + size]
+        yield blocks, deepcopy(sensors.generators)
         for _ in blocks:
             sensors.draw_noise()
 
 
-_plan: Plan | None = None
-_jpeg_quality: int | None = None
-"""In a worker: what it records."""
+_recorded: tuple[Plan, int | None] | None = None
+"""In a worker: what it records, and the quality of JPEG."""
 
 
 def _begin(plan: Plan, jpeg_quality: int | None) -> None:
-    global _plan, _jpeg_quality
-    _plan, _jpeg_quality = plan, jpeg_quality
+    global _recorded  # noqa: PLW0603  (a worker has nothing else that outlives a task)
+    _recorded = plan, jpeg_quality
 
 
 @cache
 def _worlds() -> Simulator:
     """The physics worlds of this worker, for all its tasks."""
-    assert _plan is not None  # the worker has begun
-    return Simulator(_plan)
+    assert _recorded is not None  # the worker has begun
+    return Simulator(_recorded[0])
 
 
 def _work(task: Task) -> list[tuple[str, EncodedSample]]:
     simulator = _worlds()
-    blocks, simulator.sensors.noise_states = task
-    encoded: list[tuple[str, EncodedSample]] = []
-    for block in blocks:
-        for topic, sample in simulator.samples(block, simulator.sensors.draw_noise()):
-            encoded.append((topic, encode(sample, _jpeg_quality)))
-    return encoded
+    blocks, simulator.sensors.generators = task
+    return list(_encoded(simulator, blocks, _recorded[1] if _recorded else None))
 
 
 SEED, NUMBER = "{seed}", "{episode}"
@@ -201,10 +197,10 @@ def episode_paths(output: Path, scenario: str, first_seed: int, count: int) -> l
     The folder is made. Raises UsageError for a name that would be the same for all, and OutputError.
     """
     seeds = range(first_seed, first_seed + count)
-    text = str(output)
-    if SEED in text or NUMBER in text:
+    if SEED in str(output) or NUMBER in str(output):
+        width = len(str(count))
         paths = [
-            Path(text.replace(SEED, str(seed)).replace(NUMBER, f"{number:0{len(str(count))}d}"))
+            Path(str(output).replace(SEED, str(seed)).replace(NUMBER, f"{number:0{width}d}"))
             for number, seed in enumerate(seeds, 1)
         ]
     elif output.suffix.lower() == ".mcap":
@@ -241,7 +237,9 @@ def record_episodes(
                     )
     found: dict[int, Recorded] = {}
     try:
-        with closing(_recorded(episodes, paths, usable_cores() if jobs is None else jobs)) as done:
+        with closing(
+            _each_recorded(episodes, paths, parallel.usable_cores() if jobs is None else jobs)
+        ) as done:
             for number, episode in done:
                 found[number] = replace(episode, path=paths[number])
                 if on_progress is not None:
@@ -254,14 +252,14 @@ def record_episodes(
     return [found[number] for number in range(len(paths))]
 
 
-def _recorded(episodes: Episodes, paths: Sequence[Path], jobs: int) -> Generator[tuple[int, Recorded]]:
+def _each_recorded(episodes: Episodes, paths: Sequence[Path], jobs: int) -> Generator[tuple[int, Recorded]]:
     numbered, workers = list(enumerate(paths)), min(jobs, len(paths))
     if workers <= 1:
         for number, path in numbered:
             yield number, record_episode(episodes, jobs, (number, path))
         return
-    died = Recorded(Path(), failure=str(WorkerDiedError()))
-    yield from each_in_processes(partial(record_episode, episodes, 1), numbered, workers, died=died)
+    died = Recorded(Path(), failure=str(parallel.WorkerDiedError()))
+    yield from parallel.each_in_processes(partial(record_episode, episodes, 1), numbered, workers, died=died)
 
 
 def record_episode(episodes: Episodes, jobs: int, numbered: tuple[int, Path]) -> Recorded:

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, TypedDict
 import numpy as np
 
 from svmdist.estimation.frame import Frame, Needs, prefetch
-from svmdist.estimation.methods import Estimator
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile import AutoSegmentation, Profile
 from svmdist.recording.log import Recording
@@ -29,7 +28,7 @@ from svmdist.results import Failure, FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection
 from svmdist.transforms import Array
 from svmdist.vision.frame_context import as_pinholes, seen_through, to_grey, with_first_fields
-from svmdist.vision.segmentation import AutoSegmenter, Segmenter
+from svmdist.vision.segmentation import LearningSegmenter, Segmenter
 from svmdist.vision.stereo import RowOffset, agreed_offset, rectified_pair, row_differences
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
 from svmdist.workflows.request import CLEAN, ReplayCondition, Setup
@@ -87,7 +86,7 @@ def adapted_segmenters(
     segmenter: Segmenter, recording: Recording, conditions: Sequence[ReplayCondition]
 ) -> list[Segmenter]:
     """The segmenter for each condition: one that learns has seen images of all of the log under that condition."""
-    if not isinstance(segmenter, AutoSegmenter):
+    if not isinstance(segmenter, LearningSegmenter):
         return [segmenter for _ in conditions]
     seen = spread_observations(recording, segmenter.adapting_frames)
     return [
@@ -160,21 +159,16 @@ class Place(TypedDict):
 
 
 class MultiInstrumentEstimator:
-    """One method on every wanted instrument of a recording, each with an estimator of its own."""
+    """One method on every wanted instrument of a recording, each with an estimator of its own.
+
+    `keeps_state`: whether a result depends on earlier frames; `needs`: the detections that the method asks for.
+    """
 
     def __init__(self, setup: Setup, arms: Sequence[Arm]) -> None:
-        self._estimators: list[Estimator] = [setup.estimator_for(arm) for arm in arms]
+        self._estimators = [setup.estimator_for(arm) for arm in arms]
         self._arms = tuple(arms)
-
-    @property
-    def needs(self) -> Needs:
-        """The detections that the method asks for."""
-        return self._estimators[0].needs
-
-    @property
-    def keeps_state(self) -> bool:
-        """Whether a result depends on earlier frames."""
-        return self._estimators[0].keeps_state
+        self.needs: Needs = self._estimators[0].needs
+        self.keeps_state: bool = self._estimators[0].keeps_state
 
     def estimate(self, frames: Sequence[Frame], place: Place, spent_s: Mapping[str, float]) -> Replayed:
         """Measure one image: a frame for each instrument; `spent_s`: what detections computed ahead took."""
@@ -207,17 +201,8 @@ def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
 
 
 @dataclass(frozen=True)
-class _Prepared:
-    """A decoded frame, and what of it is known for each condition before the frame before it is done."""
-
-    place: Place
-    decoded: Decoded
-    conditions: tuple[_Ahead, ...] = ()
-
-
-@dataclass(frozen=True)
 class _Ahead:
-    """A scene; the frame of its only instrument, None where instruments are to be told apart; what is measured.
+    """Of a frame under a condition: its scene; the frame of its only instrument, None where several are associated.
 
     `measured` has an entry for each method, None for one that waits for the frame before.
     """
@@ -226,6 +211,10 @@ class _Ahead:
     frames: list[Frame] | None
     measured: tuple[Replayed | None, ...]
     spent_s: Mapping[str, float]
+
+
+_Prepared = tuple[Place, Decoded, list[_Ahead]]
+"""Which frame, decoded, and what of it is known for each condition before the frame before it is done."""
 
 
 class _Replay:
@@ -272,21 +261,19 @@ class _Replay:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
         logged = ReadNeeds(joints=robot, transforms=robot, right=right)
-        numbered = self._recording.numbered_observations(self._recording.instruments, logged)
+        encoded = self._recording.encoded_observations(self._recording.instruments, logged)
         with one_opencv_thread():
-            for prepared in in_order(self._prepare, numbered, jobs):
+            for prepared in in_order(self._prepare, encoded, jobs):
                 yield tuple(self._measure(prepared))
 
-    def _prepare(self, numbered: tuple[int, int, EncodedObservation]) -> _Prepared:
+    def _prepare(self, encoded: EncodedObservation) -> _Prepared:
         """Whatever of a frame needs no other one."""
-        number, at_ns, encoded = numbered
-        place = Place(number=number, seconds=at_ns * 1e-9)
+        place = Place(number=encoded.number, seconds=encoded.at_ns * 1e-9)
         decoded = encoded.decode()
         found = decoded.found
         if isinstance(found, Rejection):
-            return _Prepared(place, decoded)
-        ahead = [self._look(at, place, found) for at in range(len(self._conditions))]
-        return _Prepared(place, decoded, tuple(ahead))
+            return place, decoded, []
+        return place, decoded, [self._look(at, place, found) for at in range(len(self._conditions))]
 
     def _look(self, at: int, place: Place, found: tuple[Observation, ...]) -> _Ahead:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
@@ -303,22 +290,19 @@ class _Replay:
         return _Ahead(scene, frames, tuple(measured), spent_s)
 
     def _measure(self, prepared: _Prepared) -> Iterator[Replayed]:
-        found = self._recording.record_losses(prepared.decoded)
+        place, decoded, conditions = prepared
+        found = self._recording.record_losses(decoded)
         if isinstance(found, Rejection):
-            lost = tuple(
-                replace(FrameResult.of_rejection(found, name), **prepared.place) for name in self._wanted
-            )
-            for _ in self._conditions:
-                yield from (Replayed(lost, (0.0,) * len(lost)) for _ in self._lanes[0])
+            lost = tuple(replace(FrameResult.of_rejection(found, name), **place) for name in self._wanted)
+            for lanes in self._lanes:
+                yield from (Replayed(lost, (0.0,) * len(lost)) for _ in lanes)
             return
-        for ahead, association, lanes in zip(
-            prepared.conditions, self._associations, self._lanes, strict=True
-        ):
+        for ahead, association, lanes in zip(conditions, self._associations, self._lanes, strict=True):
             every = ahead.frames
             if every is None and association is not None:
                 every = association.frames(ahead.scene, found)
             assert every is not None  # one instrument, or an association
-            chosen = [every[place] for place in self._places]
+            chosen = [every[at] for at in self._places]
             for lane, known in zip(lanes, ahead.measured, strict=True):
-                replayed = known or lane.estimate(chosen, prepared.place, ahead.spent_s)
+                replayed = known or lane.estimate(chosen, place, ahead.spent_s)
                 yield replace(replayed, image_bgr=found[0].image_bgr)

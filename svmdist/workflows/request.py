@@ -10,64 +10,45 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, UsageError, did_you_mean
+from svmdist.estimation import plane_mapping
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
-from svmdist.estimation.plane_mapping import (
-    PUBLISHED_MAPPING,
-    Calibration,
-    Equations,
-    PlaneMapping,
-    degeneracies,
-    load_calibration,
-)
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.tissue import require_tissue
 from svmdist.files import LogPath
 from svmdist.perturbations.calibration import stated_profile
 from svmdist.perturbations.chosen import Perturbations, require_at_replay
+from svmdist.perturbations.images import perturbed_image, perturbed_right_view
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.log import KnownLag, Recording, open_recording
-from svmdist.recording.observations import Reading, Window
+from svmdist.recording.observations import ALL_IMAGES, Window
 from svmdist.recording.topics import Role
 from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation
+from svmdist.vision import degradations
 from svmdist.vision.segmentation import Segmenter, make_segmenter
 from svmdist.workflows.references import TruthRules
 
-if TYPE_CHECKING:
-    from svmdist.vision.degradations import Blur, Degradation
-
-
 REPLAY_SEED = 36
 LEFT, RIGHT = 0, 1
-
-
-class ReplayCondition(Protocol):
-    """What is done to the images of a log before they are measured."""
-
-    def apply(self, observation: Observation, frame: int, /) -> Observation:
-        """Change the images of the n-th frame, the right one too."""
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
     """A degradation of a severity of 1 to 5, or nothing; raises UsageError for a wrong name or severity."""
 
-    name: Degradation | None = None
+    name: degradations.Degradation | None = None
     severity: int = 0
 
     def __post_init__(self) -> None:
         if self.name is not None:
-            from svmdist.vision.degradations import require_degradation
-
-            require_degradation(self.name, self.severity)
+            degradations.require_degradation(self.name, self.severity)
 
     def __str__(self) -> str:
         return "" if self.name is None else f"{self.name}={self.severity}"
@@ -77,14 +58,15 @@ class Condition:
         name, severity = self.name, self.severity
         if name is None:
             return observation
-        from svmdist.vision.degradations import Degradation, degrade, image_seed
-
         # The image itself tells logs apart, whatever their names and order. The severity plays no part: glints
         # and plumes of one are those of the next, only more of them.
         content = zlib.crc32(np.ascontiguousarray(observation.image_bgr).data)
-        path = (REPLAY_SEED, list(Degradation).index(name), frame, content)
+        path = (REPLAY_SEED, list(degradations.Degradation).index(name), frame, content)
         return _changed(
-            observation, lambda image, side: degrade(image, name, severity, image_seed(name, side, *path))
+            observation,
+            lambda image, side: degradations.degrade(
+                image, name, severity, degradations.image_seed(name, side, *path)
+            ),
         )
 
 
@@ -105,8 +87,6 @@ class PerturbedCondition:
 
     def apply(self, observation: Observation, _frame: int) -> Observation:
         """Change the images; joints and calibration are those of `Recording.perturbed`."""
-        from svmdist.perturbations.images import perturbed_image, perturbed_right_view
-
         image, right = observation.image_bgr, observation.right
         return replace(
             observation,
@@ -123,14 +103,18 @@ LogCondition = Condition | PerturbedCondition
 class BlurCondition:
     """One of the paper's blurs with a kernel in px."""
 
-    blur: Blur
+    blur: degradations.Blur
     kernel_px: int
 
     def apply(self, observation: Observation, _frame: int) -> Observation:
         """Blur the images."""
-        from svmdist.vision.degradations import apply_blur
+        return _changed(
+            observation, lambda image, _: degradations.apply_blur(image, self.blur, self.kernel_px)
+        )
 
-        return _changed(observation, lambda image, _: apply_blur(image, self.blur, self.kernel_px))
+
+ReplayCondition = LogCondition | BlurCondition
+"""What is done to the images of a log before they are measured."""
 
 
 def _changed(observation: Observation, change: Callable[[Image, int], Image]) -> Observation:
@@ -164,7 +148,7 @@ class OwnEstimator:
     needs = Needs(right_view=True)
 
     def __init__(self, method: OwnMethod) -> None:
-        self.name = name_of(method)
+        self.name = str(getattr(method, "name", type(method).__name__))
         self._method = copy.deepcopy(method)
 
     def estimate(self, frame: Frame) -> FrameResult:
@@ -177,11 +161,6 @@ class OwnEstimator:
         return result
 
 
-def name_of(method: OwnMethod) -> str:
-    """What an own method is called in results."""
-    return str(getattr(method, "name", type(method).__name__))
-
-
 @dataclass(frozen=True)
 class Setup:
     """Everything that turns a recording into results. Make it with `prepare`.
@@ -191,16 +170,16 @@ class Setup:
 
     profile: Profile
     method: str
-    equations: Equations
-    calibration: Calibration | None
-    mapping: PlaneMapping | None = None
+    equations: plane_mapping.Equations = "corrected"
+    calibration: plane_mapping.Calibration | None = None
+    mapping: plane_mapping.PlaneMapping | None = None
     own: OwnMethod | None = None
     """A user's own method, in place of one of svmdist's."""
 
     @staticmethod
     def reading(profile: str, hand_eye: Path | None = None) -> Setup:
         """A setup by which logs are read, and nothing is measured; raises ProfileError."""
-        return Setup(load_profile(profile, hand_eye), "kinematic", "corrected", None)
+        return Setup(load_profile(profile, hand_eye), "kinematic")
 
     @cached_property
     def segmenter(self) -> Segmenter:
@@ -245,7 +224,11 @@ class Setup:
 
     def degeneracies(self, camera: Camera) -> list[str]:
         """Sentences about where the equations cannot be right for this camera's image."""
-        return degeneracies(self.mapping, camera.width_px, camera.height_px) if self.mapping else []
+        return (
+            plane_mapping.degeneracies(self.mapping, camera.width_px, camera.height_px)
+            if self.mapping
+            else []
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         """Another process makes its own segmenter: a network cannot be sent there."""
@@ -272,7 +255,7 @@ class Request:
     def open(self, path: LogPath, name: str) -> Recording:
         """Open a log under a name; raises RecordingError, or UsageError for an unknown role."""
         recording = open_recording(path, self.setup.profile, topics=dict(self.topics))
-        recording = recording.read_as(Reading(name, self.window))
+        recording = replace(recording, alias=name, window=self.window or ALL_IMAGES)
         found = [f"{role} {topic}" for role in Role if (topic := recording.topic_of(role))]
         LOG.debug("%s: %s: %s", name, path, ", ".join(found))
         return recording
@@ -281,7 +264,7 @@ class Request:
 def prepare(
     profile: str | Path | Profile = DEFAULT_PROFILE,
     method: str | OwnMethod = "overlay",
-    equations: Equations = "corrected",
+    equations: plane_mapping.Equations = "corrected",
     calibration: Path | None = None,
     hand_eye: Path | None = None,
 ) -> Setup:
@@ -290,14 +273,13 @@ def prepare(
     A planar method needs a calibration: the given one, else the one that ships beside the profile. `hand_eye` is a
     file of camera-to-base transforms in place of the profile's. Raises ProfileError, CalibrationError or UsageError.
     """
-    if not isinstance(method, str):
-        loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
-        return Setup(loaded, name_of(method), equations, None, own=method)
-    if method not in METHODS:
+    if isinstance(method, str) and method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
     if equations not in ("corrected", "printed"):
         raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
     loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
+    if not isinstance(method, str):
+        return Setup(loaded, OwnEstimator(method).name, equations, own=method)
     is_planar, is_printed = method in PLANAR_METHODS, equations == "printed"
     if not is_planar and (is_printed or calibration is not None):
         option = "--equations printed" if is_printed else "--calibration"
@@ -307,13 +289,15 @@ def prepare(
         raise UsageError(
             "--equations printed takes the paper's numbers: it cannot be used with a calibration"
         )
-    setup = Setup(loaded, method, equations, None, PUBLISHED_MAPPING if is_printed else None)
+    setup = Setup(loaded, method, equations, mapping=plane_mapping.PUBLISHED_MAPPING if is_printed else None)
     if is_planar and not is_printed:
-        found = load_calibration(calibration or _beside(profile, loaded))
+        found = plane_mapping.load_calibration(calibration or _beside(profile, loaded))
         setup = replace(setup, calibration=found, mapping=found.mapping)
     # A network or a mesh that cannot be used is told before a recording is opened.
     _ = setup.segmenter
     if not is_planar:
+        from svmdist.estimation.tissue import require_tissue
+
         require_tissue(loaded)
     return setup
 

@@ -4,33 +4,21 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from svmdist import metrics
 from svmdist.errors import ProfileError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
 from svmdist.estimation.plane_mapping import Equations
-from svmdist.metrics import (
-    AlarmStatistics,
-    ErrorStatistics,
-    Interval,
-    alarm_statistics,
-    bootstrap_intervals,
-    coverage,
-    error_statistics,
-    interval_coverage,
-    pooled_alarms,
-)
 from svmdist.profile import Profile
 from svmdist.recording.log import KnownLag, Recording
-from svmdist.results import Distance as ResultDistance
-from svmdist.results import Distances, FrameResult
+from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array, Stamps
 from svmdist.workflows.references import Reference, TruthRules, distance_truth, truth_follows_images
@@ -39,26 +27,7 @@ from svmdist.workflows.request import Setup
 BOOTSTRAP_SEED = 36
 
 
-@dataclass(frozen=True, slots=True)
-class Distance:
-    """One of the three distances: its value and standard deviation in a row, and its truth, all in m."""
-
-    name: str
-    of: Callable[[Distances], ResultDistance | None]
-    truth_of: Callable[[SampledDistances], Array]
-
-    def read(self, result: FrameResult) -> tuple[float, float]:
-        """Value and standard deviation in m of a result; NaN where it has none."""
-        found = self.of(result.distances)
-        if found is None:
-            return np.nan, np.nan
-        return found.value_m, np.nan if found.std_m is None else found.std_m
-
-
-PLANAR = Distance("planar", lambda found: found.planar, lambda truth: truth.planar_m)
-SPATIAL = Distance("spatial", lambda found: found.spatial, lambda truth: truth.spatial_m)
-CLEARANCE = Distance("clearance", lambda found: found.clearance, lambda truth: truth.clearance_m)
-DISTANCES = (PLANAR, SPATIAL, CLEARANCE)
+DISTANCES = ("planar", "spatial", "clearance")
 
 
 @dataclass(frozen=True)
@@ -78,7 +47,7 @@ class Pairs:
 class DistanceScore:
     """Error figures of a distance in m, and the share of truths inside the 95 % interval (None without intervals)."""
 
-    statistics: ErrorStatistics
+    statistics: metrics.ErrorStatistics
     interval_coverage: float | None
     pairs: Pairs = field(repr=False)
 
@@ -86,8 +55,7 @@ class DistanceScore:
 class Readings:
     """The numbers that scoring takes from rows, collected as they arrive: 72 bytes per row."""
 
-    def __init__(self, rows: Iterable[FrameResult] = (), distances: tuple[Distance, ...] = DISTANCES) -> None:
-        self._distances = distances
+    def __init__(self, rows: Iterable[FrameResult] = ()) -> None:
         self._stamps_ns = array("q")
         self._numbers = array("d")
         self.rejected: Counter[str] = Counter()
@@ -101,37 +69,40 @@ class Readings:
         """Take the tool's pixel and each distance from a row; NaN where it has none."""
         self._stamps_ns.append(row.stamp_ns)
         numbers = [*(row.image.tool_px or (np.nan, np.nan))]
-        for distance in self._distances:
-            numbers += distance.read(row)
+        for name in DISTANCES:
+            found = getattr(row.distances, name)
+            std_m = np.nan if found is None or found.std_m is None else found.std_m
+            numbers += [np.nan if found is None else found.value_m, std_m]
         if not row.measured:
             self.rejected[str(row.status)] += 1
             numbers = [np.nan] * len(numbers)
         self._numbers.extend(numbers)
 
     @property
-    def stamps_ns(self) -> NDArray[np.int64]:
+    def stamps_ns(self) -> Stamps:
         """The stamps of the rows, shape (n,)."""
         return np.array(self._stamps_ns, np.int64)
 
     @property
     def tool_px(self) -> Array:
         """Where the tool was seen, shape (n, 2); NaN where it was not."""
-        return self._table[:, 0]
+        return self._columns(0).T
 
-    def pairs(
-        self, distance: Distance, truth: SampledDistances, stamps_ns: NDArray[np.int64] | None = None
-    ) -> Pairs:
-        """Pair one distance with its truth at the rows' stamps, or at others, shape (n,); pairs without a value go."""
-        estimate_m, std_m = self._table[:, 1 + self._distances.index(distance)].T
-        truth_m = distance.truth_of(truth)
+    def distance(self, name: str) -> tuple[Array, Array]:
+        """Estimates and standard deviations of a distance in m, shape (n,) each."""
+        estimate_m, std_m = self._columns(1 + DISTANCES.index(name))
+        return estimate_m, std_m
+
+    def _columns(self, place: int) -> Array:
+        return np.array(self._numbers, np.float64).reshape(-1, 1 + len(DISTANCES), 2)[:, place].T
+
+    def pairs(self, name: str, truth: SampledDistances, stamps_ns: Stamps | None = None) -> Pairs:
+        """Pair a distance with its truth at the rows' stamps, or at others, shape (n,); pairs without a value go."""
+        estimate_m, std_m = self.distance(name)
+        truth_m: Array = getattr(truth, f"{name}_m")
         kept = truth.valid & np.isfinite(truth_m) & np.isfinite(estimate_m)
         at_ns = self.stamps_ns if stamps_ns is None else stamps_ns
         return Pairs(at_ns[kept], estimate_m[kept], truth_m[kept], std_m[kept])
-
-    @property
-    def _table(self) -> Array:
-        """Shape (n, 1 + distances, 2): the tool's pixel, then value and deviation of each distance."""
-        return np.array(self._numbers, np.float64).reshape(-1, 1 + len(self._distances), 2)
 
 
 def pooled(parts: Sequence[Pairs]) -> Pairs:
@@ -142,10 +113,10 @@ def pooled(parts: Sequence[Pairs]) -> Pairs:
 
 def score_pairs(pairs: Pairs) -> DistanceScore | None:
     """The figures of pairs; None for no pairs."""
-    statistics, known = error_statistics(pairs.estimate_m, pairs.truth_m), np.isfinite(pairs.std_m)
+    statistics, known = metrics.error_statistics(pairs.estimate_m, pairs.truth_m), np.isfinite(pairs.std_m)
     if statistics is None:
         return None
-    held = interval_coverage(pairs.estimate_m[known], pairs.truth_m[known], pairs.std_m[known])
+    held = metrics.interval_coverage(pairs.estimate_m[known], pairs.truth_m[known], pairs.std_m[known])
     return DistanceScore(statistics, held, pairs)
 
 
@@ -169,8 +140,8 @@ def require_clearance(method: str, profile: Profile | None = None) -> None:
 
 
 def score_alarms(
-    rows: Sequence[FrameResult], truth: SampledDistances, stamps_ns: NDArray[np.int64], rules: AlarmRules
-) -> AlarmStatistics:
+    rows: Sequence[FrameResult], truth: SampledDistances, stamps_ns: Stamps, rules: AlarmRules
+) -> metrics.AlarmStatistics:
     """Score the alarms that all rows of a recording raise, measured or not, with the truth at their stamps.
 
     Frames whose true clearance is not known are left out; raises RecordingError where those are all frames.
@@ -183,7 +154,7 @@ def score_alarms(
     kept = order[known[order]].tolist()
     seconds = (stamps_ns[kept] - stamps_ns[order[0]]) / 1e9
     alarms, judged = [states[at] is True for at in kept], [states[at] is not None for at in kept]
-    return alarm_statistics(seconds, alarms, truth.clearance_m[kept], rules.below_m, judged)
+    return metrics.alarm_statistics(seconds, alarms, truth.clearance_m[kept], rules.below_m, judged)
 
 
 @dataclass(frozen=True)
@@ -204,10 +175,10 @@ class Score:
     pairs: Pairs = field(repr=False)
     fitted_on: bool = False
     lag: LagEstimate | None = None
-    uncorrected: ErrorStatistics | None = None
+    uncorrected: metrics.ErrorStatistics | None = None
     spatial: DistanceScore | None = None
     clearance: DistanceScore | None = None
-    alarms: AlarmStatistics | None = None
+    alarms: metrics.AlarmStatistics | None = None
     instrument: str = ""
     start_ns: int = 0  # stamp of the first image of the log
 
@@ -217,23 +188,23 @@ class Score:
         return score_pairs(self.pairs)
 
     @property
-    def statistics(self) -> ErrorStatistics | None:
+    def statistics(self) -> metrics.ErrorStatistics | None:
         """The error figures of the planar distance, in m."""
         return self.planar.statistics if self.planar else None
 
     @property
-    def rmse_interval_m(self) -> Interval | None:
+    def rmse_interval_m(self) -> metrics.Interval | None:
         """The bootstrap interval of the planar RMSE; None for few pairs."""
         return self._intervals[0]
 
     @property
-    def r_squared_interval(self) -> Interval | None:
+    def r_squared_interval(self) -> metrics.Interval | None:
         """The bootstrap interval of the planar R²; None where it is undefined."""
         return self._intervals[1]
 
     @cached_property
-    def _intervals(self) -> tuple[Interval | None, Interval | None]:
-        return bootstrap_intervals(self.pairs.estimate_m, self.pairs.truth_m, BOOTSTRAP_SEED)
+    def _intervals(self) -> tuple[metrics.Interval | None, metrics.Interval | None]:
+        return metrics.bootstrap_intervals(self.pairs.estimate_m, self.pairs.truth_m, BOOTSTRAP_SEED)
 
     @property
     def sample_count(self) -> int:
@@ -253,7 +224,7 @@ class Score:
     @property
     def coverage(self) -> float:
         """Measured frames per frame."""
-        return coverage(self.frame_count - self.rejected_count, self.frame_count)
+        return metrics.coverage(self.frame_count - self.rejected_count, self.frame_count)
 
 
 def truth_lag_ns(recording: Recording, setup: Setup, reference: Reference, lag: LagEstimate | None) -> int:
@@ -276,7 +247,7 @@ def score_rows(
 ) -> Score:
     """Score the estimates of one recording, shape (n_frames,), against one reference."""
 
-    def truth_at(at_ns: NDArray[np.int64]) -> SampledDistances:
+    def truth_at(at_ns: Stamps) -> SampledDistances:
         return distance_truth(recording, setup.profile, reference, at_ns, setup.equations, rules)
 
     readings = Readings(rows)
@@ -285,7 +256,7 @@ def score_rows(
     truth = truth_at(stamps_ns)
     planar, spatial, clearance = (readings.pairs(distance, truth, stamps_ns) for distance in DISTANCES)
     is_truth = reference is Reference.GROUND_TRUTH
-    unshifted = readings.pairs(PLANAR, truth_at(readings.stamps_ns)) if lag_ns else planar
+    unshifted = readings.pairs("planar", truth_at(readings.stamps_ns)) if lag_ns else planar
     return Score(
         recording.name,
         setup.method,
@@ -296,7 +267,7 @@ def score_rows(
         planar,
         setup.was_fitted_on(recording),
         lag,
-        error_statistics(unshifted.estimate_m, unshifted.truth_m),
+        metrics.error_statistics(unshifted.estimate_m, unshifted.truth_m),
         score_pairs(spatial),
         score_pairs(clearance),
         score_alarms(rows, truth, stamps_ns, alarms) if alarms and is_truth else None,
@@ -304,16 +275,15 @@ def score_rows(
     )
 
 
-def pool_scores(scores: Sequence[Score], first_instrument: str = "") -> Score:
-    """One score `overall` over the pairs of several scores of one instrument: every frame counts the same."""
+def pool_scores(scores: Sequence[Score], named: str = "overall") -> Score:
+    """One score over the pairs of several scores of one instrument: every frame counts the same."""
     # By name: the bootstrap draws blocks of neighbours, and the order of logs must not change its result.
     scores = sorted(scores, key=lambda score: (score.recording, score.pairs.stamps_ns[:1].tolist()))
-    instrument = scores[0].instrument
     rejected = sum((Counter(score.rejected) for score in scores), Counter[str]())
     alarms = [score.alarms for score in scores if score.alarms]
     return replace(
         scores[0],
-        recording="overall" if instrument in ("", first_instrument) else f"overall {instrument}",
+        recording=named,
         frame_count=sum(score.frame_count for score in scores),
         rejected=dict(sorted(rejected.items())),
         pairs=pooled([score.pairs for score in scores]),
@@ -322,5 +292,5 @@ def pool_scores(scores: Sequence[Score], first_instrument: str = "") -> Score:
         uncorrected=None,
         spatial=pooled_score([score.spatial for score in scores]),
         clearance=pooled_score([score.clearance for score in scores]),
-        alarms=pooled_alarms(alarms) if alarms else None,
+        alarms=metrics.pooled_alarms(alarms) if alarms else None,
     )

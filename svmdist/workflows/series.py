@@ -12,14 +12,13 @@ from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.lag import LagEstimate
 from svmdist.recording.log import Recording
 from svmdist.results import Z_95, FrameResult
-from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
 from svmdist.workflows.references import Reference, TruthRules, distance_truth
 from svmdist.workflows.request import Request, Setup
-from svmdist.workflows.scores import CLEARANCE, PLANAR, SPATIAL, Distance, truth_lag_ns
+from svmdist.workflows.scores import Readings, truth_lag_ns
 
-PREFERRED = (CLEARANCE, SPATIAL, PLANAR)
+PREFERRED = ("clearance", "spatial", "planar")
 
 
 @dataclass(frozen=True)
@@ -117,71 +116,59 @@ def worst_frames(series: Sequence[Series], count: int) -> list[WorstFrame]:
 def series_of(
     measured: Iterable[Measured], request: Request, reference: Reference | None = None
 ) -> list[Series]:
-    """The series of several recordings."""
-    setup, rules = request.setup, request.rules
-    return [
-        made
-        for one in measured
-        for made in make_series(one.rows, one.recording, setup, rules, reference, one.lag)
-    ]
-
-
-def make_series(
-    rows: Sequence[FrameResult],
-    recording: Recording,
-    setup: Setup,
-    rules: TruthRules | None = None,
-    reference: Reference | None = None,
-    lag: LagEstimate | None = None,
-) -> list[Series]:
-    """A series for each instrument of the rows of one recording, in which every image has a row per instrument.
+    """A series for each instrument of each recording.
 
     The distance is the clearance where there is any, else the spatial, else the planar one. The truth is by
-    `reference`; None takes the simulator's truth where the log has it. `lag` is taken off the stamps of images before.
+    `reference`; None takes the simulator's truth where the log has it. The lag is taken off the stamps of images.
     """
     found = []
-    for name in dict.fromkeys(row.instrument for row in rows):
-        own = [row for row in rows if row.instrument == name]
-        view, seen = recording.for_instrument(name), setup.for_instrument(name)
-        asked = reference or Reference.GROUND_TRUTH
-        stamps_ns = np.array([row.stamp_ns for row in own], np.int64)
-        at_ns = stamps_ns - truth_lag_ns(view, seen, asked, lag)
-        truth: SampledDistances | None = None
-        try:
-            truth = distance_truth(view, seen.profile, asked, at_ns, seen.equations, rules)
-        except (RecordingError, KinematicsError):
-            if reference is not None:
-                raise
-        distance = _most_telling(own, truth)
-        read = np.array([distance.read(row) if row.measured else (np.nan, np.nan) for row in own])
-        truth_m = np.full(len(own), np.nan)
-        if truth is not None:
-            truth_m = np.where(truth.valid, distance.truth_of(truth), np.nan)
-        found.append(
-            Series(
-                recording=recording.name,
-                instrument=name,
-                method=seen.method,
-                distance=distance.name,
-                number=np.array([row.number for row in own], np.int64),
-                stamps_ns=stamps_ns,
-                seconds=np.array([row.seconds for row in own]),
-                status=tuple(str(row.status) for row in own),
-                detail=tuple(row.detail for row in own),
-                estimate_m=read[:, 0],
-                std_m=read[:, 1],
-                truth_m=truth_m,
-                tool_px=np.array([row.image.tool_px or (np.nan, np.nan) for row in own]),
-                consistency=np.array([np.nan if row.consistency is None else row.consistency for row in own]),
-                reference=None if truth is None else asked,
-            )
-        )
+    for one in measured:
+        for name in dict.fromkeys(row.instrument for row in one.rows):
+            rows = [row for row in one.rows if row.instrument == name]
+            recording, setup = one.recording.for_instrument(name), request.setup.for_instrument(name)
+            found.append(_series(rows, recording, setup, request.rules, reference, one.lag))
     return found
 
 
-def _most_telling(rows: Sequence[FrameResult], truth: SampledDistances | None) -> Distance:
-    for distance in PREFERRED:
-        has_values = any(row.measured and distance.of(row.distances) is not None for row in rows)
-        if has_values and (truth is None or np.isfinite(distance.truth_of(truth)[truth.valid]).any()):
-            return distance
-    return PLANAR
+def _series(
+    rows: Sequence[FrameResult],
+    recording: Recording,
+    setup: Setup,
+    rules: TruthRules,
+    reference: Reference | None,
+    lag: LagEstimate | None,
+) -> Series:
+    asked = reference or Reference.GROUND_TRUTH
+    readings = Readings(rows)
+    stamps_ns = readings.stamps_ns
+    at_ns = stamps_ns - truth_lag_ns(recording, setup, asked, lag)
+    truths = {name: np.full(len(rows), np.nan) for name in PREFERRED}
+    try:
+        truth = distance_truth(recording, setup.profile, asked, at_ns, setup.equations, rules)
+        truths = {name: np.where(truth.valid, getattr(truth, f"{name}_m"), np.nan) for name in PREFERRED}
+    except (RecordingError, KinematicsError):
+        if reference is not None:
+            raise
+        truth = None
+    distance = "planar"
+    for name in PREFERRED:
+        has_truth = truth is None or np.isfinite(truths[name]).any()
+        if has_truth and np.isfinite(readings.distance(name)[0]).any():
+            distance = name
+            break
+    return Series(
+        recording.name,
+        rows[0].instrument,
+        setup.method,
+        distance,
+        np.array([row.number for row in rows], np.int64),
+        stamps_ns,
+        np.array([row.seconds for row in rows]),
+        tuple(str(row.status) for row in rows),
+        tuple(row.detail for row in rows),
+        *readings.distance(distance),
+        truths[distance],
+        np.array([row.image.tool_px or (np.nan, np.nan) for row in rows]),
+        np.array([np.nan if row.consistency is None else row.consistency for row in rows]),
+        asked if truth else None,
+    )

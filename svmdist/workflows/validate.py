@@ -15,16 +15,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.files import read_regular, why, write_atomically
 from svmdist.recording.log import Recording
-from svmdist.workflows.estimate import Keep, Measured, estimate, recording_lag, with_lag
+from svmdist.workflows.estimate import Keep, Measured, estimate, given_lag, recording_lag, with_lag
 from svmdist.workflows.metric_table import FIRST_KEYS, Better, Tolerance, cells, stored_metrics
 from svmdist.workflows.parallel import Progress, Steps, image_total
 from svmdist.workflows.references import KINEMATICS_PRINTED_NOTE, Reference
 from svmdist.workflows.request import Request
-from svmdist.workflows.scores import Score, pool_scores, require_clearance, score_rows
+from svmdist.workflows.scores import Readings, Score, pool_scores, require_clearance, score_rows
 
 PAPER_R_SQUARED = 0.78
 """The paper's own figure (sec. IV); its scene differs from every scene here."""
@@ -119,21 +118,19 @@ def combine(parts: Sequence[Scored], request: Request, groups: Sequence[str] = (
     of_groups = []
     for group in sorted(set(groups)):
         members = [s for part, name in zip(parts, groups, strict=True) if name == group for s in part.scores]
-        of_groups += [
-            replace(pooled, recording=pooled.recording.replace("overall", group, 1))
-            for pooled in _pooled(members, request)
-        ]
+        of_groups += _pooled(members, request, group)
     notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
     return Validation(tuple(scores), tuple(_pooled(scores, request)), notes, request.alarms, tuple(of_groups))
 
 
-def _pooled(scores: Sequence[Score], request: Request) -> list[Score]:
+def _pooled(scores: Sequence[Score], request: Request, named: str = "overall") -> list[Score]:
     """By instrument and reference, without the scores of what the calibration was fitted on."""
-    profile, found = request.setup.profile, []
-    for of in product(profile.instrument_names, request.rules.wanted):
-        counted = [one for one in scores if (one.instrument, one.reference) == of and not one.fitted_on]
-        if counted:
-            found.append(pool_scores(counted, profile.instrument_name))
+    found = []
+    for name, reference in product(request.setup.profile.instrument_names, request.rules.wanted):
+        label = named if name == request.setup.profile.instrument_name else f"{named} {name}"
+        of = [one for one in scores if (one.instrument, one.reference) == (name, reference)]
+        if counted := [one for one in of if not one.fitted_on]:
+            found.append(pool_scores(counted, label))
     return found
 
 
@@ -149,9 +146,7 @@ def score_recording(
     setup, rules, lag, wanted = request.setup, request.rules, request.lag, request.instruments
     notes = setup.degeneracies(recording.camera)
     planar = setup.method in PLANAR_METHODS  # it needs no joints, and its own rows show the lag
-    read, found = with_lag(
-        recording, setup.profile, None if planar else lag, wanted, jobs, rules, steps.advance
-    )
+    read, found = (recording, given_lag(lag)) if planar else with_lag(recording, request, jobs, steps.advance)
     every = list(steps.of(estimate(read, setup, wanted, jobs)))
     if not every:
         raise RecordingError(f"{recording.name}: there is no image to measure")
@@ -161,12 +156,8 @@ def score_recording(
         rows = [row for row in every if row.instrument == name]
         label = recording.name if name == setup.profile.instrument_name else f"{recording.name} {name}"
         offset = found
-        if planar and lag is not None:
-            offset = (
-                recording_lag(rows, view, seen.profile, rules)
-                if lag == "auto"
-                else LagEstimate(float(lag), None, 1.0)
-            )
+        if planar and lag == "auto":
+            offset = recording_lag(Readings(rows), view, seen.profile, rules)
         if not offset.told:
             notes.append(f"{label}: the lag cannot be told and 0 is used: {offset.reason}")
         for reference in rules.wanted:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.samples import Image
-from svmdist.vision.segmentation import AutoSegmenter
+from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.working_image import picture_of
 from tests.surgery_images import BORDERS, surgery_image
 

@@ -13,7 +13,7 @@ from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.writer import RecordingWriter, encode
 from svmdist.samples import CameraSample, DistanceSample, ImageSample, Sample
 from svmdist.vision.degradations import Degradation
-from svmdist.workflows.compare import Run, measure_runs, pooled_figures
+from svmdist.workflows.compare import MethodScore, measure_runs, pooled_figures
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.request import CLEAN, Condition, prepare
 from tests.synthetic import START_NS, make_scene, samples, write_log
@@ -29,14 +29,14 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return open_recording(path, SETUPS[0].profile)
 
 
-def figures(run: Run) -> tuple[object, ...]:
+def figures(run: MethodScore) -> tuple[object, ...]:
     """What a run says, without its time: whose it is, and every pair of estimate and truth."""
     of = run.figures
     pairs = [
         score and (score.pairs.estimate_m.tobytes(), score.pairs.truth_m.tobytes(), score.statistics.rmse)
         for score in (of.planar, of.spatial, of.clearance)
     ]
-    return (run.group, run.method, run.instrument, of.frame_count, of.measured_count, run.statuses, *pairs)
+    return (run.group, run.method, run.instrument, of.frame_count, of.measured_count, *pairs)
 
 
 @pytest.mark.parametrize("jobs", [2, 3, 8])
