@@ -11,16 +11,14 @@ import numpy as np
 import pytest
 
 from svmdist.perturbations.chosen import Perturbations
-from svmdist.profile import Profile, load_profile
+from svmdist.profile import load_profile
 from svmdist.recording import mcap
 from svmdist.recording.log import KnownLag, Recording, open_recording
-from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs, Window
+from svmdist.recording.observations import Window
 from svmdist.samples import Observation
 from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.validate import validate
 from tests.synthetic import make_scene, write_log
-
-from .builders import scene, write_scene
 
 VIEWS = {
     "as opened": lambda log, profile: log,
@@ -60,20 +58,6 @@ def expanded(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
 
     monkeypatch.setattr(mcap, "_expanded", counted)
     return counts
-
-
-@pytest.mark.parametrize(("needs", "passes"), [(LEFT_IMAGES, 1), (EVERYTHING, 2)])
-def test_everything_but_images_is_read_once(
-    tmp_path: Path, profile: Profile, expanded: Counter[int], needs: Needs, passes: int
-) -> None:
-    """One pass where only images are asked for, one more where joints go with them; none for what comes later."""
-    recording = open_recording(write_scene(tmp_path / "a.mcap", scene(20)), profile)
-    list(recording.encoded_observations(recording.instruments, needs))
-    for track in (recording.joint_track, recording.pose_track, recording.distance_track):
-        track()
-    recording.transform_track("camera", "tool", ground_truth=True)
-    assert len(expanded) >= 3
-    assert expanded.total() <= passes * len(expanded) + 1  # and the chunk in which the camera is
 
 
 def test_validate_reads_a_log_once(tmp_path: Path, expanded: Counter[int]) -> None:

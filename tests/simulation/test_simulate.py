@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import pickle
 import sys
 import tomllib
 from pathlib import Path
@@ -129,21 +128,6 @@ def test_a_real_world_is_the_same_in_any_order_and_neutral_strengths_change_noth
     neutral = ",".join(f"{name}={entry.neutral}" for name, entry in TABLE.items())
     for one, other in zip(stream(small), stream(small, neutral), strict=True):
         assert repr(one) == repr(other)
-
-
-def test_blocks_cover_all_stamps_and_a_plan_can_be_sent(profile: Profile) -> None:
-    for rate_hz in (0.5, 7.0, 60.0):
-        plan = make_plan(Scenario("sweep", 1, 4.0, rate_hz), profile)
-        stamps = [index for block in plan.blocks for index in range(block.begin, block.end)]
-        assert stamps == list(range(len(plan.stamps_ns)))
-        assert all(plan.with_image[block.begin : block.end].sum() == 1 for block in plan.blocks)
-    at_s = (plan.stamps_ns[plan.with_camera_info] - plan.stamps_ns[0]) / 1e9
-    np.testing.assert_array_equal(at_s, [0.0, 1.0, 2.0, 3.0, 4.0])
-    copy = pickle.loads(pickle.dumps(plan))
-    np.testing.assert_array_equal(copy.arms[0].q, plan.arms[0].q)
-    q, step_ns = plan.arms[0].q, float(plan.stamps_ns[4] - plan.stamps_ns[3])
-    np.testing.assert_allclose(plan.state(3, 0.25 * step_ns).q[0], 0.75 * q[3] + 0.25 * q[4], atol=1e-15)
-    np.testing.assert_array_equal(plan.state(len(q) - 1, 1e9).q[0], q[-1])
 
 
 def test_options_leave_truth_and_left_camera_alone(plain: Stream, full: Stream, profile: Profile) -> None:
