@@ -46,22 +46,16 @@ def test_a_view_can_be_sent_to_another_process(tmp_path: Path, view: str) -> Non
         assert repr((two.stamp_ns, two.joints)) == repr((one.stamp_ns, one.joints))
 
 
-@pytest.fixture
-def expanded(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
-    """How often each chunk was expanded, by its first time: so often it was read."""
-    counts: Counter[int] = Counter()
+def test_validate_reads_a_log_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a planar method each chunk is expanded once, but for the first one, in which the camera is."""
+    expanded: Counter[int] = Counter()
     whole = mcap._expanded
 
     def counted(chunk: mcap.Chunk, *args: object, **options: bool) -> mcap.Chunk:
-        counts[chunk.message_start_time] += 1
+        expanded[chunk.message_start_time] += 1
         return whole(chunk, *args, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(mcap, "_expanded", counted)
-    return counts
-
-
-def test_validate_reads_a_log_once(tmp_path: Path, expanded: Counter[int]) -> None:
-    """With a planar method, but for the first chunk, in which the camera is."""
     path = write_log(tmp_path / "a.mcap", make_scene(), 20)
     setup = prepare()
     validate([open_recording(path, setup.profile)], Request(setup), jobs=1)
