@@ -23,6 +23,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 
+from svmdist import samples
 from svmdist.camera import Camera
 from svmdist.errors import OutputError, UsageError
 from svmdist.files import why
@@ -30,16 +31,6 @@ from svmdist.profile import Limits
 from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.recording.images import still_format, still_size
 from svmdist.recording.source import METADATA_NAME
-from svmdist.samples import (
-    CameraSample,
-    DistanceSample,
-    ImageSample,
-    JointSample,
-    PoseSample,
-    Sample,
-    TransformsSample,
-    require_bgr,
-)
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
@@ -47,12 +38,12 @@ PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 """Colour at full resolution: segmentation by hue depends on it."""
 MESSAGE_CLASSES: dict[type, Any] = {
-    ImageSample: CompressedImage,
-    CameraSample: CameraCalibration,
-    JointSample: JointStates,
-    PoseSample: PoseInFrame,
-    TransformsSample: FrameTransforms,
-    DistanceSample: GroundTruthDistance,
+    samples.ImageSample: CompressedImage,
+    samples.CameraSample: CameraCalibration,
+    samples.JointSample: JointStates,
+    samples.PoseSample: PoseInFrame,
+    samples.TransformsSample: FrameTransforms,
+    samples.DistanceSample: GroundTruthDistance,
 }
 
 
@@ -88,7 +79,7 @@ def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> E
     """Wrap a PNG or JPEG as it is, without decoding it; ImageError for any other, or one with a bad header."""
     still_size(data, limits)
     message = CompressedImage(frame_id=frame_id, data=data, format=still_format(data) or "")
-    return EncodedSample(stamp_ns, ImageSample, serialised(message, stamp_ns))
+    return EncodedSample(stamp_ns, samples.ImageSample, serialised(message, stamp_ns))
 
 
 def serialised(message: Message, stamp_ns: int | None = None) -> bytes:
@@ -103,7 +94,7 @@ def set_stamp(message: Any, stamp_ns: int) -> None:
     message.timestamp.seconds, message.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
 
 
-def encode(sample: Sample, jpeg_quality: int | None = None) -> EncodedSample:
+def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSample:
     """Serialise a sample as its message type; ValueError when an image is not (height, width, 3) uint8.
 
     Images become PNG, which loses nothing, or JPEG of a quality from 1 to 100 with colour at full resolution.
@@ -111,33 +102,33 @@ def encode(sample: Sample, jpeg_quality: int | None = None) -> EncodedSample:
     message: Any = message_class_of(type(sample))()
     stamp_ns: int | None = sample.stamp_ns
     match sample:
-        case ImageSample():
+        case samples.ImageSample():
             message.frame_id = sample.frame_id
             message.data, message.format = _compressed(sample, jpeg_quality)
-        case CameraSample(camera=camera):
+        case samples.CameraSample(camera=camera):
             _fill_camera(message, camera)
-        case JointSample():
+        case samples.JointSample():
             for name, value in zip(sample.names, np.asarray(sample.positions).tolist(), strict=True):
                 message.joints.add(name=name, position=value)
-        case PoseSample():
+        case samples.PoseSample():
             message.frame_id = sample.frame_id
             pose = message.pose
             _fill([(pose.position, pose.orientation)], [sample.T_frame_pose])
-        case TransformsSample():
+        case samples.TransformsSample():
             for one in sample.transforms:
                 part = message.transforms.add(parent_frame_id=one.parent, child_frame_id=one.child)
                 set_stamp(part, one.stamp_ns)
             targets = [(part.translation, part.rotation) for part in message.transforms]
             _fill(targets, [one.T_parent_child for one in sample.transforms])
             stamp_ns = None  # each transform has its own
-        case DistanceSample():
+        case samples.DistanceSample():
             message.planar_m, message.spatial_m = sample.planar_m, sample.spatial_m
             message.clearance_m = sample.clearance_m
     return EncodedSample(sample.stamp_ns, type(sample), serialised(message, stamp_ns))
 
 
-def _compressed(sample: ImageSample, jpeg_quality: int | None) -> tuple[bytes, str]:
-    require_bgr(sample.image_bgr)
+def _compressed(sample: samples.ImageSample, jpeg_quality: int | None) -> tuple[bytes, str]:
+    samples.require_bgr(sample.image_bgr)
     if jpeg_quality is None:
         return cv2.imencode(".png", sample.image_bgr, PNG_OPTIONS)[1].tobytes(), "png"
     options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, *JPEG_OPTIONS)
@@ -230,7 +221,7 @@ class RecordingWriter:
             raise self._failure(problem) from problem
         return self
 
-    def write(self, topic: str, sample: Sample | EncodedSample) -> None:
+    def write(self, topic: str, sample: samples.Sample | EncodedSample) -> None:
         """Append a sample, which may be encoded already; its stamp becomes the log time and the publish time.
 
         Raises OutputError when the file cannot be written, ValueError for a topic that carries another type.
