@@ -15,7 +15,7 @@ from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, did_you_mean
 from svmdist.files import LogPath, RemoteFile, files_of, is_url, open_regular, why
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
-from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
+from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Limits, Profile
 from svmdist.recording import observations as obs
@@ -85,7 +85,7 @@ class Recording:
     origin: Origin
     world: ReplayedWorld | None = None
     lag: KnownLag | None = None
-    """The time offset of the images that is known, and corrected; None where none is known."""
+    """The known time offset of the images: joints, poses and transforms are read at their stamps; truth keeps its."""
     alias: str | None = None
     """The name that it goes by; None for its file's."""
     window: obs.Window = obs.ALL_IMAGES
@@ -107,13 +107,8 @@ class Recording:
         What is drawn, as noise is, is drawn by the seed that `record` wrote into the log, else by 0.
         """
         seed = self.metadata.get("seed", "")
-        world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0, self._lag_ns)
+        world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0)
         return replace(self, world=world)
-
-    def with_lag(self, lag: KnownLag, profile: Profile) -> Recording:
-        """The same log, but joints, poses and transforms at the stamps of its images; these and truth keep theirs."""
-        before = self.world or ReplayedWorld(UNPERTURBED, profile)
-        return replace(self, world=replace(before, lag_ns=lag.lag_ns), lag=lag)
 
     def with_bases(self, fixed: Mapping[str, FixedTransform]) -> Recording:
         """The same log with the camera-to-base transforms of some instruments, by name, in place of its own."""
@@ -310,8 +305,9 @@ class Recording:
         for names, logged in self.file.contents.rows.get(topic or "", {}).items():
             assert isinstance(names, tuple)
             rows, late_ns = logged, self._lag_ns
-            if self.world is not None and self.world.perturbations != UNPERTURBED:
-                rows, late_ns = replayed_rows(self.world, arm.name, names, logged), 0
+            if self.world is not None:
+                world = replace(self.world, lag_ns=self._lag_ns)
+                rows, late_ns = replayed_rows(world, arm.name, names, logged), 0
             stamps_ns, positions = rows.sorted(late_ns)
             if repeated := len(rows.stamps_ns) - len(stamps_ns):
                 detail = f"{repeated} joint states repeat a stamp; the last one counts"
