@@ -50,9 +50,7 @@ class ExposureSettings(StrictModel):
     """When an image counts as dim or veiled, and how far it is corrected."""
 
     dark_level: Level = 45.0  # level that the darkest things reach without a veil: a dark shaft has 20 to 40
-    fair_level: float = Field(
-        default=110.0, gt=0.0, le=255.0
-    )  # least level of a scene's middle; less is dim light
+    fair_level: float = Field(default=110.0, gt=0.0, le=255.0)  # of a scene's middle; less is dim
 
 
 class AutoSettings(StrictModel):
@@ -80,7 +78,8 @@ class OutlineSettings(StrictModel):
 class MarkerSettings(StrictModel):
     """Judging the homography of the static virtual marker."""
 
-    max_area_ratio: float = Field(default=4.0, gt=1.0)  # of the marker's areas, where matches are right
+    max_area_ratio: float = Field(default=4.0, gt=1.0)
+    """Change of the marker's area beyond which matches are wrong: it is pasted without scaling."""
 
 
 class ShaftSettings(StrictModel):
