@@ -110,7 +110,7 @@ def record_command(given: RecordOptions) -> None:
     from svmdist.profile import load_profile
     from svmdist.simulation import scene
     from svmdist.simulation.motion import Scenario
-    from svmdist.workflows.record import Episodes, record
+    from svmdist.workflows.record import Episodes, Recipe, record
 
     if given.renderer != "tiny":
         raise UsageError(f"--renderer {given.renderer}: images are drawn by tiny only; leave the option out")
@@ -132,24 +132,12 @@ def record_command(given: RecordOptions) -> None:
         draw_world(world, given.seed, perturbations),
         world,
     )
+    recipe = Recipe(scenario, profile, options, given.noise, given.jpeg)
     if given.episodes is not None:
-        series = Episodes(
-            *(scenario, profile, options, perturbations),
-            *(given.noise, given.jpeg, given.force, given.skip_existing),
-        )
+        series = Episodes(recipe, perturbations, given.force, given.skip_existing)
         raise typer.Exit(_record_episodes(series, path, given.episodes, given.jobs))
     with progress_bar(f"{scenario.name}, seed {given.seed}", "frames") as advance:
-        result = record(
-            scenario,
-            profile,
-            path,
-            noise=given.noise,
-            options=options,
-            force=given.force,
-            jpeg_quality=given.jpeg,
-            jobs=given.jobs,
-            on_progress=advance,
-        )
+        result = record(recipe, path, force=given.force, jobs=given.jobs, on_progress=advance)
     counts = result.frame_count, result.message_count
     LOG.info("%s: %d frames, %d messages, %.2f MB", path, *counts, result.size_bytes / 1e6)
 
@@ -157,7 +145,7 @@ def record_command(given: RecordOptions) -> None:
 def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | None) -> ExitCode:
     from svmdist.workflows.record import episode_paths, record_episodes
 
-    scenario = episodes.scenario
+    scenario = episodes.recipe.scenario
     paths = episode_paths(output, scenario.name, scenario.seed, count)
     with progress_bar(f"{scenario.name}, {count} seeds", "recordings") as advance:
         found = record_episodes(episodes, paths, jobs, advance)
