@@ -282,14 +282,10 @@ def _instrument(
         base = "base" if count == 1 and own not in frames and "base" in frames else own
     tools = (f"{name}_tool", f"{name}_ee", name, "tool")
     tool = next((frame for frame in tools if frame in frames and frame != base), name)
-    return InstrumentDraft(name, joints, pose, base, tool, _chain_of(joint_names), joint_names)
-
-
-def _chain_of(joint_names: Sequence[str]) -> str | None:
-    """The shipped profile with the longest chain whose joints are all among the log's."""
-    robots = {name: shipped_robot(name) for name in CHAIN_PROFILES}
-    fitting = [name for name, robot in robots.items() if not robot.missing_joints(joint_names)]
-    return max(fitting, key=lambda name: len(robots[name].joints), default=None)
+    robots = {profile: shipped_robot(profile) for profile in CHAIN_PROFILES}
+    fitting = [profile for profile, robot in robots.items() if not robot.missing_joints(joint_names)]
+    longest = max(fitting, key=lambda profile: len(robots[profile].joints), default=None)
+    return InstrumentDraft(name, joints, pose, base, tool, longest, joint_names)
 
 
 def shipped_robot(name: str) -> Robot:

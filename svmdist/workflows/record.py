@@ -125,7 +125,7 @@ def encoded_samples(
             with Simulator(plan) as simulator:
                 yield from _encoded(simulator, plan.blocks, jpeg_quality)
             return
-        with parallel.process_pool(workers, _begin, (plan, jpeg_quality)) as pool:
+        with parallel.process_pool(workers, partial(_begin, plan, jpeg_quality)) as pool:
             for encoded in parallel.in_order(_work, _tasks(plan), workers, pool):
                 yield from encoded
 
