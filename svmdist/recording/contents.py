@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -20,14 +20,12 @@ from svmdist.recording.messages import (
     Message,
     RawTransform,
     RawTransforms,
-    broken_image,
     matrices,
 )
-from svmdist.recording.observations import LoggedImage
 from svmdist.recording.source import Loss, LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
-from svmdist.tracks import MAX_GAP_NS, Sampled, Stamps, TransformTrack, sort_stamps
-from svmdist.transforms import Array, inverse
+from svmdist.tracks import MAX_GAP_NS, Sampled, TransformTrack, sort_stamps
+from svmdist.transforms import Array, Stamps, inverse
 
 OTHER_JOINTS = "its joints are others than those of the first message"
 Edge = tuple[str, str]
@@ -60,7 +58,7 @@ class Contents:
     """What messages of some topics hold, topic by topic."""
 
     def __init__(self) -> None:
-        self.rows: dict[str, dict[Hashable, Rows]] = {}
+        self.rows: defaultdict[str, defaultdict[Hashable, Rows]] = defaultdict(lambda: defaultdict(Rows))
         """By topic, and by names of joints, frame of poses, or edge of transforms."""
         self.cameras: dict[str, Camera] = {}
 
@@ -70,25 +68,24 @@ class Contents:
             case CameraSample(camera=camera):
                 self.cameras.setdefault(topic, camera)
             case JointSample():
-                known = self.rows.setdefault(topic, {})
+                known = self.rows[topic]
                 if known and message.names not in known:
                     return OTHER_JOINTS
-                known.setdefault(message.names, Rows()).add(message.stamp_ns, message.positions)
+                known[message.names].add(message.stamp_ns, message.positions.tolist())
             case DistanceSample():
                 row = (message.planar_m, message.spatial_m, message.clearance_m)
-                self._of(topic, None).add(message.stamp_ns, row)
+                self.rows[topic][None].add(message.stamp_ns, row)
             case RawTransform():
-                self._of(topic, message.parent).add(message.stamp_ns, message.values)
+                self.rows[topic][message.parent].add(message.stamp_ns, message.values)
             case RawTransforms(transforms=transforms):
+                rows = self.rows[topic]
                 for one in transforms:
-                    edge = _frame(one.parent), _frame(one.child)
-                    self._of(topic, edge).add(one.stamp_ns, one.values)
+                    # As tf2 has the names: tf of old wrote /base.
+                    edge = one.parent.removeprefix("/"), one.child.removeprefix("/")
+                    rows[edge].add(one.stamp_ns, one.values)
             case _:
                 pass
         return None
-
-    def _of(self, topic: str, key: Hashable) -> Rows:
-        return self.rows.setdefault(topic, {}).setdefault(key, Rows())
 
     def tree(self, topics: Mapping[str, bool], late_ns: int = 0) -> TransformTree:
         """The transforms of some topics, each with whether its transforms are static."""
@@ -199,11 +196,6 @@ def _composed(tracks: list[TransformTrack], stamps_ns: Stamps, max_gap_ns: int) 
     return Sampled(T, valid)
 
 
-def _frame(name: str) -> str:
-    """A frame's name as tf2 has it: tf of old wrote /base."""
-    return name.removeprefix("/")
-
-
 @dataclass(eq=False)
 class LogFile:
     """An open file, and what was read of it beside images; all views of a recording share it.
@@ -230,13 +222,13 @@ class LogFile:
         assert self._contents is not None
         return self._contents
 
-    def images(self, image_topics: Collection[str]) -> Iterator[LoggedImage]:
+    def images(self, image_topics: Collection[str]) -> Iterator[EncodedImage]:
         """Yield the images of some topics in file order, not decoded; reads everything else too, if not yet read."""
         contents = Contents() if self._contents is None else None
         decoder = Decoder(self.limits)
         for raw in self.source.messages(frozenset(image_topics) | (self.topics if contents else frozenset())):
             if raw.topic in image_topics:
-                yield _logged_image(decoder, raw)
+                yield decoder.image(raw)
             elif contents is not None:
                 self._collect(contents, decoder, raw)
         self._contents = self._contents or contents
@@ -261,17 +253,6 @@ class LogFile:
             problem = str(found)
         if problem is not None:
             self.source.health.add(Loss(LossKind.MESSAGE, problem, raw.offset, raw.topic))
-
-
-def _logged_image(decoder: Decoder, raw: RawMessage) -> LoggedImage:
-    """All of an image message but its pixels; one that is broken becomes an image that is broken."""
-    try:
-        image = decoder.decode(raw)
-    except DecodeError as problem:
-        image = broken_image(raw.log_time_ns, str(problem))
-    if not isinstance(image, EncodedImage):
-        image = broken_image(raw.log_time_ns, "no image")
-    return LoggedImage(image, raw.topic, raw.log_time_ns, len(raw.data), raw.offset)
 
 
 def replayed_rows(world: ReplayedWorld, arm: str, names: tuple[str, ...], rows: Rows) -> Rows:

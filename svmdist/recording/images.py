@@ -27,8 +27,6 @@ from svmdist.samples import Image
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC = b"\xff\xd8\xff"
 JPEG_END = b"\xff\xd9"
-JPEG_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-JPEG_BARE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
 
 
 class ImageError(ValueError):
@@ -51,8 +49,7 @@ def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
 def _decode_jpeg(data: bytes, width_px: int, height_px: int) -> Image:
     """Decode a JPEG strictly, to OpenCV's pixels: OpenCV itself fills what is damaged with grey, without a word."""
     try:
-        _, _, colours, _ = simplejpeg.decode_jpeg_header(data)
-        if colours in {"CMYK", "YCCK"}:
+        if _jpeg_header(data)[2] in {"CMYK", "YCCK"}:
             simplejpeg.decode_jpeg(data, "CMYK", strict=True)  # whether it is whole; OpenCV knows its colours
             return _decode_by_opencv(data, (width_px, height_px))
         image = simplejpeg.decode_jpeg(data, "BGR", strict=True)
@@ -86,7 +83,7 @@ def still_size(data: bytes, limits: Limits) -> tuple[int, int]:
         case "png":
             width_px, height_px = _check_png(data)
         case "jpeg":
-            width_px, height_px = _check_jpeg(data)
+            width_px, height_px, _ = _jpeg_header(data)
         case None:
             raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
     check_dimensions(width_px, height_px, limits)
@@ -130,29 +127,15 @@ def _check_png(data: bytes) -> tuple[int, int]:
     raise ImageError(f"a PNG that ends early, after {len(data)} bytes")
 
 
-def _check_jpeg(data: bytes) -> tuple[int, int]:
-    """Read the dimensions from the frame header, and see that the end marker is there."""
+def _jpeg_header(data: bytes) -> tuple[int, int, str]:
+    """Width and height in px, and the colour space; sees that the end marker is there."""
     if JPEG_END not in data[-64:]:  # some cameras pad with zeros behind it
         raise ImageError(f"a JPEG that ends early, after {len(data)} bytes")
-    position = 2
-    while position + 4 <= len(data):
-        if data[position] != 0xFF:
-            break
-        marker = data[position + 1]
-        if marker == 0xFF:  # a fill byte
-            position += 1
-            continue
-        if marker in JPEG_BARE_MARKERS:
-            position += 2
-            continue
-        (length,) = struct.unpack_from(">H", data, position + 2)
-        if marker in JPEG_FRAME_MARKERS and length >= 8 and position + 9 <= len(data):
-            bit_depth, height_px, width_px = struct.unpack_from(">BHH", data, position + 4)
-            if bit_depth != 8:
-                raise ImageError(f"a JPEG of {bit_depth} bits; 8 are expected")
-            return width_px, height_px
-        position += 2 + length
-    raise ImageError("a JPEG without a frame header")
+    try:
+        height_px, width_px, colours, _ = simplejpeg.decode_jpeg_header(data)
+    except ValueError as problem:
+        raise ImageError(f"a JPEG that cannot be decoded: {' '.join(str(problem).split())}") from None
+    return width_px, height_px, colours
 
 
 # Channels, and the conversion to BGR. ROS names a Bayer pattern by its first two rows, OpenCV by the second and third

@@ -19,42 +19,25 @@ from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Limits, Profile
 from svmdist.recording.contents import LogFile, Rows, TransformTree, replayed_rows
-from svmdist.recording.messages import matrices
+from svmdist.recording.messages import EncodedImage, matrices
 from svmdist.recording.observations import (
+    ALL_IMAGES,
     EVERYTHING,
     ArmState,
     Decoded,
     EncodedObservation,
-    LoggedImage,
     Needs,
     Pairs,
-    Reading,
     RightCamera,
     Window,
+    decoded,
     joints_at,
 )
-from svmdist.recording.source import (
-    Health,
-    Loss,
-    LossKind,
-    RawMessage,
-    TopicInfo,
-    sanitize,
-    sanitize_list,
-)
-from svmdist.recording.topics import (
-    FixedTransform,
-    LoggedArm,
-    Role,
-    find_arms,
-    open_source,
-    topics_beside_images,
-)
+from svmdist.recording.source import Health, Loss, LossKind, TopicInfo, sanitize, sanitize_list
+from svmdist.recording.topics import FixedTransform, LoggedArm, Role, find_arms, open_source
 from svmdist.samples import ImageSample, Observation, Rejection
 from svmdist.tracks import DistanceTrack, JointTrack, TransformTrack
 from svmdist.transforms import inverse
-
-AS_IT_IS = Reading()
 
 
 def open_recording(
@@ -75,7 +58,8 @@ def open_recording(
     origin = Origin(path, profile, limits or profile.limits, dict(topics or {}))
     source = open_source(path, origin.limits)
     arms = find_arms(source, profile, origin.topics)
-    return Recording(LogFile(source, origin.limits, topics_beside_images(arms)), arms, origin)
+    beside_images = frozenset(topic for arm in arms for topic in arm.topics_beside_images())
+    return Recording(LogFile(source, origin.limits, beside_images), arms, origin)
 
 
 class Origin(NamedTuple):
@@ -104,7 +88,7 @@ class KnownLag:
 class Recording:
     """A log that can be read, over and over; everything in it but the images is read once, and kept.
 
-    With several instruments in it, all but `observations_of` is about the first one; `for_instrument` gives the
+    With several instruments in it, all but `encoded_observations` is about the first one; `for_instrument` gives the
     same log as another one sees it. Make one with `open_recording`, and others of it with the methods below.
     """
 
@@ -114,12 +98,14 @@ class Recording:
     world: ReplayedWorld | None = None
     lag: KnownLag | None = None
     """The time offset of the images that is known, and corrected; None where none is known."""
-    how: Reading = AS_IT_IS
+    alias: str | None = None
+    """The name that it goes by; None for its file's."""
+    window: Window = ALL_IMAGES
+    """Which of its images are read; whatever else it has is read whole."""
 
     def __reduce__(self) -> tuple[Callable[..., Recording], tuple[object, ...]]:
         """Another process opens the same file anew."""
-        view = {"arms": self.arms, "world": self.world, "lag": self.lag, "how": self.how}
-        return _reopened, (self.origin, view)
+        return _reopened, (self.origin, self.arms, self.world, self.lag, self.alias, self.window)
 
     # Views of the same log
 
@@ -141,14 +127,9 @@ class Recording:
         before = self.world or ReplayedWorld(UNPERTURBED, profile)
         return replace(self, world=replace(before, lag_ns=lag.lag_ns), lag=lag)
 
-    def read_as(self, how: Reading) -> Recording:
-        """The same log under another name, or some of its images; whatever else it has is read whole."""
-        return replace(self, how=how)
-
     def with_bases(self, fixed: Mapping[str, FixedTransform]) -> Recording:
         """The same log with the camera-to-base transforms of some instruments, by name, in place of its own."""
-        arms = (replace(arm, fixed=fixed.get(arm.name, arm.fixed)) for arm in self.arms)
-        return replace(self, arms=tuple(arms))
+        return replace(self, arms=tuple(replace(a, fixed=fixed.get(a.name, a.fixed)) for a in self.arms))
 
     # What the log says of itself
 
@@ -163,11 +144,6 @@ class Recording:
         return 0 if self.world is None else self.world.seed
 
     @property
-    def limits(self) -> Limits:
-        """What a message may take at most."""
-        return self.file.limits
-
-    @property
     def path(self) -> LogPath:
         """The file or folder, or the URL."""
         return self.file.source.path
@@ -175,7 +151,7 @@ class Recording:
     @property
     def name(self) -> str:
         """The file's name without its suffix, or the one that it goes by."""
-        return self.how.name or self.path.stem
+        return self.alias or self.path.stem
 
     @property
     def health(self) -> Health:
@@ -196,10 +172,10 @@ class Recording:
         return self.arms[0].choice.find(Role(role))
 
     def image_count(self) -> int | None:
-        """How many images are read of those that the file says it has; None where neither is known beforehand."""
+        """How many images are read of those that the file says it has; None where that is not known beforehand."""
         topic = self.topic_of(Role.IMAGE)
         count = next((info.message_count for info in self.topics() if info.topic == topic), None)
-        return count if count is None or self.how.window is None else self.how.window.count_of(count)
+        return None if count is None or self.window.is_bounded else -(-count // self.window.every)
 
     def size_bytes(self) -> int:
         """Size of the file, or of all files of a folder."""
@@ -250,14 +226,11 @@ class Recording:
 
     def images(self) -> Iterator[ImageSample | Rejection]:
         """Yield every image in file order, decoded; a Rejection stands for one that cannot be."""
-        return map(self._decoded, self.file.images({self._require(Role.IMAGE)}))
-
-    def _decoded(self, image: LoggedImage) -> ImageSample | Rejection:
-        losses: list[Loss] = []
-        sample = image.decode(losses)
-        for loss in losses:
-            self.health.add(loss)
-        return sample
+        for image in self.file.images({self._require(Role.IMAGE)}):
+            losses: list[Loss] = []
+            yield decoded(image, losses)
+            for loss in losses:
+                self.health.add(loss)
 
     def observations(self) -> Iterator[Observation | Rejection]:
         """Yield what an estimator may see of the first instrument in every image, by stamp.
@@ -267,36 +240,22 @@ class Recording:
         stereo pair. Each is None where the log has none. Raises RecordingError at once where the log has no
         images or no camera.
         """
-        found = self.observations_of(self.instruments[:1])
-        return (item if isinstance(item, Rejection) else item[0] for item in found)
-
-    def observations_of(
-        self, names: Sequence[str], needs: Needs = EVERYTHING
-    ) -> Iterator[tuple[Observation, ...] | Rejection]:
-        """Yield for every image what estimators may see of each instrument; each image is decoded once.
-
-        What `needs` leaves out is None in the observations.
-        """
-        return (self.record_losses(one.decode()) for one in self.encoded_observations(names, needs))
+        found = self.encoded_observations(self.instruments[:1])
+        items = (self.record_losses(one.decode()) for one in found)
+        return (item if isinstance(item, Rejection) else item[0] for item in items)
 
     def encoded_observations(
         self, names: Sequence[str], needs: Needs = EVERYTHING
     ) -> Iterator[EncodedObservation]:
-        """Yield the same as `observations_of`, not decoded yet, for a caller that decodes in threads.
+        """Yield for every image what estimators may see of each instrument, not decoded yet.
 
-        One thread at a time goes through the iterator, any thread decodes, and `record_losses` takes the results.
-        The caller holds what is not decoded yet, and bounds how many.
+        What `needs` leaves out is None in the observations. One thread at a time goes through the iterator, any thread
+        decodes, and `record_losses` takes the results. The caller bounds how many are held.
         """
-        return (one for _, _, one in self.numbered_observations(names, needs))
-
-    def numbered_observations(
-        self, names: Sequence[str], needs: Needs = EVERYTHING
-    ) -> Iterator[tuple[int, int, EncodedObservation]]:
-        """Yield the same, each with its image's number in the log and its time since the log's first image in ns."""
         arms, topic, camera = [self._arm(name) for name in names], self._require(Role.IMAGE), self.camera
         right = self._right_camera() if needs.right else None
-        images = self._observations([self._arm_states(arm, needs) for arm in arms], topic, camera, right)
-        return (self.how.window or Window()).numbered(images)
+        states = [self._arm_states(arm, needs) for arm in arms]
+        return self.window.of(self._observations(states, topic, camera, right))
 
     def record_losses(self, decoded: Decoded) -> tuple[Observation, ...] | Rejection:
         """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back."""
@@ -311,7 +270,7 @@ class Recording:
         camera: Camera,
         right: RightCamera | None,
     ) -> Iterator[EncodedObservation]:
-        tolerance_ns = round(self.limits.pair_tolerance_s * 1e9)
+        tolerance_ns = round(self.file.limits.pair_tolerance_s * 1e9)
         pairs = Pairs(None if right is None else right.topic, tolerance_ns, self._repeated)
         images = self.file.images({topic} if right is None else {topic, right.topic})
         for left, other in pairs.of(images):
@@ -342,9 +301,9 @@ class Recording:
             return None
         return RightCamera(topic, right, T_left_right)
 
-    def _repeated(self, image: LoggedImage) -> None:
-        stamp = f"an image of {image.stamp_ns} ns"
-        detail = f"{stamp} repeats a stamp, or comes too far behind later ones; it is left out"
+    def _repeated(self, image: EncodedImage) -> None:
+        late = "repeats a stamp, or comes too far behind later ones; it is left out"
+        detail = f"an image of {image.stamp_ns} ns {late}"
         self.health.add(Loss(LossKind.MESSAGE, detail, image.offset, image.topic))
 
     # Everything else, over time
@@ -398,7 +357,7 @@ class Recording:
 
     def pose_track(self) -> TransformTrack:
         """All poses, at the stamps of the images' clock; RecordingError unless they are in one frame."""
-        known = self.file.contents.rows.get(self._require(Role.POSE), {})
+        known = self.file.contents.rows[self._require(Role.POSE)]
         frames = sorted(map(str, known))
         if len(frames) > 1:
             raise self._unusable(f"poses, in several frames ({sanitize_list(frames)}),", Role.POSE)
@@ -409,13 +368,9 @@ class Recording:
 
     def distance_track(self) -> DistanceTrack:
         """All true distances."""
-        known = self.file.contents.rows.get(self._require(Role.GROUND_TRUTH_DISTANCE), {})
-        stamps_ns, rows = known.get(None, Rows()).sorted()
+        rows_of = self.file.contents.rows[self._require(Role.GROUND_TRUTH_DISTANCE)]
+        stamps_ns, rows = rows_of.get(None, Rows()).sorted()
         return DistanceTrack(stamps_ns, rows.reshape(-1, 3))
-
-    def raw_messages(self) -> Iterator[RawMessage]:
-        """Yield every message of every topic in file order, not decoded."""
-        return self.file.source.messages()
 
     @property
     def _lag_ns(self) -> int:
@@ -435,6 +390,7 @@ class Recording:
         return RecordingError(f"{self.path.name}: no usable {what} on {sanitize(self._require(role))}")
 
 
-def _reopened(origin: Origin, view: dict[str, Any]) -> Recording:
+def _reopened(origin: Origin, *view: Any) -> Recording:
     path, profile, limits, topics = origin
-    return replace(open_recording(path, profile, limits=limits, topics=topics), **view)
+    recording = open_recording(path, profile, limits=limits, topics=topics)
+    return Recording(recording.file, view[0], origin, *view[1:])

@@ -49,9 +49,7 @@ class McapSource:
     """One MCAP file."""
 
     def __init__(self, path: LogPath, limits: Limits) -> None:
-        self.path = path
-        self.health = Health()
-        self.limits = limits
+        self.path, self.limits, self.health = path, limits, Health()
         self._metadata: dict[str, str] | None = None
 
     def topics(self) -> tuple[TopicInfo, ...]:
@@ -76,15 +74,9 @@ class McapSource:
             channel = one_pass.channels[record.channel_id]
             if topics is None or channel.topic in topics:
                 schema = one_pass.schemas.get(channel.schema_id)
-                yield RawMessage(
-                    channel.topic,
-                    schema.name if schema else "",
-                    channel.message_encoding,
-                    record.log_time,
-                    record.data,
-                    offset,
-                    one_pass.loss_count,
-                )
+                name, losses = schema.name if schema else "", one_pass.loss_count
+                encoding = channel.message_encoding
+                yield RawMessage(channel.topic, name, encoding, record.log_time, record.data, offset, losses)
         self._metadata = one_pass.metadata if self._metadata is None else self._metadata
 
     def records(self) -> Iterator[McapRecord]:
@@ -114,16 +106,15 @@ class McapSource:
 
     @cached_property
     def _topics(self) -> tuple[TopicInfo, ...]:
-        one_pass, counts = _Pass(self), Counter[int]()
+        one_pass, is_counted = _Pass(self), True
+        counts, none = one_pass.counts, Schema(0, b"", "", "")
         statistics = self.summary.statistics if self.summary else None
-        is_counted = True
         if statistics and statistics.channel_count == len(one_pass.channels):
             counts.update(statistics.channel_message_counts)
             is_counted = counts.total() == statistics.message_count
         else:
-            for _, record in one_pass.records(None):
-                counts.update([record.channel_id] if isinstance(record, Message) else [])
-        none = Schema(0, b"", "", "")
+            for _ in one_pass.records(None):
+                pass
         return merge_topics(
             TopicInfo(
                 channel.topic,
@@ -147,8 +138,8 @@ class _Pass:
         self.metadata: dict[str, str] = {}
         self.loss_count = 0
         self._statistics = summary.statistics if summary else None
-        self._counts: Counter[int] = Counter()
-        self._undefined_count = 0
+        self.counts: Counter[int] = Counter()
+        """Messages read by channel."""
         self._has_data_ended = self._is_cut = False
 
     def records(self, topics: Collection[str] | None) -> Iterator[tuple[int, McapRecord]]:
@@ -211,16 +202,15 @@ class _Pass:
                     return
             offset = end
         self._is_cut = _tail(file, size_bytes) is None
-        if self._is_cut and head[:1] == bytes([Opcode.CHUNK]):
-            file.seek(offset + HEAD.size)
-            body = file.read(self._limits.record_bytes)
-            yield from ((offset, one) for one in _prefix(body, self._limits))
-        count = f"{self._counts.total()} messages recovered"
-        if self._is_cut:
-            self._lose(LossKind.TRUNCATED, count, size_bytes)
-        else:
-            detail = f"a record of impossible length; the rest is unreadable, {count}"
+        if not self._is_cut:
+            count = self.counts.total()
+            detail = f"a record of impossible length; the rest is unreadable, {count} messages recovered"
             self._lose(LossKind.STRUCTURE, detail, offset)
+            return
+        if head[:1] == bytes([Opcode.CHUNK]):
+            file.seek(offset + HEAD.size)
+            yield from ((offset, one) for one in _prefix(file.read(self._limits.record_bytes), self._limits))
+        self._lose(LossKind.TRUNCATED, f"{self.counts.total()} messages recovered", size_bytes)
 
     def _indexed(
         self, file: BinaryIO, summary: Summary, topics: Collection[str] | None
@@ -254,9 +244,8 @@ class _Pass:
 
     def _is_misplaced(self, record: McapRecord) -> bool:
         """Whether a record outside of chunks belongs into one, as all others do: its opcode is broken."""
-        if self._is_cut:
-            return False
-        return isinstance(record, Message | Schema | Channel if not self._has_data_ended else Message)
+        misplaced = Message if self._has_data_ended else Message | Schema | Channel
+        return not self._is_cut and isinstance(record, misplaced)
 
     def _is_usable(self, record: McapRecord, offset: int) -> bool:
         """Take note of definitions and counts; false for a message whose channel is not known."""
@@ -269,9 +258,10 @@ class _Pass:
             self._statistics = record
         elif isinstance(record, Message):
             if record.channel_id not in self.channels:
-                self._undefined_count += 1
+                detail = f"messages of channel {record.channel_id}, which is not defined"
+                self._lose(LossKind.MESSAGE, detail)
                 return False
-            self._counts[record.channel_id] += 1
+            self.counts[record.channel_id] += 1
         return True
 
     def _end_data(self, declared_crc: int, crc: int | None, offset: int) -> None:
@@ -291,12 +281,9 @@ class _Pass:
 
     def _check_counts(self, topics: Collection[str] | None) -> None:
         """Compare what was read with what the statistics declare."""
-        if self._undefined_count:
-            detail = f"{self._undefined_count} messages of a channel that is not defined"
-            self._lose(LossKind.MESSAGE, detail)
         if self._statistics is None:
             return
-        declared, found = Counter(self._statistics.channel_message_counts), self._counts
+        declared, found = Counter(self._statistics.channel_message_counts), self.counts
         total = self._statistics.message_count
         if isinstance(self._path, RemoteFile) and topics is not None:
             wanted = {key for key, one in self.channels.items() if one.topic in topics}

@@ -10,9 +10,9 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from google.protobuf.message import DecodeError as ProtobufError
@@ -62,7 +62,8 @@ class Kind(StrEnum):
 class EncodedImage:
     """An image message whose pixels are decoded only when asked for, by any thread; `decode` raises ImageError.
 
-    Frames of a video refer to those before them: a `Decoder` decodes them at once, in file order.
+    Frames of a video refer to those before them: a `Decoder` decodes them at once, in file order. Where and when it
+    was logged, `Decoder.image` says.
     """
 
     stamp_ns: int
@@ -71,10 +72,13 @@ class EncodedImage:
     """From a `Decoder` it takes nothing; from a converter, the limits."""
     video: tuple[str, bytes] | None = None
     """Format and data of a frame that is not decoded."""
+    topic: str = ""
+    log_time_ns: int = 0
+    size_bytes: int = 0
+    offset: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class RawTransform:
+class RawTransform(NamedTuple):
     """A transform, or the pose of something in `parent`, without its matrix, which few of the many in a log need.
 
     `values` are the translation in m and the quaternion in the order x, y, z, w.
@@ -86,8 +90,7 @@ class RawTransform:
     values: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class RawTransforms:
+class RawTransforms(NamedTuple):
     """The transforms of one message."""
 
     stamp_ns: int
@@ -150,10 +153,22 @@ class Decoder:
             return broken_image(found.stamp_ns, str(problem))
         return EncodedImage(found.stamp_ns, found.frame_id, lambda: pixels)
 
+    def image(self, raw: RawMessage) -> EncodedImage:
+        """Turn a message into an image; one that is broken becomes an image that is broken."""
+        try:
+            found = self.decode(raw)
+        except DecodeError as problem:
+            found = broken_image(raw.log_time_ns, str(problem))
+        if not isinstance(found, EncodedImage):
+            found = broken_image(raw.log_time_ns, "no image")
+        size_bytes = len(raw.data)
+        return replace(
+            found, topic=raw.topic, log_time_ns=raw.log_time_ns, size_bytes=size_bytes, offset=raw.offset
+        )
+
     def _converted(self, raw: RawMessage) -> Message:
         checked_stamp(raw.log_time_ns)
-        schema = _short(raw.schema)
-        kind = KINDS.get(raw.message_encoding, {}).get(schema)
+        schema, kind, parser, converter = _reader(raw.message_encoding, raw.schema)
         if kind is None:
             raise DecodeError(
                 f"schema {raw.schema!r} in {raw.message_encoding!r} is not one that svmdist reads"
@@ -164,15 +179,27 @@ class Decoder:
             limit += 4 * self._limits.image_pixels if is_raw else self._limits.image_bytes
         if len(raw.data) > limit:
             raise DecodeError(f"a message of {len(raw.data)} bytes, the limit is {limit}")
-        if raw.message_encoding != "protobuf":
+        if parser is None:
             from svmdist.recording.ros_messages import decode_ros
 
             return decode_ros(raw.message_encoding, schema, raw.data, raw.log_time_ns)
         try:
-            message = message_class(schema).FromString(raw.data)
+            message = parser(raw.data)
         except (ProtobufError, RecursionError, UnicodeDecodeError, ValueError) as problem:
             raise DecodeError(f"not a {schema}: {problem}") from None
-        return FOXGLOVE[schema][1](message, raw.log_time_ns)
+        has_stamp = kind is not Kind.TRANSFORMS  # whose parts have each its own
+        stamp_ns = _stamp_of(message, raw.log_time_ns) if has_stamp else raw.log_time_ns
+        found: Message = converter(message, stamp_ns, getattr(message, "frame_id", ""))
+        return found
+
+
+@lru_cache(maxsize=256)
+def _reader(message_encoding: str, schema: str) -> tuple[str, Kind | None, Any, Any]:
+    """A schema's short name and kind, and of protobuf what parses and converts its messages."""
+    short, kind = _short(schema), kind_of(schema, message_encoding)
+    if kind is None or message_encoding != "protobuf":
+        return short, kind, None, None
+    return short, kind, message_class(short).FromString, FOXGLOVE[short][1]
 
 
 @cache
@@ -210,53 +237,33 @@ def _stamp_of(message: Any, log_time_ns: int) -> int:
     """The message's own stamp in ns, or the log time where it has none."""
     if not message.HasField("timestamp"):
         return checked_stamp(log_time_ns)
-    return checked_stamp(message.timestamp.seconds * NS + message.timestamp.nanos)
+    timestamp = message.timestamp
+    return checked_stamp(timestamp.seconds * NS + timestamp.nanos)
 
 
-def raw_image(stamp_ns: int, frame_id: str, message: Any) -> EncodedImage:
-    """An uncompressed image, whose fields Foxglove and ROS name alike."""
-    size_px = (message.width, message.height)
-    decode = partial(decode_raw, message.encoding, size_px, message.step, message.data)
-    return EncodedImage(stamp_ns, frame_id, decode)
+def _foxglove_video(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+    image = broken_image(stamp_ns, "a frame of a video that was not decoded")
+    return replace(image, frame_id=frame_id, video=(message.format, message.data))
 
 
-def still_image(stamp_ns: int, frame_id: str, message: Any) -> EncodedImage:
-    """A compressed image; its `format` is ignored, for its data say what they are."""
-    return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data))
+def _foxglove_camera(message: Any, stamp_ns: int, frame_id: str) -> CameraSample:
+    numbers = message.K, message.D, message.R, message.P
+    return CameraSample(stamp_ns, checked_camera(message, frame_id, numbers))
 
 
-def _foxglove_image(message: Any, log_time_ns: int) -> EncodedImage:
-    return still_image(_stamp_of(message, log_time_ns), message.frame_id, message)
-
-
-def _foxglove_raw_image(message: Any, log_time_ns: int) -> EncodedImage:
-    return raw_image(_stamp_of(message, log_time_ns), message.frame_id, message)
-
-
-def _foxglove_video(message: Any, log_time_ns: int) -> EncodedImage:
-    image = broken_image(_stamp_of(message, log_time_ns), "a frame of a video that was not decoded")
-    return replace(image, frame_id=message.frame_id, video=(message.format, message.data))
-
-
-def _foxglove_camera(message: Any, log_time_ns: int) -> CameraSample:
-    camera = checked_camera(message, message.frame_id, (message.K, message.D, message.R, message.P))
-    return CameraSample(_stamp_of(message, log_time_ns), camera)
-
-
-def _foxglove_joints(message: Any, log_time_ns: int) -> JointSample:
+def _foxglove_joints(message: Any, stamp_ns: int, _: str) -> JointSample:
     """Joints without a position are left out."""
     joints = [joint for joint in message.joints if joint.HasField("position")]
-    names, positions = [joint.name for joint in joints], [joint.position for joint in joints]
-    return checked_joints(_stamp_of(message, log_time_ns), names, positions)
+    return checked_joints(stamp_ns, [joint.name for joint in joints], [joint.position for joint in joints])
 
 
-def _foxglove_pose(message: Any, log_time_ns: int) -> RawTransform:
+def _foxglove_pose(message: Any, stamp_ns: int, frame_id: str) -> RawTransform:
     pose = message.pose
     q = pose.orientation if pose.HasField("orientation") else None
-    return checked_transform(_stamp_of(message, log_time_ns), message.frame_id, "", pose.position, q)
+    return checked_transform(stamp_ns, frame_id, "", pose.position, q)
 
 
-def _foxglove_transforms(message: Any, log_time_ns: int) -> RawTransforms:
+def _foxglove_transforms(message: Any, log_time_ns: int, _: str) -> RawTransforms:
     """Of a FrameTransform or FrameTransforms. An unset rotation means none; four zeros that are set are an error."""
     parts = message.transforms if hasattr(message, "transforms") else [message]
     transforms = [
@@ -272,10 +279,25 @@ def _foxglove_transforms(message: Any, log_time_ns: int) -> RawTransforms:
     return transforms_of(transforms, log_time_ns)
 
 
-def _distance(message: Any, log_time_ns: int) -> DistanceSample:
+def _distance(message: Any, stamp_ns: int, _: str) -> DistanceSample:
     values = (message.planar_m, message.spatial_m, message.clearance_m)
     _check_numbers(values, "a distance")
-    return DistanceSample(_stamp_of(message, log_time_ns), *values)
+    return DistanceSample(stamp_ns, *values)
+
+
+# What Foxglove and ROS name alike
+
+
+def raw_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+    """An uncompressed image."""
+    size_px = (message.width, message.height)
+    decode = partial(decode_raw, message.encoding, size_px, message.step, message.data)
+    return EncodedImage(stamp_ns, frame_id, decode)
+
+
+def still_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+    """A compressed image; its `format` is ignored, for its data say what they are."""
+    return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data))
 
 
 # Checks that all encodings share
@@ -301,15 +323,12 @@ def _check_numbers(values: Sequence[float], what: str) -> None:
 
 def checked_transform(stamp_ns: int, parent: str, child: str, position: Any, rotation: Any) -> RawTransform:
     """Take over a transform; DecodeError for values that are not finite or name no rotation."""
-    translation_m = (position.x, position.y, position.z)
-    quaternion = (
-        (0.0, 0.0, 0.0, 1.0) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
-    )
-    _check_numbers(translation_m, "a translation")
-    _check_numbers(quaternion, "a quaternion")
-    if math.hypot(*quaternion) <= MIN_QUATERNION:
+    q = (0.0, 0.0, 0.0, 1.0) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
+    values = (position.x, position.y, position.z, *q)
+    _check_numbers(values, "a transform")
+    if math.hypot(*q) <= MIN_QUATERNION:
         raise DecodeError("a rotation needs a finite quaternion that is not zero")
-    return RawTransform(stamp_ns, parent, child, translation_m + quaternion)
+    return RawTransform(stamp_ns, parent, child, values)
 
 
 def transforms_of(transforms: Sequence[RawTransform], log_time_ns: int) -> RawTransforms:
@@ -354,11 +373,11 @@ def checked_camera(message: Any, frame_id: str, numbers: Sequence[Sequence[float
         raise DecodeError(str(problem)) from None
 
 
-Converter = Callable[[Any, int], Message]
-"""From a parsed message and its log time in ns."""
+Converter = Callable[[Any, int, str], Message]
+"""From a parsed message, its stamp in ns, and its frame."""
 FOXGLOVE: dict[str, tuple[Kind, Converter]] = {
-    "foxglove.CompressedImage": (Kind.IMAGE, _foxglove_image),
-    "foxglove.RawImage": (Kind.IMAGE, _foxglove_raw_image),
+    "foxglove.CompressedImage": (Kind.IMAGE, still_image),
+    "foxglove.RawImage": (Kind.IMAGE, raw_image),
     "foxglove.CompressedVideo": (Kind.IMAGE, _foxglove_video),
     "foxglove.CameraCalibration": (Kind.CAMERA, _foxglove_camera),
     "foxglove.JointStates": (Kind.JOINTS, _foxglove_joints),

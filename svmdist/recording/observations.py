@@ -6,7 +6,7 @@ import math
 from bisect import insort
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from svmdist.camera import Camera
 from svmdist.recording.images import ImageError
 from svmdist.recording.messages import EncodedImage
 from svmdist.recording.source import Loss, LossKind
-from svmdist.samples import Image, ImageSample, JointSample, Observation, Rejection, RightView, Status
+from svmdist.samples import ImageSample, JointSample, Observation, Rejection, RightView, Status
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array
 
@@ -40,43 +40,36 @@ class Window:
     end_s: float = math.inf
     every: int = 1
 
-    def numbered(self, images: Iterable[EncodedObservation]) -> Iterator[tuple[int, int, EncodedObservation]]:
-        """The images inside, each with its number among all and its time since the first one in ns."""
+    @property
+    def is_bounded(self) -> bool:
+        """Whether stamps decide which images are inside."""
+        return self.start_s > 0.0 or self.end_s < math.inf
+
+    def holds(self, at_ns: Any) -> Any:
+        """Whether times since the first image, one or an array, lie between start and end."""
+        # In whole nanoseconds: an image at exactly 0.1 s is inside of a window that begins at 0.1 s.
+        return (at_ns >= round(self.start_s * 1e9)) & (at_ns <= self.end_s * 1e9 + 0.5)
+
+    def of(self, images: Iterable[EncodedObservation]) -> Iterator[EncodedObservation]:
+        """The images inside, each with its number among all and its time since the first one."""
         first_ns: int | None = None
         count = 0
         for number, image in enumerate(images):
             first_ns = image.stamp_ns if first_ns is None else first_ns
-            # In whole nanoseconds: an image at exactly 0.1 s is inside of a window that begins at 0.1 s.
             at_ns = image.stamp_ns - first_ns
             if at_ns > (self.end_s + OUT_OF_ORDER_S) * 1e9:
                 return
-            if not round(self.start_s * 1e9) <= at_ns <= self.end_s * 1e9 + 0.5:
-                continue
-            if count % self.every == 0:
-                yield number, at_ns, image
-            count += 1
-
-    def count_of(self, image_count: int) -> int | None:
-        """How many of so many images are inside; None where that depends on their stamps."""
-        if self.start_s > 0.0 or self.end_s < math.inf:
-            return None
-        return -(-image_count // self.every)
+            if self.holds(at_ns):
+                if count % self.every == 0:
+                    yield replace(image, number=number, at_ns=at_ns)
+                count += 1
 
     def places(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
         """Which of rising stamps, shape (n,), are inside, counted from the first one."""
-        if len(stamps_ns) == 0:
-            return np.zeros(0, np.intp)
-        at_ns = stamps_ns - stamps_ns[0]
-        inside = (at_ns >= round(self.start_s * 1e9)) & (at_ns <= self.end_s * 1e9 + 0.5)
-        return np.flatnonzero(inside)[:: self.every]
+        return np.flatnonzero(self.holds(stamps_ns - stamps_ns[:1]))[:: self.every]
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """The name that a recording goes by, None for its file's, and its window, None for all images."""
-
-    name: str | None = None
-    window: Window | None = None
+ALL_IMAGES = Window()
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,31 +94,18 @@ class RightCamera:
     T_left_right: Array
 
 
-@dataclass(frozen=True, slots=True)
-class LoggedImage:
-    """An image message, where and when it was logged."""
-
-    image: EncodedImage
-    topic: str
-    log_time_ns: int
-    size_bytes: int
-    offset: int | None
-
-    @property
-    def stamp_ns(self) -> int:
-        """The image's stamp."""
-        return self.image.stamp_ns
-
-    def decode(self, losses: list[Loss], camera: Camera | None = None) -> ImageSample | Rejection:
-        """Decode it; where that fails, or it has not the camera's size, it is a rejection and joins the losses."""
-        try:
-            sample = ImageSample(self.stamp_ns, self.image.frame_id, self.image.decode())
-            if camera is not None:
-                _require_size(sample.image_bgr, camera)
-        except ImageError as problem:
-            losses.append(Loss(LossKind.IMAGE, str(problem), self.offset, self.topic))
-            return Rejection(self.stamp_ns, Status.CORRUPT_IMAGE, str(problem))
-        return sample
+def decoded(image: EncodedImage, losses: list[Loss], camera: Camera | None = None) -> ImageSample | Rejection:
+    """An image; where it cannot be decoded, or has not the camera's size, it is a rejection and joins the losses."""
+    try:
+        pixels = image.decode()
+        height_px, width_px = pixels.shape[:2]
+        if camera is not None and (width_px, height_px) != (camera.width_px, camera.height_px):
+            size = f"{camera.width_px}x{camera.height_px}"
+            raise ImageError(f"{width_px}x{height_px} px; the camera has {size}")
+    except ImageError as problem:
+        losses.append(Loss(LossKind.IMAGE, str(problem), image.offset, image.topic))
+        return Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, str(problem))
+    return ImageSample(image.stamp_ns, image.frame_id, pixels)
 
 
 class ArmState(NamedTuple):
@@ -153,12 +133,16 @@ class EncodedObservation:
     observation once, and hands the results to `Recording.record_losses`.
     """
 
-    left: LoggedImage
-    right: LoggedImage | None
+    left: EncodedImage
+    right: EncodedImage | None
     arms: tuple[ArmState, ...]
     camera: Camera
     right_camera: RightCamera | None
     place: int
+    number: int = 0
+    """Among the log's images."""
+    at_ns: int = 0
+    """Since the log's first image."""
 
     @property
     def stamp_ns(self) -> int:
@@ -173,7 +157,7 @@ class EncodedObservation:
     def decode(self) -> Decoded:
         """Decode the images; a Rejection stands for a left image that cannot be, or has not its camera's size."""
         losses: list[Loss] = []
-        image = self.left.decode(losses, self.camera)
+        image = decoded(self.left, losses, self.camera)
         if isinstance(image, Rejection):
             return Decoded(image, tuple(losses), self.place)
         view = self._right_view(losses)
@@ -183,18 +167,11 @@ class EncodedObservation:
     def _right_view(self, losses: list[Loss]) -> RightView | None:
         if self.right is None or self.right_camera is None:
             return None
-        image = self.right.decode(losses, self.right_camera.camera)
+        image = decoded(self.right, losses, self.right_camera.camera)
         if isinstance(image, Rejection):
             return None
         delay_s = (image.stamp_ns - self.stamp_ns) * 1e-9
         return RightView(image.image_bgr, self.right_camera.camera, self.right_camera.T_left_right, delay_s)
-
-
-def _require_size(image_bgr: Image, camera: Camera) -> None:
-    height_px, width_px = image_bgr.shape[:2]
-    if (width_px, height_px) != (camera.width_px, camera.height_px):
-        size = f"{camera.width_px}x{camera.height_px}"
-        raise ImageError(f"{width_px}x{height_px} px; the camera has {size}")
 
 
 class Pairs:
@@ -205,17 +182,17 @@ class Pairs:
     """
 
     def __init__(
-        self, right_topic: str | None, tolerance_ns: int, on_repeat: Callable[[LoggedImage], None]
+        self, right_topic: str | None, tolerance_ns: int, on_repeat: Callable[[EncodedImage], None]
     ) -> None:
         self._right_topic = right_topic
         self._tolerance_ns = tolerance_ns
         self._on_repeat = on_repeat
-        self._left: list[LoggedImage] = []
-        self._right: list[LoggedImage] = []
+        self._left: list[EncodedImage] = []
+        self._right: list[EncodedImage] = []
         self._newest_right_ns = -1
         self._last_ns = -1
 
-    def of(self, images: Iterable[LoggedImage]) -> Iterator[tuple[LoggedImage, LoggedImage | None]]:
+    def of(self, images: Iterable[EncodedImage]) -> Iterator[tuple[EncodedImage, EncodedImage | None]]:
         """Yield each left image with its right one; images come in file order."""
         for image in images:
             if image.topic == self._right_topic:
@@ -239,7 +216,7 @@ class Pairs:
         is_paired = self._right_topic is None or self._newest_right_ns >= self._left[0].stamp_ns
         return is_paired and len(self._left) > MAX_SWAPPED_IMAGES
 
-    def _next(self) -> tuple[LoggedImage, LoggedImage | None]:
+    def _next(self) -> tuple[EncodedImage, EncodedImage | None]:
         left = self._left.pop(0)
         self._last_ns = left.stamp_ns
         first_ns = left.stamp_ns - self._tolerance_ns
@@ -251,11 +228,11 @@ class Pairs:
         return left, nearest
 
 
-def _stamp(image: LoggedImage) -> int:
+def _stamp(image: EncodedImage) -> int:
     return image.stamp_ns
 
 
-def _size(images: list[LoggedImage]) -> int:
+def _size(images: list[EncodedImage]) -> int:
     return sum(image.size_bytes for image in images)
 
 

@@ -9,10 +9,8 @@ from svmdist.recording.messages import (
     NS,
     Converter,
     DecodeError,
-    EncodedImage,
     Message,
     RawTransform,
-    RawTransforms,
     checked_camera,
     checked_joints,
     checked_stamp,
@@ -49,7 +47,10 @@ def decode_ros(encoding: str, schema: str, data: bytes, log_time_ns: int) -> Mes
         message = read(data, f"{package}/msg/{name}")
     except Exception as problem:  # of the library: an error of its own, or of struct, NumPy and text
         raise DecodeError(f"not a {schema}: {' '.join(str(problem).split())}") from None
-    return CONVERTERS[name](message, log_time_ns)
+    if name == "TFMessage":
+        stamped = [_stamped(one, *_header(one, log_time_ns)) for one in message.transforms]
+        return transforms_of(stamped, log_time_ns)
+    return CONVERTERS[name](message, *_header(message, log_time_ns))
 
 
 def _header(message: Any, log_time_ns: int) -> tuple[int, str]:
@@ -58,49 +59,33 @@ def _header(message: Any, log_time_ns: int) -> tuple[int, str]:
     return checked_stamp(header.stamp.sec * NS + header.stamp.nanosec or log_time_ns), header.frame_id
 
 
-def _image(message: Any, log_time_ns: int) -> EncodedImage:
-    return raw_image(*_header(message, log_time_ns), message)
-
-
-def _compressed_image(message: Any, log_time_ns: int) -> EncodedImage:
-    return still_image(*_header(message, log_time_ns), message)
-
-
-def _camera(message: Any, log_time_ns: int) -> CameraSample:
-    stamp_ns, frame_id = _header(message, log_time_ns)
+def _camera(message: Any, stamp_ns: int, frame_id: str) -> CameraSample:
     # ROS 1 writes these names large, ROS 2 small.
     numbers = [getattr(message, name) for name in ("KDRP" if hasattr(message, "K") else "kdrp")]
     return CameraSample(stamp_ns, checked_camera(message, frame_id, [one.tolist() for one in numbers]))
 
 
-def _joints(message: Any, log_time_ns: int) -> JointSample:
-    return checked_joints(_header(message, log_time_ns)[0], message.name, message.position.tolist())
+def _joints(message: Any, stamp_ns: int, _: str) -> JointSample:
+    return checked_joints(stamp_ns, message.name, message.position.tolist())
 
 
-def _stamped(message: Any, log_time_ns: int) -> RawTransform:
+def _stamped(message: Any, stamp_ns: int, parent: str) -> RawTransform:
     """A TransformStamped; as a topic of its own it is the pose of its child, as older CRTK publishes `*_cp`."""
     transform = message.transform
-    stamp_ns, parent = _header(message, log_time_ns)
     return checked_transform(
         stamp_ns, parent, message.child_frame_id, transform.translation, transform.rotation
     )
 
 
-def _pose(message: Any, log_time_ns: int) -> RawTransform:
-    stamp_ns, parent = _header(message, log_time_ns)
+def _pose(message: Any, stamp_ns: int, parent: str) -> RawTransform:
     return checked_transform(stamp_ns, parent, "", message.pose.position, message.pose.orientation)
 
 
-def _transforms(message: Any, log_time_ns: int) -> RawTransforms:
-    return transforms_of([_stamped(one, log_time_ns) for one in message.transforms], log_time_ns)
-
-
 CONVERTERS: dict[str, Converter] = {
-    "Image": _image,
-    "CompressedImage": _compressed_image,
+    "Image": raw_image,
+    "CompressedImage": still_image,
     "CameraInfo": _camera,
     "JointState": _joints,
     "PoseStamped": _pose,
     "TransformStamped": _stamped,
-    "TFMessage": _transforms,
 }

@@ -8,7 +8,6 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Collection, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -151,10 +150,10 @@ class FolderSource:
             before = losses
             for raw in part.messages(topics):
                 counts[raw.topic] += 1
-                message = replace(raw, losses_before=losses + raw.losses_before)
+                message = raw._replace(losses_before=losses + raw.losses_before)
                 if self._is_compressed:
                     try:
-                        message = replace(message, data=_expanded(raw.data, self._message_bytes))
+                        message = message._replace(data=_expanded(raw.data, self._message_bytes))
                     except (ValueError, zstandard.ZstdError) as problem:
                         losses += 1
                         self.health.add(Loss(LossKind.MESSAGE, str(problem), raw.offset, raw.topic))

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import count
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from svmdist.files import LogPath
 
@@ -139,8 +139,7 @@ class TopicInfo:
     message_count: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class RawMessage:
+class RawMessage(NamedTuple):
     """A message as it stands in the file.
 
     `losses_before` counts what this pass has lost so far: where it grows, messages may be missing.

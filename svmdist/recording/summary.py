@@ -109,14 +109,14 @@ def inspect_recording(
     Raises RecordingError where the path is not a recording; a topic that svmdist cannot read is still counted.
     """
     recording = open_recording(path, profile, limits=limits, topics=topics)
-    decoder = Decoder(recording.limits)
+    decoder = Decoder(recording.file.limits)
     infos: dict[str, TopicInfo] = {}
     stamps_ns: defaultdict[str, array[int]] = defaultdict(lambda: array("q"))
     undecodable: Counter[str] = Counter()
     cameras: dict[str, Camera] = {}
     frames: set[str] = set()
     joint_names: dict[str, tuple[str, ...]] = {}
-    for raw in recording.raw_messages():
+    for raw in recording.file.source.messages():
         infos.setdefault(raw.topic, TopicInfo(raw.topic, raw.schema, raw.message_encoding))
         stamp_ns = raw.log_time_ns
         if kind_of(raw.schema, raw.message_encoding) is not None:
@@ -167,9 +167,9 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
     are renamed, see `TRUE_SUFFIX`. What cannot be decoded is left out; `Recording.health` counts it in the pass that
     measures.
     """
-    decoder = Decoder(recording.limits)
+    decoder = Decoder(recording.file.limits)
     truth = recording.topic_of(Role.GROUND_TRUTH_TF)
-    for raw in recording.raw_messages():
+    for raw in recording.file.source.messages():
         if kind_of(raw.schema, raw.message_encoding) is None:
             continue
         if raw.message_encoding == "protobuf" and raw.topic != truth:

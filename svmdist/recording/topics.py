@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -169,6 +169,14 @@ class LoggedArm:
     fixed: FixedTransform | None = None
     """Where the base stands in place of what the log's transforms say; None: they say it."""
 
+    def topics_beside_images(self) -> set[str]:
+        """The topics that play a role for it, but for images."""
+        topics: set[str | None] = set(self.choice.static_transforms())
+        for role in set(Role) - {Role.IMAGE, Role.RIGHT_IMAGE}:
+            with suppress(RecordingError):  # a chosen topic that is missing is reported where it is needed
+                topics.add(self.choice.find(role))
+        return {topic for topic in topics if topic is not None}
+
 
 def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) -> tuple[LoggedArm, ...]:
     """The profile's own instrument, and every other one whose joints or pose the recording has.
@@ -245,15 +253,3 @@ def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
             f" open the folder that holds it and its {METADATA_FILE}"
         )
     return source
-
-
-def topics_beside_images(arms: Iterable[LoggedArm]) -> frozenset[str]:
-    """The topics that play a role for one of the arms, but for images."""
-    topics: set[str | None] = set()
-    for arm in arms:
-        topics.update(arm.choice.static_transforms())
-        for role in set(Role) - {Role.IMAGE, Role.RIGHT_IMAGE}:
-            # A topic that was chosen and is not there is told where it is needed.
-            with suppress(RecordingError):
-                topics.add(arm.choice.find(role))
-    return frozenset(topic for topic in topics if topic is not None)

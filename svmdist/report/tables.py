@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import chain, islice
 from pathlib import Path
 from textwrap import wrap
@@ -32,6 +33,11 @@ FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 """What a spreadsheet takes for the beginning of a formula."""
 PARQUET_ROWS = 1 << 14
 """Rows that are held at once."""
+
+
+@cache
+def _steps(path: str) -> list[str | int]:
+    return [int(step) if step.isdecimal() else step for step in path.split(".")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +64,10 @@ class Column:
         """The value of a row's source; None where its path leads nowhere."""
         if callable(self.of):
             return self.of(source)
-        for step in (self.of or self.key).split("."):
+        for step in _steps(self.of or self.key):
             if source is None:
                 return None
-            source = source[int(step)] if step.isdecimal() else getattr(source, step)
+            source = source[step] if isinstance(step, int) else getattr(source, step)
         return float(source) if isinstance(source, float) else source
 
     def show(self, value: Cell) -> str:
@@ -254,11 +260,13 @@ def finite(value: Cell) -> Cell:
 
 def _csv_cell(value: Cell) -> str:
     value = finite(value)
+    if value is None:
+        return ""
     if isinstance(value, str):
         text = printable(value)
         return f"'{text}" if text.startswith(FORMULA_STARTS) else text
     # A NumPy float writes its type into its repr.
-    return "" if value is None else repr(float(value)) if isinstance(value, float) else repr(value)
+    return repr(float(value)) if isinstance(value, float) else repr(value)
 
 
 def write_parquet(results: Results, path: Path) -> None:

@@ -261,15 +261,14 @@ class _Replay:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
         logged = ReadNeeds(joints=robot, transforms=robot, right=right)
-        numbered = self._recording.numbered_observations(self._recording.instruments, logged)
+        encoded = self._recording.encoded_observations(self._recording.instruments, logged)
         with one_opencv_thread():
-            for prepared in in_order(self._prepare, numbered, jobs):
+            for prepared in in_order(self._prepare, encoded, jobs):
                 yield tuple(self._measure(prepared))
 
-    def _prepare(self, numbered: tuple[int, int, EncodedObservation]) -> _Prepared:
+    def _prepare(self, encoded: EncodedObservation) -> _Prepared:
         """Whatever of a frame needs no other one."""
-        number, at_ns, encoded = numbered
-        place = Place(number=number, seconds=at_ns * 1e-9)
+        place = Place(number=encoded.number, seconds=encoded.at_ns * 1e-9)
         decoded = encoded.decode()
         found = decoded.found
         if isinstance(found, Rejection):

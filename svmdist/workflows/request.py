@@ -27,7 +27,7 @@ from svmdist.perturbations.chosen import Perturbations, require_at_replay
 from svmdist.perturbations.images import perturbed_image, perturbed_right_view
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.log import KnownLag, Recording, open_recording
-from svmdist.recording.observations import Reading, Window
+from svmdist.recording.observations import ALL_IMAGES, Window
 from svmdist.recording.topics import Role
 from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation
@@ -253,7 +253,7 @@ class Request:
     def open(self, path: LogPath, name: str) -> Recording:
         """Open a log under a name; raises RecordingError, or UsageError for an unknown role."""
         recording = open_recording(path, self.setup.profile, topics=dict(self.topics))
-        recording = recording.read_as(Reading(name, self.window))
+        recording = replace(recording, alias=name, window=self.window or ALL_IMAGES)
         found = [f"{role} {topic}" for role in Role if (topic := recording.topic_of(role))]
         LOG.debug("%s: %s: %s", name, path, ", ".join(found))
         return recording

@@ -48,7 +48,7 @@ def far(data: bytes, _: Path) -> None:
     fsspec.filesystem("memory").pipe_file("/mutant.mcap", data)
     with suppress(SvmdistError):
         recording = open_recording("memory://mutant.mcap", load_profile())
-        for _ in recording.raw_messages():
+        for _ in recording.file.source.messages():
             pass
         assert isinstance(recording.metadata, dict)
 

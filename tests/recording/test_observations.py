@@ -16,7 +16,7 @@ from svmdist.camera import Camera
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording, open_recording
-from svmdist.recording.observations import LEFT_IMAGES
+from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
 from svmdist.recording.source import LossKind
 from svmdist.recording.writer import RecordingWriter, encode
 from svmdist.samples import (
@@ -146,6 +146,14 @@ def test_the_believed_base_is_interpolated_along_the_tree(tmp_path: Path, profil
 CALIBRATION, IMAGE = "foxglove.CameraCalibration", "foxglove.CompressedImage"
 
 
+def observed_in(
+    recording: Recording, needs: Needs = EVERYTHING
+) -> Iterator[tuple[Observation, ...] | Rejection]:
+    """Decode one after another."""
+    for one in recording.encoded_observations(recording.instruments, needs):
+        yield recording.record_losses(one.decode())
+
+
 def decoded_backwards(recording: Recording) -> Iterator[tuple[Observation, ...] | Rejection]:
     """Decode everything in threads, hand in the losses in reverse, and give the rest in order."""
     with ThreadPoolExecutor(3) as pool:
@@ -200,7 +208,7 @@ def test_threads_change_nothing(tmp_path: Path, profile: Profile, kind: str) -> 
     path = tmp_path / "a.mcap"
     path = damaged(path) if kind == "damaged" else write_scene(path, with_right(scene(12)))
     one_by_one, ahead = open_recording(path, profile), open_recording(path, profile)
-    pairs = zip(one_by_one.observations_of(one_by_one.instruments), decoded_backwards(ahead), strict=True)
+    pairs = zip(observed_in(one_by_one), decoded_backwards(ahead), strict=True)
     for mine, other in pairs:
         assert_same(mine, other)
     losses = one_by_one.health.losses
@@ -213,7 +221,7 @@ def test_threads_change_nothing(tmp_path: Path, profile: Profile, kind: str) -> 
 def test_what_is_not_needed_is_checked_and_left_out(tmp_path: Path, profile: Profile) -> None:
     """A planar method gets images alone; a broken joint state is a loss all the same."""
     recording = open_recording(damaged(tmp_path / "a.mcap"), profile)
-    found = list(recording.observations_of(recording.instruments, LEFT_IMAGES))
+    found = list(observed_in(recording, LEFT_IMAGES))
     assert len(found) == 60
     assert all(item[0].joints is None for item in found if not isinstance(item, Rejection))
     assert {loss.topic for loss in recording.health.losses} == {"/ECM/left/image", "/PSM1/measured_js"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from svmdist.perturbations.chosen import Perturbations
 from svmdist.profile import Profile, load_profile
 from svmdist.recording import mcap
 from svmdist.recording.log import KnownLag, Recording, open_recording
-from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs, Reading, Window
+from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs, Window
 from svmdist.samples import Observation
 from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.validate import validate
@@ -28,7 +29,7 @@ VIEWS = {
     ),
     "clock": lambda log, profile: log.with_lag(KnownLag(0.02), profile),
     "instrument": lambda log, profile: log.for_instrument(log.instruments[0]),
-    "window": lambda log, _: log.read_as(Reading("other", Window(0.05, 0.2, 2))),
+    "window": lambda log, _: replace(log, alias="other", window=Window(0.05, 0.2, 2)),
 }
 
 
@@ -70,7 +71,7 @@ def test_everything_but_images_is_read_once(
 ) -> None:
     """One pass where only images are asked for, one more where joints go with them; none for what comes later."""
     recording = open_recording(write_scene(tmp_path / "a.mcap", scene(20)), profile)
-    list(recording.observations_of(recording.instruments, needs))
+    list(recording.encoded_observations(recording.instruments, needs))
     for track in (recording.joint_track, recording.pose_track, recording.distance_track):
         track()
     recording.transform_track("camera", "tool", ground_truth=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -22,11 +21,9 @@ from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import DistanceScore, Pairs, score_pairs
 from svmdist.workflows.validate import Validation
-from tests.cli.conftest import Cli, cli
+from tests.conftest import Cli
 from tests.report.test_html import make_series
 from tests.report.test_scores import score, validation
-
-__all__ = ["cli"]
 
 
 def drawn(axes: Axes) -> dict[str, np.ndarray]:
@@ -204,13 +201,11 @@ def test_commands_draw_what_they_print(cli: Cli, tmp_path: Path, golden: Path) -
         "compare", log, "--method", "overlay", "--method", "kinematic", "--every", 20, "-f", "json", "--jobs", 1,
         "--save-plot", tmp_path / "compare.svg",
     )  # fmt: skip
-    assert [row["method"] for row in json.loads(outcome.out)] == ["overlay", "kinematic"]
+    assert [row["method"] for row in outcome.json] == ["overlay", "kinematic"]
     assert re.search(r"<!-- overlay, kinematic: 4 frames -->", (tmp_path / "compare.svg").read_text("utf-8"))
-    assert cli("estimate", log, "-f", "csv", "--save-plot", tmp_path / "e.png").code == 0
-    assert cli("validate", log, "--plot", "residuals", "--save-plot", tmp_path / "v.png").code == 0
+    cli("estimate", log, "-f", "csv", "--save-plot", tmp_path / "e.png")
+    cli("validate", log, "--plot", "residuals", "--save-plot", tmp_path / "v.png")
     for name in ("e.png", "v.png"):
         picture = cv2.imread(str(tmp_path / name))
         assert picture is not None
         assert picture.shape[1] == pytest.approx(PAGE_IN * 300, abs=2)
-    refused = cli("estimate", "none.mcap", "--save-plot", "a.jpeg")
-    assert (refused.code, "cannot draw a .jpeg" in refused.err, refused.err.count("\n")) == (1, True, 1)

@@ -36,7 +36,7 @@ def _images(recording: Recording) -> list[ImageSample]:
 
 
 def _messages(path: Path, topic: str) -> list[bytes]:
-    raws = [raw for raw in _open(path).raw_messages() if raw.topic == topic]
+    raws = [raw for raw in _open(path).file.source.messages() if raw.topic == topic]
     return [message_class(raw.schema).FromString(raw.data).data for raw in raws]
 
 
@@ -128,7 +128,7 @@ def test_own_stamps_of_both_views(tmp_path: Path) -> None:
     views = ViewOptions(tmp_path / "left", tmp_path / "right")
     recording = _open(import_log(ImportOptions(views, PAIR), tmp_path / "out.mcap").path)
     stamps = {
-        topic: [raw.log_time_ns for raw in recording.raw_messages() if raw.topic == topic]
+        topic: [raw.log_time_ns for raw in recording.file.source.messages() if raw.topic == topic]
         for topic in ("/ECM/left/image", "/ECM/right/image")
     }
     assert stamps["/ECM/right/image"] == [stamp + 200_000 for stamp in stamps["/ECM/left/image"]]

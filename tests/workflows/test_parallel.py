@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,7 @@ import pytest
 from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
-from svmdist.recording.observations import Reading, Window
+from svmdist.recording.observations import Window
 from svmdist.workflows.parallel import (
     LOOK_AHEAD,
     Steps,
@@ -205,6 +206,6 @@ def test_steps_go_on_from_one_pass_to_the_next(golden: Path) -> None:
     assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)]
     recording = open_recording(golden / "sweep.mcap", load_profile())
     assert image_total([recording], lambda one: 3 * len(one.instruments)) == 240
-    fewer = recording.read_as(Reading(window=Window(every=3)))
+    fewer = replace(recording, window=Window(every=3))
     assert image_total([recording, fewer]) == 80 + 27
-    assert image_total([recording, recording.read_as(Reading(window=Window(1.0)))]) is None
+    assert image_total([recording, replace(recording, window=Window(1.0))]) is None

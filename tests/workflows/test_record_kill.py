@@ -78,7 +78,7 @@ def check_what_is_left(target: Path, produced: Produced) -> int:
     """The `.part` is a readable prefix; gives the log time that is missing, in ns."""
     assert not target.exists()
     part = open_recording(target.with_name(target.name + ".part"), load_profile())
-    stamps_ns = [raw.log_time_ns for raw in part.raw_messages()]
+    stamps_ns = [raw.log_time_ns for raw in part.file.source.messages()]
     assert len(stamps_ns) <= produced.count
     if len(stamps_ns) < produced.count:
         assert {loss.kind for loss in part.health.losses} == {LossKind.TRUNCATED}
