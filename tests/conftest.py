@@ -1,17 +1,30 @@
-"""Fixtures that several test folders share."""
+"""What several test folders share: the command line, here and in a process of its own, and logs."""
 
 from __future__ import annotations
 
+import csv
+import json
 import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
 
+from svmdist.cli.main import run
 from tests.golden import RECORDINGS, GoldenRuns
 from tests.synthetic import write_log
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+LIMIT_S = 300.0
+"""A process that has not ended by then hangs; all of them need a few seconds, on a busy machine too."""
 
 # The same examples in every run, whatever an earlier one found; `--hypothesis-profile=default` draws new ones.
 settings.register_profile("repeatable", derandomize=True)
@@ -31,6 +44,99 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
     """The parameter's name in place of what a file holds: bytes and several lines may change with the clock."""
     is_content = isinstance(val, bytes) or (isinstance(val, str) and not val.isprintable())
     return argname if is_content else None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command left: its exit code, stdout and stderr."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def rows(self) -> list[dict[str, str]]:
+        """The rows of CSV on stdout."""
+        return list(csv.DictReader(self.out.splitlines()))
+
+    @property
+    def json(self) -> Any:
+        """The JSON document on stdout."""
+        return json.loads(self.out)
+
+    @property
+    def line(self) -> str:
+        """The only line of stderr."""
+        return one_line(self.err)
+
+
+Cli = Callable[..., Outcome]
+
+
+@pytest.fixture
+def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Cli:
+    """Run `svmdist` with arguments in this process; unless another one is named, the exit code is 0."""
+
+    def call(*arguments: object, code: int = 0) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["svmdist", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as exit_info:
+            run()
+        captured = capsys.readouterr()
+        assert int(exit_info.value.code or 0) == code, captured.err
+        return Outcome(code, captured.out, captured.err)
+
+    return call
+
+
+def ended(*arguments: object, **options: Any) -> subprocess.CompletedProcess[Any]:
+    """Run `svmdist` to its end in a process of its own, with the options of `subprocess.run`."""
+    defaults = {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+        "encoding": "utf-8",
+        "errors": "replace",
+    }
+    environment = {**os.environ, **options.pop("environment", {})}
+    command = [sys.executable, "-m", "svmdist", *map(os.fspath, map(_text, arguments))]
+    return subprocess.run(command, env=environment, timeout=LIMIT_S, check=False, **(defaults | options))
+
+
+def _text(argument: object) -> str | Path:
+    return argument if isinstance(argument, Path) else str(argument)
+
+
+@contextmanager
+def started(*arguments: object, **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """Begin `svmdist` in a process that hears interrupts, with the options of `Popen`, and make sure that it ends.
+
+    A shell starts what it runs in the background with interrupts ignored, and so would children of the tests begin:
+    they have the default where their parent has a handler.
+    """
+    command = [sys.executable, "-u", "-m", "svmdist", *map(str, arguments)]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen(command, text=True, start_new_session=True, **options)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    watchdog = threading.Timer(LIMIT_S, process.kill)
+    watchdog.start()
+    try:
+        with process:
+            try:
+                yield process
+            finally:
+                process.kill()  # does nothing to one that has ended
+    finally:
+        watchdog.cancel()
+
+
+def one_line(err: str) -> str:
+    """The only line of stderr."""
+    lines = err.strip().splitlines()
+    assert len(lines) == 1, err
+    assert "Traceback" not in err
+    return lines[0]
 
 
 @pytest.fixture(scope="session")
@@ -53,6 +159,12 @@ def synthetic_calibration(synthetic_log: Path) -> Path:
         fit_parts([collect_part(open_recording(synthetic_log, profile), profile, "overlay")], "overlay"), path
     )
     return path
+
+
+@pytest.fixture(scope="session")
+def calibrated(synthetic_log: Path, synthetic_calibration: Path) -> tuple[object, ...]:
+    """The synthetic log with its calibration, as arguments of a command."""
+    return (synthetic_log, "--calibration", synthetic_calibration)
 
 
 @pytest.fixture(scope="session")

@@ -119,14 +119,20 @@ def write_log(
     scene: SyntheticScene | None = None,
     frame_count: int = 20,
     change: Callable[[str, Sample], Sample | None] = lambda topic, sample: sample,
+    metadata: dict[str, str] = {"scenario": "synthetic"},  # noqa: B006  (never changed)
 ) -> Path:
     """Write a synthetic log; `change` may alter each sample, or drop it by giving None."""
-    with RecordingWriter(path, {"scenario": "synthetic"}) as writer:
+    with RecordingWriter(path, metadata) as writer:
         for topic, sample in samples(scene or make_scene(), frame_count):
             changed = change(topic, sample)
             if changed is not None:
                 writer.write(topic, changed)
     return path
+
+
+def without(part: str) -> Callable[[str, Sample], Sample | None]:
+    """A change that drops the topics with this part in their names."""
+    return lambda topic, sample: None if part in topic else sample
 
 
 def _disc(image: Image, centre_px: Array, radius_px: float, colour: tuple[int, int, int]) -> None:

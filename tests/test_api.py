@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import subprocess
 import sys
@@ -17,11 +16,7 @@ from svmdist.estimation.frame import Frame
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Status
 from svmdist.workflows.request import OwnEstimator, prepare
-from tests.cli.conftest import Cli, cli
-
-__all__ = ["cli"]
-REPOSITORY = Path(__file__).resolve().parent.parent
-
+from tests.conftest import REPOSITORY, Cli
 
 PAGES = ["README.md", *sorted(f"docs/{path.name}" for path in (REPOSITORY / "docs").glob("*.md"))]
 EXAMPLES = {
@@ -33,14 +28,8 @@ EXAMPLES = {
 @pytest.mark.parametrize("page", [page for page in PAGES if EXAMPLES[page]])
 def test_examples_run_as_they_are_printed(page: str) -> None:
     for example in EXAMPLES[page]:
-        done = subprocess.run(
-            [sys.executable, "-c", example],
-            cwd=REPOSITORY,
-            capture_output=True,
-            text=True,
-            timeout=300,
-            check=False,
-        )
+        command = [sys.executable, "-c", example]
+        done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         assert done.stdout
 
@@ -49,7 +38,7 @@ def test_a_dataframe_has_the_columns_and_values_of_the_csv(golden: Path, cli: Cl
     pd = pytest.importorskip("pandas", reason="pandas has no wheel for this platform")
     log = golden / "occlusion.mcap"
     table = svmdist.estimate(svmdist.open_recording(log), "centroid").to_dataframe()
-    rows = list(csv.DictReader(cli("estimate", log, "--method", "centroid", "-f", "csv").out.splitlines()))
+    rows = cli("estimate", log, "--method", "centroid", "-f", "csv").rows
     assert isinstance(table, pd.DataFrame)
     assert list(table.columns) == list(rows[0])
     assert list(table["status"]) == [row["status"] for row in rows]
@@ -74,11 +63,10 @@ class Constant:
     def __init__(self) -> None:
         self.count = 0
 
-    def estimate(self, frame: Frame) -> FrameResult:
+    def estimate(self, frame: Frame) -> FrameResult:  # noqa: D102
         self.count += 1
-        return FrameResult(
-            frame.stamp_ns, Status.OK, distances=Distances(planar=Distance(0.001 * self.count))
-        )
+        distances = Distances(planar=Distance(0.001 * self.count))
+        return FrameResult(frame.stamp_ns, Status.OK, distances=distances)
 
 
 def test_an_own_method_is_measured_and_each_instrument_has_its_own(golden: Path) -> None:
@@ -100,7 +88,7 @@ def test_what_is_no_result_is_told(golden: Path) -> None:
         OwnEstimator(Wrong()).estimate(None)  # type: ignore[arg-type]
 
 
-def test_importing_is_light_and_an_unknown_name_is_told() -> None:
+def test_importing_is_light_and_an_unknown_name_has_choices() -> None:
     code = "import svmdist, sys; sys.exit('cv2' in sys.modules or 'numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
     assert re.fullmatch(r"\d+\.\d+\.\d+.*", svmdist.__version__)

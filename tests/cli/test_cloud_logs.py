@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Cli
+from tests.conftest import Cli
 from tests.synthetic import write_log
 
 pytest.importorskip("s3fs", reason="the extra cloud is not installed")
@@ -55,17 +55,16 @@ def test_s3_gives_the_rows_of_a_disk(cli: Cli, bucket: str, folder: Path, tmp_pa
     """By one process and by two; what fails there is one line; what is done is known by what the store says of it."""
     expected = cli("estimate", folder, "-f", "csv").out
     results = tmp_path / "results"
-    assert (
-        cli("estimate", f"{bucket}/*.mcap", "-f", "csv", "--jobs", "2", "--resume", results).out == expected
-    )
+    asked = ("-f", "csv", "--resume", results)
+    assert cli("estimate", f"{bucket}/*.mcap", *asked, "--jobs", "2").out == expected
     next(results.glob("log1*.json")).unlink()
-    again = cli("estimate", bucket, "-f", "csv", "--jobs", "1", "--resume", results)
+    again = cli("estimate", bucket, *asked, "--jobs", "1")
     assert again.out == expected
     assert "2 of 3 logs are done" in again.err
-    missing = cli("estimate", f"{bucket}/none.mcap")
-    assert (missing.code, missing.err) == (1, f"svmdist: {bucket}/none.mcap: no such file\n")
-    nothing = cli("estimate", f"{bucket}/*.bag")
-    assert (nothing.code, nothing.err) == (2, f"svmdist: {bucket}/*.bag: no log matches\n")
+    missing = cli("estimate", f"{bucket}/none.mcap", code=1)
+    assert missing.err == f"svmdist: {bucket}/none.mcap: no such file\n"
+    nothing = cli("estimate", f"{bucket}/*.bag", code=2)
+    assert nothing.err == f"svmdist: {bucket}/*.bag: no log matches\n"
 
 
 def test_memory_gives_the_rows_of_a_disk(cli: Cli, folder: Path) -> None:
@@ -76,6 +75,4 @@ def test_memory_gives_the_rows_of_a_disk(cli: Cli, folder: Path) -> None:
         fsspec.filesystem("memory").pipe_file(f"/cloud/{path.name}", path.read_bytes())
     expected = cli("estimate", folder, "-f", "csv").out
     assert cli("estimate", "memory://cloud", "-f", "csv", "--jobs", "2").out == expected
-    alone = cli("info", "memory://cloud/log1.mcap")
-    assert alone.code == 0
-    assert "images" not in alone.out.splitlines()[0]
+    assert "images" not in cli("info", "memory://cloud/log1.mcap").out.splitlines()[0]

@@ -1,89 +1,80 @@
-"""What the commands print, where, and in which form."""
+"""What the commands print, where and in which form, and what they load for it."""
 
 from __future__ import annotations
 
-import csv
-import io
+import hashlib
 import json
+import os
+import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from svmdist.profile import load_profile
+from svmdist.recording.log import open_recording
 from svmdist.report.rows import ESTIMATE_KEYS
-from tests.cli.conftest import Cli
+from tests.conftest import Cli, ended
 from tests.synthetic import write_log
 
 CONTRACT = (
     "recording,stamp_ns,status,distance_m,tool_x_px,tool_y_px,tissue_x_px,tissue_y_px,"
     "tool_area_px,tissue_area_px,keypoint_count,match_count,inlier_count"
 )
+Arguments = tuple[object, ...]
 
 
-def test_estimate_csv_keeps_the_contract(cli: Cli, synthetic_log: Path, synthetic_calibration: Path) -> None:
-    """The columns begin with the documented ones in their order; every frame has a row; stdout holds data only."""
-    outcome = cli("estimate", synthetic_log, "--calibration", synthetic_calibration, "-f", "csv")
-    rows = list(csv.DictReader(io.StringIO(outcome.out)))
-    assert outcome.code == 0
-    assert outcome.out.startswith(CONTRACT)
-    assert len(rows) == 40
+def test_all_forms_of_rows_agree(cli: Cli, tmp_path: Path, calibrated: Arguments) -> None:
+    """A row for each frame; the ending chooses the form as -f does; stdout holds data only, or nothing; - is stdout."""
+    made = cli("estimate", *calibrated, "-f", "csv")
+    rows = cli("estimate", *calibrated, "-f", "json").json
+    assert made.out.startswith(CONTRACT)
+    assert [tuple(row) for row in rows] == [ESTIMATE_KEYS] * 40
     assert {row["recording"] for row in rows} == {"synthetic"}
-    assert all(float(row["distance_m"]) > 0 for row in rows if row["status"] == "ok")
-    assert all(row["distance_m"] == "" for row in rows if row["status"] != "ok")
+    assert all(row["distance_m"] > 0 if row["status"] == "ok" else row["distance_m"] is None for row in rows)
+    assert made.rows == [{key: "" if v is None else str(v) for key, v in row.items()} for row in rows]
+    lines = cli("estimate", *calibrated, "-f", "jsonl").out.splitlines()
+    assert [json.loads(line) for line in lines] == rows
+    for form in ("csv", "json", "jsonl"):
+        path = tmp_path / f"out.{form}"
+        assert cli("estimate", *calibrated, "-o", path).out == ""
+        assert path.read_text() == cli("estimate", *calibrated, "-f", form, "-o", "-").out
 
 
-def test_estimate_forms_agree(
-    cli: Cli, tmp_path: Path, synthetic_log: Path, synthetic_calibration: Path
+def test_an_annotated_recording_is_replaced_only_by_force(
+    cli: Cli, tmp_path: Path, synthetic_log: Path
 ) -> None:
-    """CSV, JSON, JSON lines and a file written by -o hold the same values."""
-    common = ("estimate", synthetic_log, "--calibration", synthetic_calibration)
-    from_csv = list(csv.DictReader(io.StringIO(cli(*common, "-f", "csv").out)))
-    from_json = json.loads(cli(*common, "-f", "json").out)
-    from_lines = [json.loads(line) for line in cli(*common, "-f", "jsonl").out.splitlines()]
-    written = cli(*common, "-f", "jsonl", "-o", tmp_path / "rows.jsonl")
-    assert written.out == ""
-    assert (
-        from_json
-        == from_lines
-        == [json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
-    )
-    assert [tuple(row) for row in from_json] == [ESTIMATE_KEYS] * 40
-    for text, value in zip(from_csv, from_json, strict=True):
-        assert {key: "" if item is None else str(item) for key, item in value.items()} == text
+    output = tmp_path / "out.mcap"
+    cli("estimate", synthetic_log, "-o", output)
+    topics = {info.topic: info.message_count for info in open_recording(output, load_profile()).topics()}
+    assert topics["/ECM/left/image/annotations"] == topics["/ECM/left/image"]
+    assert "--force" in cli("estimate", synthetic_log, "-o", output, code=2).err
+    cli("estimate", synthetic_log, "-o", output, "--force")
 
 
 def test_printed_equations_warn(cli: Cli, synthetic_log: Path) -> None:
     """The printed reading runs, says where it degenerates, and is stored with the rows."""
     outcome = cli("estimate", synthetic_log, "--equations", "printed", "-f", "json")
-    assert outcome.code == 0
-    assert {row["equations"] for row in json.loads(outcome.out)} == {"printed"}
+    assert {row["equations"] for row in outcome.json} == {"printed"}
     assert "eqs. (3), (4) as printed" in outcome.err
 
 
 def test_calibrate_writes_its_sources(cli: Cli, tmp_path: Path, synthetic_log: Path) -> None:
     """The file names method, camera and the hash of its source; it is not replaced without --force."""
-    import hashlib
-    import tomllib
-
     output = tmp_path / "mine.toml"
-    first = cli("calibrate", synthetic_log, "-o", output)
+    assert "residual RMSE" in cli("calibrate", synthetic_log, "-o", output).err
     stored = tomllib.loads(output.read_text())
-    assert first.code == 0
-    assert "residual RMSE" in first.err
-    assert stored["method"] == "overlay"
-    assert stored["camera"]["width_px"] == 640
+    assert (stored["method"], stored["camera"]["width_px"]) == ("overlay", 640)
     assert stored["sources"][0]["sha256"] == hashlib.sha256(synthetic_log.read_bytes()).hexdigest()
-    again = cli("calibrate", synthetic_log, "-o", output)
-    assert again.code == 2
-    assert "--force" in again.err
-    assert cli("calibrate", synthetic_log, "-o", output, "--force").code == 0
+    assert "--force" in cli("calibrate", synthetic_log, "-o", output, code=2).err
+    cli("calibrate", synthetic_log, "-o", output, "--force")
 
 
-def test_validate_document(cli: Cli, synthetic_log: Path, synthetic_calibration: Path) -> None:
+def test_validate_document(cli: Cli, calibrated: Arguments) -> None:
     """The JSON document has its schema, a score per reference, and leaves what it was fitted on out of overall."""
-    outcome = cli("validate", synthetic_log, "--calibration", synthetic_calibration, "-f", "json")
-    document = json.loads(outcome.out)
+    document = cli("validate", *calibrated, "-f", "json").json
     assert document["schema"] == "svmdist.validation/1"
     assert [score["reference"] for score in document["recordings"]] == ["ground_truth", "kinematics"]
     for score in document["recordings"]:
@@ -96,88 +87,91 @@ def test_validate_document(cli: Cli, synthetic_log: Path, synthetic_calibration:
     assert document["paper"]["r_squared"] == 0.78
 
 
-def test_baseline_catches_a_regression(
-    cli: Cli, tmp_path: Path, synthetic_log: Path, synthetic_calibration: Path
-) -> None:
-    """A stored baseline passes on the same figures, and exits with 4 when one got worse."""
+def test_a_baseline_catches_a_regression(cli: Cli, tmp_path: Path, calibrated: Arguments) -> None:
+    """It passes on the same figures, and exits with 4 where one got worse; with nothing to compare it is an error."""
     baseline = tmp_path / "baseline.json"
-    common = ("validate", synthetic_log, "--calibration", synthetic_calibration)
-    assert cli(*common, "--write-baseline", baseline).code == 0
-    assert cli(*common, "--baseline", baseline).code == 0
+    cli("validate", *calibrated, "--write-baseline", baseline)
+    cli("validate", *calibrated, "--baseline", baseline)
+    cli("validate", *calibrated, "--method", "centroid", "--baseline", baseline, code=1)
     stored = json.loads(baseline.read_text())
     stored["scores"][0]["rmse_m"] *= 0.5
     baseline.write_text(json.dumps(stored))
-    worse = cli(*common, "--baseline", baseline)
-    assert worse.code == 4
+    worse = cli("validate", *calibrated, "--baseline", baseline, code=4)
     assert "rmse_m was" in worse.err
     assert "synthetic against ground_truth" in worse.err
 
 
-def test_baseline_of_other_logs_does_not_pass(
-    cli: Cli, tmp_path: Path, synthetic_log: Path, synthetic_calibration: Path
-) -> None:
-    """A baseline that holds nothing to compare is an error, for a check that checks nothing must not pass."""
-    baseline = tmp_path / "baseline.json"
-    common = ("validate", synthetic_log, "--calibration", synthetic_calibration)
-    cli(*common, "--write-baseline", baseline)
-    assert cli(*common, "--method", "centroid", "--baseline", baseline).code == 1
-
-
-@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
-def test_save_plot(
-    cli: Cli, tmp_path: Path, synthetic_log: Path, synthetic_calibration: Path, suffix: str
-) -> None:
-    """The figure is written in the form of its suffix."""
-    figure = tmp_path / f"figure.{suffix}"
-    outcome = cli("validate", synthetic_log, "--calibration", synthetic_calibration, "--save-plot", figure)
-    assert outcome.code == 0
-    assert figure.stat().st_size > 5000
-
-
 def test_blur_bench_rows(cli: Cli, tmp_path: Path, synthetic_calibration: Path) -> None:
     """Every blur of Table I has a row, with a clean one, and the kernels are those asked for."""
-    outcome = cli(
-        "blur-bench",
-        write_log(tmp_path / "short.mcap", frame_count=10),
-        "--calibration",
-        synthetic_calibration,
-        "-f",
-        "json",
-        "--kernel",
-        "gaussian=7",
-    )
-    rows = {row["blur"]: row for row in json.loads(outcome.out)}
+    log = write_log(tmp_path / "short.mcap", frame_count=10)
+    options = ("--calibration", synthetic_calibration, "-f", "json", "--kernel", "gaussian=7")
+    rows = {row["blur"]: row for row in cli("blur-bench", log, *options).json}
     assert list(rows) == ["none", "erosion", "dilation", "gaussian", "median", "bilateral"]
     assert rows["gaussian"]["kernel_px"] == 7
     assert rows["none"]["paper_keypoint_count"] is None
     assert rows["erosion"]["paper_contour_area_px"] == 221
     # The disc is darker than the ground: eroding the image takes the darker neighbour and makes it grow.
-    assert (
-        rows["dilation"]["contour_area_px"]
-        < rows["none"]["contour_area_px"]
-        < rows["erosion"]["contour_area_px"]
-    )
+    dilated, clean, eroded = (rows[name]["contour_area_px"] for name in ("dilation", "none", "erosion"))
+    assert dilated < clean < eroded
     for row in rows.values():
         assert row["marker_keypoint_count"] > 20 * row["keypoint_count"]
         assert row["inlier_count"] <= row["match_count"]
         assert row["rmse_m"] < 5e-4
 
 
-def test_help_loads_nothing_heavy() -> None:
-    """`svmdist --help` imports neither OpenCV, PyBullet, NumPy, mcap nor matplotlib."""
-    code = (
-        "import sys; sys.argv = ['svmdist', '--help']\n"
-        "from svmdist.cli.main import run\n"
-        "try: run()\n"
-        "except SystemExit: pass\n"
-        "heavy = {'cv2', 'pybullet', 'numpy', 'mcap', 'matplotlib', 'pydantic'} & set(sys.modules)\n"
-        "print(sorted(heavy), file=sys.stderr)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stderr.strip() == "[]"
-    assert "blur-bench" in done.stdout
-
-
-def test_version(cli: Cli) -> None:
-    """`--version` prints name and version."""
+def test_version_and_a_command_that_there_is_not(cli: Cli) -> None:
     assert cli("--version").out.startswith("svmdist 0.")
+    assert "No such command 'frobnicate'" in cli("frobnicate", code=2).err
+
+
+HEAVY = ("cv2", "numpy", "mcap", "pydantic", "rich", "matplotlib", "pybullet", "sqlite3", "yaml")
+SAY_LOADED = """
+import sys
+sys.argv = ["svmdist", *sys.argv[1:]]
+from svmdist.__main__ import run
+try:
+    run()
+except SystemExit:
+    pass
+sys.stderr.write("loaded: " + " ".join(sys.modules))
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "needed"),
+    [("--help", 0), *((f"estimate LOG -f {form}", 4) for form in ("table", "csv", "json"))],
+)
+def test_a_command_loads_what_it_uses_and_no_more(tmp_path: Path, arguments: str, needed: int) -> None:
+    """Importing is most of what a short log costs; rows are written as they come, and the log is MCAP with zstd."""
+    log = write_log(tmp_path / "a.mcap", frame_count=1)
+    command = [sys.executable, "-c", SAY_LOADED, *arguments.replace("LOG", str(log)).split()]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert not set(HEAVY[needed:]) & set(done.stderr.splitlines()[-1].split())
+    assert done.stdout
+
+
+def test_a_closed_pipe_is_quiet(synthetic_log: Path) -> None:
+    """`svmdist estimate … | head -1` ends without a complaint."""
+    estimate = f"{sys.executable} -m svmdist estimate {synthetic_log} -f csv"
+    command = f"{estimate} | head -1; echo ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines() == [",".join(ESTIMATE_KEYS), "0"]
+    assert done.stderr == ""
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_a_shell_completes_with_the_script_that_is_shown(tmp_path: Path) -> None:
+    """bash reads the script, and its function asks a command of that name."""
+    command = tmp_path / "svmdist"
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m svmdist "$@"\n')
+    command.chmod(0o755)
+    # Take the shell that is named: among the parents of a test there may be none to detect.
+    named = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
+    script = str(ended("--show-completion", "bash", environment=named).stdout)
+    assert "_svmdist_completion" in script
+    ask = "\nCOMP_WORDS=(svmdist hand); COMP_CWORD=1; _svmdist_completion svmdist; echo ${COMPREPLY[@]}\n"
+    there = {**os.environ, "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
+    done = subprocess.run(
+        ["bash", "-c", script + ask], env=there, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split() == ["hand-eye"], done.stderr

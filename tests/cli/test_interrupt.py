@@ -1,4 +1,4 @@
-"""Ctrl-C: one line, exit code 130, no traceback, whatever the command is doing."""
+"""Ctrl-C and kills: one line, exit code 130, no traceback, whatever the command is doing; and nothing is left."""
 
 from __future__ import annotations
 
@@ -6,78 +6,39 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import pytest
 
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample
-from tests.cli.conftest import Cli
+from tests.conftest import REPOSITORY, Cli, started
 
-INTERRUPTED = "svmdist: interrupted"
-TERMINATED = "svmdist: terminated"
-LIMIT_S = 120.0
-"""A process that has not ended by then is killed, which fails its test; all of them need a few seconds."""
-
-
-@contextmanager
-def running(*arguments: object, **streams: Any) -> Iterator[subprocess.Popen[str]]:
-    """`svmdist` in a process that hears interrupts and that ends, so that nothing need wait with a limit of its own.
-
-    A shell starts what it runs in the background with interrupts ignored, and so do its children begin: also
-    the tests', then. They do not inherit a handler, and begin with the default where their parent has one.
-    """
-    command = [sys.executable, "-u", "-m", "svmdist", *map(str, arguments)]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        process = subprocess.Popen(command, text=True, start_new_session=True, **streams)
-    finally:
-        signal.signal(signal.SIGINT, before)
-    watchdog = threading.Timer(LIMIT_S, process.kill)
-    watchdog.start()
-    try:
-        with process:
-            try:
-                yield process
-            finally:
-                process.kill()  # does nothing to one that has ended
-    finally:
-        watchdog.cancel()
+INTERRUPTED, TERMINATED = "svmdist: interrupted", "svmdist: terminated"
 
 
 @pytest.mark.parametrize(
-    ("arguments", "busy"),
+    "request_",
     [
-        (["info", "x.mcap"], "svmdist.workflows.request.open_recording"),
-        (["estimate", "x.mcap"], "svmdist.workflows.request.open_recording"),
-        (["validate", "x.mcap"], "svmdist.workflows.request.open_recording"),
-        (["compare", "x.mcap"], "svmdist.workflows.request.open_recording"),
-        (["blur-bench", "x.mcap"], "svmdist.workflows.request.open_recording"),
-        (["calibrate", "x.mcap", "-o", "c.toml"], "svmdist.workflows.request.open_recording"),
-        (["fk", "x.mcap"], "svmdist.workflows.request.open_recording"),
-        (["record", "-o", "r.mcap"], "svmdist.workflows.record.record"),
+        *(f"{name} x.mcap" for name in ("info", "estimate", "validate", "compare", "blur-bench", "fk")),
+        "calibrate x.mcap -o c.toml",
+        "record -o r.mcap",
     ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_every_command(
-    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], busy: str
-) -> None:
+def test_every_command(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request_: str) -> None:
     """An interrupt in the middle of the work of each command ends it so, and leaves no file."""
 
     def interrupted(*_: object, **__: object) -> NoReturn:
         raise KeyboardInterrupt
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(busy, interrupted)
-    outcome = cli(*arguments)
-    assert (outcome.code, outcome.out) == (130, "")
-    assert outcome.err.splitlines() == [INTERRUPTED]
+    busy = "record.record" if request_.startswith("record") else "request.open_recording"
+    monkeypatch.setattr(f"svmdist.workflows.{busy}", interrupted)
+    outcome = cli(*request_.split(), code=130)
+    assert (outcome.out, outcome.line) == ("", INTERRUPTED)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -93,13 +54,17 @@ def test_while_a_log_is_recorded(
     """A real signal between two frames: no log under its name, and what there is stays in its `.part`, readable."""
     pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
     path, part = tmp_path / "r.mcap", tmp_path / "r.mcap.part"
-    with running("record", "--duration", 60, "-j", jobs, "-o", path, stderr=subprocess.PIPE) as process:
+    options = ("--duration", 60, "-j", jobs, "-o", path)
+    with started("record", *options, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         while process.poll() is None and not (part.exists() and part.stat().st_size > 100_000):
             time.sleep(0.02)
         process.send_signal(number)
-        _, err = process.communicate()
-    assert process.returncode == code
-    assert err.splitlines() == [f"{said}; what was recorded until then is in {part}"]
+        out, err = process.communicate()
+    assert (process.returncode, out) == (code, "")  # PyBullet's own chatter goes nowhere
+    lines = [
+        line for line in err.splitlines() if "frames/s" not in line
+    ]  # a slow machine reports its progress
+    assert lines == [f"{said}; what was recorded until then is in {part}"]
     assert list(tmp_path.iterdir()) == [part]
     assert any(isinstance(image, ImageSample) for image in open_recording(part, load_profile()).images())
 
@@ -112,7 +77,7 @@ def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
     pty = pytest.importorskip("pty", reason="this system has no pseudo-terminals")
     leader, follower = pty.openpty()
     logs = sorted(golden.glob("*.mcap"))
-    with running("compare", *logs, stdout=subprocess.DEVNULL, stderr=follower) as process:
+    with started("compare", *logs, stdout=subprocess.DEVNULL, stderr=follower) as process:
         os.close(follower)
         shown = b""
         while b"comparing" not in shown:
@@ -132,3 +97,51 @@ def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
     assert b"Traceback" not in shown
     assert shown.count(INTERRUPTED.encode()) == 1
     assert shown.rindex(b"\x1b[?25h") < shown.index(INTERRUPTED.encode())
+
+
+GOLDEN = REPOSITORY / "recordings"
+COMMANDS = {
+    "table": f"estimate {GOLDEN}/sweep.mcap -o rows.csv",
+    "parquet": f"estimate {GOLDEN}/sweep.mcap -o rows.parquet",
+    "many logs": f"estimate {GOLDEN}/sweep.mcap {GOLDEN}/random.mcap --jobs 2 -o m.csv",
+    "report": f"validate {GOLDEN}/sweep.mcap --report report.html",
+    "calibration": f"calibrate {GOLDEN}/calibration.mcap -o c.toml",
+    "kinematics": f"fk {GOLDEN}/sweep.mcap -o fk.csv",
+    "recording": "record --rate 10 -j 2 --duration 2.6 -o log.mcap",
+    "episodes": "record --rate 10 -j 2 --duration 1 --episodes 2 -o folder",
+}
+
+
+def left_by(folder: Path, command: str, after_s: float | None, number: int = 0) -> tuple[int, set[str]]:
+    """The exit code, and the files in the temporary folder and beside the output."""
+    temporary = folder / "tmp"
+    temporary.mkdir(exist_ok=True)
+    there = {**os.environ, "TMPDIR": str(temporary), "PYTHONPATH": str(REPOSITORY)}
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with started(*command.split(), cwd=folder, env=there, **quiet) as process:
+        if after_s is not None:
+            time.sleep(after_s)
+            process.send_signal(number)
+        code = process.wait()
+    deadline = time.monotonic() + 10.0
+    while list(temporary.iterdir()) and time.monotonic() < deadline:
+        time.sleep(0.1)  # workers notice that their parent was killed
+    return code, {path.name for path in (*folder.iterdir(), *temporary.iterdir())} - {"tmp"}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+@pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
+def test_nothing_is_left_in_the_temporary_folder(tmp_path: Path, command: str) -> None:
+    """A killed command leaves at most its `.part` beside the target, which the next one removes."""
+    *_, output = command.split()
+    kept = {output, f"{output}.part"} if command.startswith("record") else {output}
+    for after_s in (0.7, 1.5, 2.2, 3.5):
+        _, left = left_by(tmp_path, command, after_s, signal.SIGTERM)
+        assert left <= kept
+        _, left = left_by(tmp_path, command, after_s, signal.SIGKILL)
+        assert all(name == output or name.endswith(".part") for name in left)
+    for path in [tmp_path / output, *(tmp_path / output).glob("*")]:  # which an earlier one may have finished
+        if path.is_file():
+            path.unlink()
+    assert left_by(tmp_path, command, None) == (0, {output})

@@ -12,7 +12,7 @@ from svmdist.recording.log import open_recording
 from svmdist.report.panels import bgr, phases_picture
 from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.request import prepare
-from tests.cli.conftest import Cli
+from tests.conftest import Cli
 
 
 def has_colour(picture: np.ndarray, part: Part) -> int:
@@ -23,9 +23,8 @@ def test_the_phases_of_overlay_are_five_panels_of_the_images_size(
     golden: Path, cli: Cli, tmp_path: Path
 ) -> None:
     log = golden / "sweep.mcap"
-    outcome = cli("show", log, "--frame", 3, "-o", tmp_path)
-    assert outcome.code == 0
-    assert outcome.out == f"{tmp_path / 'sweep-00003.png'}\n"
+    shown = cli("show", log, "--frame", 3, "-o", tmp_path).out
+    assert shown == f"{tmp_path / 'sweep-00003.png'}\n"
     picture = cv2.imread(str(tmp_path / "sweep-00003.png"))
     assert picture is not None
     assert picture.shape[1] == 3 * 644
@@ -51,44 +50,21 @@ def test_at_takes_the_nearest_image_and_worst_the_worst(golden: Path, cli: Cli, 
     log = golden / "sweep.mcap"
     assert cli("show", log, "--at", 0.52, "-o", tmp_path).out.endswith("sweep-00005.png\n")
     worst = cli("show", log, "--worst", 2, "-o", tmp_path)
-    assert worst.code == 0
-    assert len(worst.out.splitlines()) == 2
-    told = [line for line in worst.err.splitlines() if "planar error" in line]
-    assert len(told) == 2
+    assert len(worst.out.splitlines()) == worst.err.count("planar error") == 2
 
 
 def test_one_picture_may_have_a_name(golden: Path, cli: Cli, tmp_path: Path) -> None:
-    """A name in .png is a file for one image, and never a folder; other kinds of pictures are refused."""
-    log = golden / "sweep.mcap"
+    """A name in .png is a file, and never a folder."""
     named = tmp_path / "made" / "seen.png"
-    one = cli("show", log, "--frame", 3, "-o", named)
-    assert (one.code, one.out) == (0, f"{named}\n")
+    assert cli("show", golden / "sweep.mcap", "--frame", 3, "-o", named).out == f"{named}\n"
     assert cv2.imread(str(named)) is not None
-    several = cli("show", log, "-o", tmp_path / "six.png")
-    assert (several.code, several.err.count("\n")) == (2, 1)
-    assert "6 are asked for" in several.err
-    other = cli("show", log, "--frame", 3, "-o", tmp_path / "seen.pdf")
-    assert other.code == 2
-    assert "in .png, or a folder" in other.err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["made"]
-
-
-def test_choices_that_exclude_each_other_are_refused(golden: Path, cli: Cli) -> None:
-    log = golden / "sweep.mcap"
-    both = cli("show", log, "--frame", 1, "--worst", 2)
-    assert (both.code, both.err.count("\n")) == (2, 1)
-    assert "give one of them" in both.err
-    assert cli("show", log, "--masks", "--worst", 2).code == 2
-    far = cli("show", log, "--frame", 1000)
-    assert far.code == 2
-    assert "0 to 79" in far.err
 
 
 def test_masks_are_a_picture_of_the_chosen_image(cli: Cli, synthetic_log: Path, tmp_path: Path) -> None:
     """The file's name has the image's number; the picture holds the image and a caption."""
-    outcome = cli("show", synthetic_log, "--masks", "--frame", "3", "-o", tmp_path)
     path = tmp_path / "synthetic-00003.png"
-    assert (outcome.code, outcome.out.strip()) == (0, str(path))
+    shown = cli("show", synthetic_log, "--masks", "--frame", "3", "-o", tmp_path).out
+    assert shown == f"{path}\n"
     picture = cv2.imread(str(path))
     assert picture is not None
     assert picture.shape[1] >= 900

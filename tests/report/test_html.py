@@ -26,9 +26,8 @@ from svmdist.report.html import WORST_COUNT, Report, page, plotly_figure, write_
 from svmdist.report.tables import Table
 from svmdist.workflows.references import Reference
 from svmdist.workflows.series import Series
-from tests.cli.conftest import Cli, cli
+from tests.conftest import Cli
 
-__all__ = ["cli"]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
          "--disable-component-update", "--disable-sync")  # fmt: skip
@@ -163,9 +162,8 @@ def test_validate_writes_a_report_with_its_plots_and_worst_frames(
     output, log = tmp_path / "report.html", golden / "occlusion.mcap"
     options = ("--truth", "ground_truth", "--lag", "auto", "-f", "json", "--report", output)
     outcome = cli("validate", log, *options)
-    assert outcome.code == 0
     text = output.read_text()
-    score = json.loads(outcome.out)["recordings"][0]
+    score = outcome.json["recordings"][0]
     assert f"RMSE {score['rmse_m'] * 1e3:.2f} mm" in text
     assert text.count("data:image/jpeg;base64,") == WORST_COUNT
     assert all(part in text for part in ("no_instrument", "SHA-256", "Lag before and after"))
@@ -179,12 +177,9 @@ def test_estimate_writes_the_report_beside_the_rows_or_in_their_place(
     log = golden / "sweep.mcap"
     beside = cli("estimate", log, "-f", "csv", "--report", tmp_path / "a.html")
     assert beside.out.startswith("recording,")
-    alone = cli("estimate", log, "-o", tmp_path / "b.html")
-    assert (alone.code, alone.out) == (0, "")
+    assert cli("estimate", log, "-o", tmp_path / "b.html").out == ""
     first, second = (figures_of((tmp_path / name).read_text()) for name in ("a.html", "b.html"))
     assert first == second
-    refused = cli("validate", log, "--report", "report.pdf")
-    assert (refused.code, ".html" in refused.err) == (2, True)
 
 
 @pytest.fixture(scope="module")

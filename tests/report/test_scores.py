@@ -32,9 +32,8 @@ from svmdist.workflows.compare import Figures, Group, MethodScore
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import Pairs, Score, score_pairs
 from svmdist.workflows.validate import Validation
-from tests.cli.conftest import Cli, cli
+from tests.conftest import Cli
 
-__all__ = ["cli"]
 START_NS = 1_700_000_000_000_000_000
 
 
@@ -191,9 +190,9 @@ def test_groups_and_all_logs_count_every_frame_once() -> None:
 def test_summaries_are_written_in_markup(golden: Path, cli: Cli, tmp_path: Path) -> None:
     """LaTeX and Markdown have the numbers of the JSON, in mm."""
     log = golden / "sweep.mcap"
-    found = json.loads(cli("validate", log, "-f", "json").out)["recordings"][0]
+    found = cli("validate", log, "-f", "json").json["recordings"][0]
     text = cli("validate", log, "-f", "latex").out
     assert f"{found['rmse_m'] * 1e3:.2f}" in text
     assert text.count(r"\begin{table}") == text.count(r"\end{table}") >= 1
-    assert cli("validate", log, "-o", tmp_path / "a.md").code == 0
+    cli("validate", log, "-o", tmp_path / "a.md")
     assert (tmp_path / "a.md").read_text().count("|---") >= 1

@@ -10,10 +10,14 @@ from scipy.spatial import ConvexHull
 from svmdist.errors import SimulationError, UsageError
 from svmdist.profile import Profile
 from svmdist.simulation.instrument import make_plate
-from svmdist.simulation.organ import LIMIT, OrganSurface, make_organ
+from svmdist.simulation.motion import Scenario
+from svmdist.simulation.organ import LIMIT, make_organ
 from svmdist.simulation.scene import BREATHING_HZ, PULSE_HZ, Options, Scene, make_scene
 from svmdist.transforms import Array, polygon_centroid
 from tests.simulation.conftest import chosen, perturbed
+
+pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+from svmdist.simulation.plan import make_plan
 
 T_S = np.arange(0.0, 40.0, 0.01)
 
@@ -68,7 +72,7 @@ def test_heights_are_those_of_the_triangles(text: str) -> None:
     hits, ray, _ = mesh.ray.intersects_location(starts, np.tile([0.0, 0.0, -1.0], (len(starts), 1)))
     expected_m = np.full(len(xy_m), -np.inf)
     expected_m[ray] = hits[:, 2] * 1e-3
-    np.testing.assert_allclose(OrganSurface(organ).heights_m(xy_m), expected_m, atol=1e-9)
+    np.testing.assert_allclose(organ.heights_m(xy_m), expected_m, atol=1e-9)
     assert 0.6 < np.isfinite(expected_m).mean() < 0.9
 
 
@@ -76,23 +80,22 @@ def test_heights_are_those_of_the_triangles(text: str) -> None:
 def test_a_dent_goes_down_to_what_presses_and_leaves_the_rest(depth_m: float) -> None:
     """A ball pressed 0.01 to 4 mm deep has 2 µm inside at most, and the surface goes down as far, to 2 %."""
     organ = make_organ(np.random.default_rng(2), 0, chosen("dent=1"))
-    surface = OrganSurface(organ)
     points = np.random.default_rng(0).normal(0.0, 1.0, (6000, 3))
     points *= 0.0015 / np.linalg.norm(points, axis=1, keepdims=True)
-    points += [0.002, 0.001, surface.heights_m(np.array([[0.002, 0.001]]))[0] + 0.0015 - depth_m]
-    points = points[surface.inside_m(points) > 0.0]
-    deepest_m = surface.inside_m(points).max()  # the surface is tilted
-    assert not surface.is_too_deep(points)
-    dented = surface.dented(points)
-    assert OrganSurface(dented).inside_m(points).max() < 2e-6
+    points += [0.002, 0.001, organ.heights_m(np.array([[0.002, 0.001]]))[0] + 0.0015 - depth_m]
+    points = points[organ.inside_m(points) > 0.0]
+    deepest_m = organ.inside_m(points).max()  # the surface is tilted
+    assert not organ.is_too_deep(points)
+    dented = organ.dented(points)
+    assert dented.inside_m(points).max() < 2e-6
     down_m = organ.mesh.vertices_m[:, 2] - dented.mesh.vertices_m[:, 2]
     assert down_m.min() >= 0.0
     assert down_m.max() == pytest.approx(deepest_m, rel=0.02, abs=3e-6)
     away_m = np.linalg.norm(organ.mesh.vertices_m[:, None, :2] - points[None, ::20, :2], axis=2).min(axis=1)
     np.testing.assert_array_equal(down_m[away_m > 0.0135], 0.0)
     far_down = points - [0.0, 0.0, 0.9 * organ.height_m]
-    assert surface.is_too_deep(far_down)
-    flat_m = surface.dented(far_down).mesh.vertices_m[:, 2]
+    assert organ.is_too_deep(far_down)
+    flat_m = organ.dented(far_down).mesh.vertices_m[:, 2]
     assert (flat_m >= (1.0 - LIMIT) * organ.mesh.vertices_m[:, 2] - 1e-12).all()
 
 
@@ -115,6 +118,7 @@ def test_breath_and_pulse_have_their_amplitudes_and_frequencies(profile: Profile
     [
         ({"robot": None}, {}, r"it needs \[robot\], \[instrument\] and \[simulation\]"),
         ({"fiducial": None}, {"tag": True}, r"it needs \[fiducial\]"),
+        ({"other_instruments": ()}, {"arms": 2}, r"places 1 of 2 arms: it needs \[\[other_instruments\]\]"),
         ({}, {"degradations": (("smok", 3),)}, "did you mean smoke"),
         ({}, {"degradations": (("smoke", 6),)}, "1 to 5"),
     ],
@@ -123,13 +127,11 @@ def test_what_cannot_be_simulated_is_an_error(
     profile: Profile, update: dict, options: dict, said: str
 ) -> None:
     with pytest.raises((SimulationError, UsageError), match=said):
-        make_scene(profile.model_copy(update=update), 1, Options(**options))
+        make_plan(
+            Scenario("sweep", 1, 0.1, 10.0), profile.model_copy(update=update), options=Options(**options)
+        )
+    with pytest.raises(UsageError, match="hold no frame"):
+        Scenario("sweep", 0, 0.1, 1.0)
     unknown = profile.fiducial.model_copy(update={"id": 587})
     with pytest.raises(SimulationError, match="0 to 586"):
         make_plate(unknown)
-
-
-def test_metadata_names_what_is_set() -> None:
-    assert Options().metadata() == {}
-    options = Options(stereo=True, kinematic_error=1.0, degradations=(("smoke", 3), ("jpeg", 1)))
-    assert options.metadata() == {"stereo": "yes", "kinematic_error": "1", "degrade": "smoke=3,jpeg=1"}

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import pytest
@@ -14,8 +19,8 @@ from svmdist.recording.observations import Window
 from svmdist.workflows import batch
 from svmdist.workflows.batch import ATTEMPTS, Job, LogFile, Outcome, collected_notes, log_notes, measure_logs
 from svmdist.workflows.request import LOG, Request, Setup
+from tests.conftest import REPOSITORY
 from tests.synthetic import write_log
-from tests.workflows.dask_cluster import DaskCluster, wait_until
 from tests.workflows.jobs import Counted, count_images
 
 
@@ -119,13 +124,39 @@ def test_what_a_profile_names_counts(tmp_path: Path) -> None:
     assert len(list(batch._paths_in({"a": [Path("x"), {"b": Path("y")}], "c": 1}))) == 2
 
 
+class DaskCluster:
+    """A real Dask cluster on this machine: a scheduler and two workers of one thread, each a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        self._folder = folder
+        self.address = f"tcp://127.0.0.1:{port}"
+        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-show")
+        self.workers = [
+            self._start("worker", self.address, "--nthreads", "1", "--no-nanny") for _ in range(2)
+        ]
+
+    def close(self) -> None:
+        """Kill everything."""
+        for process in [*self.workers, self.scheduler]:
+            process.kill()
+            process.wait()
+
+    def _start(self, what: str, *arguments: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "dask", what, *arguments, "--no-dashboard"]
+        there = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+        with (self._folder / f"{what}.log").open("ab") as log:
+            return subprocess.Popen(
+                command, stdout=log, stderr=subprocess.STDOUT, cwd=self._folder, env=there
+            )
+
+
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[DaskCluster]:
     pytest.importorskip("distributed", reason="the extra cluster is not installed")
     made = DaskCluster(tmp_path)
-    made.start_scheduler()
-    made.start_worker()
-    made.start_worker()
     yield made
     made.close()
 
@@ -135,22 +166,24 @@ def cluster(tmp_path: Path) -> Iterator[DaskCluster]:
 @pytest.mark.filterwarnings("default")  # of Dask's own
 def test_a_cluster_gives_the_same(cluster: DaskCluster, logs: list[LogFile], tmp_path: Path) -> None:
     """Also where a worker is killed on the way; a scheduler that is lost is one line, and results stay."""
-    from threading import Thread
-
     calm = seen(measure_logs(job_in(tmp_path / "calm", log1="broken"), logs, jobs=1))
     fates = tmp_path / "fates"
     job = job_in(fates, log1="broken", log3="held")
     found: list[Any] = []
     run = Thread(target=lambda: found.extend(measure_logs(job, logs, scheduler=cluster.address)), daemon=True)
     run.start()
-    wait_until(lambda: attempts(fates, "log3") == 1, "no worker began the log")
+    end_s = time.monotonic() + 120.0
+    while attempts(fates, "log3") != 1:
+        assert time.monotonic() < end_s, "no worker began the log"
+        time.sleep(0.02)
     pid = int((fates / "log3.attempts").read_text())
     next(worker for worker in cluster.workers if worker.pid == pid).kill()
     (fates / "open").touch()
     run.join(120)
     assert seen(found) == calm
     assert attempts(fates, "log3") == 2
-    cluster.kill_scheduler()
+    cluster.scheduler.kill()
+    cluster.scheduler.wait()
     with pytest.raises(SvmdistError, match="cannot connect"):
         measure_logs(job, logs, scheduler=cluster.address)
     with pytest.raises(UsageError, match="expected one as in tcp://host:8786"):

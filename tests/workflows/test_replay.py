@@ -7,21 +7,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from svmdist.errors import RecordingError
 from svmdist.estimation.methods import METHODS
 from svmdist.estimation.scene import Arm
+from svmdist.profile import AutoSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
+from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.replay import MultiInstrumentEstimator, Place, Replayed, replay
+from svmdist.workflows.replay import (
+    MultiInstrumentEstimator,
+    Place,
+    Replayed,
+    adapted_segmenters,
+    replay,
+    spread_observations,
+)
 from svmdist.workflows.request import CLEAN, Condition, Setup, prepare
 from tests.synthetic import START_NS, write_log
 
@@ -148,15 +156,11 @@ def test_an_image_that_cannot_be_used_is_a_result_of_every_lane(tmp_path: Path, 
 
 
 def test_frames_without_images_are_no_frames(tmp_path: Path, setups: list[Setup]) -> None:
-    """A log of joints alone has no result; dropping images drops their results, and changes no stateless other."""
-    dropped = 0
+    """Dropping images drops their results, and changes no stateless other."""
+    images = count()
 
     def every_second(_topic: str, sample: Sample) -> Sample | None:
-        nonlocal dropped
-        if isinstance(sample, ImageSample):
-            dropped += 1
-            return sample if dropped % 2 else None
-        return sample
+        return None if isinstance(sample, ImageSample) and next(images) % 2 else sample
 
     half = write_log(tmp_path / "half.mcap", frame_count=6, change=every_second)
     whole = write_log(tmp_path / "whole.mcap", frame_count=6)
@@ -175,8 +179,21 @@ def test_estimate_is_replay_of_one_method(
     assert stamps == sorted(stamps)
 
 
-def test_an_unknown_instrument_is_told_at_once(log: Path, setups: list[Setup]) -> None:
-    """Before any image is read."""
-    recording = open_recording(log, setups[0].profile)
-    with pytest.raises(RecordingError, match="PSM9"):
-        replay(recording, [setups[0]], wanted=["PSM9"])
+def test_what_a_segmenter_learns_from_is_spread_over_the_log(tmp_path: Path) -> None:
+    """Evenly from the first image, at least as many as wanted and at most twice as many."""
+    recording = open_recording(write_log(tmp_path / "a.mcap", frame_count=23), prepare().profile)
+    for wanted in (1, 3, 8, 40):
+        numbers = [number for number, _ in spread_observations(recording, wanted)]
+        assert numbers[0] == 0
+        assert len(set(np.diff(numbers))) <= 1
+        assert min(wanted, 23) <= len(numbers) <= 2 * wanted
+
+
+def test_each_condition_has_its_own_segmenter(log: Path) -> None:
+    """Colours are learnt under the condition they are used in; methods that do not learn are shared."""
+    automatic = prepare().profile.model_copy(update={"segmentation": AutoSegmentation(method="auto")})
+    recording = open_recording(log, automatic)
+    first, second = adapted_segmenters(AutoSegmenter(), recording, [CLEAN, NOISE])
+    assert first is not second
+    colours = prepare().segmenter
+    assert adapted_segmenters(colours, recording, [CLEAN, NOISE]) == [colours, colours]

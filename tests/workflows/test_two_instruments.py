@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +17,13 @@ from svmdist.workflows.estimate import estimate
 from svmdist.workflows.references import Reference, TruthRules
 from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.validate import validate
-from tests.cli.conftest import Cli, cli  # noqa: F401  (the fixture)
+from tests.conftest import Cli
 from tests.measuring import Measuring, flat
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.scene import Options
-from svmdist.workflows.record import record
+from svmdist.workflows.record import Recipe, record
 
 NAMES = ("PSM1", "PSM2")
 BETWEEN = "/ground_truth/PSM1/PSM2/distance"
@@ -36,7 +33,7 @@ BETWEEN = "/ground_truth/PSM1/PSM2/distance"
 def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four frames of two arms that hardly err."""
     path = tmp_path_factory.mktemp("two") / "two.mcap"
-    record(Scenario("sweep", 5, 0.4, 10.0), load_profile(), path, options=Options(arms=2))
+    record(Recipe(Scenario("sweep", 5, 0.4, 10.0), load_profile(), Options(arms=2)), path)
     return path
 
 
@@ -118,24 +115,19 @@ def test_scores_are_per_instrument(two: Path) -> None:
         assert score.spatial.statistics.rmse == pytest.approx(other.figures.spatial.statistics.rmse)
 
 
-def test_the_command_line_names_instruments(cli: Cli, two: Path) -> None:  # noqa: F811
+def test_the_command_line_names_instruments(cli: Cli, two: Path) -> None:
     """Columns are added at the end; `--instrument` picks one; a wrong name is told with the choices."""
-    outcome = cli("estimate", two, "--method", "kinematic", "--format", "csv")
-    table = list(csv.DictReader(io.StringIO(outcome.out)))
-    assert outcome.code == 0
+    command = ("estimate", two, "--method", "kinematic")
+    table = cli(*command, "-f", "csv").rows
     assert [row["instrument"] for row in table] == [*NAMES] * 4
     assert all(float(row["instrument_clearance_m"]) > 0.0 for row in table)
-    assert outcome.out.splitlines()[0].endswith(
-        "instrument_direction_x,instrument_direction_y,instrument_direction_z,detail,tool_std_m,axis_std_rad,consistency"
-    )
-    one = cli("estimate", two, "--method", "kinematic", "--format", "jsonl", "--instrument", "PSM2")
-    assert [json.loads(line)["instrument"] for line in one.out.splitlines()] == ["PSM2"] * 4
-    wrong = cli("estimate", two, "--instrument", "PSM3")
-    assert wrong.code == 2
-    assert "profile psm13 has no such instrument: did you mean PSM" in wrong.err
+    one = cli(*command, "-f", "json", "--instrument", "PSM2").json
+    assert [row["instrument"] for row in one] == ["PSM2"] * 4
+    wrong = cli("estimate", two, "--instrument", "PSM3", code=2).line
+    assert "profile psm13 has no such instrument: did you mean PSM" in wrong
 
 
-def test_one_instrument_is_as_ever(synthetic_log: Path, cli: Cli) -> None:  # noqa: F811
+def test_one_instrument_is_as_ever(synthetic_log: Path) -> None:
     """Without the other's topics nothing changes but the new column; asking for the other is told."""
     setup = prepare(method="kinematic")
     recording = open_recording(synthetic_log, setup.profile)
@@ -147,7 +139,6 @@ def test_one_instrument_is_as_ever(synthetic_log: Path, cli: Cli) -> None:  # no
     assert [vars(row) | {"instrument": ""} for row in named] == [vars(row) for row in plain]
     with pytest.raises(RecordingError, match="no topic of an instrument PSM2: did you mean PSM1"):
         estimate(recording, setup, ["PSM2"])
-    assert cli("estimate", synthetic_log, "--method", "kinematic", "--instrument", "PSM2").code == 1
 
 
 def test_topics_of_another_arm_stand_in_for_nothing(two: Path) -> None:

@@ -29,10 +29,7 @@ from svmdist.workflows.metric_table import (
     LENGTH,
     Better,
     Metric,
-    Output,
     Tolerance,
-    figure_metrics,
-    score_metrics,
 )
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import Pairs, Score, score_pairs
@@ -75,35 +72,12 @@ def validation(error_m: float = 1e-3) -> Validation:
     return Validation((score,), (replace(score, recording="overall"),), (), rules)
 
 
-def figures() -> Figures:
-    """The same distances as a replay's."""
-    distance = score_pairs(pairs())
-    return Figures(20, 20, distance, distance, distance, 3.0)
-
-
 def test_columns_stay() -> None:
     """The columns of version 0.1, in their order: a column is neither renamed nor moved nor removed."""
     assert list(keys_of(score_columns())) == SCORE_COLUMNS.split()
     figure_columns = FIGURE_COLUMNS.split()
-    assert list(keys_of(compare_columns())) == [
-        "group",
-        "method",
-        *figure_columns,
-        "scenario",
-        "degradation",
-        "instrument",
-    ]
-
-
-def test_declarations_are_complete() -> None:
-    """A key is declared once, a meaning is a sentence, and what a baseline compares says which way is better."""
-    for metrics in (score_metrics(), figure_metrics()):
-        keys = [metric.key for metric in metrics]
-        assert len(keys) == len(set(keys))
-        for metric in metrics:
-            assert metric.meaning.endswith(".")
-            assert metric.better or metric.tolerance is None
-            assert metric.title or not metric.outputs & ~(Output.SCORES | Output.FIGURES)
+    compared = ["group", "method", *figure_columns, "scenario", "degradation", "instrument"]
+    assert list(keys_of(compare_columns())) == compared
 
 
 @pytest.fixture
@@ -145,11 +119,9 @@ def test_a_new_metric_is_declared_once(added: str) -> None:
         assert "p99" in shown
         assert f"{expected * 1e3:.2f}" in shown
     assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | 1e-05 m |" in metrics_page("")
-
-
-def test_a_new_metric_stands_in_replays(added: str) -> None:
-    """`compare` shows it for each distance."""
-    results = compare_results([MethodScore(Group("sweep"), "fused", figures())])
-    assert results.keys[-4:] == ("instrument", added, f"spatial_{added}", f"clearance_{added}")
-    assert [{*row} for row in results.rows] == [{*results.keys}]
-    assert render(results.tables[0]).count("p99") == 3
+    distance = score_pairs(pairs())
+    figures = Figures(20, 20, distance, distance, distance, 3.0)
+    compared = compare_results([MethodScore(Group("sweep"), "fused", figures)])
+    assert compared.keys[-4:] == ("instrument", *keys)
+    assert [{*row} for row in compared.rows] == [{*compared.keys}]
+    assert render(compared.tables[0]).count("p99") == 3

@@ -1,0 +1,234 @@
+"""Wrong requests and wrong input: one line that says what to do, the exit code, no traceback and no file."""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from svmdist.cli.options import parse_length_m
+from svmdist.errors import UsageError
+from svmdist.profile import SHIPPED
+from svmdist.samples import JointSample, Sample
+from tests.conftest import REPOSITORY, Cli
+from tests.synthetic import make_scene, without, write_log
+
+PSM13 = (SHIPPED / "psm13.toml").read_text("utf-8")
+CAMERA = "import images -o out.mcap --camera 60,61,31,23"
+ALARM = "validate log.mcap --method fused --alarm-below 5mm --alarm-confidence"
+ERRORS = [
+    # What does not exist: commands, arguments, choices, with the nearest one.
+    ("estimate", 2, "FILE"),
+    ("validate", 2, "recordings"),
+    ("estimate log.mcap --equations fixed", 2, "corrected"),
+    ("estimate log.mcap -f xml", 2, "jsonl"),
+    ("estimate log.mcap --method fuse", 2, "fuse: did you mean fused? The choices are: centroid"),
+    ("calibrate log.mcap -o a --method fused", 2, "fused: the choices are: centroid, overlay"),
+    ("hand-eye log.mcap --method fused", 2, "fused: the choices are: fiducial, shaft, stereo"),
+    ("record --scenario swep", 2, "swep: did you mean sweep? The choices are: approach"),
+    ("record --degrade smok=3", 2, "did you mean smoke? The choices are: defocus, jpeg, low_light"),
+    ("record --degrade smoke=6", 2, "a whole number from 1 to 5, found 6"),
+    ("record --degrade smoke=3=4", 2, "expected NAME=SEVERITY, as in smoke=3"),
+    ("record --renderer egl", 2, "leave the option out"),
+    ("compare log.mcap --perturb focl=1", 2, "did you mean focal"),
+    ("blur-bench log.mcap --kernel gausian=5", 2, "did you mean gaussian"),
+    ("blur-bench log.mcap --kernel gaussian=4", 2, "an odd size"),
+    ("estimate log.mcap --topic image", 2, "expected ROLE=TOPIC"),
+    ("estimate log.mcap --topic imago=/left/image_raw", 2, "did you mean image?"),
+    ("estimate log.mcap --topic image=/none", 1, "/ECM/left/image"),
+    ("estimate log.mcap --topic image=/tf", 1, "/tf"),
+    ("profile new log.mcap --topic image=/left/raw", 1, "no topic /left/raw for image; the topics are /ECM/"),
+    ("profile new log.mcap --topic imag=/ECM/left/image", 2, "did you mean image?"),
+    ("estimate log.mcap --instrument PSM9", 2, "no such instrument"),
+    ("estimate log.mcap --instrument PSM2 --method kinematic", 1, "no topic of an instrument PSM2"),
+    (
+        "validate log.mcap --truth tf --truth-tf camera:needle",
+        1,
+        "no frame needle in the transforms: the choices are: base, camera",
+    ),
+    ("validate log.mcap --truth-tf a:b:c", 2, "a:b:c"),
+    ("estimate *.bag", 2, "*.bag: no log matches"),
+    # Values.
+    ("estimate log.mcap --lag soon", 2, "expected auto or seconds"),
+    ("estimate log.mcap --lag 1e9", 2, "within ±3600"),
+    ("estimate log.mcap --start 3 --end 2", 2, "is before --start"),
+    ("validate log.mcap --group a,,b", 2, "expected names of metadata"),
+    ("show log.mcap --frame 99", 2, "has 6 images, 0 to 5"),
+    ("show log.mcap --masks --frame 99", 2, "has 6 images, 0 to 5"),
+    (f"{ALARM} 1.5", 2, "--alarm-confidence"),
+    (f"{ALARM} often", 2, "--alarm-confidence"),
+    # Options that need each other, or exclude each other.
+    ("estimate log.mcap --equations printed --calibration c.toml", 2, "calibration"),
+    ("estimate log.mcap --equations printed --method fused", 2, "measures in 3D"),
+    ("estimate log.mcap --calibration c.toml --method shaft", 2, "measures in 3D"),
+    ("estimate log.mcap --method overlay --alarm-below 5mm", 2, "fused"),
+    ("validate log.mcap --method centroid --alarm-below 5mm", 2, "fused"),
+    ("validate log.mcap --alarm-confidence 0.5", 2, "--alarm-below"),
+    ("validate log.mcap --plot time", 2, "--save-plot FILE"),
+    ("estimate log.mcap --group world", 2, "--summary FILE"),
+    ("compare log.mcap --jobs 2 --scheduler tcp://x:1", 2, "leave out one"),
+    ("record --skip-existing", 2, "goes with --episodes"),
+    ("show log.mcap --frame 1 --worst 2", 2, "give one of them"),
+    ("show log.mcap --masks --worst 2", 2, "--masks"),
+    # Output.
+    ("estimate log.mcap -o a.html --report b.html", 2, "leave out one"),
+    ("estimate log.mcap -o a.mp4 --report b.html", 2, "by itself"),
+    ("estimate log.mcap -o a.mcap --resume x", 2, "by itself"),
+    ("estimate log.mcap --summary s.csv -o a.mp4", 2, "write a.mp4 by itself"),
+    ("estimate log.mcap -f csv -o a.mcap", 2, "leave out one of them"),
+    ("estimate log.mcap -f parquet", 2, "is no text"),
+    ("estimate log.mcap -o a.avi", 2, "no format has the ending .avi"),
+    ("estimate log.mcap two.mcap -o a.mcap", 2, "holds one recording"),
+    ("fk log.mcap two.mcap -f tum", 2, "one trajectory"),
+    ("validate log.mcap --report report.pdf", 2, ".html"),
+    ("estimate none.mcap --save-plot a.jpeg", 1, "cannot draw a .jpeg"),
+    ("show log.mcap -o six.png", 2, "6 are asked for"),
+    ("show log.mcap --frame 3 -o seen.pdf", 2, "in .png, or a folder"),
+    *((f"{name} log.mcap -o nowhere/a.csv", 1, "nowhere") for name in ("estimate", "validate", "blur-bench")),
+    *(
+        (f"{name} log.mcap -o log.mcap", 2, "is the recording to read")
+        for name in ("info", "fk", "estimate", "validate", "compare", "blur-bench")
+    ),
+    ("estimate log.mcap -f csv -o /dev/full", 1, "/dev/full"),
+    # Files that are not what they should be, or lack something.
+    ("estimate blind.mcap", 1, "/PSM1/measured_js"),
+    ("estimate small.mcap", 1, "320x240"),
+    ("estimate red\x1b[31m.mcap", 1, "red\N{REPLACEMENT CHARACTER}[31m.mcap: is not a recording"),
+    ("estimate log.mcap --profile key.toml", 1, "key.toml: unknown key segmentation.tissue.min_aera_px"),
+    ("estimate log.mcap --profile uncalibrated.toml", 1, "svmdist calibrate"),
+    ("profile new junk.mcap", 1, "junk.mcap"),
+    ("profile new none.mcap", 1, "none.mcap"),
+    ("fk log.mcap --hand-eye none.toml", 1, "none.toml: cannot read"),
+    ("hand-eye recordings/3d/contact.mcap --method fiducial", 1, "move the tool further"),
+    *(
+        (f"{name} log.mcap --profile sizeless.toml --method fused --alarm-below 5mm", 1, "no [instrument]")
+        for name in ("estimate", "validate")
+    ),
+    # Import.
+    ("import images -o out.mcap", 2, "a camera needs a calibration: --calibration FILE, or --camera"),
+    ("import images -o out.mcap --camera 60,60", 2, "--camera 60,60: expected FX,FY,CX,CY"),
+    ("import images -o out.mcap --camera 60,60,1,x", 2, "expected numbers between commas"),
+    ("import images -o out.mcap --camera 60,61,310,23 --rate 1", 1, "principal point (310, 23) is outside"),
+    ("import images -o out.mcap --calibration no.yaml --rate 1", 1, "no.yaml: cannot read: No such file"),
+    ("import images -o out.mcap --right-camera 60,61,31,23", 2, "--right-camera goes with --camera"),
+    (CAMERA, 2, "img0.png tells no time"),
+    (f"{CAMERA} --rate 0", 2, "'--rate': Input should be greater than or equal to 0.001"),
+    (f"{CAMERA} --unit inch", 2, "'--unit': inch: the choices are: cm, m, mm"),
+    (f"{CAMERA} --baseline 5mm", 2, "--baseline is of two views"),
+    (f"{CAMERA} --distortion 0.1,0.2 --rate 1", 2, "--distortion: expected 4, 5"),
+    (f"{CAMERA} --times no.csv", 1, "no.csv: cannot read"),
+    (f"{CAMERA} --rate 1 --times no.csv", 2, "cannot be combined"),
+    (f"{CAMERA} --rate 1 --poses no.csv", 1, "no.csv: cannot read"),
+    (f"{CAMERA} --rate 1 --start soon", 2, "--start soon: expected a time"),
+    (f"{CAMERA} --rate 1 --poses a.csv --poses b.csv", 2, "two files for the"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the requests name."""
+    made = tmp_path_factory.mktemp("errors")
+    write_log(made / "log.mcap", frame_count=6)
+    write_log(made / "two.mcap", frame_count=1)
+    write_log(made / "blind.mcap", frame_count=3, change=without("image"))
+    write_log(made / "small.mcap", make_scene(320, 240), frame_count=3)
+    (made / "junk.mcap").write_text("junk")
+    (made / "red\x1b[31m.mcap").write_text("junk")
+    (made / "key.toml").write_text('name = "a"\n[segmentation.tissue]\nhue = [170, 8]\nmin_aera_px = 50\n')
+    (made / "sizeless.toml").write_text(re.sub(r"\[instrument\]\n(.+\n)+", "", PSM13))
+    (made / "uncalibrated.toml").write_text(re.sub(r"(?m)^calibration.*\n", "", PSM13))
+    (made / "recordings").mkdir()
+    (made / "recordings" / "3d").symlink_to(REPOSITORY / "recordings" / "3d")
+    (made / "images").mkdir()
+    for number in range(2):
+        cv2.imwrite(str(made / "images" / f"img{number}.png"), np.full((48, 64, 3), 90, np.uint8))
+    return made
+
+
+@pytest.mark.parametrize(("request_", "code", "said"), ERRORS, ids=[request for request, *_ in ERRORS])
+def test_a_wrong_request_is_one_line(
+    cli: Cli, folder: Path, monkeypatch: pytest.MonkeyPatch, request_: str, code: int, said: str
+) -> None:
+    monkeypatch.chdir(folder)
+    before = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
+    outcome = cli(*request_.split(" "), code=code)
+    assert outcome.out == ""
+    assert said in outcome.line
+    assert "\x1b" not in outcome.err
+    assert {path: path.stat().st_mtime_ns for path in folder.iterdir()} == before
+
+
+def test_lengths_have_a_unit() -> None:
+    for text in ("5mm", "5 mm", "0.5cm", "0.005m"):
+        assert parse_length_m("--alarm-below", text) == pytest.approx(0.005)
+    for text in ("5", "mm", "-5mm", "0mm", "nanmm", "5in", "1e9m", ""):
+        with pytest.raises(UsageError, match="as in 5mm"):
+            parse_length_m("--alarm-below", text)
+
+
+@pytest.mark.parametrize(
+    ("method", "said"),
+    [("fused", "no_joints (no joints near the image)"), ("stereo", "no_stereo (no right view)")],
+)
+def test_a_method_says_what_the_log_lacks(cli: Cli, tmp_path: Path, method: str, said: str) -> None:
+    """Frames without what a method needs are rows with a reason and its detail, and the last line has both."""
+    path = write_log(tmp_path / "still.mcap", frame_count=3, change=without("PSM1"))
+    outcome = cli("estimate", path, "--method", method, "-f", "csv", code=1)  # nothing was measured
+    assert outcome.line == f"svmdist: 0 of 3 frames measured (0.0%); 3 {said}"
+    assert [f"{row['status']} ({row['detail']})" for row in outcome.rows] == [said] * 3
+
+
+@pytest.mark.parametrize("place_m", [1000.0, 1e8, -1e8])
+def test_joints_where_no_joint_can_be(cli: Cli, tmp_path: Path, place_m: float) -> None:
+    """An instrument that is a kilometre in is not believed: no row is `ok`, and the joint is named."""
+
+    def far_away(_: str, sample: Sample) -> Sample:
+        if not isinstance(sample, JointSample):
+            return sample
+        positions = sample.positions.copy()
+        positions[sample.names.index("insertion")] = place_m
+        return replace(sample, positions=positions)
+
+    path = write_log(tmp_path / "far.mcap", frame_count=3, change=far_away)
+    for method in ("kinematic", "fused"):
+        line = cli("estimate", path, "--method", method, "-f", "csv", code=1).line
+        assert line.startswith("svmdist: 0 of 3 frames measured (0.0%); 3 no_joints (joint insertion is at ")
+
+
+def test_of_a_file_that_is_cut_the_readable_frames_are_measured(
+    cli: Cli, tmp_path: Path, synthetic_log: Path
+) -> None:
+    """The loss is said and the exit code is 3."""
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(synthetic_log.read_bytes()[: synthetic_log.stat().st_size // 2])
+    outcome = cli("estimate", cut, "-f", "csv", code=3)
+    whole = cli("estimate", synthetic_log, "-f", "csv").out.splitlines()
+    rows = [line.replace("cut,", "synthetic,") for line in outcome.out.splitlines()]
+    assert "truncated at byte" in outcome.err
+    assert 2 < len(rows) < len(whole)
+    assert rows == whole[: len(rows)]
+    assert not cli("info", cut, "-f", "json", code=3).json["is_clean"]
+
+
+def test_a_profile_limits_what_a_log_may_ask(cli: Cli, tmp_path: Path, synthetic_log: Path) -> None:
+    """What is above `[limits]` of the profile is a loss."""
+    profile = tmp_path / "strict.toml"
+    profile.write_text(PSM13 + "\n[limits]\nimage_pixels = 1000\n")
+    outcome = cli(
+        "estimate", synthetic_log, "--profile", profile, "--equations", "printed", "-f", "csv", code=3
+    )
+    assert "the limit is 1000" in outcome.err
+    assert outcome.out.count("corrupt_image") == 40
+
+
+def test_record_without_pybullet_says_why(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where PyBullet is missing, `record` says why and what to do, and leaves no file."""
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    outcome = cli("record", "--duration", "0.5", "-o", tmp_path / "sweep.mcap", code=1)
+    assert "svmdist[sim]" in outcome.line
+    assert list(tmp_path.iterdir()) == []

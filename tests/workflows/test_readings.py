@@ -1,0 +1,113 @@
+"""Rows to pairs, scores and alarms: what has no value is left out, and known rows give known counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from svmdist.errors import RecordingError
+from svmdist.estimation.alarms import AlarmRules
+from svmdist.results import Distance, Distances, FrameResult, ImageFindings
+from svmdist.samples import Status
+from svmdist.tracks import SampledDistances
+from svmdist.workflows.scores import (
+    DISTANCES,
+    Pairs,
+    Readings,
+    pooled,
+    pooled_score,
+    score_alarms,
+    score_pairs,
+)
+
+
+def result_of(
+    stamp_ns: int, status: Status, tool_px: tuple[float, float] | None = None, **distances_m: Distance
+) -> FrameResult:
+    """A result with distances by their names."""
+    return FrameResult(stamp_ns, status, ImageFindings(tool_px=tool_px), distances=Distances(**distances_m))
+
+
+ROWS = [
+    result_of(10, Status.OK, (3.0, 4.0), planar=Distance(1.0), spatial=Distance(1.5, 0.1)),
+    result_of(20, Status.NO_TISSUE, (5.0, 6.0), planar=Distance(9.0)),
+    result_of(30, Status.OK, planar=Distance(2.0)),
+    result_of(40, Status.OK, planar=Distance(3.0), clearance=Distance(0.5)),
+]
+TRUTH = SampledDistances(
+    np.array([1.1, 2.0, 2.1, 3.1]),
+    np.array([1.4, 2.0, 2.0, 3.0]),
+    np.array([np.nan, 0.3, 0.3, 0.4]),
+    np.array([True, True, True, False]),
+)
+
+
+def test_only_measured_rows_with_a_truth_make_pairs() -> None:
+    """A rejected row, one without the distance and one without a truth are left out; numbers are as they were."""
+    readings = Readings(ROWS)
+    planar, spatial, clearance = (readings.pairs(distance, TRUTH) for distance in DISTANCES)
+    assert planar.stamps_ns.tolist() == [10, 30]
+    assert planar.estimate_m.tolist() == [1.0, 2.0]
+    assert planar.truth_m.tolist() == [1.1, 2.1]
+    assert np.isnan(planar.std_m).all()
+    assert (spatial.estimate_m.tolist(), spatial.std_m.tolist()) == ([1.5], [0.1])
+    assert len(clearance) == 0
+    assert dict(readings.rejected) == {"no_tissue": 1}
+    np.testing.assert_array_equal(readings.tool_px, [[3.0, 4.0], *[[np.nan, np.nan]] * 3])
+    assert (len(readings), readings.stamps_ns.tolist()) == (4, [10, 20, 30, 40])
+
+
+def test_no_rows_make_no_pairs() -> None:
+    """Without rows there are arrays of length 0, and no score."""
+    none = SampledDistances(*np.empty((3, 0)), np.empty(0, np.bool_))
+    pairs = Readings().pairs("spatial", none)
+    assert len(pairs) == 0
+    assert score_pairs(pairs) is None
+    assert pooled_score([None, score_pairs(pairs)]) is None
+
+
+def test_pooling_counts_every_pair_the_same() -> None:
+    """The bias of parts together is the mean over all pairs, not the mean of means."""
+
+    def off_by(error_m: float, count: int) -> Pairs:
+        truth_m = np.linspace(0.0, 1.0, count)
+        return Pairs(np.arange(count), truth_m + error_m, truth_m, np.full(count, 0.1))
+
+    parts = [off_by(0.3, 1), off_by(0.0, 3)]
+    together = pooled_score([score_pairs(part) for part in parts])
+    assert together is not None
+    assert together.statistics.bias == pytest.approx(0.3 / 4)
+    assert together.interval_coverage == 0.75  # 0.3 lies outside ±1.96 x 0.1
+    assert len(pooled(parts)) == 4
+
+
+STAMPS_NS = np.array([0, 1, 2, 3, 4], np.int64) * 1_000_000_000
+WITH_ALARMS = [
+    result_of(int(stamp_ns), Status.OK, clearance=None if clearance_m is None else Distance(clearance_m))
+    for stamp_ns, clearance_m in zip(STAMPS_NS, (0.010, 0.004, None, 0.004, 0.010), strict=True)
+]
+
+
+def true_clearance(*clearance_m: float) -> SampledDistances:
+    """True clearances at the stamps."""
+    values = np.array(clearance_m)
+    return SampledDistances(values, values, values, np.ones(len(values), np.bool_))
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3, 4], [4, 2, 0, 3, 1]], ids=["sorted", "shuffled"])
+def test_alarms_are_counted_whatever_their_order(order: list[int]) -> None:
+    """Below 5 mm two frames are alarmed, one of them rightly; the unsafe frame without a clearance is missed."""
+    true = true_clearance(*np.array([0.010, 0.006, 0.003, 0.003, 0.010])[order])
+    found = score_alarms([WITH_ALARMS[at] for at in order], true, STAMPS_NS[order], AlarmRules(0.005))
+    assert (found.frame_count, found.unsafe_count, found.unjudged_count) == (5, 2, 1)
+    assert (found.true_alarm_count, found.false_alarm_count) == (1, 1)
+    assert (found.event_count, found.lead_times_s, found.duration_s) == (1, (-1.0,), 4.0)
+
+
+def test_frames_without_a_true_clearance_are_left_out() -> None:
+    """They count nowhere; where they are all frames, that is an error."""
+    true = true_clearance(np.nan, 0.003, np.nan, np.nan, 0.010)
+    found = score_alarms(WITH_ALARMS, true, STAMPS_NS, AlarmRules(0.005))
+    assert (found.frame_count, found.unsafe_count, found.true_alarm_count) == (2, 1, 1)
+    with pytest.raises(RecordingError, match="no frame with a true clearance"):
+        score_alarms(WITH_ALARMS, true_clearance(*[np.nan] * 5), STAMPS_NS, AlarmRules(0.005))
