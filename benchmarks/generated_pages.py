@@ -27,8 +27,7 @@ table `[settings.stereo]`. A value outside its bounds is an error. Settings that
 named in one line of warning, and ignored.
 
 """
-REASON = re.compile(r"(?<!\d): .*$")
-"""What follows a colon says why, which is for who reads the code."""
+REASON = re.compile(r"(?<!\d): .*$")  # what follows a colon says why, which is for who reads the code
 
 
 COLUMNS_HEAD = """# Columns and metrics

@@ -14,8 +14,7 @@ from svmdist.perturbations.chosen import Perturbations
 from svmdist.samples import Image, RightView
 from svmdist.transforms import Array
 
-EDGE_PX = 1.5
-"""Half of the width in which the round border goes from light to black."""
+EDGE_PX = 1.5  # half of the width in which the round border goes from light to black
 
 
 def dimmed(image_bgr: Image, border: float, vignette: float) -> Image:

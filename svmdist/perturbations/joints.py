@@ -58,8 +58,7 @@ METRES_PER_DEG = 1e-4
 PROXIMAL_SHARE = 0.5
 """Backlash of yaw, pitch, insertion and roll, which have shorter cables, over that of the wrist."""
 DRIFT_S = 8.0
-DRIFT_PERIODS_S = np.array([16.0, 24.0, 36.0, 54.0])
-"""Slower than a task, and too many to look like a sine."""
+DRIFT_PERIODS_S = np.array([16.0, 24.0, 36.0, 54.0])  # slower than a task, and too many to look like a sine
 
 
 @dataclass(frozen=True)

@@ -27,15 +27,13 @@ FIELD_M = (0.0455, 0.0335)
 RETRACTOR_HEIGHT_M = 0.06
 CLEARANCE_TOLERANCE_M = 1e-6
 
-APART_M = 0.003
-"""The bodies of two instruments keep this far apart."""
+APART_M = 0.003  # the bodies of two instruments keep this far apart
 LIFTS_M = np.arange(0.010, 0.0361, 0.002)
 """Heights above the first instrument's working height: the lowest that keeps the bodies apart is taken."""
 CHECKED_COUNT = 120
 CROSSING_FIELD_M = (0.040, 0.029)
 """Half of where the distal marker may be, seen in the first instrument's working plane: inside of the image."""
-CROSSING_PERIOD_S = 2.7
-"""Between two crossings, on average: an 8 s recording has three of them."""
+CROSSING_PERIOD_S = 2.7  # between two crossings, on average: an 8 s recording has three of them
 _PATH_STREAM = 16
 
 

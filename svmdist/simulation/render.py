@@ -46,8 +46,7 @@ LIGHT_DIRECTION = (0.35, 0.45, 1.0)
 AMBIENT, DIFFUSE, SPECULAR = 0.52, 0.5, 0.12
 _AWAY: Array = np.eye(4)
 _AWAY[2, 3] = 1.0  # behind the camera
-_STILL_BODIES = -2
-"""In place of the numbers that tissue and floor have in a world of their own."""
+_STILL_BODIES = -2  # in place of the numbers that tissue and floor have in a world of their own
 
 
 def view_matrix(T_world_camera: Array) -> list[float]:
