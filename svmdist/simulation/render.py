@@ -98,7 +98,7 @@ class DrawnWorld(BulletWorld):
         self._turn = 0
         self._scene = scene = scenes[0]
         self._scenes = scenes if moving else []
-        self._parts: list[int] = []
+        self._parts: list[int] = []  # bodies, which stand at poses `T_world_part`
         self._T_world_part: Array = np.zeros((0, 4, 4))
         self._tissue = self._tissue_texture = self._floor = self._retractor = -1
         self._dented: tuple[Organ, int] | None = None
@@ -147,10 +147,7 @@ class DrawnWorld(BulletWorld):
         self.place(self._floor, T_raised)
 
     def parts(self, picture: Picture) -> tuple[NDArray[np.int16], Array, NDArray[np.bool_]]:
-        """The instruments' part at each pixel, int16 (h, w): numbers of poses `T_world_part`, shape (n, 4, 4).
-
-        The third tells where the picture shows tissue or floor, shape (h, w).
-        """
+        """The part at each pixel, (h, w), the poses `T_world_part`, (n, 4, 4), and where tissue and floor are, (h, w)."""
         part = np.full(picture.bodies.shape, NO_PART, np.int16)
         for number, body in enumerate(self._parts):
             part[picture.bodies == body] = number
@@ -223,11 +220,10 @@ class DrawnWorld(BulletWorld):
         self.call("changeVisualShape", body, -1, textureUniqueId=texture)
         return texture
 
-    def close(self) -> None:
-        """Leave the world; a second call does nothing."""
-        super().close()
-        while self._files:
-            os.close(self._files.pop())
+    def __exit__(self, *problem: object) -> None:
+        super().__exit__(*problem)
+        for file in self._files:
+            os.close(file)
 
 
 class Renderer(ExitStack):
@@ -277,12 +273,13 @@ class Renderer(ExitStack):
 
     def _pinhole(self, camera: int, turn: int) -> Image:
         """What a pinhole shows of everything."""
-        picture, background = self._picture(self._moving, camera, turn), self._background(camera, turn)
+        seen_by = self._T_world_cameras[camera], self._scene.drawn_camera, turn
+        picture, background = self._moving.picture(*seen_by), self._background(camera, turn)
         drawn = picture.bodies >= 0
         if (drawn & (np.abs(picture.depth - background.depth) <= DEPTH_TIE)).any():
             # Few frames need it: those in which surfaces meet within a pixel's centre.
             self._whole.pose(self._state, self._organ)
-            whole = self._picture(self._whole, camera, turn)
+            whole = self._whole.picture(*seen_by)
             return self._shaded(self._whole, whole, background.depth, camera, turn)
         in_front = drawn & (picture.depth < background.depth)
         image_bgr = background.image_bgr.copy()
@@ -292,15 +289,13 @@ class Renderer(ExitStack):
         together = Picture(image_bgr, depth, bodies)
         return self._shaded(self._moving, together, background.depth, camera, turn)
 
-    def _picture(self, world: DrawnWorld, camera: int, turn: int) -> Picture:
-        return world.picture(self._T_world_cameras[camera], self._scene.drawn_camera, turn)
-
     def _background(self, camera: int, turn: int) -> Picture:
         """Tissue and floor as a camera sees them in even or in odd turns."""
         key = camera, turn % 2
         if key not in self._backgrounds:
             self._still.pose(self._state, self._organ)
-            self._backgrounds[key] = self._picture(self._still, camera, turn)
+            seen_by = self._T_world_cameras[camera], self._scene.drawn_camera, turn
+            self._backgrounds[key] = self._still.picture(*seen_by)
         return self._backgrounds[key]
 
     def _shaded(self, world: DrawnWorld, picture: Picture, behind: Depths, camera: int, turn: int) -> Image:
