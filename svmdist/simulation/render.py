@@ -147,7 +147,7 @@ class DrawnWorld(BulletWorld):
         self.place(self._floor, T_raised)
 
     def parts(self, picture: Picture) -> tuple[NDArray[np.int16], Array, NDArray[np.bool_]]:
-        """The part at each pixel, (h, w), the poses `T_world_part`, (n, 4, 4), and where tissue and floor are, (h, w)."""
+        """The part at each pixel, (h, w), all `T_world_part`, (n, 4, 4), and where tissue or floor is, (h, w)."""
         part = np.full(picture.bodies.shape, NO_PART, np.int16)
         for number, body in enumerate(self._parts):
             part[picture.bodies == body] = number
