@@ -49,11 +49,6 @@ _AWAY[2, 3] = 1.0  # behind the camera
 _STILL_BODIES = -2  # in place of the numbers that tissue and floor have in a world of their own
 
 
-def view_matrix(T_world_camera: Array) -> list[float]:
-    """OpenGL's view matrix, 16 numbers column by column, of a camera at `T_world_camera`, shape (4, 4)."""
-    return [float(value) for value in (R4_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel()]
-
-
 def projection_matrix(camera: Camera) -> list[float]:
     """OpenGL's projection matrix, 16 numbers column by column, for the intrinsics K.
 
@@ -160,7 +155,11 @@ class DrawnWorld(BulletWorld):
         TinyRenderer draws the same scene in two ways, by turns, which differ by one level in single pixels. The
         picture of an even turn is therefore always an even one here, whatever was drawn before.
         """
-        view, projection = view_matrix(T_world_camera), projection_matrix(camera)
+        # OpenGL's matrices have 16 numbers, column by column.
+        view, projection = (
+            (R4_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel().tolist(),
+            projection_matrix(camera),
+        )
         if (self._turn - turn) % 2:
             self._draw(1, 1, view, projection)
         width, height = camera.width_px, camera.height_px
@@ -273,13 +272,12 @@ class Renderer(ExitStack):
 
     def _pinhole(self, camera: int, turn: int) -> Image:
         """What a pinhole shows of everything."""
-        seen_by = self._T_world_cameras[camera], self._scene.drawn_camera, turn
-        picture, background = self._moving.picture(*seen_by), self._background(camera, turn)
+        picture, background = self._picture(self._moving, camera, turn), self._background(camera, turn)
         drawn = picture.bodies >= 0
         if (drawn & (np.abs(picture.depth - background.depth) <= DEPTH_TIE)).any():
             # Few frames need it: those in which surfaces meet within a pixel's centre.
             self._whole.pose(self._state, self._organ)
-            whole = self._whole.picture(*seen_by)
+            whole = self._picture(self._whole, camera, turn)
             return self._shaded(self._whole, whole, background.depth, camera, turn)
         in_front = drawn & (picture.depth < background.depth)
         image_bgr = background.image_bgr.copy()
@@ -289,13 +287,15 @@ class Renderer(ExitStack):
         together = Picture(image_bgr, depth, bodies)
         return self._shaded(self._moving, together, background.depth, camera, turn)
 
+    def _picture(self, world: DrawnWorld, camera: int, turn: int) -> Picture:
+        return world.picture(self._T_world_cameras[camera], self._scene.drawn_camera, turn)
+
     def _background(self, camera: int, turn: int) -> Picture:
         """Tissue and floor as a camera sees them in even or in odd turns."""
         key = camera, turn % 2
         if key not in self._backgrounds:
             self._still.pose(self._state, self._organ)
-            seen_by = self._T_world_cameras[camera], self._scene.drawn_camera, turn
-            self._backgrounds[key] = self._still.picture(*seen_by)
+            self._backgrounds[key] = self._picture(self._still, camera, turn)
         return self._backgrounds[key]
 
     def _shaded(self, world: DrawnWorld, picture: Picture, behind: Depths, camera: int, turn: int) -> Image:
