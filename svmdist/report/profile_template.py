@@ -38,11 +38,14 @@ def profile_text(draft: ProfileDraft) -> str:
     plane = draft.plane
     tissue = _block("unknown_plane")
     if plane is not None:
-        normal = ", ".join(f"{value:.4f}" for value in plane.normal)
-        stds = {
-            key: f"{getattr(plane, key):.2g}" for key in ("distance_std_m", "tilt_std_rad", "surface_std_m")
-        }
-        tissue = _block("plane", normal=normal, distance_m=f"{plane.distance_m:.4f}", **stds)
+        tissue = _block(
+            "plane",
+            normal=", ".join(f"{value:.4f}" for value in plane.plane_normal),
+            distance_m=f"{plane.plane_distance_m:.4f}",
+            distance_std_m=f"{plane.plane_distance_std_m:.2g}",
+            tilt_std_rad=f"{plane.plane_tilt_std_rad:.2g}",
+            surface_std_m=f"{plane.surface_std_m:.2g}",
+        )
     return _block(
         "profile",
         log=_plain(draft.log),
@@ -70,18 +73,11 @@ def _topics(instrument: InstrumentDraft) -> dict[str, str]:
 
 def _by_colour(mark: DistinctColour, draft: ProfileDraft) -> str:
     pixels = draft.size_px[0] * draft.size_px[1]
-    return _block(
-        "colour",
-        image_count=draft.image_count,
-        area_px=f"{mark.area_px:.0f}",
-        low=mark.hue[0],
-        high=mark.hue[1],
-        saturation=list(mark.saturation),
-        value=list(mark.value),
-        tissue_px=max(50, pixels // 450),
-        marker_px=max(5, round(mark.area_px / 8)),
-        shaft_px=max(50, pixels // 600),
-    )
+    areas = {"tissue_px": max(50, pixels // 450), "shaft_px": max(50, pixels // 600)}
+    areas["marker_px"] = max(5, round(mark.area_px / 8))
+    ranges = {"hue": list(mark.hue), "saturation": list(mark.saturation), "value": list(mark.value)}
+    found = {"image_count": draft.image_count, "area_px": f"{mark.area_px:.0f}"}
+    return _block("colour", low=mark.hue[0], high=mark.hue[1], **found, **ranges, **areas)
 
 
 def _chain(table: str, instrument: InstrumentDraft) -> Iterator[str]:

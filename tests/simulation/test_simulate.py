@@ -32,7 +32,7 @@ pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.plan import Plan, make_plan
 from svmdist.simulation.render import Renderer
 from svmdist.simulation.simulate import FIELD_NS, Sensors, Simulator
-from svmdist.workflows.record import record
+from svmdist.workflows.record import Recipe, record
 
 SHORT = Scenario("sweep", 2, 0.2, 10.0)
 QUICK = Scenario("random", 2, 8.0, 10.0)
@@ -295,7 +295,8 @@ def test_a_log_of_a_perturbed_world_is_the_plain_log_perturbed_at_replay(
     """Joints at every image, cameras, and where the right one stands: recording and replay agree."""
     paths = [tmp_path / "plain.mcap", tmp_path / "perturbed.mcap"]
     for path, its in zip(paths, ("", text), strict=True):
-        record(SHORT, profile, path, options=perturbed(its, stereo=True, kinematic_error=1.0), jobs=1)
+        options = perturbed(its, stereo=True, kinematic_error=1.0)
+        record(Recipe(SHORT, profile, options), path, jobs=1)
     ideal, recorded = (open_recording(path, profile) for path in paths)
     replayed = ideal.perturbed(chosen(text), profile)
     for one, other in zip(recorded.observations(), replayed.observations(), strict=True):
