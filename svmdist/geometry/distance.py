@@ -365,5 +365,5 @@ def _nearest(first: Array, second: Array, valid: Mask) -> ClosestPair:
     distance2[..., : valid.shape[-1]][~valid] = np.inf
     best = np.argmin(distance2, -1)[..., None]
     distance = np.sqrt(np.take_along_axis(distance2, best, -1)[..., 0])
-    ends = (np.take_along_axis(points, best[..., None], -2)[..., 0, :] for points in (first, second))
-    return ClosestPair(*ends, distance)
+    first, second = (np.take_along_axis(ends, best[..., None], -2)[..., 0, :] for ends in (first, second))
+    return ClosestPair(first, second, distance)
