@@ -27,7 +27,7 @@ VIEWS = {
     "perturbed": lambda log, profile: log.perturbed(
         Perturbations((("backlash", 0.5), ("lag", 20.0))), profile
     ),
-    "clock": lambda log, profile: log.with_lag(KnownLag(0.02), profile),
+    "clock": lambda log, _: replace(log, lag=KnownLag(0.02)),
     "instrument": lambda log, profile: log.for_instrument(log.instruments[0]),
     "window": lambda log, _: replace(log, alias="other", window=Window(0.05, 0.2, 2)),
 }
