@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Literal
@@ -284,7 +285,12 @@ def _fit(
     )
     middle_m = seen_m[fit.agrees].mean(0)
     covariance_m2 = hand_eye_of_fit.covariance_at(middle_m)[:3, :3]
-    from_log = _from_log(recording, profile, fit.T_camera_base, middle_m)
+    from_log = None
+    with suppress(RecordingError, IndexError):  # the log has no such transform
+        T_log = recording.transform_track(profile.frames.camera, profile.frames.base).T_parent_child[0]
+        nominal = inverse(fit.T_camera_base) @ np.append(middle_m, 1.0)
+        rotation_rad = float(rotation_angle(T_log[:3, :3], fit.T_camera_base[:3, :3]))
+        from_log = rotation_rad, float(np.linalg.norm((T_log @ nominal)[:3] - middle_m))
     return HandEyeResult(
         hand_eye_of_fit, fit, float(np.sqrt(np.linalg.eigvalsh(covariance_m2)[-1])), from_log
     )
@@ -308,19 +314,3 @@ def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float
         name: np.stack([np.hstack([offset_m, np.zeros_like(offset_m)]) for offset_m in of_name], -1)
         for name, of_name in offsets.items()
     }
-
-
-def _from_log(
-    recording: Recording, profile: Profile, T_camera_base: Array, middle_m: Array
-) -> tuple[float, float] | None:
-    """Rotation in rad, and translation of the tool in m, from a fitted transform to the log's own."""
-    try:
-        track = recording.transform_track(profile.frames.camera, profile.frames.base)
-    except RecordingError:
-        return None
-    if len(track.stamps_ns) == 0:
-        return None
-    T_log = track.T_parent_child[0]
-    nominal = inverse(T_camera_base) @ np.append(middle_m, 1.0)
-    rotation_rad = float(rotation_angle(T_log[:3, :3], T_camera_base[:3, :3]))
-    return rotation_rad, float(np.linalg.norm((T_log @ nominal)[:3] - middle_m))

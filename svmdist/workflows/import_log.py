@@ -6,6 +6,7 @@ A PNG or JPEG is stored as it is. Other formats, frames of a video and halves of
 from __future__ import annotations
 
 import heapq
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -103,7 +104,7 @@ def import_log(
     output: Path,
     *,
     force: bool = False,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> ImportResult:
     """Write a log of files; `on_progress` gets (images done, images in all).
 
@@ -124,24 +125,22 @@ def import_log(
         "side_by_side": "yes" if given.side_by_side else "no",
         "version_svmdist": version("svmdist"),
     }
-    counts: dict[str, int] = {}
-    done = 0
+    counts: Counter[str] = Counter()
     writer = RecordingWriter(output, metadata, force=force, jpeg_quality=options.jpeg_quality)
     try:
         with writer:
             for _, topic, sample in heapq.merge(*images, *tables, key=lambda message: message[0]):
                 writer.write(topic, sample)
-                counts[topic] = counts.get(topic, 0) + 1
-                if topic.endswith("/image") and on_progress is not None:
-                    done += 1
-                    on_progress(done // halved, total)
+                counts[topic] += 1
+                if topic.endswith("/image"):
+                    on_progress(sum(counts[f"/ECM/{side}/image"] for side in SIDES) // halved, total)
     except SvmdistError:
-        with suppress(OSError):
-            if writer.opened:
+        if writer.opened:
+            with suppress(OSError):
                 writer.part_path.unlink(missing_ok=True)
         raise
     has_baseline = None if given.count == 1 else bool(np.any(np.asarray(cameras[1].P)[:2, 3]))
-    return ImportResult(output, counts, output.stat().st_size, has_baseline)
+    return ImportResult(output, dict(counts), output.stat().st_size, has_baseline)
 
 
 def _image_messages(
