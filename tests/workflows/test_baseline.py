@@ -11,32 +11,12 @@ from pydantic import ValidationError
 from svmdist.errors import RecordingError
 from svmdist.workflows.validate import (
     StoredScore,
-    Tolerance,
-    Validation,
     load_baseline,
-    make_baseline,
     save_baseline,
 )
 
 LABELS = {"recording": "a", "method": "overlay", "equations": "corrected", "reference": "ground_truth"}
 OLD = {"r_squared": 0.99, "rmse_m": 1e-3, "p95_abs_error_m": None, "coverage": 1.0}
-TOLERANCES = {
-    "r_squared": Tolerance(absolute=0.002),
-    "rmse_m": Tolerance(absolute=2e-5, relative=0.02),
-    "p95_abs_error_m": Tolerance(absolute=5e-5, relative=0.05),
-    "coverage": Tolerance(absolute=0.0),
-    "spatial_rmse_m": Tolerance(absolute=2e-5, relative=0.02),
-    "clearance_rmse_m": Tolerance(absolute=2e-5, relative=0.02),
-    "alarm_recall": Tolerance(absolute=0.005),
-    "false_alarm_fraction": Tolerance(absolute=0.005),
-}
-
-
-def test_tolerances_stay() -> None:
-    """The tolerances of version 0.1, in the order of the file."""
-    made = make_baseline(Validation((), (), ()))
-    assert dict(made.tolerances) == TOLERANCES
-    assert list(made.tolerances) == list(TOLERANCES)
 
 
 def test_shipped_baselines_survive_the_round_trip(golden: Path, tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ from svmdist.vision.colour import find_distinct_colour
 from svmdist.vision.stereo import fit_plane
 from svmdist.workflows.new_profile import draft_profile, find_roles, shipped_robot
 from tests.conftest import REPOSITORY
-from tests.synthetic import write_log
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 
@@ -71,22 +70,21 @@ def test_names_of_a_log_cannot_break_the_file(tmp_path: Path) -> None:
 
 
 def test_choices_are_the_users(tmp_path: Path) -> None:
-    """Several cameras are listed; a log without images or calibration says what is missing."""
-    path = write_log(tmp_path / "a.mcap", frame_count=2)
-    with RecordingWriter(tmp_path / "two.mcap", {}) as writer:
-        for topic in ("/room", "/scope"):
-            writer.write(f"{topic}/image", ImageSample(1, "camera", np.zeros((48, 64, 3), np.uint8)))
-            writer.write(f"{topic}/camera_info", CameraSample(1, CAMERA))
+    """Several cameras are listed; a log without calibrations says what is missing."""
+    image = np.zeros((48, 64, 3), np.uint8)
+    for name, topics in {"two": ("/room", "/scope"), "bare": ("/scope",)}.items():
+        with RecordingWriter(tmp_path / f"{name}.mcap", {}) as writer:
+            for topic in topics:
+                writer.write(f"{topic}/image", ImageSample(1, "camera", image))
+                if name == "two":
+                    writer.write(f"{topic}/camera_info", CameraSample(1, CAMERA))
     with pytest.raises(RecordingError, match="--topic image=TOPIC: /room/image, /scope/image"):
         draft_profile(tmp_path / "two.mcap", "mine", {})
+    with pytest.raises(RecordingError, match="no topic with camera calibrations"):
+        draft_profile(tmp_path / "bare.mcap", "mine", {})
     chosen = find_roles(inspect_recording(tmp_path / "two.mcap", load_profile()), {"image": "/scope/image"})
     assert chosen.topics["camera_info"] == "/scope/camera_info"
     assert chosen.other_images == ("/room/image",)
-    with RecordingWriter(tmp_path / "bare.mcap", {}) as writer:
-        writer.write("/scope/image", ImageSample(1, "camera", np.zeros((48, 64, 3), np.uint8)))
-    with pytest.raises(RecordingError, match="no topic with camera calibrations"):
-        draft_profile(tmp_path / "bare.mcap", "mine", {})
-    assert draft_profile(path, "mine", {}).topics["image"] == "/ECM/left/image"
 
 
 def _textured(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:

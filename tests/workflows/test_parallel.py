@@ -28,7 +28,6 @@ from svmdist.workflows.parallel import (
     one_opencv_thread,
     process_pool,
     step,
-    usable_cores,
 )
 
 WORKERS = (1, 2, 3, 8)
@@ -38,10 +37,8 @@ COUNT = 40
 class Counting:
     """Items from a source that counts how many were taken, and in which thread."""
 
-    def __init__(self, count: int = COUNT) -> None:
-        self.count = count
-        self.taken = 0
-        self.threads: set[int] = set()
+    def __init__(self, count: int) -> None:
+        self.count, self.taken, self.threads = count, 0, set()
 
     def __iter__(self) -> Iterator[int]:
         for number in range(self.count):
@@ -64,51 +61,38 @@ def test_results_come_in_the_items_order(workers: int) -> None:
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_few_items_are_taken_ahead(workers: int) -> None:
-    """Before the n-th result is used, no more than n and the look-ahead of all threads were taken; one runs in step."""
-    source = Counting()
+def test_few_items_are_taken_ahead_in_the_consumers_thread(workers: int) -> None:
+    """Before the n-th result is used, no more than n and the look-ahead; one thread reads the file."""
+    source = Counting(COUNT)
     ahead = LOOK_AHEAD * workers if workers > 1 else 0
     for number, _ in enumerate(in_order(uneven, source, workers), start=1):
         assert source.taken <= number + ahead
     assert source.taken == COUNT
-
-
-@pytest.mark.parametrize("workers", WORKERS)
-def test_items_are_taken_in_the_consumers_thread(workers: int) -> None:
-    """A file is read by one thread, whichever work on what it holds."""
-    source = Counting()
-    worked = set(in_order(lambda _: threading.get_ident(), source, workers))
     assert source.threads == {threading.get_ident()}
+    worked = set(in_order(lambda _: threading.get_ident(), range(COUNT), workers))
     assert (threading.get_ident() in worked) == (workers == 1)
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_an_exception_comes_at_its_place(workers: int) -> None:
-    """The results before it are all given, none after it."""
-
-    def breaking(number: int) -> int:
-        if number == 5:
-            raise ValueError("the fifth")
-        return uneven(number)
-
-    given: list[int] = []
-    with pytest.raises(ValueError, match="the fifth"):
-        given.extend(in_order(breaking, range(COUNT), workers))
-    assert given == [number * number for number in range(5)]
-
-
-@pytest.mark.parametrize("workers", WORKERS)
-def test_an_exception_of_the_source_is_raised_too(workers: int) -> None:
-    """As a file that ends too early: whatever was given before is right."""
+@pytest.mark.parametrize("in_source", [False, True], ids=["work", "source"])
+def test_an_exception_comes_at_its_place(workers: int, in_source: bool) -> None:
+    """No result comes after it, and of the work, all before it: a file may end too early."""
 
     def source() -> Iterator[int]:
         yield from range(12)
         raise OSError("cut off")
 
+    def breaking(number: int) -> int:
+        if number == 5:
+            raise OSError("cut off")
+        return uneven(number)
+
     given: list[int] = []
     with pytest.raises(OSError, match="cut off"):
-        given.extend(in_order(uneven, source(), workers))
-    assert given == [number * number for number in range(len(given))]
+        given.extend(
+            in_order(uneven, source(), workers) if in_source else in_order(breaking, range(COUNT), workers)
+        )
+    assert given == [number * number for number in range(len(given) if in_source else 5)]
 
 
 @pytest.mark.parametrize("workers", WORKERS)
@@ -140,10 +124,6 @@ def test_opencv_has_its_threads_back() -> None:
     with pytest.raises(ValueError, match="within"), one_opencv_thread():
         raise ValueError("within")
     assert cv2.getNumThreads() == before
-
-
-def test_there_is_a_core() -> None:
-    assert usable_cores() >= 1
 
 
 def steps(part: int) -> tuple[int, int]:
