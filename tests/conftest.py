@@ -40,6 +40,24 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         config.option.numprocesses = 0
 
 
+FAST_FOLDERS = {"tests", "geometry", "importing", "kinematics", "profile", "recording", "report", "vision"}
+NOT_FAST_FILES = {
+    *("annotated", "api", "auto", "distance", "drawing", "faults", "golden", "network", "packaging", "plots"),
+    *("remote", "training"),
+}
+NOT_FAST_FIXTURES = {"cli", "golden", "golden_rows"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark as fast what needs no command, golden log or process, and was measured to end in half a minute together."""
+    for item in items:
+        is_heavy = item.path.stem.removeprefix("test_") in NOT_FAST_FILES
+        is_heavy |= any(item.get_closest_marker(name) for name in ("slow", "fault"))
+        is_heavy |= bool(NOT_FAST_FIXTURES & {*getattr(item, "fixturenames", ())})
+        if item.path.parent.name in FAST_FOLDERS and not is_heavy:
+            item.add_marker(pytest.mark.fast)
+
+
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
     """The parameter's name in place of what a file holds: bytes and several lines may change with the clock."""
     is_content = isinstance(val, bytes) or (isinstance(val, str) and not val.isprintable())

@@ -56,7 +56,7 @@ def test_poses(tmp_path: Path, form: str) -> None:
     path.write_text(_pose_files()[form])
     poses = read_poses(path, IMAGES, 1.0, "base")
     assert poses.stamps_ns[0] == 10**9
-    np.testing.assert_allclose(poses.T_frame_pose[0], T, atol=1e-12)
+    np.testing.assert_allclose(poses.T_parent_child[0], T, atol=1e-12)
 
 
 def test_joints(tmp_path: Path) -> None:
