@@ -9,7 +9,7 @@ import ast
 import inspect
 import re
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -26,14 +26,9 @@ What a user may have reason to change; the defaults serve most logs. `stereo.nea
 table `[settings.stereo]`. A value outside its bounds is an error. Settings that became constants are
 named in one line of warning, and ignored.
 
-| setting | default | meaning |
-|---|---|---|
 """
 REASON = re.compile(r"(?<!\d): .*$")
 """What follows a colon says why, which is for who reads the code."""
-PERTURBATIONS_HEAD = """| name | unit | meaning | `--world real` |
-|---|---|---|---|
-"""
 
 
 COLUMNS_HEAD = """# Columns and metrics
@@ -43,8 +38,6 @@ Columns may be added at the end; none is renamed or removed.
 
 ## Rows of `svmdist estimate`
 
-| columns | given by | meaning |
-|---|---|---|
 """
 METRICS_HEAD = """
 ## Metrics of `svmdist validate` and `svmdist compare`
@@ -53,8 +46,6 @@ Without a prefix a metric is about the planar distance; `spatial_` and `clearanc
 baseline stores the metrics that have a tolerance: an amount, or a share of the stored value where that is more. 95 %
 intervals are moving-block bootstrap (Künsch 1989).
 
-| columns | tolerance | meaning |
-|---|---|---|
 """
 
 
@@ -64,15 +55,17 @@ def metrics_page(_: str) -> str:
     rows = [(one.key, one.given_by, one.meaning) for one in ESTIMATE_COLUMNS if one.stored]
     shown = [metric for metric in metrics if metric.outputs & (Output.SCORES | Output.FIGURES)]
     figures = [(one.key, tolerance(one.tolerance, one.unit.name), one.meaning) for one in shown]
-    return COLUMNS_HEAD + by_meaning(rows) + METRICS_HEAD + by_meaning(figures)
+    return COLUMNS_HEAD + by_meaning("given by", rows) + METRICS_HEAD + by_meaning("tolerance", figures)
 
 
-def by_meaning(rows: Sequence[tuple[str, str, str]]) -> str:
-    """Rows of a key and two cells; those with the same cells in one line."""
+def by_meaning(second: str, rows: Sequence[tuple[str, str, str]]) -> str:
+    """A table of a key and two cells; rows with the same cells in one line."""
     keys: dict[tuple[str, str], list[str]] = {}
     for key, *cells in rows:
         keys.setdefault((cells[0], cells[1]), []).append(f"`{key}`")
-    return "".join(table_row((", ".join(names), *cells)) for cells, names in keys.items())
+    return table(
+        ("columns", second, "meaning"), [(", ".join(names), *cells) for cells, names in keys.items()]
+    )
 
 
 def tolerance(of: Tolerance | None, unit: str) -> str:
@@ -85,14 +78,13 @@ def tolerance(of: Tolerance | None, unit: str) -> str:
 
 def settings_page(_: str) -> str:
     """One row per setting."""
-    groups = Settings()
-    return SETTINGS_HEAD + "".join(
-        table_row(
-            (f"`{name}.{key}`", str(getattr(group, key)), REASON.sub(".", meanings(type(group))[key], 1))
-        )
-        for name, group in ((name, getattr(groups, name)) for name in Settings.model_fields)
-        for key in type(group).model_fields
+    groups = ((name, getattr(Settings(), name)) for name in Settings.model_fields)
+    rows = (
+        (f"`{name}.{key}`", str(getattr(group, key)), REASON.sub(".", text, 1))
+        for name, group in groups
+        for key, text in meanings(type(group)).items()
     )
+    return SETTINGS_HEAD + table(("setting", "default", "meaning"), rows)
 
 
 def meanings(group: type[StrictModel]) -> dict[str, str]:
@@ -124,10 +116,15 @@ def simulation_page(page: str) -> str:
         )
         for entry in TABLE.values()
     )
-    return with_table(page, "perturbations", PERTURBATIONS_HEAD + "".join(map(table_row, rows)))
+    return with_table(page, "perturbations", table(("name", "unit", "meaning", "`--world real`"), rows))
 
 
-def table_row(cells: tuple[str, ...]) -> str:
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return table_row(headings) + "|---" * len(headings) + "|\n" + "".join(map(table_row, rows))
+
+
+def table_row(cells: Sequence[str]) -> str:
     """A row of a table in Markdown."""
     return f"| {' | '.join(cells)} |\n"
 
@@ -140,6 +137,11 @@ def with_table(page: str, name: str, table: str) -> str:
     if not (found and closed):
         raise ValueError(f"the page has no place for the table {name}")
     return f"{before}{begin}{table}{end}{after}"
+
+
+def write_table(path: Path, name: str, table: str) -> None:
+    """Replace a table of a page."""
+    path.write_text(with_table(path.read_text("utf-8"), name, table), "utf-8")
 
 
 def table_in(page: str, name: str) -> str:

@@ -9,17 +9,17 @@ import json
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import svmdist
-from benchmarks.generated_pages import table_row, with_table
+from benchmarks.generated_pages import DOCS, table, write_table
 
 ROOT = Path(__file__).resolve().parent.parent
-README, RESULTS = ROOT / "README.md", ROOT / "docs" / "results.md"
+RESULTS = DOCS / "results.md"
 Record = dict[str, Any]
 METHODS = {
     "fiducial": ("an AprilTag plate, and the wrist's joints", "outline on the profile's plane"),
@@ -44,16 +44,6 @@ def measured(command: str) -> Any:
     return json.loads(done.stdout)
 
 
-def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown."""
-    return (
-        table_row(tuple(headings))
-        + "|---" * len(headings)
-        + "|\n"
-        + "".join(table_row(tuple(row)) for row in rows)
-    )
-
-
 def millimetres(value_m: float | None, digits: int = 2) -> str:
     """A length, or a dash."""
     return "–" if value_m is None else f"{1e3 * value_m:.{digits}f}"
@@ -70,17 +60,11 @@ def pooled(records: Sequence[Record]) -> Record:
     together: Record = {
         key: sum(record[key] for record in records) for key in ("measured_count", "frame_count")
     }
-    for key in (
-        "spatial_rmse_m",
-        "clearance_rmse_m",
-        "spatial_interval_coverage",
-        "clearance_interval_coverage",
-    ):
-        values = np.array([record[key] or 0.0 for record in records])
-        power = 2 if key.endswith("_rmse_m") else 1
-        together[key] = (
-            float((counts @ values**power / counts.sum()) ** (1 / power)) if counts.any() else None
-        )
+    for name in ("spatial", "clearance"):
+        for key, power in ((f"{name}_rmse_m", 2), (f"{name}_interval_coverage", 1)):
+            values = np.array([record[key] or 0.0 for record in records])
+            mean = counts @ values**power / counts.sum() if counts.any() else None
+            together[key] = None if mean is None else float(mean ** (1 / power))
     return together
 
 
@@ -99,41 +83,37 @@ def all_methods(logs: str) -> dict[str, list[str]]:
     return {name: cells_in_3d(pooled([one for one in records if one["method"] == name])) for name in METHODS}
 
 
-def real(readme: str, results: str) -> tuple[str, str]:
+def real() -> None:
     """All methods in worlds that differ from the profile."""
-    rows = [
-        [f"`{name}`", *METHODS[name], *cells] for name, cells in all_methods("recordings/real/*.mcap").items()
-    ]
+    found = all_methods("recordings/real/*.mcap")
+    rows = [[f"`{name}`", *METHODS[name], *cells] for name, cells in found.items()]
     made = table(("`--method`", "tool from", "tissue from", *FIGURES), rows)
-    return with_table(readme, "golden-real", made), results
+    write_table(ROOT / "README.md", "golden-real", made)
 
 
-def ideal(readme: str, results: str) -> tuple[str, str]:
+def ideal() -> None:
     """All methods in a world that agrees with the profile."""
     rows = [[f"`{name}`", *cells] for name, cells in all_methods("recordings/3d/*.mcap").items()]
-    return readme, with_table(results, "golden-3d", table(("method", *FIGURES), rows))
+    write_table(RESULTS, "golden-3d", table(("method", *FIGURES), rows))
 
 
-def fused(readme: str, results: str) -> tuple[str, str]:
+def fused() -> None:
     """`fused` and its alarms, log by log."""
     rows = []
     for folder in ("3d", "real"):
         for score in measured(f"validate recordings/{folder}/*.mcap {ALARMS}")["recordings"]:
             lead_s = score["alarm_lead_min_s"]
-            rows.append(
-                [
-                    f"{folder}/{score['recording']}",
-                    *cells_in_3d(score),
-                    str(score["alarm_unsafe_count"]),
-                    percent(score["alarm_recall"]),
-                    percent(score["alarm_precision"]),
-                    percent(score["false_alarm_fraction"], 1),
-                    "–" if lead_s is None else f"{lead_s:.2f}",
-                ]
+            alarms = (
+                str(score["alarm_unsafe_count"]),
+                percent(score["alarm_recall"]),
+                percent(score["alarm_precision"]),
+                percent(score["false_alarm_fraction"], 1),
+                "–" if lead_s is None else f"{lead_s:.2f}",
             )
+            rows.append([f"{folder}/{score['recording']}", *cells_in_3d(score), *alarms])
         if folder == "3d":
             rows.append(["3d/duo PSM1–PSM2", *between_instruments(), *["–"] * len(ALARM_FIGURES)])
-    return readme, with_table(results, "golden-fused", table(("log", *FIGURES, *ALARM_FIGURES), rows))
+    write_table(RESULTS, "golden-fused", table(("log", *FIGURES, *ALARM_FIGURES), rows))
 
 
 def between_instruments() -> list[str]:
@@ -151,23 +131,21 @@ def between_instruments() -> list[str]:
     return [f"{len(found)}/{len(rows)}", "–", "–", millimetres(rmse_m), percent(float(inside.mean()))]
 
 
-def planar(readme: str, results: str) -> tuple[str, str]:
+def planar() -> None:
     """`overlay` log by log, and the overall rows of other conditions."""
     document = measured("validate")
     scores = [score for score in document["recordings"] if score["reference"] == "ground_truth"]
     overall = document["overall_by_reference"]
-    rows = [
-        [score["recording"] + " (fitted on)" * score["fitted_on"], *cells_in_plane(score)] for score in scores
-    ]
-    rows.append(["**overall**", *cells_in_plane(overall["ground_truth"])])
-    results = with_table(results, "golden-planar", table(("log", *PLANAR), rows))
+    named = {score["recording"] + " (fitted on)" * score["fitted_on"]: score for score in scores}
+    named["**overall**"] = overall["ground_truth"]
     others = {
         "`overlay` against DH kinematics, as in the paper": overall["kinematics"],
         "`--method centroid`, without the marker": measured("validate --method centroid")["overall"],
         "`--equations printed`": measured("validate --equations printed")["overall"],
     }
-    rows = [[name, *cells_in_plane(score)] for name, score in others.items()]
-    return readme, with_table(results, "golden-overall", table(("condition", *PLANAR), rows))
+    for name, first, records in (("golden-planar", "log", named), ("golden-overall", "condition", others)):
+        rows = [[label, *cells_in_plane(score)] for label, score in records.items()]
+        write_table(RESULTS, name, table((first, *PLANAR), rows))
 
 
 def cells_in_plane(score: Record) -> list[str]:
@@ -183,11 +161,9 @@ def cells_in_plane(score: Record) -> list[str]:
     ]
 
 
-def blur(readme: str, results: str) -> tuple[str, str]:
+def blur() -> None:
     """Table I of the paper beside ours."""
-    logs = " ".join(
-        f"recordings/{name}.mcap" for name in ("sweep", "approach", "contact", "occlusion", "random")
-    )
+    names = ("sweep", "approach", "contact", "occlusion", "random")
     rows = [
         [
             record["blur"],
@@ -198,18 +174,12 @@ def blur(readme: str, results: str) -> tuple[str, str]:
             str(record["paper_contour_area_px"] or "–"),
             millimetres(record["rmse_m"]),
         ]
-        for record in measured(f"blur-bench {logs}")
+        for record in measured("blur-bench " + " ".join(f"recordings/{name}.mcap" for name in names))
     ]
-    return readme, with_table(results, "golden-blur", table(("blur", *BLUR), rows))
+    write_table(RESULTS, "golden-blur", table(("blur", *BLUR), rows))
 
 
-PARTS: dict[str, Callable[[str, str], tuple[str, str]]] = {
-    "real": real,
-    "ideal": ideal,
-    "fused": fused,
-    "planar": planar,
-    "blur": blur,
-}
+PARTS: dict[str, Callable[[], None]] = {make.__name__: make for make in (real, ideal, fused, planar, blur)}
 
 
 def main(names: Sequence[str]) -> None:
@@ -217,9 +187,7 @@ def main(names: Sequence[str]) -> None:
     for name in names or PARTS:
         if name not in PARTS:
             raise SystemExit(f"no part {name}: the choices are {', '.join(PARTS)}")
-        readme, results = PARTS[name](README.read_text("utf-8"), RESULTS.read_text("utf-8"))
-        README.write_text(readme, "utf-8")
-        RESULTS.write_text(results, "utf-8")
+        PARTS[name]()
 
 
 if __name__ == "__main__":

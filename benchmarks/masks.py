@@ -26,9 +26,8 @@ from svmdist.samples import Image
 from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.network import OnnxSegmenter
 from svmdist.vision.segmentation import Segmenter
-from training.dataset import VALIDATION_SEED, iou
 from training.instruments import DISTAL
-from training.scene import render
+from training.scene import VALIDATION_SEED, iou, render
 
 Mask = NDArray[np.bool_]
 Masked = Iterator[tuple[Image, Mask]]
@@ -79,12 +78,9 @@ def _phantom(root: Path) -> Masked:
         yield _read(path), (label == (0, 255, 0)).all(-1)  # the needle is yellow
 
 
-def _trainer(root: Path) -> Masked:
-    yield _read(root / "data/demo.jpg"), _read(root / "data/demo_seg.png")[..., 0] > 127
-
-
-def _single(root: Path) -> Masked:
-    yield _read(root / "images/img_40_raw.png"), _read(root / "images/img_40_class.png")[..., 0] > 0
+def _single(image: str, mask: str, above: int) -> Callable[[Path], Masked]:
+    """One image, and the mask whose levels are above one."""
+    return lambda root: iter([(_read(root / image), _read(root / mask)[..., 0] > above)])
 
 
 def panels(root: Path) -> Masked:
@@ -99,23 +95,25 @@ def panels(root: Path) -> Masked:
 def _figure(root: Path) -> Masked:
     figure = _read(root / "images/grid-1-41.png")
     parts = (figure[195:377, 34:263, 2] > 127).astype(np.uint8)
-    whole = cv2.morphologyEx(
-        parts, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)
-    )  # black lines part the instruments
+    # Black lines part the instruments.
+    whole = cv2.morphologyEx(parts, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     yield np.ascontiguousarray(figure[2:184, 34:263]), whole > 0
 
 
-CHOLECYSTECTOMY = _outlined("cholecystectomy", "outputs/run_cholecseg_video01_test_*/frames")
 SETS: dict[str, tuple[str, str, Callable[[Path], Masked]]] = {
     "laparoscopy": ("MahBadran93/Laparoscopic-Tools-Processing", "operation, 1920x1080", _laparoscopy),
     "cholecystectomy": (
         "Herbert-Research/surgical-instrument-segmentation",
         "operation, 640x360",
-        CHOLECYSTECTOMY,
+        _outlined("cholecystectomy", "outputs/run_cholecseg_video01_test_*/frames"),
     ),
     "CholecSeg8k": ("mhjd/cholecseg8k-deeplabv3", "operations, 426x240", panels),
     "EndoVis": ("ternaus/robot-surgery-segmentation", "operation on a pig, 229x182", _figure),
-    "EndoMapper": ("endomapperUZ/toolSegmentation", "operation, 640x480", _single),
+    "EndoMapper": (
+        "endomapperUZ/toolSegmentation",
+        "operation, 640x480",
+        _single("images/img_40_raw.png", "images/img_40_class.png", 0),
+    ),
     "SuPer Deep": (
         "ambareeshsrja16/Surgical_Tool_Tracking",
         "ex vivo tissue, 720x576",
@@ -123,7 +121,11 @@ SETS: dict[str, tuple[str, str, Callable[[Path], Masked]]] = {
     ),
     "phantom": ("surgical-robotics-ai/dVRK-segmentation-models", "silicone, 1280x1024", _phantom),
     "thrust": ("fdheenmo/thrust", "paper, 640x480", _outlined("thrust", "50_images_15-Nov-17-59-04")),
-    "trainer": ("luiscarlosgph/endotip", "box trainer, 980x988", _trainer),
+    "trainer": (
+        "luiscarlosgph/endotip",
+        "box trainer, 980x988",
+        _single("data/demo.jpg", "data/demo_seg.png", 127),
+    ),
 }
 """Each set's public repository, what it shows, and how its images are read from the folder of that repository."""
 
@@ -172,18 +174,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     cv2.setNumThreads(1)
     for name, (repository, shows, read) in SETS.items():
         root = given.folder / repository.split("/")[1]
-        if not root.is_dir():
+        if root.is_dir():
+            images = list(read(root))
+            _print_row(name, shows, len(images), [images])
+        else:
             print(f"{name}: not in {given.folder}; it is {repository}", file=sys.stderr)
-            continue
-        images = list(read(root))
-        cells = measure([images])
-        print(table_row((name, shows, str(len(images)), *(f"{key}: {cell}" for key, cell in cells.items()))))
     if given.renders:
         pictures = [render(VALIDATION_SEED + number) for number in range(given.renders)]
-        cells = measure([[(bgr, labels >= DISTAL)] for bgr, labels in pictures])
-        print(
-            table_row(("drawn", "", str(given.renders), *(f"{key}: {cell}" for key, cell in cells.items())))
-        )
+        drawn = [[(bgr, labels >= DISTAL)] for bgr, labels in pictures]
+        _print_row("drawn", "", given.renders, drawn)
+
+
+def _print_row(name: str, shows: str, count: int, sets: Sequence[Sequence[tuple[Image, Mask]]]) -> None:
+    cells = (f"{method}: {cell}" for method, cell in measure(sets).items())
+    print(table_row((name, shows, str(count), *cells)))
 
 
 if __name__ == "__main__":

@@ -1,17 +1,20 @@
 """docs/real-data.md: what each method measures on public images of real instruments, fetched beforehand to a folder.
 
 `uv run python -m benchmarks.real_images FOLDER [--out DIR] [--write]` runs on whatever of the sets is in FOLDER: thrust
-(fdheenmo/thrust), SuPer Deep (ambareeshsrja16/Surgical_Tool_Tracking) and ReCoDE
-(ImperialCollegeLondon/ReCoDE-HandEyeCalibration). Logs and profiles in DIR are made by the program's own commands.
+(fdheenmo/thrust), SuPer Deep (ambareeshsrja16/Surgical_Tool_Tracking), ReCoDE
+(ImperialCollegeLondon/ReCoDE-HandEyeCalibration) and the tags of AprilRobotics/apriltag. Logs and profiles in DIR are
+made by the program's own commands.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +24,14 @@ from scipy.io import loadmat
 from scipy.optimize import least_squares
 
 import svmdist
-from benchmarks.generated_pages import DOCS, table_row, with_table
+from benchmarks.generated_pages import DOCS, table, write_table
 from svmdist.estimation.hand_eye import rigid_fit
 from svmdist.kinematics import chain_of, forward_kinematics
 from svmdist.profile import Profile, load_profile
 from svmdist.results import FrameResult
-from svmdist.transforms import (
-    Array,
-    quaternion_xyzw_from_rotation,
-    rotation_of,
-    rotation_vector,
-    transform_points,
-)
+from svmdist.transforms import Array, rotation_of, rotation_vector
+from svmdist.transforms import quaternion_xyzw_from_rotation as quaternion_of
+from svmdist.vision.tags import find_every_tag
 
 CHI_95, CHI_5_STD = 7.81, 31.8
 """Squares of normalised errors of 3 degrees of freedom: 95 %, and what five deviations of one are as unlikely as."""
@@ -43,6 +42,11 @@ F_PX, CX_PX, CY_PX, FB_PX_M = 572.2249, 378.7735, 239.2915, 35.4475
 ACROSS_STD_M, ALONG_STD_M = 5e-4, 1.1e-3
 """The reference's own noise, by its residuals after a rigid fit to the recorded poses."""
 LOOK_UP_S = (-0.02, 0.0, 0.02)
+THRUST_COLUMNS = (
+    *("method", "rows", "px, median", "mm, median", "p95", "in 95%", "over 5 deviations"),
+    *("mm to the joint's middle, median", "p95", "in 95%"),
+    *("mm after a rigid fit to the poses, median", "mean"),
+)
 SUPER_DEEP = Path(
     "Surgical_Tool_Tracking/ForwardPassDeepLabCut/DaVinci-Ambar-2019-10-31/labeled-data/video_1"
 )
@@ -50,6 +54,7 @@ LABELS = "CollectedData_Ambar.csv"
 WRISTS = {"left": "left_logobody_head_tip", "right": "right_logobody_head_tip"}
 """The label at the distal end of the wrist's body, where the jaws' joint begins, of each instrument."""
 RECODE = Path("ReCoDE-HandEyeCalibration", "input")
+TAGS = Path("apriltag", "test", "data")
 
 
 def run(*arguments: object) -> None:
@@ -94,7 +99,7 @@ def after_rigid_fit(places_m: Array, reference_m: Array) -> Array:
     off_m = np.zeros(len(places_m))
     for _ in range(10):
         T = rigid_fit(places_m, reference_m, weights)
-        off_m = np.linalg.norm(transform_points(T, reference_m) - places_m, axis=1)
+        off_m = np.linalg.norm((reference_m @ T[:3, :3].T + T[:3, 3]) - places_m, axis=1)
         weights = 1.0 / np.maximum(off_m, max(float(np.median(off_m)), 1e-6))
     return off_m
 
@@ -115,32 +120,12 @@ def thrust(folder: Path, out: Path) -> Iterator[str]:
     joints = f"PSM2={joints_table(poses, out / 'joints.csv')}"
     jointed, robot = make_log(out / "thrust-joints.mcap", *views, *camera, *named, "--joints", joints)
     found = out / "hand-eye.toml"
-    run(
-        "hand-eye",
-        jointed,
-        "--profile",
-        robot,
-        "--method",
-        "shaft",
-        "--instrument",
-        "PSM2",
-        "--force",
-        "-o",
-        found,
-    )
+    options = ("--profile", robot, "--method", "shaft", "--instrument", "PSM2", "--force", "-o", found)
+    run("hand-eye", jointed, *options)
     robot.write_text(f'hand_eye = "{found.name}"\n' + robot.read_text("utf-8"), "utf-8")
     joint_px, joint_m = red_joints(images)
     middle_m, face_m, face_std_m = joint_middles(joint_m, poses)
-    columns: tuple[str, ...]
-    columns = ("method", "rows", "px, median", "mm, median", "p95", "in 95%", "over 5 deviations")
-    columns += (
-        "mm to the joint's middle, median",
-        "p95",
-        "in 95%",
-        "mm after a rigid fit to the poses, median",
-        "mean",
-    )
-    yield "### thrust: a dVRK instrument over paper, 50 stereo pairs of 640x480\n\n" + heading(columns)
+    table_rows = []
     for method in ("shaft", "stereo", "fused"):
         rows, total = rows_of(jointed, robot, method) if method == "fused" else rows_of(log, profile, method)
         at = np.array([round(row.stamp_ns / 1e9) for row in rows], np.intp)
@@ -154,18 +139,15 @@ def thrust(folder: Path, out: Path) -> Iterator[str]:
             cells += [number(off_mm), number(off_mm, 95.0), share(square < CHI_95)]
             cells += [share(square > CHI_5_STD)] if reference_m is joint_m else []
         fitted_mm = 1e3 * after_rigid_fit(places_m, poses[at, :3, 3])
-        yield table_row((*cells, number(fitted_mm), f"{fitted_mm.mean():.2f}"))
+        table_rows.append((*cells, number(fitted_mm), f"{fitted_mm.mean():.2f}"))
+    yield "### thrust: a dVRK instrument over paper, 50 stereo pairs of 640x480\n\n"
+    yield table(THRUST_COLUMNS, table_rows)
     own_mm = 1e3 * after_rigid_fit(joint_m, poses[:, :3, 3])
     yield (
         f"\nThe red joint itself, triangulated, is {number(own_mm)} mm (median) from the poses after a rigid fit:"
         " the reference's own noise. By the poses its red face stands"
         f" {1e3 * face_m:.1f} ± {1e3 * face_std_m:.1f} mm before its middle, along the line of sight.\n\n"
     )
-
-
-def heading(columns: tuple[str, ...]) -> str:
-    """The first two lines of a table."""
-    return table_row(columns) + "|---" * len(columns) + "|\n"
 
 
 def red_joints(images: Path) -> tuple[Array, Array]:
@@ -223,7 +205,7 @@ def noise(places_m: Array, face_std_m: float) -> Array:
 
 def poses_table(poses: Array, path: Path) -> Path:
     """A row for each image, as `svmdist import --poses` reads it."""
-    rows = np.column_stack([poses[:, :3, 3], quaternion_xyzw_from_rotation(poses[:, :3, :3])]).tolist()
+    rows = np.column_stack([poses[:, :3, 3], quaternion_of(poses[:, :3, :3])]).tolist()
     lines = (f"{n}_L.jpg," + ",".join(f"{value:.12g}" for value in row) for n, row in enumerate(rows, 1))
     path.write_text("\n".join(["image,x_m,y_m,z_m,qx,qy,qz,qw", *lines]) + "\n", "utf-8")
     return path
@@ -280,20 +262,13 @@ def super_deep(folder: Path, out: Path) -> Iterator[str]:
         if own in away_px:
             off_px.append(away_px[own])
             swapped += min(away_px, key=lambda side: away_px[side]) != own
-    columns = (
-        "method",
-        "rows, left",
-        "rows, right",
-        "both",
-        "px to the wrist, median",
-        "p95",
-        "rows under the other name",
-    )
-    yield "### SuPer Deep: two da Vinci instruments over tissue, 20 frames of 720x576\n\n" + heading(columns)
+    columns = ("method", "rows, left", "rows, right", "both", "px to the wrist, median", "p95")
     counts = (frames["left"], frames["right"], frames["left"] & frames["right"])
     cells = (f"{len(stamps)} of {total // len(sides)}" for stamps in counts)
     both = (number(off_px, digits=1), number(off_px, 95.0, digits=1))
-    yield table_row(("`shaft`", *cells, *both, f"{swapped} of {len(off_px)}")) + "\n"
+    made = [("`shaft`", *cells, *both, f"{swapped} of {len(off_px)}")]
+    yield "### SuPer Deep: two da Vinci instruments over tissue, 20 frames of 720x576\n\n"
+    yield table((*columns, "rows under the other name"), made) + "\n"
 
 
 def labelled_wrists(folder: Path) -> dict[int, dict[str, Array]]:
@@ -322,11 +297,39 @@ def recode(folder: Path, out: Path) -> Iterator[str]:
     rows, total = rows_of(log, profile, "shaft")
     std_mm = [1e3 * row.tool.pose.position_std_m for row in rows if row.tool]
     yield "### ReCoDE: a dVRK instrument with two balls on its shaft, 50 images of 800x600\n\n"
-    yield heading(("method", "rows", "standard deviation of the tool [mm], median"))
-    yield table_row(("`shaft`", f"{len(rows)} of {total}", number(std_mm, digits=1)))
+    cells = ("`shaft`", f"{len(rows)} of {total}", number(std_mm, digits=1))
+    yield table(("method", "rows", "standard deviation of the tool [mm], median"), [cells])
 
 
-SETS = {THRUST: thrust, SUPER_DEEP: super_deep, RECODE: recode}
+def tags(folder: Path, _: Path) -> Iterator[str]:
+    """Photographs of tags, with corners that count from a pixel's corner, ours from its middle.
+
+    They are those of AprilTag without its refinement of edges, so that they have errors of their own.
+    """
+    known, errors_px = 0, [np.empty(0)]
+    for path in sorted((folder / TAGS).glob("*.txt")):  # a line per tag: `id, (x y), (x y), (x y), (x y)`
+        image = np.asarray(cv2.imread(str(path.with_suffix(".jpg")), cv2.IMREAD_GRAYSCALE), np.uint8)
+        found = find_every_tag(image, "36h11")
+        for line in path.read_text().splitlines():
+            numbers = re.findall(r"-?\d+\.\d+", line)
+            if len(numbers) != 8:
+                continue
+            known += 1
+            true_px = np.array(numbers, float).reshape(4, 2) - 0.5
+            side_px = np.linalg.norm(true_px - np.roll(true_px, 1, 0), axis=1).mean()
+            alike = [tag.corners_px for tag in found if tag.number == int(line.split(",")[0])]
+            near = [c for c in alike if np.linalg.norm(np.mean(c - true_px, 0)) <= 0.3 * side_px]
+            # Whichever corner is the first.
+            orders = [np.roll(c, k, 0) for one in near for c, k in product((one, one[::-1]), range(4))]
+            off_px = [np.linalg.norm(order - true_px, axis=1) for order in orders]
+            errors_px += [min(off_px, key=np.sum)] if off_px else []
+    corners_px = np.concatenate(errors_px)
+    yield "### AprilTag: photographs of tags\n\n"
+    cells = (f"{len(corners_px) // 4} of {known}", share(corners_px < 0.5), number(corners_px))
+    yield table(("tags found", "corners within 0.5 px", "px, median"), [cells])
+
+
+SETS = {THRUST: thrust, SUPER_DEEP: super_deep, RECODE: recode, TAGS: tags}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -344,8 +347,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"{given.folder / place}: not there", file=sys.stderr)
     print(text)
     if given.write and text:
-        page = DOCS / "real-data.md"
-        page.write_text(with_table(page.read_text("utf-8"), "real-images", text), "utf-8")
+        write_table(DOCS / "real-data.md", "real-images", text)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.generated_pages import DOCS, table_row, with_table
+from benchmarks.generated_pages import DOCS, table, write_table
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.recording.log import Recording, open_recording
 from svmdist.workflows.compare import MethodScore, measure_runs
@@ -40,16 +40,15 @@ def measure(recordings: Sequence[Recording], methods: Sequence[str] = METHODS) -
 
 def robustness_table(runs: Sequence[MethodScore]) -> str:
     """One row per world, one column per method."""
+    members: dict[str, dict[str, list[MethodScore]]] = {}
+    for run in runs:
+        members.setdefault(run.group.degradation, {}).setdefault(run.method, []).append(run)
     methods = list(dict.fromkeys(run.method for run in runs))
-    lines = [
-        table_row(("what differs", *(f"`{method}`" for method in methods))),
-        "|---" * (1 + len(methods)) + "|\n",
+    rows = [
+        [f"`{world}`" if world else "nothing", *(_cell(by_method.get(method, [])) for method in methods)]
+        for world, by_method in members.items()
     ]
-    for world in dict.fromkeys(map(_world, runs)):
-        members = [run for run in runs if _world(run) == world]
-        cells = (_cell([run for run in members if run.method == method]) for method in methods)
-        lines.append(table_row((f"`{world}`" if world else "nothing", *cells)))
-    return "".join(lines)
+    return table(("what differs", *(f"`{method}`" for method in methods)), rows)
 
 
 def far_share(pairs: Pairs) -> float:
@@ -59,13 +58,9 @@ def far_share(pairs: Pairs) -> float:
     return float(np.mean(off_m[known] > FAR_STDS * pairs.std_m[known])) if known.any() else 0.0
 
 
-def _world(run: MethodScore) -> str:
-    return run.group.degradation
-
-
 def _cell(runs: Sequence[MethodScore]) -> str:
-    """RMSE in mm, the share of truths inside the 95 % interval, and what is wrong with other frames, if anything."""
-    inconsistent = sum(run.statuses.get("inconsistent", 0) for run in runs) / sum(
+    """RMSE in mm, the share of truths inside the 95 % interval, and the frames that are far off or not measured."""
+    missing = 1.0 - sum(run.figures.measured_count for run in runs) / sum(
         run.figures.frame_count for run in runs
     )
     text = "–"
@@ -73,7 +68,7 @@ def _cell(runs: Sequence[MethodScore]) -> str:
         text = f"{1e3 * score.statistics.rmse:.2f} ({100 * (score.interval_coverage or 0.0):.0f})"
         if (far := 100 * far_share(score.pairs)) >= 0.5:
             text += f", {far:.0f}% far off"
-    return text + (f", {100 * inconsistent:.0f}% inconsistent" if inconsistent >= 0.005 else "")
+    return text + (f", {100 * missing:.0f}% not measured" if missing >= 0.005 else "")
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -85,8 +80,7 @@ def main(arguments: Sequence[str]) -> None:
     made = robustness_table(measure([open_recording(path, profile) for path in paths]))
     print(made)
     if "--write" in arguments:
-        page = DOCS / "results.md"
-        page.write_text(with_table(page.read_text("utf-8"), "robustness", made), "utf-8")
+        write_table(DOCS / "results.md", "robustness", made)
 
 
 if __name__ == "__main__":

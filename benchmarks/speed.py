@@ -20,6 +20,7 @@ from benchmarks.generated_pages import table_row
 ROOT = Path(__file__).resolve().parent.parent
 PAIRS = 5
 MANY = 1000
+# 600 PNG frames; 200 stereo pairs as JPEG with a tag; a log of four frames, to which there are a thousand links.
 LOGS = {
     "mono.mcap": "--scenario random --seed 5 --rate 30 --duration 20",
     "stereo.mcap": "--scenario random --seed 6 --rate 20 --duration 10 --stereo --tag --kinematic-error 1"
@@ -56,7 +57,7 @@ PROGRAMS = {
 
 
 def make_logs(folder: Path) -> None:
-    """600 PNG frames; 200 stereo pairs as JPEG with a tag; a log of four frames, and a thousand links to it."""
+    """Make what is not there yet."""
     for name, options in LOGS.items():
         if not (folder / name).exists():
             run(f"svmdist record {options} -o {name}", folder)

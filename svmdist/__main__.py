@@ -11,13 +11,10 @@ from svmdist.errors import Terminated
 # Plugins of pydantic are no part of svmdist; looking for them reads the metadata of every installed package.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 
-COLLECT_AFTER = 20_000
-"""Objects between two garbage collections, in place of Python's 700: start-up alone makes 50,000, all to stay."""
-
-
+COLLECT_AFTER = 20_000  # objects between two garbage collections: start-up alone makes 50,000, all to stay
 AGAIN_S = 0.02
 ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-"""Signals that ask a process to end, as an interrupt does: what it was writing is put away first."""
+"""Signals that end the process as an interrupt does: unfinished files are removed first."""
 _asked_to_end: list[int] = []
 
 
@@ -25,7 +22,7 @@ def run() -> None:
     """Entry point: run the command line; an interrupt ends it with a line and 130, while it still loads, too."""
     gc.set_threshold(COLLECT_AFTER)
     _fill_standard_files()
-    _hear_signals()
+    _handle_signals()
     try:
         from svmdist.cli.main import run as run_commands
 
@@ -53,12 +50,12 @@ def _fill_standard_files() -> None:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
 
 
-def _hear_signals() -> None:
+def _handle_signals() -> None:
     """Let signals that would end this process at once end it as an interrupt does."""
     owner = os.getpid()
 
     def end(number: int, _: FrameType | None) -> None:
-        if os.getpid() != owner:  # a forked worker, whose owner tells what there is to tell
+        if os.getpid() != owner:  # a forked worker: its owner reports
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
             return
@@ -70,11 +67,11 @@ def _hear_signals() -> None:
     for number in ENDING:
         if signal.getsignal(number) == signal.SIG_DFL:  # `nohup` has it ignored
             signal.signal(number, end)
-    sys.unraisablehook = _not_in_vain
+    sys.unraisablehook = _send_again
 
 
-def _not_in_vain(lost: "sys.UnraisableHookArgs") -> None:
-    """Send a signal again that met Python where it ignores exceptions, as while it puts an import away."""
+def _send_again(lost: "sys.UnraisableHookArgs") -> None:
+    """Send a signal again that came where Python ignores exceptions, as in an import's clean-up."""
     problem = lost.exc_value
     if not isinstance(problem, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
@@ -83,16 +80,13 @@ def _not_in_vain(lost: "sys.UnraisableHookArgs") -> None:
     if number in ENDING:
         for ending in ENDING:
             signal.signal(ending, signal.SIG_DFL)
-        _hear_signals()
+        _handle_signals()
 
-    import threading  # here: until this module is loaded, an interrupt prints where it met it
-    import time
+    import threading  # here: until this module is loaded, an interrupt prints a traceback
 
-    def send() -> None:
-        time.sleep(AGAIN_S)  # until then the place where exceptions are ignored is left
-        os.kill(os.getpid(), number)
-
-    threading.Thread(target=send, daemon=True).start()
+    later = threading.Timer(AGAIN_S, os.kill, (os.getpid(), number))  # after Python has left that code
+    later.daemon = True
+    later.start()
 
 
 if __name__ == "__main__":

@@ -56,7 +56,13 @@ class Estimates(Sequence[FrameResult]):
 
     def to_dataframe(self) -> DataFrame:
         """A pandas DataFrame with the columns of the CSV; raises SvmdistError where pandas is not installed."""
-        return _dataframe(list(self.rows()), ESTIMATE_KEYS)
+        try:
+            import pandas as pd
+        except ImportError:
+            raise SvmdistError(
+                "to_dataframe needs pandas, which is not installed: pip install pandas"
+            ) from None
+        return pd.DataFrame.from_records(list(self.rows()), columns=ESTIMATE_KEYS)
 
 
 def open_recording(
@@ -116,11 +122,3 @@ def compare(
 
 def _setup(recording: Recording, method: Method, calibration: Path | None = None) -> Setup:
     return prepare(recording.origin.profile, method, "corrected", calibration)
-
-
-def _dataframe(rows: Sequence[Row], keys: Sequence[str]) -> DataFrame:
-    try:
-        import pandas as pd
-    except ImportError:
-        raise SvmdistError("to_dataframe needs pandas, which is not installed: pip install pandas") from None
-    return pd.DataFrame.from_records([dict(row) for row in rows], columns=list(keys))

@@ -18,10 +18,8 @@ R_OPENGL_OPENCV: Array = np.diag([1.0, -1.0, -1.0])
 """OpenCV axes (x right, y down, z forward) in OpenGL's (x right, y up, z backward); its own inverse."""
 
 MAX_COEFFICIENTS = 14
-MAX_COEFFICIENT = 1e5
-"""Of a lens: rational models of endoscopes have some hundreds."""
-MAX_FOCAL_PX = 1e7
-"""Beyond it an image of 4,000 px is less than a minute of arc wide."""
+MAX_COEFFICIENT = 1e5  # of a lens: rational models of endoscopes have some hundreds
+MAX_FOCAL_PX = 1e7  # beyond it an image of 4,000 px is less than a minute of arc wide
 
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "fisheye"]
 KNOWN_DISTORTION: dict[str, DistortionModel] = {
@@ -34,7 +32,7 @@ KNOWN_DISTORTION: dict[str, DistortionModel] = {
     "fisheye": "fisheye",
     "kannala_brandt": "fisheye",
 }
-"""What a log or a calibration file may call a lens, and which model that is."""
+"""The distortion model by its name in a log or a calibration file."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +54,7 @@ class Camera:
     distortion_model: DistortionModel = "plumb_bob"
 
     def __post_init__(self) -> None:
-        """Complete the distortion: OpenCV knows four coefficients, five, eight, twelve or fourteen.
-
-        Raises ValueError for shapes, sizes and coefficients that no camera has.
-        """
+        """Complete the distortion to a length that OpenCV knows; ValueError for what no camera has."""
         shapes = {"K": (self.K, (3, 3)), "R": (self.R_rectified_camera, (3, 3)), "P": (self.P, (3, 4))}
         for name, (matrix, shape) in shapes.items():
             if matrix is not None and matrix.shape != shape:
@@ -68,10 +63,10 @@ class Camera:
             raise ValueError(f"D has shape {self.D.shape}; at most {MAX_COEFFICIENTS} coefficients are known")
         if self.distortion_model == "fisheye" and self.D[4:].any():
             raise ValueError(f"D has {len(self.D)} coefficients, and fisheye has 4")
-        if not (0.0 < self.K[0, 0] <= MAX_FOCAL_PX and 0.0 < self.K[1, 1] <= MAX_FOCAL_PX):
+        fx, fy = self.K[0, 0], self.K[1, 1]
+        if not (0.0 < fx <= MAX_FOCAL_PX and 0.0 < fy <= MAX_FOCAL_PX):
             raise ValueError(
-                f"the camera is not calibrated: fx = {self.K[0, 0]}, fy = {self.K[1, 1]} px;"
-                f" expected 0 to {MAX_FOCAL_PX:g}"
+                f"the camera is not calibrated: fx = {fx}, fy = {fy} px; expected 0 to {MAX_FOCAL_PX:g}"
             )
         if not (np.abs(self.D) <= MAX_COEFFICIENT).all():
             raise ValueError(f"D has a coefficient beyond ±{MAX_COEFFICIENT:g}")
@@ -108,10 +103,7 @@ class Camera:
         return coefficients if any(coefficients) else None
 
     def project(self, p_camera_m: ArrayLike) -> Array:
-        """Project points of the camera frame, shape (n, 3) in m and in front of it, to px, shape (n, 2).
-
-        Distortion follows OpenCV's models.
-        """
+        """Project points of the camera frame, shape (n, 3) in m and in front of it, to px, shape (n, 2)."""
         p = np.atleast_2d(np.asarray(p_camera_m, np.float64))
         if self.distortion_model == "fisheye" or len(self.D) > 5:
             return _projected_by_opencv(p, self)
@@ -156,13 +148,10 @@ def _projected_by_opencv(p_m: Array, camera: Camera) -> Array:
     """Pixels of points, shape (n, 3), by a lens that is not the plain model's."""
     import cv2  # of few lenses: a camera is there without OpenCV
 
-    origin = np.zeros(3)
-    if camera.distortion_model == "fisheye":
-        pixels, _ = cv2.fisheye.projectPoints(
-            p_m[:, None], origin, origin, camera.K, fisheye_coefficients(camera.D)
-        )
-    else:
-        pixels, _ = cv2.projectPoints(p_m, origin, origin, camera.K, camera.D)
+    is_fisheye = camera.distortion_model == "fisheye"
+    project = cv2.fisheye.projectPoints if is_fisheye else cv2.projectPoints
+    D = fisheye_coefficients(camera.D) if is_fisheye else camera.D
+    pixels, _ = project(p_m[:, None], np.zeros(3), np.zeros(3), camera.K, D)
     return np.asarray(pixels, np.float64).reshape(-1, 2)
 
 
@@ -191,16 +180,14 @@ def _distortion_slope(xy: Array, coefficients: tuple[float, ...]) -> Array:
 
 
 def stereo_transform(left: Camera, right: Camera) -> Array | None:
-    """Where the right camera of a calibrated pair stands for the left one: `T_left_right`, shape (4, 4).
+    """The right camera's pose in the left one's frame, `T_left_right`, shape (4, 4); None without a baseline.
 
-    As ROS has it: `P[:, 3]` is K' times the right camera's place, in the rectified frame that both share, and
-    `R_rectified_camera` turns each camera into that frame. None where the right camera's P has no baseline.
+    As ROS has it: the right camera's `P[:, 3]` is K' times its position in the rectified frame that both share, and
+    `R_rectified_camera` maps each camera into that frame.
     """
     if right.P is None or not right.P[:2, 3].any():
         return None
-    place_m = -right.P[:2, 3] / np.diag(right.P[:2, :2])
-    R_left, R_right = (
-        np.eye(3) if camera.R_rectified_camera is None else camera.R_rectified_camera
-        for camera in (left, right)
-    )
-    return make_transform(R_left.T @ R_right, R_left.T @ [*place_m, 0.0])
+    position_m = -right.P[:2, 3] / np.diag(right.P[:2, :2])
+    rotations = (left.R_rectified_camera, right.R_rectified_camera)
+    R_left, R_right = (np.eye(3) if R is None else R for R in rotations)
+    return make_transform(R_left.T @ R_right, R_left.T @ [*position_m, 0.0])

@@ -21,14 +21,14 @@ from urllib.parse import urlsplit
 
 from svmdist.errors import OutputError
 
-BLOCK_BYTES = 256 << 10
-"""As large as a chunk of a recording: a chunk that is left out is not fetched, and few requests wait for each other."""
+BLOCK_BYTES = 256 << 10  # a chunk of a recording: one that is left out is not fetched
 FILES_KEPT = 4
 URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 CLOUD_EXTRA = "pip install 'svmdist[cloud]'"
 BAD_CHARACTER = "the path has a character that no path can have"
-NAME_BYTES = 255 - len("..part")
-"""Of a name that a temporary one is made of; nearly every file system has names of 255 bytes."""
+NAME_BYTES = 255 - len(
+    "..part"
+)  # of a name, for its temporary one: nearly every file system allows 255 bytes
 ASCII = str.maketrans(
     dict(zip("─–—−µ×’“”\N{REPLACEMENT CHARACTER}", '----ux\'""?', strict=True))
     | {"…": "...", "±": "+-", "°": " deg", "²": "2", "³": "3", "≥": ">=", "≤": "<=", "→": "->"}
@@ -94,13 +94,9 @@ class RemoteFile:
     url: str
 
     @property
-    def _path(self) -> PurePosixPath:
-        return PurePosixPath(urlsplit(self.url).path)
-
-    @property
     def name(self) -> str:
         """The last part of its path."""
-        return self._path.name or self.url
+        return PurePosixPath(urlsplit(self.url).path).name or self.url
 
     @property
     def stem(self) -> str:
@@ -115,7 +111,8 @@ class RemoteFile:
     @property
     def folders(self) -> tuple[str, ...]:
         """The host or bucket, and the folders below it."""
-        return (urlsplit(self.url).netloc, *self._path.parent.parts[1:])
+        parts = urlsplit(self.url)
+        return (parts.netloc, *PurePosixPath(parts.path).parent.parts[1:])
 
     def __str__(self) -> str:
         """The URL without user, password and query, which may be secrets."""
@@ -135,10 +132,6 @@ class RemoteFile:
             if fetch := getattr(getattr(file, "cache", None), "fetcher", None):
                 file.cache.fetcher = lambda start, end: _fetched(fetch, start, min(end, file.size))
         return cast(BinaryIO, file)
-
-    def exists(self) -> bool:
-        """Whether it can be looked for, as `Path` has it; opening it says whether it is there."""
-        return True
 
     def size_bytes(self) -> int:
         """Its size."""
@@ -200,8 +193,8 @@ def listed_urls(url: str, endings: tuple[str, ...], *, is_glob: bool) -> list[Re
 def open_regular(path: LogPath) -> BinaryIO:
     """Open a regular file, or one behind a URL, to read; OSError with a reason where it is none, or cannot be opened.
 
-    It is opened without waiting, and looked at when it is open: a pipe would wait for a writer for ever, a device may
-    never end, and what a path leads to can change between a look and an opening.
+    It is opened without waiting and checked when it is open: a pipe may have no writer, a device may never end, and a
+    path can lead elsewhere a moment later.
     """
     if isinstance(path, RemoteFile):
         return path.open()
@@ -239,10 +232,10 @@ def files_of(path: LogPath) -> list[LogPath]:
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`. It is renamed to `path` when the block ends, and removed when it fails.
+    """Give a temporary path beside `path`, renamed to `path` when the block ends, and removed when it fails.
 
-    An interrupt, an error or a full disk leaves the earlier file as it was. A device, a pipe, and a file in a folder
-    that accepts no new files are written in place. Raises OutputError where the file cannot be written.
+    A device, a pipe, and a file in a folder that accepts no new files are written in place. Raises OutputError where
+    the file cannot be written.
     """
     try:
         mode = None

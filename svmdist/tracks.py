@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from svmdist.transforms import (
     Array,
+    Stamps,
     make_transform,
     quaternion_xyzw_from_rotation,
     rotation_from_quaternion_xyzw,
     slerp_xyzw,
 )
 
-Stamps = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 MAX_GAP_NS = 100_000_000  # longest gap to interpolate across: ten samples of the slowest useful joint states
@@ -173,4 +173,5 @@ class DistanceTrack:
     def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> SampledDistances:
         """Interpolate linearly."""
         sampled = _interpolate_rows(self.distances_m, bracket(self.stamps_ns, at_ns, max_gap_ns))
-        return SampledDistances(*sampled.values.T, sampled.valid)
+        planar_m, spatial_m, clearance_m = sampled.values.T
+        return SampledDistances(planar_m, spatial_m, clearance_m, sampled.valid)

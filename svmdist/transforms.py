@@ -7,29 +7,23 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, get_args
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import PlainSerializer, PlainValidator
 
-
-class ArrayInJson:
-    """Lets pydantic store an array of the annotated kind as nested lists; NaN is null there."""
-
-    @staticmethod
-    def __get_pydantic_core_schema__(kind: Any, _: Any) -> Any:
-        """Say how to read and write it."""
-        from pydantic_core import core_schema
-
-        (dtype,) = get_args(get_args(kind)[1])
-        write = core_schema.plain_serializer_function_ser_schema(np.ndarray.tolist)
-        return core_schema.no_info_plain_validator_function(
-            lambda value: np.asarray(value, dtype), serialization=write
-        )
-
-
-Array = Annotated[NDArray[np.float64], ArrayInJson]
-Stamps = Annotated[NDArray[np.int64], ArrayInJson]
+# pydantic stores arrays as nested lists; NaN is null there.
+Array = Annotated[
+    NDArray[np.float64],
+    PlainValidator(lambda value: np.asarray(value, np.float64)),
+    PlainSerializer(lambda array: array.tolist()),
+]
+Stamps = Annotated[
+    NDArray[np.int64],
+    PlainValidator(lambda value: np.asarray(value, np.int64)),
+    PlainSerializer(lambda array: array.tolist()),
+]
 """Stamps in ns, shape (n,)."""
 
 
@@ -95,10 +89,7 @@ def _rotation_of_one(x: float, y: float, z: float) -> Array:
 
 
 def rotation_vector(R: Array) -> Array:
-    """The vectors v in rad, shape (..., 3), with exp([v]) = R, shape (..., 3, 3), for less than half a turn.
-
-    OpenCV's Rodrigues takes turns below 1e-5 for none, which leaves no derivative.
-    """
+    """The vectors v in rad, shape (..., 3), with exp([v]) = R, shape (..., 3, 3), for less than half a turn."""
     if R.ndim == 2:
         return _rotation_vector_of_one(R)
     twice_sine = np.stack(

@@ -13,9 +13,8 @@ import pytest
 from benchmarks.masks import OUTLINES, PANEL_SIZE, filled, panels
 from tests.conftest import REPOSITORY
 from training import train
-from training.dataset import VALIDATION_SEED, augmented, halved, iou, rendered
 from training.instruments import DISTAL, OTHER, SHAFT, TISSUE, Material, Part, draw
-from training.scene import layers, render
+from training.scene import VALIDATION_SEED, augmented, halved, iou, layers, render, rendered
 
 SIZE = (150, 200)
 WHITE = Material(np.full(3, 255.0, np.float32), np.ones(4), np.ones(3), 1.0, ())

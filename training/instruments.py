@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from training.textures import Array, Size, tissue_colour
@@ -44,10 +43,9 @@ class Material:
         shade = self.ambient + np.sqrt(np.clip(1.0 - across**2, 0.0, 1.0)) * (1.0 - self.ambient)
         shade = shade * np.interp(across, np.linspace(-1.0, 1.0, len(self.reflection)), self.reflection)
         shade = shade * np.interp(along, np.linspace(0.0, 1.0, len(self.along)), self.along)
-        shine = sum(
-            (level * np.exp(-(((across - at) / width) ** 2)) for at, width, level in self.glare),
-            np.zeros_like(across),
-        )
+        shine = np.zeros_like(across)
+        for at, width, level in self.glare:
+            shine = shine + level * np.exp(-(((across - at) / width) ** 2))
         levels = self.bgr * shade[..., None].astype(np.float32) + shine[..., None].astype(np.float32)
         return np.asarray(np.clip(levels, 0.0, 255.0), np.float32)
 
@@ -58,20 +56,17 @@ def material(rng: np.random.Generator, weights: tuple[float, ...], surroundings:
     levels, contrasts, most_glares, gloss = SURFACES[kind]
     level, contrast = rng.uniform(*levels), rng.uniform(*contrasts)
     if kind == "coloured":  # insulation and marks: green, blue or yellow; no red, as tissue is
-        tint = np.array(TINTS[int(rng.choice(len(TINTS)))]) * rng.uniform(0.7, 1.0, 3)
+        bgr = level * np.array(TINTS[int(rng.choice(len(TINTS)))]) * rng.uniform(0.7, 1.0, 3)
     else:
-        tint = np.array([rng.uniform(0.92, 1.08), 1.0, rng.uniform(0.92, 1.08)])
-    bgr = level * tint
+        bgr = level * np.array([rng.uniform(0.92, 1.08), 1.0, rng.uniform(0.92, 1.08)])
     if kind in ("steel", "grey"):
         share = rng.uniform(0.0, 0.4)
         bgr = (1.0 - share) * bgr + share * surroundings * level / max(float(surroundings.max()), 1.0)
     reflection = np.clip(1.0 + contrast * rng.standard_normal(int(rng.integers(4, 14))), 0.1, 2.5)
     along = np.clip(1.0 + 0.5 * contrast * rng.standard_normal(int(rng.integers(2, 9))), 0.3, 2.0)
-    glare = tuple(
-        (rng.uniform(-0.75, 0.75), rng.uniform(0.03, 0.25), rng.uniform(*gloss))
-        for _ in range(int(rng.integers(0, most_glares + 1)))
-    )
-    return Material(bgr.astype(np.float32), reflection, along, rng.uniform(0.2, 0.9), glare)
+    count = int(rng.integers(0, most_glares + 1))
+    glare = [(rng.uniform(-0.75, 0.75), rng.uniform(0.03, 0.25), rng.uniform(*gloss)) for _ in range(count)]
+    return Material(bgr.astype(np.float32), reflection, along, rng.uniform(0.2, 0.9), tuple(glare))
 
 
 @dataclass(frozen=True)
@@ -91,6 +86,12 @@ class Part:
         axis = (self.end - self.begin) / np.linalg.norm(self.end - self.begin)
         return np.array([-axis[1], axis[0]])
 
+    @property
+    def corners(self) -> Array:
+        """Its outline, shape (4, 2)."""
+        first, last = self.normal * self.begin_half, self.normal * self.end_half
+        return np.array([self.begin + first, self.end + last, self.end - last, self.begin - first])
+
 
 def cords(rng: np.random.Generator, size: Size) -> list[Part]:
     """Ducts, ligaments and folds: as round and nearly as straight as shafts, and tissue all the same."""
@@ -109,16 +110,6 @@ def cords(rng: np.random.Generator, size: Size) -> list[Part]:
             parts.append(Part(at, after, half, wider, TISSUE, surface))
             at, half = after, wider
     return parts
-
-
-def silhouette(size: Size, parts: list[Part]) -> Array:
-    """Their outline filled with 255, shape (h, w); for shadows, in whole pixels."""
-    mask = np.zeros(size, np.uint8)
-    for part in parts:
-        first, last = part.normal * part.begin_half, part.normal * part.end_half
-        corners = [part.begin + first, part.end + last, part.end - last, part.begin - first]
-        cv2.fillConvexPoly(mask, np.rint(corners).astype(np.int32), 255)
-    return mask
 
 
 def draw(canvas: Array, labels: Array, parts: list[Part]) -> None:
@@ -154,7 +145,12 @@ def instrument(rng: np.random.Generator, size: Size, surroundings: Array) -> lis
     """The parts of a random instrument, those nearest to the border first; `size` is the picture's (h, w)."""
     half = size[1] * float(np.exp(rng.uniform(np.log(0.011), np.log(0.085))))
     tip = rng.uniform(0.08, 0.92, 2) * size[::-1]
-    entry = _entry(rng, size, tip, half)
+    side = int(rng.choice(4, p=[0.33, 0.33, 0.22, 0.12]))  # it comes from any side, seldom from above
+    beyond, at, (height, width) = 1.5 * half + 8.0, rng.uniform(-0.2, 1.2), size
+    x, y = ((-beyond, None), (width + beyond, None), (None, height + beyond), (None, -beyond))[side]
+    entry = np.array([at * width if x is None else x, at * height if y is None else y])
+    if np.linalg.norm(tip - entry) < 5.0 * half:
+        entry = tip + (entry - tip) / np.linalg.norm(entry - tip) * 5.0 * half
     along = (tip - entry) / np.linalg.norm(tip - entry)
     shaft = material(rng, SHAFT_WEIGHTS, surroundings)
     steel = material(rng, DISTAL_WEIGHTS, surroundings)
@@ -164,8 +160,14 @@ def instrument(rng: np.random.Generator, size: Size, surroundings: Array) -> lis
         return [Part(entry, tip, entry_half, half * rng.uniform(0.8, 1.0), SHAFT, shaft)]
     end = tip - along * half * rng.uniform(2.0, 7.0)
     parts = [Part(entry, end, entry_half, half, SHAFT, shaft)]
-    if kind == "robotic":
-        return parts + _wrist(rng, end, along, half, steel)
+    if kind == "robotic":  # a wrist that bends in one or two links
+        for _ in range(int(rng.integers(1, 3))):
+            along = _turned(along, rng.normal(0.0, 0.35))
+            after = end + along * half * rng.uniform(0.8, 2.4)
+            halves = half * rng.uniform(0.65, 1.0), half * rng.uniform(0.5, 0.95)
+            parts.append(Part(end - along * 0.3 * half, after, *halves, DISTAL, steel))
+            end = after
+        return parts + _jaws(rng, end, along, half, rng.uniform(1.5, 4.0), steel)
     if kind == "rigid":  # a laparoscopic instrument: long jaws straight on
         length = max(1.5, float(np.linalg.norm(tip - end)) / half)
         return parts + _jaws(rng, end, along, half, length, steel)
@@ -175,38 +177,9 @@ def instrument(rng: np.random.Generator, size: Size, surroundings: Array) -> lis
     return [*parts, Part(tip - along * thin * 0.5, bent, thin, 0.8 * thin, DISTAL, steel)]
 
 
-def _entry(rng: np.random.Generator, size: Size, tip: Array, half: float) -> Array:
-    """A point outside of the picture that the shaft comes from: from any side, seldom from above."""
-    height, width = size
-    side = int(rng.choice(4, p=[0.33, 0.33, 0.22, 0.12]))
-    beyond, at = 1.5 * half + 8.0, rng.uniform(-0.2, 1.2)
-    places = [
-        (-beyond, at * height),
-        (width + beyond, at * height),
-        (at * width, height + beyond),
-        (at * width, -beyond),
-    ]
-    entry = np.array(places[side])
-    if np.linalg.norm(tip - entry) < 5.0 * half:
-        entry = tip + (entry - tip) / np.linalg.norm(entry - tip) * 5.0 * half
-    return entry
-
-
 def _turned(direction: Array, angle: float) -> Array:
     x, y = direction
     return np.array([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y])
-
-
-def _wrist(rng: np.random.Generator, at: Array, heading: Array, half: float, steel: Material) -> list[Part]:
-    """A wrist that bends in one or two links, and jaws."""
-    parts = []
-    for _ in range(int(rng.integers(1, 3))):
-        heading = _turned(heading, rng.normal(0.0, 0.35))
-        after = at + heading * half * rng.uniform(0.8, 2.4)
-        halves = half * rng.uniform(0.65, 1.0), half * rng.uniform(0.5, 0.95)
-        parts.append(Part(at - heading * 0.3 * half, after, *halves, DISTAL, steel))
-        at = after
-    return parts + _jaws(rng, at, heading, half, rng.uniform(1.5, 4.0), steel)
 
 
 def _jaws(

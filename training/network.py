@@ -15,9 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from training.dataset import Pictures, augmented, halved
 from training.instruments import DISTAL
-from training.scene import HEIGHT, MIDDLE, WIDTH
+from training.scene import HEIGHT, MIDDLE, WIDTH, Pictures, augmented, halved
 from training.textures import Array
 
 CLASSES = 4
@@ -30,17 +29,16 @@ class InstrumentNet(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        first = CHANNELS[0]
+        first, last = CHANNELS[0], CHANNELS[-1]
         self.stem = nn.Sequential(_convolution(3, first, 3, stride=2), _Block(first, first, expansion=2))
         self.down = nn.ModuleList(
             nn.Sequential(_Block(less, more, stride=2), _Block(more, more))
             for less, more in pairwise(CHANNELS)
         )
-        last = CHANNELS[-1]
-        self.context = _Context(last)
-        self.up = nn.ModuleList(
-            _Up(more, less) for less, more in zip(CHANNELS[-2::-1], CHANNELS[:0:-1], strict=True)
-        )
+        # The whole picture decides what is unusual in it: wide filters, and the mean of all of it.
+        self.wide = nn.Sequential(_Block(last, last, dilation=2), _Block(last, last, dilation=3))
+        self.whole = nn.Sequential(nn.Conv2d(last, last, 1), nn.ReLU(inplace=True))
+        self.up = nn.ModuleList(_Up(more, less) for more, less in pairwise(CHANNELS[::-1]))
         self.scores = nn.Conv2d(first, CLASSES, 1)
 
     def forward(self, image: Tensor) -> Tensor:
@@ -48,7 +46,8 @@ class InstrumentNet(nn.Module):
         levels = [self.stem(image)]
         for down in self.down:
             levels.append(down(levels[-1]))
-        deep = self.context(levels.pop())
+        deep = self.wide(levels.pop())
+        deep = deep + self.whole(deep.mean((2, 3), keepdim=True))
         for up in self.up:
             deep = up(deep, levels.pop())
         scores: Tensor = self.scores(deep)
@@ -59,11 +58,8 @@ def _convolution(
     less: int, more: int, size: int = 1, stride: int = 1, groups: int = 1, dilation: int = 1
 ) -> nn.Module:
     padding = dilation * (size // 2)
-    return nn.Sequential(
-        nn.Conv2d(less, more, size, stride, padding, groups=groups, dilation=dilation, bias=False),
-        nn.BatchNorm2d(more),
-        nn.ReLU(inplace=True),
-    )
+    layer = nn.Conv2d(less, more, size, stride, padding, dilation, groups, bias=False)
+    return nn.Sequential(layer, nn.BatchNorm2d(more), nn.ReLU(inplace=True))
 
 
 class _Block(nn.Module):
@@ -85,22 +81,6 @@ class _Block(nn.Module):
         return x + y if self.adds else y
 
 
-class _Context(nn.Module):
-    """What the whole picture looks like decides what is unusual in it: wide filters, and the mean of all of it."""
-
-    def __init__(self, channels: int) -> None:
-        super().__init__()
-        self.wide = nn.Sequential(
-            _Block(channels, channels, dilation=2), _Block(channels, channels, dilation=3)
-        )
-        self.whole = nn.Sequential(nn.Conv2d(channels, channels, 1), nn.ReLU(inplace=True))
-
-    def forward(self, x: Tensor) -> Tensor:
-        x = self.wide(x)
-        mean: Tensor = self.whole(x.mean((2, 3), keepdim=True))
-        return x + mean
-
-
 class _Up(nn.Module):
     """Twice the size, joined with what the encoder had of that size."""
 
@@ -114,26 +94,29 @@ class _Up(nn.Module):
         )
 
     def forward(self, deep: Tensor, skip: Tensor) -> Tensor:
-        deep = functional.interpolate(
-            self.narrow(deep), scale_factor=2.0, mode="bilinear", align_corners=False
-        )
-        out: Tensor = self.filter(torch.cat([deep, skip], 1))
+        out: Tensor = self.filter(torch.cat([_doubled(self.narrow(deep)), skip], 1))
         return out
+
+
+def _doubled(values: Tensor) -> Tensor:
+    return functional.interpolate(values, scale_factor=2.0, mode="bilinear", align_corners=False)
 
 
 @dataclass(frozen=True)
 class Stage:
-    """How long and how fast is trained at one size of pictures."""
+    """How long and how fast is trained at one size of pictures.
+
+    The learning rate rises to its largest over the first twentieth of `horizon`, then falls as a cosine to nothing
+    there. A step keeps the share `average` of the mean of weights, which is a stage's result. At half the input's width
+    and height training costs a quarter: what goes with what is learnt there.
+    """
 
     steps: int
     batch: int
     learning_rate: float
-    """At its largest: it rises over the first twentieth of `horizon`, then falls as a cosine to nothing there."""
     horizon: int
     average: float
-    """The share of the mean of weights that a step keeps: that mean is a stage's result."""
     half_size: bool = False
-    """At half the input's width and height, which costs a quarter: what goes with what is learnt there."""
 
 
 STAGES = (
@@ -143,14 +126,14 @@ STAGES = (
 
 
 def train(pictures: Pictures, stages: tuple[Stage, ...], seed: int) -> InstrumentNet:
-    """Train on one thread, so that a run can be repeated."""
+    """Train on one thread, so that a run can be repeated; a stage goes on from the mean of the last one's weights."""
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     torch.use_deterministic_algorithms(True, warn_only=True)
-    net: InstrumentNet = InstrumentNet().to(memory_format=torch.channels_last)
+    mean: InstrumentNet = InstrumentNet().to(memory_format=torch.channels_last)
     for number, stage in enumerate(stages):
-        net = _train_stage(net, pictures, stage, np.random.default_rng(seed + 1000 * number))
-    return net
+        mean = _train_stage(mean, pictures, stage, np.random.default_rng(seed + 1000 * number))
+    return mean
 
 
 def _train_stage(
@@ -178,7 +161,13 @@ def _train_stage(
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 2.0)
         optimiser.step()
-        _average(mean, net, min(stage.average, (step + 1) / (step + 10)))
+        keep = min(stage.average, (step + 1) / (step + 10))
+        with torch.no_grad():
+            for old, new in zip(mean.state_dict().values(), net.state_dict().values(), strict=True):
+                if old.dtype.is_floating_point:
+                    old.mul_(keep).add_(new, alpha=1.0 - keep)
+                else:
+                    old.copy_(new)
         losses.append(float(loss.detach()))
         if step % 50 == 49:
             print(f"step {step + 1}: loss {np.mean(losses[-50:]):.4f}", flush=True)
@@ -193,23 +182,12 @@ def _to_input(images_bgr: Array) -> Tensor:
 
 def _loss(scores: Tensor, labels: Tensor) -> Tensor:
     """Cross-entropy at full size, and what the union of instruments lacks in overlap (Milletari et al. 2016)."""
-    scores = functional.interpolate(scores, scale_factor=2.0, mode="bilinear", align_corners=False)
-    weights = torch.tensor([1.0, 1.0, 1.5, 1.5])
-    entropy = functional.cross_entropy(scores, labels, weights)
-    likely = scores.softmax(1)[:, DISTAL:].sum(1)
-    truth = (labels >= DISTAL).float()
+    scores = _doubled(scores)
+    entropy = functional.cross_entropy(scores, labels, torch.tensor([1.0, 1.0, 1.5, 1.5]))
+    likely, truth = scores.softmax(1)[:, DISTAL:].sum(1), (labels >= DISTAL).float()
     both = (likely * truth).sum((1, 2))
     dice = 1.0 - (2.0 * both + 50.0) / (likely.sum((1, 2)) + truth.sum((1, 2)) + 50.0)
     return entropy + 0.5 * dice.mean()
-
-
-def _average(mean: InstrumentNet, net: InstrumentNet, keep: float) -> None:
-    with torch.no_grad():
-        for old, new in zip(mean.state_dict().values(), net.state_dict().values(), strict=True):
-            if old.dtype.is_floating_point:
-                old.mul_(keep).add_(new, alpha=1.0 - keep)
-            else:
-                old.copy_(new)
 
 
 def scores_of(net: InstrumentNet, images_bgr: Array) -> Array:
@@ -222,10 +200,7 @@ def scores_of(net: InstrumentNet, images_bgr: Array) -> Array:
 def predicted(net: InstrumentNet, images_bgr: Array) -> Array:
     """The class of each pixel, shape (n, h, w), of images (n, h, w, 3)."""
     scores = np.concatenate([scores_of(net, image[None]) for image in images_bgr])
-    full = functional.interpolate(
-        torch.from_numpy(scores), scale_factor=2.0, mode="bilinear", align_corners=False
-    )
-    return np.asarray(full.argmax(1).numpy(), np.uint8)
+    return np.asarray(_doubled(torch.from_numpy(scores)).argmax(1).numpy(), np.uint8)
 
 
 def export(net: InstrumentNet, path: Path) -> None:

@@ -1,11 +1,18 @@
-"""One random picture with its exact labels, made from a seed: layers of a scene, light, camera and video link."""
+"""Random pictures with exact labels, each made from a seed: layers of a scene, light, camera and video link.
+
+They are drawn once to two files, which training then reads as often as it likes.
+"""
 
 from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 
-from training.instruments import OTHER, TISSUE, Part, cords, draw, instrument, silhouette
+from training.instruments import DISTAL, OTHER, TISSUE, cords, draw, instrument
 from training.textures import Array, Size, background, fractal, wandering
 
 WIDTH, HEIGHT = 256, 192
@@ -15,6 +22,8 @@ MIDDLE = 127.5
 ASPECTS = (4 / 3, 4 / 3, 5 / 4, 16 / 9, 16 / 9, 1.0, 1.5)
 BORDERS = ("none", "circle", "rectangle", "cut circle")
 BORDER_WEIGHTS = (0.45, 0.24, 0.14, 0.17)
+VALIDATION_SEED = 10_000_000
+"""Seeds from here on are never trained on."""
 
 
 def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> tuple[Array, Array]:
@@ -22,20 +31,31 @@ def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> tu
 
     Gives the picture, shape (h, w, 3), before light and camera, and the class of each pixel, shape (h, w).
     """
-    behind, is_tissue = background(rng, size)
+    scene, is_tissue = background(rng, size)
     count = int(rng.choice(4, p=[0.1, 0.42, 0.38, 0.1])) if count is None else count
     if rng.random() < 0.35:
-        draw(behind, np.zeros(size, np.uint8), cords(rng, size))
-    scene = behind.copy()
+        draw(scene, np.zeros(size, np.uint8), cords(rng, size))
     labels = np.where(is_tissue, TISSUE, OTHER).astype(np.uint8)
     around = np.asarray(scene.mean((0, 1)), np.float32)
     for _ in range(count):
         parts = instrument(rng, size, around)
-        if rng.random() < 0.6:
-            _shadow(rng, scene, parts)
+        if rng.random() < 0.6:  # its shadow on what is behind it, beside it, soft or hard
+            half = parts[0].end_half
+            outline = np.zeros(size, np.uint8)
+            for part in parts:
+                cv2.fillConvexPoly(outline, np.rint(part.corners).astype(np.int32), 255)
+            aside = [rng.normal(0.0, 1.2) * half, rng.normal(0.3, 1.2) * half]
+            moved = cv2.warpAffine(
+                outline, np.column_stack([np.eye(2), aside]).astype(np.float32), size[::-1]
+            )
+            soft = cv2.GaussianBlur(moved, (0, 0), rng.uniform(0.5, 1.0 + 0.6 * half)).astype(np.float32)
+            scene *= 1.0 - rng.uniform(0.1, 0.75) * soft[..., None] / 255.0
         draw(scene, labels, parts)
-        if rng.random() < 0.45:
-            _stain(rng, scene, labels > TISSUE)
+        if rng.random() < 0.45:  # blood, or what is like it, on instruments: they stay what they are
+            spots = fractal(rng, size, rng.uniform(6.0, 25.0), 3) - rng.uniform(0.3, 1.8)
+            share = np.clip(4.0 * spots, 0.0, 1.0) * (labels > TISSUE) * rng.uniform(0.4, 1.0)
+            blood = rng.uniform(35, 170) * np.array([rng.uniform(0.05, 0.4), rng.uniform(0.05, 0.35), 1.0])
+            scene += (share[..., None] * (blood - scene)).astype(np.float32)
     if rng.random() < 0.3:  # a suture or a needle: thin, of any colour, and no instrument
         colour = rng.uniform(0, 255, 3).tolist()
         cv2.polylines(scene, [wandering(rng, size, 0.3)], False, colour, 1, cv2.LINE_AA)
@@ -58,24 +78,6 @@ def render(seed: int) -> tuple[Array, Array]:
     how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
     shown = cv2.resize(image, (WIDTH, HEIGHT), interpolation=how)
     return shown, cv2.resize(labels, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST_EXACT)
-
-
-def _shadow(rng: np.random.Generator, scene: Array, parts: list[Part]) -> None:
-    """The instrument's shadow on what is behind it, beside it, soft or hard."""
-    size = (scene.shape[0], scene.shape[1])
-    half = parts[0].end_half
-    shift = np.array([[1, 0, rng.normal(0.0, 1.2) * half], [0, 1, rng.normal(0.3, 1.2) * half]], np.float32)
-    moved = cv2.warpAffine(silhouette(size, parts), shift, size[::-1])
-    soft = cv2.GaussianBlur(moved, (0, 0), rng.uniform(0.5, 1.0 + 0.6 * half)).astype(np.float32)
-    scene *= 1.0 - rng.uniform(0.1, 0.75) * soft[..., None] / 255.0
-
-
-def _stain(rng: np.random.Generator, scene: Array, where: Array) -> None:
-    """Blood, or what is like it, on instruments: they stay what they are."""
-    spots = fractal(rng, (scene.shape[0], scene.shape[1]), rng.uniform(6.0, 25.0), 3) - rng.uniform(0.3, 1.8)
-    share = np.clip(4.0 * spots, 0.0, 1.0) * where * rng.uniform(0.4, 1.0)
-    blood = rng.uniform(35, 170) * np.array([rng.uniform(0.05, 0.4), rng.uniform(0.05, 0.35), 1.0])
-    scene += (share[..., None] * (blood - scene)).astype(np.float32)
 
 
 def _picture_area(rng: np.random.Generator, size: Size) -> Array:
@@ -106,9 +108,8 @@ def _light_and_colour(rng: np.random.Generator, scene: Array) -> Array:
         smoke = np.clip(plume, 0.0, 0.85)[..., None]
         haze = rng.uniform(90, 230) * np.array([rng.uniform(0.9, 1.15), 1.0, rng.uniform(0.85, 1.05)])
         scene = (1.0 - smoke) * scene + smoke * haze.astype(np.float32)
-    grey = scene @ np.array([0.11, 0.59, 0.3], np.float32)
-    saturation = float(np.clip(rng.normal(1.0, 0.25), 0.3, 1.6))
-    scene = grey[..., None] + saturation * (scene - grey[..., None])
+    grey = (scene @ np.array([0.11, 0.59, 0.3], np.float32))[..., None]
+    scene = grey + float(np.clip(rng.normal(1.0, 0.25), 0.3, 1.6)) * (scene - grey)  # saturation
     cast = np.exp(rng.normal(0.0, 0.1 if rng.random() < 0.8 else 0.25, 3))
     if rng.random() < 0.12:  # a strong blue to violet cast
         cast *= np.array([rng.uniform(1.2, 2.2), rng.uniform(0.6, 1.0), rng.uniform(0.5, 1.0)])
@@ -139,3 +140,58 @@ def _film(rng: np.random.Generator, scene: Array, picture: Array) -> Array:
         _, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(20, 96))])
         image = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
     return image
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """`images`, shape (n, h, w, 3) in BGR, and `labels`, shape (n, h, w); both uint8."""
+
+    images: Array
+    labels: Array
+
+
+def rendered(first_seed: int, count: int, folder: Path, processes: int = 1) -> Pictures:
+    """The pictures of `count` seeds from `first_seed` on; drawn where `folder` does not have them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    images_path, labels_path = (folder / f"{first_seed}-{count}-{kind}.npy" for kind in ("images", "labels"))
+    if not labels_path.exists():
+        shape = (count, HEIGHT, WIDTH)
+        images = np.lib.format.open_memmap(images_path, mode="w+", dtype=np.uint8, shape=(*shape, 3))
+        labels = np.empty(shape, np.uint8)
+        with ProcessPoolExecutor(processes, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
+            pairs = pool.map(render, range(first_seed, first_seed + count), chunksize=25)
+            for number, (image, label) in enumerate(pairs):
+                images[number], labels[number] = image, label
+        images.flush()
+        np.save(labels_path, labels)  # last: it says that both are complete
+    return Pictures(np.load(images_path, mmap_mode="r"), np.load(labels_path, mmap_mode="r"))
+
+
+def augmented(rng: np.random.Generator, images: Array, labels: Array) -> tuple[Array, Array]:
+    """Flipped, and with each channel brighter or darker: a picture that is read twice is not the same twice."""
+    out_images, out_labels = images.copy(), labels.copy()
+    for number, (image, label) in enumerate(zip(images, labels, strict=True)):
+        across, up = (1 if rng.random() < 0.5 else -1 for _ in range(2))
+        table = np.clip(np.arange(256)[:, None] * np.exp(rng.normal(0.0, 0.08, 3)), 0, 255).astype(np.uint8)
+        out_images[number] = table[image[::up, ::across], range(3)]
+        out_labels[number] = label[::up, ::across]
+    return out_images, out_labels
+
+
+def halved(images: Array, labels: Array) -> tuple[Array, Array]:
+    """Half as wide and half as high: pixels averaged, labels taken from one of four."""
+    count, height, width = labels.shape
+    fours = images.reshape(count, height // 2, 2, width // 2, 2, 3)
+    return fours.mean((2, 4)).astype(np.uint8), np.ascontiguousarray(labels[:, ::2, ::2])
+
+
+def iou(found: Array, truth: Array) -> float:
+    """Intersection over union of two masks of one shape; 1 of two that are empty."""
+    either = int((found | truth).sum())
+    return float((found & truth).sum()) / either if either else 1.0
+
+
+def union_ious(found: Array, labels: Array) -> Array:
+    """The IoU of the union of instruments in each picture that has one."""
+    pairs = zip(found >= DISTAL, labels >= DISTAL, strict=True)
+    return np.array([iou(one, two) for one, two in pairs if two.any()], np.float64)

@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 Size = tuple[int, int]
 """(h, w) in px. Fields have this shape and are float32; pictures have a third axis, BGR, with levels from 0 to 255."""
-# Red level, and green and blue over red, as (least, most) of each: what tissue looks like in a white light.
-TISSUE_COLOURS = (
-    ((75, 185), (0.20, 0.45), (0.20, 0.50)),  # liver, muscle
-    ((130, 235), (0.35, 0.60), (0.35, 0.65)),  # red and pink organs
-    ((170, 245), (0.55, 0.80), (0.50, 0.85)),  # pale serosa
-    ((180, 245), (0.62, 0.90), (0.28, 0.65)),  # fat
-    ((170, 240), (0.75, 0.95), (0.70, 0.98)),  # fascia, nearly white
-    ((70, 165), (0.35, 0.80), (0.45, 1.10)),  # gall bladder, spleen, veins: brown to violet
-    ((45, 110), (0.08, 0.30), (0.08, 0.35)),  # blood
+# Weight, red level, and green and blue over red, as (least, most) of each: what tissue looks like in a white light.
+TISSUES = (
+    (0.22, (75, 185), (0.20, 0.45), (0.20, 0.50)),  # liver, muscle
+    (0.28, (130, 235), (0.35, 0.60), (0.35, 0.65)),  # red and pink organs
+    (0.16, (170, 245), (0.55, 0.80), (0.50, 0.85)),  # pale serosa
+    (0.14, (180, 245), (0.62, 0.90), (0.28, 0.65)),  # fat
+    (0.06, (170, 240), (0.75, 0.95), (0.70, 0.98)),  # fascia, nearly white
+    (0.08, (70, 165), (0.35, 0.80), (0.45, 1.10)),  # gall bladder, spleen, veins: brown to violet
+    (0.06, (45, 110), (0.08, 0.30), (0.08, 0.35)),  # blood
 )
-WEIGHTS = (0.22, 0.28, 0.16, 0.14, 0.06, 0.08, 0.06)
 
 
 def fractal(rng: np.random.Generator, size: Size, cells: float, octaves: int = 4, gain: float = 0.5) -> Array:
@@ -36,7 +35,7 @@ def fractal(rng: np.random.Generator, size: Size, cells: float, octaves: int = 4
     return np.asarray(field / np.sqrt(np.sum(amplitudes**2)), np.float32)
 
 
-def shading(rng: np.random.Generator, height: Array, steepness: float) -> tuple[Array, Array]:
+def _shading(rng: np.random.Generator, height: Array, steepness: float) -> tuple[Array, Array]:
     """Cosines to a lamp near the camera and to its mirror image, in [0, 1], of a relief seen from above.
 
     `height` has unit variance, `steepness` is the relief's amplitude in px.
@@ -59,18 +58,19 @@ def background(rng: np.random.Generator, size: Size) -> tuple[Array, Array]:
     kind = rng.choice(["tissue", "phantom", "cloth"], p=[0.74, 0.1, 0.16])
     if kind == "phantom":
         return _phantom(rng, size), np.ones(size, bool)
-    scene = _tissue(rng, size) if kind == "tissue" else _cloth(rng, size)
-    is_tissue = np.full(size, kind == "tissue")
-    if rng.random() < (0.1 if kind == "tissue" else 0.3):  # gauze on tissue, or tissue on a drape
+    of, other, seldom = (_tissue, _cloth, 0.1) if kind == "tissue" else (_cloth, _tissue, 0.3)
+    scene, is_tissue = of(rng, size), np.full(size, kind == "tissue")
+    if rng.random() < seldom:  # gauze on tissue, or tissue on a drape
         patch = fractal(rng, size, rng.uniform(1.2, 3.0), 3, 0.3) > rng.uniform(0.2, 1.2)
-        scene[patch] = (_cloth if kind == "tissue" else _tissue)(rng, size)[patch]
+        scene[patch] = other(rng, size)[patch]
         is_tissue ^= patch
     return scene, is_tissue
 
 
 def tissue_colour(rng: np.random.Generator) -> Array:
     """A colour of one kind of tissue in BGR, shape (3,)."""
-    red, green, blue = TISSUE_COLOURS[int(rng.choice(len(TISSUE_COLOURS), p=WEIGHTS))]
+    weights = [weight for weight, *_ in TISSUES]
+    _, red, green, blue = TISSUES[int(rng.choice(len(TISSUES), p=weights))]
     level = rng.uniform(*red)
     return np.array([level * rng.uniform(*blue), level * rng.uniform(*green), level], np.float32)
 
@@ -84,9 +84,15 @@ def _tissue(rng: np.random.Generator, size: Size) -> Array:
         edge = fractal(rng, size, rng.uniform(1.2, 4.0), 3, rng.uniform(0.2, 0.5)) - rng.normal(0.5, 0.5)
         scene += _soft(edge, np.exp(rng.uniform(0.5, 3.5))) * (tissue_colour(rng) - scene)
     scene *= 1.0 + rng.uniform(0.02, 0.16) * fractal(rng, size, rng.uniform(8, 50), 3)[..., None]
-    if rng.random() < 0.6:
-        _vessels(rng, scene)
-    diffuse, mirror = shading(rng, height, rng.uniform(2.0, 30.0) * size[1] / 350)
+    if rng.random() < 0.6:  # vessels, darker and redder or bluer than what they run over
+        lines = np.zeros(size, np.uint8)
+        for _ in range(int(rng.integers(2, 14))):
+            level, width = int(rng.integers(90, 255)), int(rng.integers(1, 4))
+            cv2.polylines(lines, [wandering(rng, size, 0.25)], False, level, width, cv2.LINE_AA)
+        share = cv2.GaussianBlur(lines, (0, 0), rng.uniform(0.5, 1.5)).astype(np.float32)[..., None] / 255.0
+        colour = np.array([rng.uniform(0.3, 0.9), rng.uniform(0.25, 0.6), rng.uniform(0.5, 0.95)], np.float32)
+        scene *= 1.0 - rng.uniform(0.2, 0.8) * share * (1.0 - colour)
+    diffuse, mirror = _shading(rng, height, rng.uniform(2.0, 30.0) * size[1] / 350)
     scene *= (rng.uniform(0.15, 0.6) + diffuse)[..., None] * rng.uniform(0.7, 1.0)
     if rng.random() < 0.8:  # it is wet
         wet = mirror ** rng.uniform(40, 400) * np.clip(0.5 + fractal(rng, size, 12.0, 1), 0.0, 1.5)
@@ -109,24 +115,12 @@ def wandering(rng: np.random.Generator, size: Size, bend: float) -> Array:
     return np.asarray(np.rint(rng.uniform(0.0, 1.0, 2) * size[::-1] + np.cumsum(steps, axis=0)), np.int32)
 
 
-def _vessels(rng: np.random.Generator, scene: Array) -> None:
-    """Winding lines, darker and redder or bluer than what they run over."""
-    size = (scene.shape[0], scene.shape[1])
-    lines = np.zeros(size, np.uint8)
-    for _ in range(int(rng.integers(2, 14))):
-        level, width = int(rng.integers(90, 255)), int(rng.integers(1, 4))
-        cv2.polylines(lines, [wandering(rng, size, 0.25)], False, level, width, cv2.LINE_AA)
-    share = cv2.GaussianBlur(lines, (0, 0), rng.uniform(0.5, 1.5)).astype(np.float32)[..., None] / 255.0
-    colour = np.array([rng.uniform(0.3, 0.9), rng.uniform(0.25, 0.6), rng.uniform(0.5, 0.95)], np.float32)
-    scene *= 1.0 - rng.uniform(0.2, 0.8) * share * (1.0 - colour)
-
-
 def _phantom(rng: np.random.Generator, size: Size) -> Array:
     """Silicone: one colour with grooves, dull."""
     level = rng.uniform(90, 225)
     colour = level * np.array([rng.uniform(0.35, 0.85), rng.uniform(0.4, 0.85), 1.0], np.float32)
     creased = np.abs(fractal(rng, size, rng.uniform(1.5, 4.0), 2, 0.4)) ** rng.uniform(0.6, 1.5)
-    diffuse, mirror = shading(rng, creased.astype(np.float32), rng.uniform(2, 25))
+    diffuse, mirror = _shading(rng, creased.astype(np.float32), rng.uniform(2, 25))
     shade = rng.uniform(0.2, 0.6) + diffuse + rng.uniform(0.0, 0.5) * mirror**60
     return np.asarray(np.clip(colour * shade[..., None] * 0.8, 0.0, 255.0), np.float32)
 
@@ -138,7 +132,7 @@ def _cloth(rng: np.random.Generator, size: Size) -> Array:
     pixel = np.array([[[hue, saturation, rng.uniform(70, 245)]]]).astype(np.uint8)
     colour = cv2.cvtColor(pixel, cv2.COLOR_HSV2BGR)[0, 0].astype(np.float32)
     height = fractal(rng, size, rng.uniform(2.0, 6.0), 3, 0.5)
-    shade = 0.3 + 0.75 * shading(rng, height, rng.uniform(0, 25))[0]
+    shade = 0.3 + 0.75 * _shading(rng, height, rng.uniform(0, 25))[0]
     if rng.random() < 0.5:
         y, x = np.mgrid[: size[0], : size[1]].astype(np.float32)
         angle, period = rng.uniform(0, np.pi), rng.uniform(3.0, 9.0)

@@ -19,7 +19,7 @@ import numpy as np
 from svmdist.profile import OnnxSegmentation
 from svmdist.profile.segmentation import INSTRUMENTS
 from svmdist.vision.network import network_input
-from training.dataset import VALIDATION_SEED, rendered, union_ious
+from training.scene import VALIDATION_SEED, rendered, union_ious
 
 MOST_BYTES = 4 << 20
 MOST_DIFFERENCE = 1e-3

@@ -1,39 +1,26 @@
-"""`svmdist calibrate`: fit the mapping from pixels to the plane."""
+"""`svmdist calibrate` and `hand-eye`: fit the mapping from pixels to the plane, and the camera-to-base transform."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-import typer
-
-from svmdist.cli.logs import Logs
-from svmdist.cli.options import (
-    FORCE,
-    LogOptions,
-    PlanarMethod,
-    ReadOptions,
-    WindowOptions,
-    option,
-    output_option,
-)
-from svmdist.cli.output import LOG, progress_bar, require_new, require_output
+from svmdist.cli import options, output
+from svmdist.cli.estimate import corrected
+from svmdist.cli.logs import LogOptions, Run, log_losses
+from svmdist.cli.options import FORCE, argument, option
+from svmdist.cli.output import LOG, ExitCode
+from svmdist.errors import RecordingError
+from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
+    from svmdist.profile import Profile
     from svmdist.recording.log import Recording
     from svmdist.workflows.calibrate import CalibrationPart
     from svmdist.workflows.request import Request
 
 
-class CalibrateOptions(LogOptions, ReadOptions, WindowOptions):
-    """What `calibrate` takes."""
-
-    output: Path = output_option("FILE.toml", "Calibration file to write.", ...)
-    method: PlanarMethod = option("overlay", "--method", "The planar method that will use the mapping.")
-    force: bool = FORCE
-
-
-def calibrate_command(given: CalibrateOptions) -> None:
+class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
     """Fit the mapping from pixels to the plane.
 
     This fits eqs. (5) and (6) of the paper, one quadratic polynomial per axis, to recordings with ground truth.
@@ -46,37 +33,126 @@ def calibrate_command(given: CalibrateOptions) -> None:
       Use a calibration:
         svmdist validate log.mcap --calibration camera.toml
     """
-    from svmdist.estimation.plane_mapping import save_calibration
-    from svmdist.profile import load_profile
-    from svmdist.workflows.batch import Job
-    from svmdist.workflows.calibrate import CalibrationPart, fit_parts
-    from svmdist.workflows.request import Request, Setup
 
-    logs = Logs(given)
-    require_output(given.output, logs.paths)
-    require_new(given.output, force=given.force)
-    setup = Setup(load_profile(given.profile, given.hand_eye), given.method)
-    request = Request(setup, given.topics, given.window)
-    run = logs.run(Job(collect_log, request, CalibrationPart), "measuring")
-    calibration = fit_parts(run.results, setup.method)
-    save_calibration(calibration, given.output)
-    fit = calibration.fit
-    LOG.info(
-        "%s: %d frames, residual RMSE x %.3f mm, y %.3f mm, max %.3f mm; pixels x %.0f–%.0f, y %.0f–%.0f",
-        given.output,
-        fit.sample_count,
-        *(1e3 * error_m for error_m in (fit.rmse_x_m, fit.rmse_y_m, fit.max_error_m)),
-        *fit.span_x_px,
-        *fit.span_y_px,
+    output: Path = option("--output -o FILE.toml", "Calibration file to write.", ...)
+    method: Literal["overlay", "centroid"] = option(
+        "--method", "The planar method that will use the mapping.", "overlay"
     )
-    raise typer.Exit(run.exit_code())
+    force: bool = FORCE
+
+    def _run(self) -> ExitCode:
+        from svmdist.estimation.plane_mapping import save_calibration
+        from svmdist.profile import load_profile
+        from svmdist.workflows.calibrate import CalibrationPart, fit_parts
+        from svmdist.workflows.request import Request, Setup
+
+        output.require_output(self.output, self.paths, is_new=not self.force)
+        setup = Setup(load_profile(self.profile, self.hand_eye), self.method)
+        request = Request(setup, self.topics, self.window)
+        run = Run(self, collect_log, request, CalibrationPart, "measuring")
+        calibration = fit_parts(run.finish(), self.method)
+        save_calibration(calibration, self.output)
+        fit = calibration.fit
+        LOG.info(
+            "%s: %d frames, residual RMSE x %.3f mm, y %.3f mm, max %.3f mm; pixels x %.0f–%.0f, y %.0f–%.0f",
+            self.output,
+            fit.sample_count,
+            *(1e3 * error_m for error_m in (fit.rmse_x_m, fit.rmse_y_m, fit.max_error_m)),
+            *fit.span_x_px,
+            *fit.span_y_px,
+        )
+        return run.exit_code()
 
 
 def collect_log(recording: Recording, request: Request, threads: int) -> CalibrationPart:
     """Measure one recording for a calibration, with progress."""
     from svmdist.workflows.calibrate import collect_part
-    from svmdist.workflows.parallel import Steps
 
-    with progress_bar("calibrating", "images") as advance:
-        steps = Steps(advance, recording.image_count())
+    with output.steps("calibrating", "images", recording.image_count()) as steps:
         return collect_part(recording, request.setup.profile, request.setup.method, threads, steps)
+
+
+class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOption, options.WindowOptions):
+    """Fit the camera-to-base transform.
+
+    The tool as the images show it is compared with the joints or poses that the robot reports. The result has a
+    covariance, and is used by every command whose profile names the file, or by --hand-eye.
+
+    Examples:
+      Fit by the tag on the instrument:
+        svmdist hand-eye log.mcap --method fiducial -o hand-eye.toml
+      Use the transform:
+        svmdist estimate log.mcap --method fused --hand-eye hand-eye.toml
+    """
+
+    file: Path = argument(..., "FILE", "Recording to fit on.")
+    method: Literal["fiducial", "stereo", "shaft"] | None = option(
+        "--method", "What finds the tool. Default: fiducial, stereo or shaft, the first that finds it."
+    )
+    against: Literal["kinematics", "pose"] | None = option(
+        "--against",
+        "What the robot reports: kinematics of its joints, or the poses of measured_cp. Default: the joints"
+        " where log and profile have them.",
+    )
+    form: str | None = options.format_option(Holds.TABLES)
+    output: Path | None = option(
+        "--output -o FILE.toml", 'File for the transforms; a profile names it: hand_eye = "FILE.toml".'
+    )
+    force: bool = FORCE
+    jobs: int | None = options.JOBS
+
+    def _run(self) -> ExitCode:
+        from svmdist.profile import load_profile
+        from svmdist.profile.hand_eye import save_hand_eye
+        from svmdist.report.info import hand_eye_file, hand_eye_results
+        from svmdist.results import Failure
+        from svmdist.workflows.calibrate import HandEyeResult, hand_eye
+        from svmdist.workflows.request import Request, prepare
+
+        file, path = self.file, self.output
+        output.require_output(path, [file], is_new=not self.force)
+        writer = choose_writer(self.form, None, Holds.TABLES)
+        lag, window, topics = self.given_lag, self.window, self.topics
+        methods = [self.method] if self.method else _served(file, load_profile(self.profile), topics)
+        failures: list[str] = []
+        for method in methods:
+            setup = prepare(self.profile, method)
+            request = Request(setup, topics, window, self.instruments(setup.profile), lag)
+            recording = request.open(file, file.stem)
+            seen = corrected(recording, request, self.jobs)
+            found = {}
+            for name in request.instruments or recording.instruments:
+                with output.progress_bar(f"{method} finds {name}", "images") as advance:
+                    found[name] = hand_eye(seen, setup, name, self.against, self.jobs, advance)
+            failures += [
+                f"{method}, {name}: {one.reason}" for name, one in found.items() if isinstance(one, Failure)
+            ]
+            results = [one for one in found.values() if isinstance(one, HandEyeResult)]
+            if results:
+                break
+        else:
+            raise RecordingError(f"{file}: no transform can be estimated: {'; '.join(failures)}")
+        output.write_results(hand_eye_results(results), writer, None)
+        for failure in failures:
+            LOG.info("note: %s", failure)
+        if path is not None:
+            save_hand_eye(path, hand_eye_file(results, recording))
+            LOG.info(
+                '%s: %d transforms; in a profile beside it: hand_eye = "%s"', path, len(results), path.name
+            )
+        return log_losses(recording.path, recording.health)
+
+
+def _served(file: Path, profile: Profile, topics: dict[str, str]) -> list[str]:
+    """The methods that log and profile serve, the surest first; RecordingError where there is none."""
+    from svmdist.recording.summary import inspect_recording
+    from svmdist.workflows.calibrate import SEEING_METHODS
+    from svmdist.workflows.capabilities import method_capabilities
+
+    summary = inspect_recording(file, profile, topics=topics)
+    found = {one.name: one for one in method_capabilities(summary, profile)}
+    served = [name for name in SEEING_METHODS if found[name].served]
+    if not served:
+        lacking = "; ".join(f"{name} lacks {', '.join(found[name].missing)}" for name in SEEING_METHODS)
+        raise RecordingError(f"{file}: no method can see the tool: {lacking}")
+    return served

@@ -4,25 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator
-from contextlib import closing, nullcontext
-from pathlib import Path
+from contextlib import closing
+from itertools import chain, islice
 from typing import TYPE_CHECKING
 
-import typer
-
-from svmdist.cli.logs import Logs, Run
-from svmdist.cli.options import LogOptions, ReadOptions, WindowOptions, format_option, option, output_option
-from svmdist.cli.output import (
-    LOG,
-    no_progress,
-    progress_bar,
-    require_output,
-    started,
-    terminal_width,
-    write_results,
-)
+from svmdist.cli import output
+from svmdist.cli.logs import LogOptions, Run
+from svmdist.cli.options import OutputOptions, ReadOptions, WindowOptions, format_option, option
+from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import UsageError
-from svmdist.report.writers import Holds, Results, choose_writer
+from svmdist.report.writers import Holds, Results
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
@@ -31,23 +22,7 @@ if TYPE_CHECKING:
     from svmdist.workflows.request import Request
 
 
-class FkOptions(LogOptions, ReadOptions, WindowOptions):
-    """What `fk` takes."""
-
-    joints: str | None = option(None, "--joints TOPIC", "Topic of the joint states.")
-    in_camera: bool = option(
-        False, "--in-camera", "In the camera's frame, by the transform of hand-eye or of the log."
-    )
-    form: str | None = format_option(Holds.POSES, "; tum is the format of evo")
-    output: Path | None = output_option()
-    start: float = option(0.0, "--start SECONDS", "Seconds after the first joint state to begin at.", min=0.0)
-    end: float | None = option(
-        None, "--end SECONDS", "Seconds after the first joint state to end at.", min=0.0
-    )
-    every: int = option(1, "--every N", "Take every N-th joint state only.", min=1)
-
-
-def fk_command(given: FkOptions) -> None:
+class Fk(LogOptions, ReadOptions, WindowOptions, OutputOptions):
     """Print the tool's pose for every joint state.
 
     The pose is the forward kinematics of the profile's chain, in its base frame or the camera's. Where the log has a
@@ -59,25 +34,35 @@ def fk_command(given: FkOptions) -> None:
       In the camera's frame, for evo:
         svmdist fk log.mcap --in-camera -o poses.tum
     """
-    from svmdist.metrics import TEXT
-    from svmdist.report.rows import POSE_COLUMNS
-    from svmdist.report.tables import Column
-    from svmdist.workflows.batch import Job
-    from svmdist.workflows.request import Request, Setup
 
-    logs = Logs(given)
-    require_output(given.output, logs.paths)
-    writer = choose_writer(given.form, given.output, Holds.POSES)
-    several = len(logs.files) > 1
-    if writer.name == "tum" and several:
-        raise UsageError(f"--format tum writes one trajectory, and {len(logs.files)} logs are given")
-    topics = given.topics | ({"joints": given.joints} if given.joints else {})
-    request = Request(Setup.reading(given.profile, given.hand_eye), topics, given.window)
-    run: Run[int] = Run(logs, Job(pose_rows_of, request, int, (given.in_camera, several)), "computing")
-    columns = (*POSE_COLUMNS, Column("recording", TEXT)) if several else POSE_COLUMNS
-    with no_progress() if terminal_width(given.output) is not None else nullcontext():
-        write_results(Results(columns, started(run.rows())), writer, given.output)
-    raise typer.Exit(run.exit_code())
+    joints: str | None = option("--joints TOPIC", "Topic of the joint states.")
+    in_camera: bool = option(
+        "--in-camera", "In the camera's frame, by the transform of hand-eye or of the log.", False
+    )
+    form: str | None = format_option(Holds.POSES, "; tum is the format of evo")
+    start: float = option("--start SECONDS", "Seconds after the first joint state to begin at.", 0.0, min=0.0)
+    end: float | None = option("--end SECONDS", "Seconds after the first joint state to end at.", min=0.0)
+    every: int = option("--every N", "Take every N-th joint state only.", 1, min=1)
+
+    def _run(self) -> ExitCode:
+        from svmdist.metrics import TEXT
+        from svmdist.report.rows import POSE_COLUMNS
+        from svmdist.report.tables import Column
+        from svmdist.workflows.request import Request, Setup
+
+        writer = self.writer(self.paths, Holds.POSES)
+        several = len(self.logs) > 1
+        if writer.name == "tum" and several:
+            raise UsageError(f"--format tum writes one trajectory, and {len(self.logs)} logs are given")
+        topics = self.topics | ({"joints": self.joints} if self.joints else {})
+        request = Request(Setup.reading(self.profile, self.hand_eye), topics, self.window)
+        run = Run(self, pose_rows_of, request, int, "computing", (self.in_camera, several))
+        columns = (*POSE_COLUMNS, Column("recording", TEXT)) if several else POSE_COLUMNS
+        with output.rows_shown(self.output):
+            rows = run.rows()
+            head = list(islice(rows, 1))  # so that a log that cannot be read leaves no header behind
+            output.write_results(Results(columns, chain(head, rows)), writer, self.output)
+        return run.exit_code()
 
 
 def pose_rows_of(
@@ -91,7 +76,7 @@ def pose_rows_of(
 
     profile = request.setup.profile.for_instrument(recording.instruments[0])
     errors, count = [], 0
-    with progress_bar("reading", "joint states") as advance:
+    with output.progress_bar("reading", "joint states") as advance:
         made = fk_blocks(recording, profile, in_camera=in_camera, window=request.window, on_progress=advance)
         with closing(made):
             for block in made:
@@ -100,9 +85,8 @@ def pose_rows_of(
                     yield row | {"recording": recording.name} if named else row
                     count += 1
     if recording.topic_of("pose") is not None:
-        _log_errors(
-            np.concatenate(errors), recording.pose_track().parent, f"{recording.name}: " if named else ""
-        )
+        of = f"{recording.name}: " if named else ""
+        _log_errors(np.concatenate(errors), recording.pose_track().parent, of)
     return count
 
 

@@ -5,80 +5,16 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from typing import Literal
 
-from svmdist.cli.options import FORCE, Options, argument, option, output_option, parse_length_m
+from svmdist.cli.options import FORCE, LENGTH_UNITS_M, Options, argument, option, parse_length_m, parse_number
 from svmdist.cli.output import LOG, progress_bar, require_output
-from svmdist.errors import UsageError, did_you_mean
+from svmdist.errors import UsageError
 
-UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 INSTRUMENT = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 
 
-class ImportCommandOptions(Options):
-    """What `import` takes."""
-
-    source: Path = argument(..., "SOURCE", "Folder of images, or a video.")
-    right: Path | None = argument(None, "RIGHT", "The right view: a folder or a video.")
-    output: Path | None = output_option("FILE.mcap", "Log to write. Default: SOURCE.mcap.")
-    pattern: str | None = option(None, "--pattern GLOB", "Which images of the folder, as in '*_L.jpg'.")
-    right_pattern: str | None = option(
-        None,
-        "--right-pattern GLOB",
-        "Which images are the right view, as in '*_R.jpg'; without RIGHT, of the same folder.",
-    )
-    side_by_side: bool = option(
-        False, "--side-by-side", "Each picture has the left view on its left half, the right one beside."
-    )
-    calibration: Path | None = option(
-        None,
-        "--calibration FILE.yaml",
-        "camera_info of ROS, OpenCV's or Kalibr's calibration, of one camera or a pair.",
-    )
-    right_calibration: Path | None = option(
-        None, "--right-calibration FILE.yaml", "The right camera's, in a file of its own."
-    )
-    camera: str | None = option(None, "--camera FX,FY,CX,CY", "The camera in px, in place of a file.")
-    right_camera: str | None = option(
-        None, "--right-camera FX,FY,CX,CY", "The right one. Default: as the left one."
-    )
-    distortion: str | None = option(None, "--distortion K1,K2,P1,P2[,K3…]", "With --camera. Default: none.")
-    distortion_model: str = option(
-        "plumb_bob", "--distortion-model NAME", "plumb_bob, rational_polynomial or fisheye."
-    )
-    baseline: str | None = option(
-        None,
-        "--baseline LENGTH",
-        "Distance of the cameras of a rectified pair, as in 5.2mm; in place of what a file says.",
-    )
-    unit: str = option("m", "--unit UNIT", "Unit of lengths in calibration and poses: m, cm or mm.")
-    rate: float | None = option(
-        None, "--rate HZ", "Images per second, where neither names nor video tell the time."
-    )
-    start: str = option("0", "--start SECONDS", "Time of the first image, with --rate or a video.")
-    times: Path | None = option(
-        None, "--times FILE.csv", "Times of the images: a column of times, or of names and times."
-    )
-    poses: list[str] | None = option(
-        None,
-        "--poses [NAME=]FILE.csv",
-        "Poses of the tool in the robot's base, of instrument NAME (PSM1); may be repeated.",
-    )
-    joints: list[str] | None = option(None, "--joints [NAME=]FILE.csv", "Joint positions; may be repeated.")
-    joint_names: str | None = option(
-        None, "--joint-names NAME,…", "Of the columns of --joints that have none."
-    )
-    every: int = option(1, "--every N", "Take each Nth image only.", min=1)
-    jpeg: int | None = option(
-        None,
-        "--jpeg QUALITY",
-        "Store what has to be decoded (video, side by side) as JPEG. Default: PNG, without loss.",
-        min=1,
-        max=100,
-    )
-    force: bool = FORCE
-
-
-def import_command(given: ImportCommandOptions) -> None:
+class Import(Options):
     """Write a log of images or a video.
 
     Views may be one, two, or two side by side. The calibration is a file's or given in numbers. Tables of poses and
@@ -92,74 +28,108 @@ def import_command(given: ImportCommandOptions) -> None:
       With joints of the robot, a column for each:
         svmdist import images --rate 30 --camera 572,572,320,240 --joints q.csv
     """
-    from svmdist.importing.calibration import CalibrationOptions
-    from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
 
-    if given.rate is not None and not 1e-3 <= given.rate <= 1e4:
-        raise UsageError(f"--rate {given.rate:g}: expected images per second, from 0.001 to 10000")
-    if given.unit not in UNITS_M:
-        raise UsageError(f"--unit {given.unit}: {did_you_mean(given.unit, UNITS_M)}")
-    path = given.output or Path(f"{given.source.resolve().stem}.mcap")
-    require_output(path)
-    if given.right_camera is not None and given.camera is None:
-        raise UsageError("--right-camera goes with --camera")
-    views = (given.right, given.right_pattern, given.side_by_side or None)
-    if given.baseline is not None and views == (None, None, None):
-        raise UsageError("--baseline is of two views: name the right one, or say --side-by-side")
-    options = ImportOptions(
-        ViewOptions(
-            *(given.source, given.right, given.pattern, given.right_pattern, given.side_by_side),
-            *(given.rate, _start_ns(given.start), given.times, given.every),
-        ),
-        CalibrationOptions(
-            (given.calibration, given.right_calibration),
-            (_intrinsics("--camera", given.camera), _intrinsics("--right-camera", given.right_camera)),
-            _numbers("--distortion", given.distortion) if given.distortion else (),
-            given.distortion_model,
-            parse_length_m("--baseline", given.baseline) if given.baseline else None,
-            UNITS_M[given.unit],
-        ),
-        _tables("--poses", given.poses),
-        _tables("--joints", given.joints),
-        tuple(name.strip() for name in given.joint_names.split(",")) if given.joint_names else None,
-        given.jpeg,
+    source: Path = argument(..., "SOURCE", "Folder of images, or a video.")
+    right: Path | None = argument(None, "RIGHT", "The right view: a folder or a video.")
+    output: Path | None = option("--output -o FILE.mcap", "Log to write. Default: SOURCE.mcap.")
+    pattern: str | None = option("--pattern GLOB", "Which images of the folder, as in '*_L.jpg'.")
+    right_pattern: str | None = option(
+        "--right-pattern GLOB",
+        "Images of the right view, as in '*_R.jpg'; without RIGHT, of the same folder.",
     )
-    with progress_bar(f"import {given.source.name}", "images") as advance:
-        result = import_log(options, path, force=given.force, on_progress=advance)
-    counted = ", ".join(
-        f"{count} {topic}" for topic, count in result.counts.items() if "camera_info" not in topic
+    side_by_side: bool = option(
+        "--side-by-side", "Each picture has the left view on its left half, the right one beside.", False
     )
-    LOG.info("%s: %s; %.2f MB", path, counted, result.size_bytes / 1e6)
-    if result.has_baseline is False:
-        LOG.info("no baseline is known: stereo cannot measure; give --baseline, or a calibration of the pair")
+    calibration: Path | None = option(
+        "--calibration FILE.yaml",
+        "Calibration of ROS (camera_info), OpenCV or Kalibr, of one camera or a pair.",
+    )
+    right_calibration: Path | None = option("--right-calibration FILE.yaml", "The right camera's own.")
+    camera: str | None = option("--camera FX,FY,CX,CY", "The camera in px, in place of a file.")
+    right_camera: str | None = option("--right-camera FX,FY,CX,CY", "The right one. Default: the left one.")
+    distortion: str | None = option("--distortion K1,K2,P1,P2[,K3…]", "With --camera. Default: none.")
+    distortion_model: str = option(
+        "--distortion-model NAME", "plumb_bob, rational_polynomial, fisheye.", "plumb_bob"
+    )
+    baseline: str | None = option(
+        "--baseline LENGTH", "Distance of the cameras of a rectified pair, as in 5.2mm; overrides a file's."
+    )
+    unit: Literal["m", "cm", "mm"] = option(
+        "--unit UNIT", "Unit of lengths in calibration and poses: m, cm or mm.", "m"
+    )
+    rate: float | None = option(
+        "--rate HZ", "Images per second, where neither names nor video tell the time.", min=1e-3, max=1e4
+    )
+    start: str = option("--start SECONDS", "Time of the first image, with --rate or a video.", "0")
+    times: Path | None = option("--times FILE.csv", "Times of the images, with or without their names.")
+    poses: list[str] | None = option(
+        "--poses [NAME=]FILE.csv",
+        "Tool poses in the robot's base, of instrument NAME (PSM1); may be repeated.",
+    )
+    joints: list[str] | None = option("--joints [NAME=]FILE.csv", "Joint positions; may be repeated.")
+    joint_names: str | None = option("--joint-names NAME,…", "Of the columns of --joints that have none.")
+    every: int = option("--every N", "Take each Nth image only.", 1, min=1)
+    jpeg: int | None = option(
+        "--jpeg QUALITY",
+        "Store what has to be decoded (video, side by side) as JPEG. Default: PNG, without loss.",
+        min=1,
+        max=100,
+    )
+    force: bool = FORCE
+
+    def _run(self) -> None:
+        from svmdist.importing.calibration import CalibrationOptions
+        from svmdist.importing.tables import parse_stamp_ns
+        from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
+
+        path = self.output or Path(f"{self.source.resolve().stem}.mcap")
+        require_output(path)
+        if self.right_camera is not None and self.camera is None:
+            raise UsageError("--right-camera goes with --camera")
+        if self.baseline is not None and not (self.right or self.right_pattern or self.side_by_side):
+            raise UsageError("--baseline is of two views: name the right one, or say --side-by-side")
+        try:
+            start_ns = parse_stamp_ns(self.start, "s")
+        except ValueError as problem:
+            raise UsageError(f"--start {self.start}: {problem}") from None
+        options = ImportOptions(
+            ViewOptions(
+                *(self.source, self.right, self.pattern, self.right_pattern, self.side_by_side),
+                *(self.rate, start_ns, self.times, self.every),
+            ),
+            CalibrationOptions(
+                (self.calibration, self.right_calibration),
+                (_intrinsics("--camera", self.camera), _intrinsics("--right-camera", self.right_camera)),
+                _numbers("--distortion", self.distortion) if self.distortion else (),
+                self.distortion_model,
+                parse_length_m("--baseline", self.baseline) if self.baseline else None,
+                LENGTH_UNITS_M[self.unit],
+            ),
+            _tables("--poses", self.poses),
+            _tables("--joints", self.joints),
+            tuple(name.strip() for name in self.joint_names.split(",")) if self.joint_names else None,
+            self.jpeg,
+        )
+        with progress_bar(f"import {self.source.name}", "images") as advance:
+            result = import_log(options, path, force=self.force, on_progress=advance)
+        counted = [f"{count} {topic}" for topic, count in result.counts.items() if "camera_info" not in topic]
+        LOG.info("%s: %s; %.2f MB", path, ", ".join(counted), result.size_bytes / 1e6)
+        if result.has_baseline is False:
+            LOG.info("no baseline is known: stereo needs --baseline, or a calibration of the pair")
 
 
 def _numbers(name: str, text: str) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        numbers = (math.nan,)
+    numbers = tuple(map(parse_number, text.split(",")))
     if not all(map(math.isfinite, numbers)):
         raise UsageError(f"{name} {text}: expected numbers between commas")
     return numbers
 
 
 def _intrinsics(name: str, text: str | None) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    numbers = _numbers(name, text)
-    if len(numbers) != 4 or min(numbers[:2]) <= 0:
+    numbers = _numbers(name, text) if text is not None else None
+    if numbers is not None and (len(numbers) != 4 or min(numbers[:2]) <= 0):
         raise UsageError(f"{name} {text}: expected FX,FY,CX,CY in px, as in 572.2,572.2,378.8,239.3")
     return numbers
-
-
-def _start_ns(text: str) -> int:
-    from svmdist.importing.tables import parse_stamp_ns
-
-    try:
-        return parse_stamp_ns(text, "s")
-    except ValueError as problem:
-        raise UsageError(f"--start {text}: {problem}") from None
 
 
 def _tables(name: str, given: list[str] | None) -> dict[str, Path]:
@@ -170,8 +140,6 @@ def _tables(name: str, given: list[str] | None) -> dict[str, Path]:
         if not (equals and INSTRUMENT.match(instrument)):
             instrument, file = "PSM1", text
         if instrument in found:
-            raise UsageError(
-                f"{name}: two files for the instrument {instrument}; say NAME=FILE for another one"
-            )
+            raise UsageError(f"{name}: two files for the instrument {instrument}; name the other: NAME=FILE")
         found[instrument] = Path(file)
     return found

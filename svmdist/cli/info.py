@@ -1,33 +1,32 @@
-"""`svmdist info`: what is in a recording, and what can be done with it."""
+"""`svmdist info` and `profile new`: what is in a recording, what can be done with it, and a profile made from it."""
 
 from __future__ import annotations
 
+import tomllib
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from svmdist.cli.logs import Logs
-from svmdist.cli.options import LogOptions, ReadOptions, format_option, output_option
-from svmdist.cli.output import require_output, write_results
+from svmdist.cli.logs import LogOptions, Run
+from svmdist.cli.options import (
+    FORCE,
+    OutputOptions,
+    ReadOptions,
+    TopicOption,
+    argument,
+    format_option,
+    option,
+)
+from svmdist.cli.output import LOG, ExitCode, require_output, write_lines, write_results
 from svmdist.errors import RecordingError
-from svmdist.report.writers import Holds, choose_writer
+from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
-    from svmdist.recording.summary import RecordingSummary
-    from svmdist.workflows.capabilities import TagCheck
     from svmdist.workflows.request import Request
 
 
-class InfoOptions(LogOptions, ReadOptions):
-    """What `info` takes."""
-
-    form: str | None = format_option(Holds.TABLES)
-    output: Path | None = output_option()
-
-
-def info_command(given: InfoOptions) -> None:
+class Info(LogOptions, ReadOptions, OutputOptions):
     """Show topics, rates, cameras, frames and health.
 
     It also lists the commands and methods that the recording can serve, and what is missing for the others. Of several
@@ -41,39 +40,68 @@ def info_command(given: InfoOptions) -> None:
       For a program:
         svmdist info log.mcap -f json
     """
-    from svmdist.report.info import info_results, logs_results
-    from svmdist.workflows.batch import Job
-    from svmdist.workflows.request import Request, Setup
 
-    logs = Logs(given)
-    require_output(given.output, logs.paths)
-    setup = Setup.reading(given.profile, given.hand_eye)
-    writer = choose_writer(given.form, given.output, Holds.TABLES)
-    job = Job(inspect_log, Request(setup, given.topics), dict[str, Any], (writer.name != "csv",))
-    run = logs.run(job, "inspecting")
-    found = [(log.name, document) for log, _, document in run.measured]
-    write_results(info_results(found[0][1]) if logs.is_one else logs_results(found), writer, given.output)
-    raise typer.Exit(run.exit_code())
+    form: str | None = format_option(Holds.TABLES)
+
+    def _run(self) -> ExitCode:
+        from svmdist.report.info import info_results, logs_results
+        from svmdist.workflows.request import Request, Setup
+
+        writer = self.writer(self.paths, Holds.TABLES)
+        request = Request(Setup.reading(self.profile, self.hand_eye), self.topics)
+        run = Run(self, inspect_log, request, dict[str, Any], "inspecting", (writer.name != "csv",))
+        documents = run.finish()
+        names = [log.name for log, _, _ in run.measured]
+        several = list(zip(names, documents, strict=True))
+        results = info_results(documents[0]) if self.is_one else logs_results(several)
+        write_results(results, writer, self.output)
+        return run.exit_code()
 
 
 def inspect_log(recording: Recording, request: Request, _threads: int, looks_for_tag: bool) -> dict[str, Any]:
     """A whole log as a document, with the profile's tag looked for in some images."""
     from svmdist.recording.summary import inspect_recording
     from svmdist.report.info import info_document
+    from svmdist.workflows.capabilities import look_for_tag
 
-    profile = request.setup.profile
+    profile, tags = request.setup.profile, None
     summary = inspect_recording(recording.path, profile, topics=dict(request.topics))
-    tags = _look_for_tag(recording, request, summary) if looks_for_tag else None
+    if looks_for_tag and {"image", "camera_info"} <= set(summary.roles):
+        with suppress(RecordingError):  # a calibration that is not usable: the summary says so
+            tags = look_for_tag(recording, profile)
     recording.health.join(summary.health)
     return info_document(summary, profile, tags)
 
 
-def _look_for_tag(recording: Recording, request: Request, summary: RecordingSummary) -> TagCheck | None:
-    from svmdist.workflows.capabilities import look_for_tag
+class New(TopicOption):
+    """Write a commented profile from a log.
 
-    if not {"image", "camera_info"} <= set(summary.roles):
-        return None
-    try:
-        return look_for_tag(recording, request.setup.profile)
-    except RecordingError:  # a calibration that is not usable: the summary says so
-        return None
+    It has the log's topics, frames and instruments, a chain that fits its joints, sizes of a da Vinci instrument,
+    colours where they are distinct, and the tissue's plane where two views show it. What it cannot know is marked.
+
+    Examples:
+      A commented profile, to be completed by hand:
+        svmdist profile new log.mcap -o mine.toml
+      With a camera's topic that is none of the usual ones:
+        svmdist profile new log.mcap --topic image=/left/image_raw
+    """
+
+    file: Path = argument(..., "FILE", "Log to look at.")
+    name: str | None = option("--name NAME", "Name of the profile. Default: that of the log.")
+    output: Path | None = OutputOptions.output
+    force: bool = FORCE
+
+    def _run(self) -> None:
+        from svmdist.profile import Profile
+        from svmdist.report.profile_template import profile_text
+        from svmdist.workflows.new_profile import draft_profile
+
+        require_output(self.output, [self.file], is_new=not self.force)
+        draft = draft_profile(self.file, self.name or self.file.resolve().stem, self.topics)
+        text = profile_text(draft)
+        Profile.model_validate(tomllib.loads(text))
+        write_lines([text], self.output)
+        instruments = ", ".join(one.name for one in draft.instruments)
+        plane = "the plane from both views" if draft.plane else "measure the plane of the tissue"
+        mark = "a distal marker by its colour" if draft.mark else "no colour of its own"
+        LOG.info("%s: instruments %s; %s; %s", draft.name, instruments, mark, plane)

@@ -6,11 +6,13 @@ import os
 import re
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from glob import glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from urllib.parse import unquote
 
-from svmdist.cli.options import GoldenLogOptions, LogOptions, group_name
+from svmdist.cli.options import JOBS, Options, argument, option
 from svmdist.cli.output import LOG, ExitCode, progress_bar
 from svmdist.errors import RecordingError, UsageError
 from svmdist.files import LogPath, RemoteFile, is_url, listed_urls, why
@@ -19,7 +21,9 @@ if TYPE_CHECKING:
     from svmdist.recording.source import Health
     from svmdist.report.scores import LogFigures
     from svmdist.report.tables import Row
-    from svmdist.workflows.batch import Job, LogFile, Outcome
+    from svmdist.report.writers import Results
+    from svmdist.workflows.batch import LogFile, Outcome
+    from svmdist.workflows.request import Request
 
 Result = TypeVar("Result")
 
@@ -29,73 +33,143 @@ MAX_REPORTED = 12
 """The most logs whose frames are held at once, and fill a page."""
 
 
-class Logs:
-    """The logs of a command; raises UsageError where options contradict each other or name no log."""
+class LogOptions(Options):
+    """Logs, and where they are measured."""
 
-    def __init__(self, given: LogOptions | GoldenLogOptions) -> None:
-        self.files = named_logs(given.files) if given.files else _golden_logs()
-        self.jobs, self.scheduler, self.resume = given.jobs, given.scheduler, given.resume
+    files: list[str] = argument(
+        ..., "FILE", "Recordings: MCAP files, ROS 1 bags, rosbag2 folders, folders of these, globs or URLs."
+    )
+    jobs: int | None = JOBS
+    scheduler: str | None = option(
+        "--scheduler tcp://HOST:PORT",
+        "Measure on this Dask cluster; its workers read the same paths or URLs.",
+    )
+    resume: Path | None = option(
+        "--resume FOLDER", "Keep results in this folder; reuse those of the same log, options and version."
+    )
+
+    @cached_property
+    def logs(self) -> list[LogFile]:
+        """The logs; raises UsageError where options contradict each other or name no log."""
         if self.scheduler is not None and self.jobs is not None:
             raise UsageError("--jobs and --scheduler: the cluster has its own workers; leave out one of them")
+        if not self.files and not any(Path("recordings").glob("*.mcap")):
+            raise UsageError(f"no FILE given, and there is no .mcap in {Path('recordings').resolve()}")
+        return named_logs(self.files or ["recordings/*.mcap"])
 
     @property
-    def paths(self) -> list[Path]:
-        """Those on this machine."""
-        return [log.path for log in self.files if isinstance(log.path, Path)]
+    def paths(self) -> list[LogPath]:
+        """Where they are."""
+        return [log.path for log in self.logs]
+
+    @property
+    def threads(self) -> int:
+        """How many frames of a log are worked on at a time."""
+        from svmdist.workflows.parallel import usable_cores
+
+        return self.jobs or usable_cores()
 
     @property
     def is_one(self) -> bool:
         """Whether there is one log, measured here: its rows come as they are measured, its errors end the command."""
-        return len(self.files) == 1 and self.scheduler is None and self.resume is None
+        return len(self.logs) == 1 and self.scheduler is None and self.resume is None
 
-    def run(self, job: Job[Result], title: str) -> Run[Result]:
-        """Measure the logs with a job that has no rows."""
-        run = Run(self, job, title)
-        run.finish()
-        return run
+
+class GoldenLogOptions(LogOptions):
+    """The same, with logs that are measured where none is named."""
+
+    files: list[str] | None = argument(  # type: ignore[assignment]
+        None, "FILE", "Recordings, folders, globs or URLs. Default: every .mcap file in recordings/."
+    )
+
+
+class GroupOption(Options):
+    """How logs are grouped."""
+
+    group: str | None = option(
+        "--group KEY,...", "Also give figures for groups of logs by their metadata, as in scenario,world."
+    )
+
+    @property
+    def group_keys(self) -> tuple[str, ...]:
+        """The keys of `--group`; raises UsageError for none."""
+        if self.group is None:
+            return ()
+        keys = tuple(key.strip() for key in self.group.split(","))
+        if not all(keys):
+            raise UsageError(f"--group {self.group}: expected names of metadata, as in scenario,world")
+        return keys
+
+
+def group_name(metadata: dict[str, str], keys: Sequence[str]) -> str:
+    """What a log is grouped as: `scenario=sweep world=real`; a key that it does not have is `none`."""
+    return " ".join(f"{key}={metadata.get(key, 'none')}" for key in keys)
 
 
 class Run(Generic[Result]):
-    """What a job makes of the logs of a command: `outcomes` are known when the rows are at their end."""
+    """What a job makes of the logs of a command: `outcomes` are known when the rows are at their end.
 
-    def __init__(self, logs: Logs, job: Job[Result], title: str) -> None:
-        self._logs = logs
-        self._job = job
+    The arguments are those of `Job`. With `keeps`, `measure` is also asked for what pictures and pages are made of: it
+    gives that to its argument `keep`.
+    """
+
+    def __init__(
+        self,
+        given: LogOptions,
+        measure: Callable[..., Any],
+        request: Request,
+        result_type: type[Result],
+        title: str,
+        options: tuple[Any, ...] = (),
+        *,
+        keeps: bool = False,
+    ) -> None:
+        from svmdist.workflows.batch import Job
+
+        self.given = given
+        self._job = Job(measure, request, result_type, options)
         self._title = title
+        self._kept: list[Any] = []
+        self._more = {"keep": self._kept.append} if keeps else {}
         self.outcomes: list[tuple[LogFile, Outcome[Result]]] = []
 
-    def rows(self, keep: Callable[[Any], None] | None = None) -> Iterator[Row]:
+    def rows(self) -> Iterator[Row]:
         """Measure the logs and yield their rows, in the order of the logs; what was remarked is said once.
 
-        Of one log the rows come as they are measured, and `keep` is passed on to the job.
+        Of one log the rows come as they are measured. Raises RecordingError where no log could be measured.
         """
         from svmdist.workflows.batch import log_notes, measure_logs, measured
-        from svmdist.workflows.parallel import usable_cores
 
-        logs = self._logs
-        if logs.is_one:
-            more = {} if keep is None else {"keep": keep}
-            outcome = yield from measured(self._job, logs.files[0], logs.jobs or usable_cores(), **more)
-            self.outcomes = [(logs.files[0], outcome)]
+        given = self.given
+        if given.is_one:
+            outcome = yield from measured(self._job, given.logs[0], given.threads, **self._more)
+            self.outcomes = [(given.logs[0], outcome)]
             return
         with progress_bar(self._title, "logs") as advance:
             found = measure_logs(
                 self._job,
-                logs.files,
-                jobs=logs.jobs,
-                scheduler=logs.scheduler,
-                folder=logs.resume,
+                given.logs,
+                jobs=given.jobs,
+                scheduler=given.scheduler,
+                folder=given.resume,
                 on_progress=advance,
             )
-        self.outcomes = list(zip(logs.files, found, strict=True))
+        self.outcomes = list(zip(given.logs, found, strict=True))
         log_notes(found)
-        self._require_any()
-        for _, one in self.outcomes:
-            yield from one.rows() if one.failure is None else ()
+        if not self.measured:
+            *others, last = [_reason(log, one) for log, one in self.outcomes]
+            if not others:
+                raise RecordingError(last)
+            for reason in (*others, last):
+                LOG.error("left out: %s", reason)
+            raise RecordingError("no recording could be used")
+        for _, one, _ in self.measured:
+            yield from one.rows()
 
-    def finish(self, keep: Callable[[Any], None] | None = None) -> None:
-        """Measure the logs with a job that has no rows; raises RecordingError where none could be measured."""
-        deque(self.rows(keep), maxlen=0)
+    def finish(self) -> list[Result]:
+        """Measure the logs with a job that has no rows: its results."""
+        deque(self.rows(), maxlen=0)
+        return self.results
 
     @property
     def measured(self) -> list[tuple[LogFile, Outcome[Result], Result]]:
@@ -117,45 +191,35 @@ class Run(Generic[Result]):
 
         return [
             LogFigures(
-                recording=log.name,
-                path=str(log.path),
-                failure=one.failure,
-                statuses=getattr(one.result, "statuses", Counter()),
-                loss_count=len(one.losses),
+                *(log.name, str(log.path), one.failure, getattr(one.result, "statuses", {}), len(one.losses)),
                 group=group_name(one.metadata, keys) if keys and one.failure is None else "",
             )
             for log, one in self.outcomes
         ]
 
-    def measure_again(self, keep: Callable[[Any], None]) -> None:
-        """Measure frames again that were not kept with the results: of many logs those with which most went wrong."""
+    def ranking(self, keys: Sequence[str] = ()) -> Results:
+        """The figures of each log, sorted by severity, worst first, of groups and of all logs."""
+        from svmdist.report.scores import log_results
+
+        return log_results(self.figures(keys))
+
+    def kept(self) -> list[Any]:
+        """What the job kept of one log; of many, those with which most went wrong are measured again for it."""
         from svmdist.report.scores import ranked
         from svmdist.workflows.batch import collected_notes, measured
-        from svmdist.workflows.parallel import usable_cores
 
-        if self._logs.is_one:
-            return
+        if self.given.is_one or not self._more:
+            return self._kept
         usable = [one for one in ranked(self.figures()) if one.failure is None and one.frame_count]
         names = {one.recording for one in usable[:MAX_REPORTED]}
         if len(usable) > MAX_REPORTED:
             shown = f"{MAX_REPORTED} of {len(usable)} logs"
             LOG.info("note: the report and the plot show %s frame by frame", shown)
         with collected_notes():
-            for log in self._logs.files:
+            for log in self.given.logs:
                 if log.name in names:
-                    threads = self._logs.jobs or usable_cores()
-                    deque(measured(self._job, log, threads, keep=keep), maxlen=0)
-
-    def _require_any(self) -> None:
-        """Raise RecordingError where no log could be measured, with the reason of each."""
-        if self.measured:
-            return
-        reasons = [_reason(log, one) for log, one in self.outcomes]
-        if len(reasons) == 1:
-            raise RecordingError(reasons[0])
-        for reason in reasons:
-            LOG.error("left out: %s", reason)
-        raise RecordingError("no recording could be used")
+                    deque(measured(self._job, log, self.given.threads, **self._more), maxlen=0)
+        return self._kept
 
     def exit_code(self) -> ExitCode:
         """Say what was lost in reading, and which logs were left out and why; the exit code tells of either."""
@@ -181,12 +245,6 @@ def _reason(log: LogFile, one: Outcome[Any]) -> str:
     return reason if is_named else f"{path}: {reason}"
 
 
-def _golden_logs() -> list[LogFile]:
-    if not any(Path("recordings").glob("*.mcap")):
-        raise UsageError(f"no FILE given, and there is no .mcap in {Path('recordings').resolve()}")
-    return named_logs(["recordings/*.mcap"])
-
-
 def named_logs(files: Sequence[str | Path]) -> list[LogFile]:
     """The logs that files, folders, globs and URLs stand for, each once and under a name of its own.
 
@@ -208,31 +266,22 @@ def _unique_names(paths: Sequence[LogPath]) -> list[str]:
     for path in paths:
         folders = path.folders if isinstance(path, RemoteFile) else Path(os.path.abspath(path)).parts[1:-1]
         parts.append((*folders, path.stem))
-    depths = dict.fromkeys(parts, 1)
-    while True:
-        shown = Counter(part[-depths[part] :] for part in depths)
-        longer = [part for part, depth in depths.items() if shown[part[-depth:]] > 1 and depth < len(part)]
-        if not longer:
-            return ["/".join(part[-depths[part] :]) for part in parts]
-        for part in longer:
-            depths[part] += 1
+    ends = {part: [part[-depth:] for depth in range(1, len(part) + 1)] for part in parts}
+    counts = Counter(end for each in ends.values() for end in each)
+    return ["/".join(next((end for end in ends[part] if counts[end] == 1), part)) for part in parts]
 
 
 def _paths_of(text: str) -> Sequence[LogPath]:
     if is_url(text):
         return _urls_of(text)
     if text.lower().startswith(("file://", "local://")):
-        from urllib.parse import unquote
-
         text = unquote(text.partition("://")[2].removeprefix("localhost"))
     path = Path(text)
     if "\0" in text or os.path.lexists(path) or not GLOB.search(text):
         return _logs_in(path)
     matches = sorted(Path(match) for match in glob(text, recursive=True))
     logs = [match for match in matches if _is_log(match)]
-    folders = [match for match in matches if match.is_dir() and match not in logs]
-    if not logs and len(folders) == len(matches) and matches:
-        logs = [log for folder in folders for log in _logs_in(folder) if log != folder]
+    logs = logs or [log for match in matches if match.is_dir() for log in _logs_in(match) if log != match]
     chosen = logs or [match for match in matches if match.is_file()]
     if not chosen:
         raise UsageError(f"{text}: no log matches")

@@ -1,6 +1,6 @@
 """Options, each declared once: groups of them that commands put together. Light to import: `svmdist --help` reads it.
 
-A command is a function of one object, whose class inherits the groups that it takes and adds its own options.
+A command is a class: it inherits the groups that it takes and adds its own options, and its docstring is the help.
 """
 
 from __future__ import annotations
@@ -8,18 +8,22 @@ from __future__ import annotations
 import inspect
 import logging
 import math
+import re
+import time
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
+from svmdist.cli.output import require_output
 from svmdist.errors import UsageError, did_you_mean
-from svmdist.report.writers import Holds, names_of
+from svmdist.report.writers import Holds, Writer, choose_writer, names_of
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
+    from svmdist.files import LogPath
     from svmdist.perturbations.chosen import Perturbations
     from svmdist.profile import Profile
     from svmdist.recording.observations import Window
@@ -32,9 +36,13 @@ class Options:
     def __init__(self, **values: Any) -> None:
         self.__dict__.update(values)
 
+    def _run(self) -> int | None:
+        """Run the command, and give its exit code; None is 0."""
+        raise NotImplementedError
 
-def option(default: Any, names: str, text: str, **more: Any) -> Any:
-    """Declare an option: its default, its names and what stands for its value, as in `--jobs -j N`, and the help."""
+
+def option(names: str, text: str, default: Any = None, **more: Any) -> Any:
+    """Declare an option: its names and what stands for its value, as in `--jobs -j N`, the help, and its default."""
     words = names.split()
     named = [word for word in words if word.startswith("-")]
     metavar = next((word for word in words if not word.startswith("-")), None)
@@ -46,37 +54,47 @@ def argument(default: Any, metavar: str, text: str) -> Any:
     return typer.Argument(default, metavar=metavar, help=text, show_default=False)
 
 
-def command_of(function: Callable[[Any], None]) -> Callable[..., None]:
-    """A function with a parameter for each option of its only parameter's class, as Typer reads it."""
-    group = typing.get_type_hints(function)["given"]
-    hints = typing.get_type_hints(group)
+def function_of(command: type[Options]) -> Callable[..., None]:
+    """A function with a parameter for each option of a command, as Typer reads it."""
+    defaults = {name: getattr(command, name) for name in _names(command)} | {
+        "quiet": QUIET,
+        "verbose": VERBOSE,
+    }
+    hints = typing.get_type_hints(command) | {"quiet": bool, "verbose": bool}
 
-    def command(**values: Any) -> None:
+    def run(**values: Any) -> None:
         choose_verbosity(quiet=values.pop("quiet"), verbose=values.pop("verbose"))
-        function(group(**values))
+        begin_s = time.perf_counter()
+        try:
+            raise typer.Exit(command(**values)._run() or 0)
+        finally:
+            logging.getLogger("svmdist").debug(
+                "%s took %.1f s", name_of(command), time.perf_counter() - begin_s
+            )
 
-    defaults = {name: getattr(group, name) for name in _names(group)} | {"quiet": QUIET, "verbose": VERBOSE}
-    hints |= {"quiet": bool, "verbose": bool}
-    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[name])
             for name, default in defaults.items()
         ]
     )
-    command.__annotations__ = {name: hints[name] for name in defaults}
-    command.__doc__ = inspect.getdoc(function)
-    return command
+    run.__annotations__ = {name: hints[name] for name in defaults}
+    return run
+
+
+def name_of(command: type[Options]) -> str:
+    """The name of a command: `blur-bench` of BlurBench."""
+    return re.sub(r"(?<=.)([A-Z])", r"-\1", command.__name__).lower()
 
 
 def _names(group: type) -> list[str]:
     """The options of a class in the order of its groups, its own last."""
     inherited = [name for base in group.__bases__ for name in _names(base)]
-    own = inspect.get_annotations(group)
-    return list(dict.fromkeys([*inherited, *own]))
+    return list(dict.fromkeys([*inherited, *inspect.get_annotations(group)]))
 
 
-QUIET = option(False, "--quiet -q", "Print only data and errors.")
-VERBOSE = option(False, "--verbose -v", "Also print which topics are read, and the time taken.")
+QUIET = option("--quiet -q", "Print only data and errors.", False)
+VERBOSE = option("--verbose -v", "Also print which topics are read, and the time taken.", False)
 
 
 def choose_verbosity(*, quiet: bool, verbose: bool) -> None:
@@ -85,74 +103,47 @@ def choose_verbosity(*, quiet: bool, verbose: bool) -> None:
         logging.getLogger("svmdist").setLevel(logging.ERROR if quiet else logging.DEBUG)
 
 
-Method = Literal["overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"]
-PlanarMethod = Literal["overlay", "centroid"]
+FORCE = option("--force", "Replace the file if it exists.", False)
+JOBS = option(
+    "--jobs -j N",
+    "Logs, frames or conditions to work on at a time. The results are the same. Default: the usable cores.",
+    min=1,
+    max=256,
+)
+PLOT = option("--save-plot FIG", "Plot to this file (png, svg, pdf).")
+PROFILE = option("--profile NAME|FILE", "Scene profile: the name of one that ships, or a TOML file.", "psm13")
 
 
 def format_option(holds: Holds, more: str = "") -> Any:
     """Declare `--format`: the formats that can hold what a command gives, the first one where no file is named."""
     names = names_of(holds)
     return option(
-        None,
         f"--format -f {'|'.join(names)}",
         f"Format of the data{more}. Default: by the ending of the output file, else {names[0]}.",
         autocompletion=lambda incomplete: [name for name in names if name.startswith(incomplete)],
     )
 
 
-def _stdout_for_dash(output: Path | None) -> Path | None:
-    return None if output == Path("-") else output
+class OutputOptions(Options):
+    """Where data goes, and in which format; a command declares the formats of its own."""
 
-
-def output_option(metavar: str = "FILE", text: str = "", default: Any = None) -> Any:
-    """Declare `--output`; without a text of its own it is data that goes to stdout by default."""
-    to_file = "Write the data to this file instead of stdout, in the format of its ending; - is stdout."
-    callback = None if text else _stdout_for_dash
-    return option(default, f"--output -o {metavar}", text or to_file, callback=callback)
-
-
-FORCE = option(False, "--force", "Replace the file if it exists.")
-JOBS = option(
-    None,
-    "--jobs -j N",
-    "Logs, frames or conditions to work on at a time. The results are the same. Default: the usable cores.",
-    min=1,
-    max=256,
-)
-
-
-class LogOptions(Options):
-    """Logs, and where they are measured."""
-
-    files: list[str] = argument(
-        ..., "FILE", "Recordings: MCAP files, ROS 1 bags, rosbag2 folders, folders of these, globs or URLs."
-    )
-    jobs: int | None = JOBS
-    scheduler: str | None = option(
-        None,
-        "--scheduler tcp://HOST:PORT",
-        "Measure on this Dask cluster, one task per log; its workers read the same paths or URLs.",
-    )
-    resume: Path | None = option(
-        None,
-        "--resume FOLDER",
-        "Keep each log's result in this folder, and reuse those of the same log, request and version.",
+    form: str | None = format_option(Holds.TABLES)
+    output: Path | None = option(
+        "--output -o FILE",
+        "Write the data to this file instead of stdout, in the format of its ending; - is stdout.",
+        callback=lambda output: None if output == Path("-") else output,
     )
 
-
-class GoldenLogOptions(LogOptions):
-    """The same, with logs that are measured where none is named."""
-
-    files: list[str] | None = argument(  # type: ignore[assignment]
-        None, "FILE", "Recordings, folders, globs or URLs. Default: every .mcap file in recordings/."
-    )
+    def writer(self, inputs: Iterable[LogPath], holds: Holds) -> Writer:
+        """What writes the data, checked before the work; raises UsageError or OutputError."""
+        require_output(self.output, inputs)
+        return choose_writer(self.form, self.output, holds)
 
 
 class TopicOption(Options):
     """Which topics are read."""
 
     topic: list[str] | None = option(
-        None,
         "--topic ROLE=TOPIC",
         "Topic for a role, instead of the profile's; may be repeated. Roles: image, camera_info, right_image,"
         " right_camera_info, joints, pose, tf, ground_truth_tf, ground_truth_distance.",
@@ -173,27 +164,23 @@ class TopicOption(Options):
 class ProfileOptions(TopicOption):
     """How a log is read."""
 
-    profile: str = option(
-        "psm13", "--profile NAME|FILE", "Scene profile: the name of one that ships, or a TOML file."
-    )
+    profile: str = PROFILE
 
 
 class ReadOptions(ProfileOptions):
     """The same, with camera-to-base transforms."""
 
     hand_eye: Path | None = option(
-        None,
-        "--hand-eye FILE",
-        "Camera-to-base transforms of `svmdist hand-eye`, in place of the profile's and the log's.",
+        "--hand-eye FILE", "Transforms of `svmdist hand-eye`, in place of the profile's and the log's."
     )
 
 
 class WindowOptions(Options):
     """Which images are read."""
 
-    start: float = option(0.0, "--start SECONDS", "Seconds after the first image to begin at.", min=0.0)
-    end: float | None = option(None, "--end SECONDS", "Seconds after the first image to end at.", min=0.0)
-    every: int = option(1, "--every N", "Take every N-th image only.", min=1)
+    start: float = option("--start SECONDS", "Seconds after the first image to begin at.", 0.0, min=0.0)
+    end: float | None = option("--end SECONDS", "Seconds after the first image to end at.", min=0.0)
+    every: int = option("--every N", "Take every N-th image only.", 1, min=1)
 
     @property
     def window(self) -> Window | None:
@@ -207,22 +194,20 @@ class WindowOptions(Options):
         return Window(self.start, math.inf if self.end is None else self.end, self.every)
 
 
-class CalibrationOption(Options):
+class CalibrationOption(ReadOptions):
     """The planar methods' mapping."""
 
-    calibration: Path | None = option(
-        None, "--calibration FILE", "Calibration file. Default: the one that ships with the profile."
-    )
+    calibration: Path | None = option("--calibration FILE", "Calibration file. Default: the profile's.")
 
 
 class MethodOptions(CalibrationOption):
     """What measures."""
 
-    method: Method = option(
-        "overlay",
+    method: Literal["overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"] = option(
         "--method",
         "Planar: overlay (the paper's virtual marker) and centroid (the same without the marker)."
         " In 3D: fiducial (tag), shaft, stereo (two cameras), kinematic, and fused (all of them).",
+        "overlay",
     )
 
 
@@ -230,27 +215,28 @@ class InstrumentOption(Options):
     """Which instruments are measured."""
 
     instrument: list[str] | None = option(
-        None,
-        "--instrument NAME",
-        "Measure only this instrument of a log with several; may be repeated. Default: all.",
+        "--instrument NAME", "Measure only this one of several instruments; may be repeated. Default: all."
     )
 
     def instruments(self, profile: Profile) -> tuple[str, ...] | None:
         """The instruments that were asked for, in the order of the profile, None for all; raises UsageError."""
-        for name in self.instrument or []:
+        wanted = self.instrument or []
+        for name in wanted:
             if name not in profile.instrument_names:
                 known = did_you_mean(name, profile.instrument_names)
                 raise UsageError(
                     f"--instrument {name}: profile {profile.name} has no such instrument: {known}"
                 )
-        return tuple(name for name in profile.instrument_names if name in (self.instrument or [])) or None
+        return tuple(name for name in profile.instrument_names if name in wanted) or None
+
+
+MAX_LAG_S = 3600.0
 
 
 class LagOption(Options):
     """The time offset of the images."""
 
     lag: str | None = option(
-        None,
         "--lag auto|SECONDS",
         "Lag of the image stamps, positive where they are late; auto estimates it. Joints are looked up there."
         " Default: no correction.",
@@ -261,28 +247,20 @@ class LagOption(Options):
         """A number of seconds, auto, or None where no lag is given; raises UsageError."""
         if self.lag is None or self.lag == "auto":
             return self.lag  # type: ignore[return-value]
-        try:
-            lag_s = float(self.lag)
-        except ValueError:
-            lag_s = math.nan
+        lag_s = parse_number(self.lag)
         if not abs(lag_s) <= MAX_LAG_S:
             raise UsageError(f"--lag {self.lag}: expected auto or seconds within ±{MAX_LAG_S:g}, as in 0.12")
         return lag_s
-
-
-MAX_LAG_S = 3600.0
 
 
 class AlarmOptions(Options):
     """When an alarm is raised."""
 
     alarm_below: str | None = option(
-        None,
         "--alarm-below LENGTH",
         "Raise an alarm where the clearance is below this, as in 5mm. For methods that estimate a clearance.",
     )
     alarm_confidence: float | None = option(
-        None,
         "--alarm-confidence P",
         "Alarm where the clearance is below the threshold with at least this probability."
         " Default 0.05: alarm unless the frame is safe with 95 % probability.",
@@ -290,56 +268,25 @@ class AlarmOptions(Options):
         max=1.0,
     )
 
-    def rules(self, method: str) -> AlarmRules | None:
-        """The rules that are asked for, None without a threshold; raises UsageError.
-
-        A confidence without a threshold is refused, and so is a method that estimates no clearance.
-        """
+    @property
+    def alarms(self) -> AlarmRules | None:
+        """The rules that are asked for, None without a threshold; raises UsageError for a confidence without one."""
         if self.alarm_below is None:
             if self.alarm_confidence is not None:
                 raise UsageError("--alarm-confidence is for --alarm-below LENGTH, as in --alarm-below 5mm")
             return None
         from svmdist.estimation.alarms import AlarmRules
-        from svmdist.workflows.scores import require_clearance
 
         below_m = parse_length_m("--alarm-below", self.alarm_below)
-        require_clearance(method)
         confidence = self.alarm_confidence
         return AlarmRules(below_m) if confidence is None else AlarmRules(below_m, confidence)
 
 
-class GroupOption(Options):
-    """How logs are grouped."""
-
-    group: str | None = option(
-        None,
-        "--group KEY,...",
-        "Also give figures for each group of logs, by their metadata, as in scenario,world.",
-    )
-
-    @property
-    def group_keys(self) -> tuple[str, ...]:
-        """The keys of `--group`; raises UsageError for none."""
-        if self.group is None:
-            return ()
-        keys = tuple(key.strip() for key in self.group.split(","))
-        if not all(keys):
-            raise UsageError(f"--group {self.group}: expected names of metadata, as in scenario,world")
-        return keys
-
-
-def group_name(metadata: Mapping[str, str], keys: Sequence[str]) -> str:
-    """What a log is grouped as: `scenario=sweep world=real`; a key that it does not have is `none`."""
-    return " ".join(f"{key}={metadata.get(key, 'none')}" for key in keys)
-
-
-class MeasureOptions(MethodOptions, ReadOptions, InstrumentOption, LagOption, AlarmOptions, WindowOptions):
+class MeasureOptions(MethodOptions, InstrumentOption, LagOption, AlarmOptions, WindowOptions):
     """Everything of a measurement by one method."""
 
     equations: Literal["corrected", "printed"] = option(
-        "corrected",
-        "--equations",
-        "Reading of the paper's formulas: corrected, or printed, that is as published.",
+        "--equations", "Reading of the paper's formulas: corrected, or printed as published.", "corrected"
     )
 
     def request(self) -> Request:
@@ -347,56 +294,51 @@ class MeasureOptions(MethodOptions, ReadOptions, InstrumentOption, LagOption, Al
         from svmdist.workflows.request import Request, prepare
         from svmdist.workflows.scores import require_clearance
 
-        lag, alarms, window = self.given_lag, self.rules(self.method), self.window
+        lag, alarms, window = self.given_lag, self.alarms, self.window
         setup = prepare(self.profile, self.method, self.equations, self.calibration, self.hand_eye)
         if alarms:
             require_clearance(setup.method, setup.profile)
-        wanted = self.instruments(setup.profile)
-        return Request(setup, self.topics, window, wanted, lag, alarms)
+        return Request(setup, self.topics, window, self.instruments(setup.profile), lag, alarms)
 
 
-PLOT = option(None, "--save-plot FIG", "Plot to this file (png, svg, pdf).")
-REPORT = option(
-    None,
-    "--report FILE.html",
-    "Write a report with interactive plots and the worst frames to this file; it needs no network.",
-)
 LENGTH_UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+
+
+def parse_number(text: str) -> float:
+    """A number, NaN for what is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def parse_length_m(name: str, text: str) -> float:
     """Parse a length with its unit, `5mm`, `0.5 cm`, `0.005m`, to m; raises UsageError."""
-    plain = text.strip()
-    for unit, scale in LENGTH_UNITS_M.items():
-        number = plain.removesuffix(unit)
-        if number == plain:
-            continue
-        try:
-            length_m = float(number) * scale
-        except ValueError:
-            break
-        if 0.0 < length_m < 10.0:
-            return length_m
-        break
-    raise UsageError(f"{name} {text}: expected a length above zero with its unit (mm, cm or m), as in 5mm")
+    found = re.fullmatch(r"(.*?)(mm|cm|m)", text.strip())
+    length_m = parse_number(found[1]) * LENGTH_UNITS_M[found[2]] if found else math.nan
+    if not 0.0 < length_m < 10.0:
+        raise UsageError(
+            f"{name} {text}: expected a length above zero with its unit (mm, cm or m), as in 5mm"
+        )
+    return length_m
 
 
-def parse_degradations(name: str, values: list[str] | None) -> tuple[tuple[str, int], ...]:
-    """Parse NAME=SEVERITY values; raises UsageError. Name and range are checked where they are used."""
+def parse_degradations(values: list[str] | None) -> tuple[tuple[str, int], ...]:
+    """Parse NAME=SEVERITY of `--degrade`; raises UsageError. Name and range are checked where they are used."""
     parsed = []
     for value in values or []:
         kind, _, severity = value.partition("=")
         if not (kind and severity.isdecimal()):
-            raise UsageError(f"{name} {value}: expected NAME=SEVERITY, as in smoke=3")
+            raise UsageError(f"--degrade {value}: expected NAME=SEVERITY, as in smoke=3")
         parsed.append((kind, int(severity)))
     return tuple(parsed)
 
 
-def parse_perturbations(name: str, values: list[str] | None) -> tuple[Perturbations, ...]:
-    """Parse NAME=STRENGTH values, several of one separated by commas; raises UsageError."""
+def parse_perturbations(values: list[str] | None) -> tuple[Perturbations, ...]:
+    """Parse NAME=STRENGTH of `--perturb`, several of one separated by commas; raises UsageError."""
     from svmdist.perturbations import chosen
 
     try:
         return tuple(chosen.parse_perturbations(value) for value in values or [])
     except UsageError as problem:
-        raise UsageError(f"{name}: {problem}") from None
+        raise UsageError(f"--perturb: {problem}") from None

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import codecs
 import io
+import json
 import logging
 import os
-import shlex
 import stat
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from enum import IntEnum
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO, TypeVar
+from typing import TYPE_CHECKING, TextIO
 
 from svmdist.errors import OutputError, UsageError, printable
 from svmdist.files import FALLBACK, LogPath, why, write_atomically
-from svmdist.report.writers import Holds, choose_writer, plot_format
+from svmdist.report.writers import plot_format
 
 if TYPE_CHECKING:
     from svmdist.report.writers import Results, Writer
-
-Item = TypeVar("Item")
+    from svmdist.workflows.parallel import Steps
 
 LOG = logging.getLogger("svmdist")
 """What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
@@ -87,6 +86,11 @@ def no_progress() -> Iterator[None]:
         _Progress.is_wanted = before
 
 
+def rows_shown(output: Path | None) -> AbstractContextManager[None]:
+    """Show no progress where rows go to a terminal: they show by themselves how far the command is."""
+    return nullcontext() if terminal_width(output) is None else no_progress()
+
+
 @contextmanager
 def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], None]]:
     """Give a function of (done, total or None), which shows a bar on a terminal, else a line every ten seconds."""
@@ -102,20 +106,25 @@ def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], 
 
 
 @contextmanager
+def steps(title: str, unit: str, count: int | None, each: int = 1) -> Iterator[Steps]:
+    """Give what counts the steps of `count` images, `each` of so many, and shows them as `progress_bar` does."""
+    from svmdist.workflows.parallel import Steps
+
+    with progress_bar(title, unit) as advance:
+        yield Steps(advance, count and count * each)
+
+
+@contextmanager
 def _bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
+    columns = TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn()
     try:
-        with Progress(*columns, console=console, transient=True) as progress:
+        with Progress(
+            *columns, "{task.fields[rate]}", TimeRemainingColumn(), console=console, transient=True
+        ) as progress:
             task = progress.add_task(title, total=None, rate="")
 
             def advance(done: int, total: int | None) -> None:
@@ -146,20 +155,6 @@ def _lines(
     return advance
 
 
-def tracked(items: Iterable[Item], title: str, unit: str, total: int | None) -> Iterator[Item]:
-    """The items as they come, with progress."""
-    with progress_bar(title, unit) as advance:
-        for count, item in enumerate(items, 1):
-            yield item
-            advance(count, total)
-
-
-def started(rows: Iterator[Item]) -> Iterator[Item]:
-    """Make the first row at once, so that a log that cannot be read leaves no header behind."""
-    first = next(rows, None)
-    return iter(()) if first is None else chain([first], rows)
-
-
 def write_lines(lines: Iterable[str], output: Path | None, *, is_json: bool = False) -> None:
     """Write lines to stdout as they come, or atomically to a file, in UTF-8; raises OutputError.
 
@@ -170,31 +165,21 @@ def write_lines(lines: Iterable[str], output: Path | None, *, is_json: bool = Fa
         return
     require_output(None)
     escapes = is_json and codecs.lookup(getattr(sys.stdout, "encoding", None) or "ascii").name != "utf-8"
-    for line in lines:
-        _write(sys.stdout, _escaped(line) if escapes and not line.isascii() else line)
-    _write(sys.stdout, "", flush=True)
-
-
-def _write(stream: TextIO, text: str, *, flush: bool = False) -> None:
-    """Write to stdout; of the errors only its own are meant, not those of what makes the lines."""
-    try:
-        stream.write(text)
-        if flush:
-            stream.flush()
-    except BrokenPipeError:
-        # The reader of the pipe has enough, as `head` does.
-        abandon(stream)
-        raise SystemExit(ExitCode.CLEAN) from None
-    except OSError as problem:
-        abandon(stream)
-        raise OutputError(f"stdout: cannot write: {why(problem)}") from None
-
-
-def _escaped(line: str) -> str:
-    """JSON in ASCII: what else there is stands in its texts."""
-    import json
-
-    return "".join(character if character.isascii() else json.dumps(character)[1:-1] for character in line)
+    for line in chain(lines, [None]):  # what fails in making the lines is not an error of stdout
+        try:
+            if line is None:
+                sys.stdout.flush()
+            elif escapes:  # what there is beside ASCII stands in texts
+                sys.stdout.write("".join(one if one.isascii() else json.dumps(one)[1:-1] for one in line))
+            else:
+                sys.stdout.write(line)
+        except BrokenPipeError:
+            # The reader of the pipe has enough, as `head` does.
+            abandon(sys.stdout)
+            raise SystemExit(ExitCode.CLEAN) from None
+        except OSError as problem:
+            abandon(sys.stdout)
+            raise OutputError(f"stdout: cannot write: {why(problem)}") from None
 
 
 def abandon(stream: TextIO | None) -> None:
@@ -227,8 +212,11 @@ def write_results(results: Results, writer: Writer, output: Path | None) -> None
     write_lines(writer.write(results, width, colour), output, is_json=writer.is_json)
 
 
-def require_output(output: Path | None, inputs: Iterable[LogPath] = ()) -> None:
-    """Fail before the work rather than after it; raises OutputError, and UsageError where it is one of the inputs."""
+def require_output(output: Path | None, inputs: Iterable[LogPath] = (), *, is_new: bool = False) -> None:
+    """Fail before the work rather than after it: raise OutputError for a file that cannot be written.
+
+    Raises UsageError where it is one of the inputs, or exists though it shall be new.
+    """
     if output is None:
         if sys.stdout is None:  # as `svmdist … >&-` has it
             raise OutputError("stdout: cannot write: it is closed; give --output FILE")
@@ -251,22 +239,8 @@ def require_output(output: Path | None, inputs: Iterable[LogPath] = ()) -> None:
             LOG.debug("replaces %s", output)
     if not os.access(output.parent if found is None else output, os.W_OK):
         raise OutputError(f"{output}: cannot write: permission denied")
-
-
-def require_new(output: Path | None, *, force: bool) -> None:
-    """Raise UsageError where a file exists that is not to be replaced."""
-    if output is not None and os.path.exists(output) and not force:
+    if found is not None and is_new:
         raise UsageError(f"{output}: exists already; give another name, or --force to replace it")
-
-
-def require_report(report: Path | None, inputs: Iterable[LogPath] = ()) -> None:
-    """Check a report's name and what it needs before the work; raises UsageError or OutputError."""
-    if report is None:
-        return
-    require_output(report, inputs)
-    if report.suffix.lower() not in (".html", ".htm"):
-        raise UsageError(f"--report {report}: a report is a page: give it the ending .html")
-    choose_writer(None, report, Holds.REPORT)
 
 
 def require_plot(path: Path | None, inputs: Iterable[LogPath], kind: str | None = None) -> None:
@@ -276,8 +250,3 @@ def require_plot(path: Path | None, inputs: Iterable[LogPath], kind: str | None 
         require_output(path, inputs)
     elif kind is not None:
         raise UsageError(f"--plot {kind}: says what --save-plot FILE draws, which is not given")
-
-
-def command_line() -> str:
-    """The command as it was typed, for a report's provenance."""
-    return shlex.join(["svmdist", *sys.argv[1:]])

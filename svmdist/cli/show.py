@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
+from svmdist.cli import output
 from svmdist.cli.estimate import corrected
 from svmdist.cli.logs import log_losses
 from svmdist.cli.options import (
@@ -15,12 +14,10 @@ from svmdist.cli.options import (
     InstrumentOption,
     LagOption,
     MethodOptions,
-    ReadOptions,
     argument,
     option,
-    output_option,
 )
-from svmdist.cli.output import LOG, progress_bar, write_lines
+from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -36,28 +33,7 @@ PICTURE_ENDINGS = frozenset(
 """Names that mean a picture, and not a folder."""
 
 
-class ShowOptions(MethodOptions, ReadOptions, InstrumentOption, LagOption):
-    """What `show` takes."""
-
-    file: Path = argument(..., "FILE", "Recording to look at.")
-    masks: bool = option(False, "--masks", "Draw what is segmented as tissue, shaft, distal part and border.")
-    frame: int | None = option(None, "--frame N", "Only the image of this number, from 0.", min=0)
-    at: float | None = option(None, "--at S", "Only the image nearest to so many seconds.", min=0.0)
-    worst: int | None = option(
-        None,
-        "--worst N",
-        "The N worst frames: by error where the log has ground truth, else by the interval's width.",
-        min=1,
-    )
-    output: Path = output_option(
-        "DIR",
-        "Folder that the pictures go to; it is made. A name in .png is the one picture of --frame or --at.",
-        Path(),
-    )
-    jobs: int | None = JOBS
-
-
-def show_command(given: ShowOptions) -> None:
+class Show(MethodOptions, InstrumentOption, LagOption):
     """Show images with what was found in them.
 
     The pictures are PNG files. Each phase of the method is a panel: segmentation, contours, marker, matches and
@@ -72,100 +48,118 @@ def show_command(given: ShowOptions) -> None:
       What is segmented, in six frames:
         svmdist show log.mcap --masks
     """
-    from svmdist.report.panels import write_picture
-    from svmdist.workflows.frame_drawing import Segmented
-    from svmdist.workflows.request import Request, prepare
 
-    if sum(choice is not None for choice in (given.frame, given.at, given.worst)) > 1:
-        raise UsageError("--frame, --at and --worst choose images: give one of them")
-    if given.masks and given.worst is not None:
-        raise UsageError(
-            "--worst needs what a method measured, and --masks shows what was segmented before it"
-        )
-    lag, output = given.given_lag, given.output
-    method = Segmented() if given.masks else given.method
-    setup = prepare(given.profile, method, "corrected", given.calibration, given.hand_eye)
-    request = Request(setup, given.topics, None, given.instruments(setup.profile), lag)
-    recording = request.open(given.file, given.file.stem)
-    seen = corrected(recording, request, given.jobs)
-    numbers = _numbers(given, seen, request)
-    is_one = _is_one_picture(output, len(numbers))
-    try:
-        (output.parent if is_one else output).mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise OutputError(f"{output}: cannot make the folder: {problem.strerror or problem}") from None
-    drawn = 0
-    for number, picture in _pictures(seen, request, numbers, given.jobs, masks=given.masks):
-        path = output if is_one else output / f"{recording.name}-{number:05d}.png"
-        write_picture(path, picture)
-        write_lines([f"{path}\n"], None)
-        drawn += 1
-    if drawn < len(numbers):
-        left = len(numbers) - drawn
-        LOG.info("%d of %d images cannot be read, and are not drawn", left, len(numbers))
-    raise typer.Exit(log_losses(recording.path, recording.health))
+    file: Path = argument(..., "FILE", "Recording to look at.")
+    masks: bool = option("--masks", "Draw what is segmented as tissue, shaft, distal part and border.", False)
+    frame: int | None = option("--frame N", "Only the image of this number, from 0.", min=0)
+    at: float | None = option("--at S", "Only the image nearest to so many seconds.", min=0.0)
+    worst: int | None = option(
+        "--worst N", "The N frames of largest error, or of widest interval without ground truth.", min=1
+    )
+    output: Path = option(
+        "--output -o DIR",
+        "Folder that the pictures go to; it is made. A name in .png is the one picture of --frame or --at.",
+        Path(),
+    )
+    jobs: int | None = JOBS
+
+    def _run(self) -> ExitCode:
+        from svmdist.report.panels import write_picture
+        from svmdist.workflows.frame_drawing import Segmented
+        from svmdist.workflows.request import Request, prepare
+
+        if sum(choice is not None for choice in (self.frame, self.at, self.worst)) > 1:
+            raise UsageError("--frame, --at and --worst choose images: give one of them")
+        if self.masks and self.worst is not None:
+            raise UsageError(
+                "--worst needs what a method measured, and --masks shows what was segmented before it"
+            )
+        lag, folder = self.given_lag, self.output
+        method = Segmented() if self.masks else self.method
+        setup = prepare(self.profile, method, "corrected", self.calibration, self.hand_eye)
+        request = Request(setup, self.topics, None, self.instruments(setup.profile), lag)
+        recording = request.open(self.file, self.file.stem)
+        seen = corrected(recording, request, self.jobs)
+        numbers = self._numbers(seen, request)
+        is_one = _is_one_picture(folder, len(numbers))
+        try:
+            (folder.parent if is_one else folder).mkdir(parents=True, exist_ok=True)
+        except OSError as problem:
+            raise OutputError(f"{folder}: cannot make the folder: {problem.strerror or problem}") from None
+        drawn = 0
+        for number, picture in self._pictures(seen, request, numbers):
+            path = folder if is_one else folder / f"{recording.name}-{number:05d}.png"
+            write_picture(path, picture)
+            output.write_lines([f"{path}\n"], None)
+            drawn += 1
+        if drawn < len(numbers):
+            left = len(numbers) - drawn
+            LOG.info("%d of %d images cannot be read, and are not drawn", left, len(numbers))
+        return log_losses(recording.path, recording.health)
+
+    def _numbers(self, recording: Recording, request: Request) -> set[int]:
+        """The numbers of the images to draw; raises UsageError."""
+        from svmdist.workflows.frame_drawing import image_stamps_ns, spread
+
+        if self.worst is not None:
+            return _worst(recording, request, self.worst, self.jobs)
+        stamps_ns = image_stamps_ns(recording)
+        count, at = len(stamps_ns), self.at
+        if self.frame is not None:
+            if self.frame >= count:
+                raise UsageError(
+                    f"--frame {self.frame}: {self.file.name} has {count} images, 0 to {count - 1}"
+                )
+            return {self.frame}
+        if at is not None:
+            return {min(range(count), key=lambda n: abs((stamps_ns[n] - stamps_ns[0]) * 1e-9 - at))}
+        return set(spread(count, DEFAULT_COUNT))
+
+    def _pictures(
+        self, recording: Recording, request: Request, numbers: set[int]
+    ) -> Iterator[tuple[int, Image]]:
+        from svmdist.report.panels import masks_picture, phases_picture
+        from svmdist.workflows.frame_drawing import drawn_frames
+
+        method = request.setup.method
+        with output.steps(f"drawing {recording.name}", "images", max(numbers) + 1) as steps:
+            for shown in drawn_frames(
+                recording,
+                request.setup,
+                wanted=request.instruments,
+                jobs=self.jobs,
+                numbers=numbers,
+                on_image=steps.advance,
+            ):
+                where = f"{recording.name}  frame {shown.number}"
+                if self.masks:
+                    yield shown.number, masks_picture(shown, f"{where}  {shown.seconds:.2f} s  masks")
+                else:
+                    yield shown.number, phases_picture(shown, f"{where}  method {method}", method)
 
 
-def _numbers(given: ShowOptions, recording: Recording, request: Request) -> set[int]:
-    """The numbers of the images to draw; raises UsageError."""
-    from svmdist.workflows.frame_drawing import image_stamps_ns, spread
-
-    stamps_ns = image_stamps_ns(recording)
-    count = len(stamps_ns)
-    if given.worst is not None:
-        return _worst(recording, request, given.worst, given.jobs)
-    if given.frame is not None:
-        if given.frame >= count:
-            raise UsageError(f"--frame {given.frame}: {given.file.name} has {count} images, 0 to {count - 1}")
-        return {given.frame}
-    if given.at is not None:
-        at = given.at
-        return {min(range(count), key=lambda n: abs((stamps_ns[n] - stamps_ns[0]) * 1e-9 - at))}
-    return set(spread(count, DEFAULT_COUNT))
-
-
-def _is_one_picture(output: Path, count: int) -> bool:
-    """Whether the output names a picture, not a folder; raises UsageError where it cannot hold what is asked for."""
-    if output.suffix.lower() not in PICTURE_ENDINGS or output.is_dir():
+def _is_one_picture(path: Path, count: int) -> bool:
+    """Whether the path names a picture, not a folder; raises UsageError where it cannot hold what is asked for."""
+    if path.suffix.lower() not in PICTURE_ENDINGS or path.is_dir():
         return False
-    if output.suffix.lower() != ".png":
-        raise UsageError(f"{output}: pictures are PNG files: give a name in .png, or a folder")
+    if path.suffix.lower() != ".png":
+        raise UsageError(f"{path}: pictures are PNG files: give a name in .png, or a folder")
     if count > 1:
         raise UsageError(
-            f"{output}: is one picture, and {count} are asked for: give --frame, --at, or a folder"
+            f"{path}: is one picture, and {count} are asked for: give --frame, --at, or a folder"
         )
     return True
-
-
-def _pictures(
-    recording: Recording, request: Request, numbers: set[int], jobs: int | None, *, masks: bool
-) -> Iterator[tuple[int, Image]]:
-    from svmdist.report.panels import masks_picture, phases_picture
-    from svmdist.workflows.frame_drawing import drawn_frames
-    from svmdist.workflows.parallel import Steps
-
-    method, wanted = request.setup.method, request.instruments
-    with progress_bar(f"drawing {recording.name}", "images") as advance:
-        steps = Steps(advance, max(numbers) + 1)
-        for shown in drawn_frames(
-            recording, request.setup, wanted=wanted, jobs=jobs, numbers=numbers, on_image=steps.advance
-        ):
-            where = f"{recording.name}  frame {shown.number}"
-            if masks:
-                yield shown.number, masks_picture(shown, f"{where}  {shown.seconds:.2f} s  masks")
-            else:
-                yield shown.number, phases_picture(shown, f"{where}  method {method}", method)
 
 
 def _worst(recording: Recording, request: Request, count: int, jobs: int | None) -> set[int]:
     """The numbers of the worst frames of any instrument; says of each how bad it is."""
     from svmdist.workflows.estimate import Measured, estimate
-    from svmdist.workflows.parallel import Steps, image_total
     from svmdist.workflows.series import series_of, worst_frames
 
     instruments = request.instruments or recording.instruments
-    with progress_bar(f"measuring {recording.name}", "rows") as advance:
-        steps = Steps(advance, image_total([recording], lambda _: len(instruments)))
+    with output.steps(
+        f"measuring {recording.name}", "rows", recording.image_count(), len(instruments)
+    ) as steps:
         rows = list(steps.of(estimate(recording, request.setup, request.instruments, jobs)))
     found = Measured(recording, recording, tuple(rows), None)
     worst = worst_frames(series_of([found], request), count)

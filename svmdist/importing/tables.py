@@ -20,8 +20,8 @@ import numpy as np
 from svmdist.errors import SourceError
 from svmdist.files import read_regular, why
 from svmdist.importing.images import numbers_of
-from svmdist.tracks import JointTrack, Stamps, TransformTrack
-from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
+from svmdist.tracks import JointTrack, TransformTrack
+from svmdist.transforms import Array, Stamps, make_transform, rotation_from_quaternion_xyzw
 
 MAX_BYTES = 1 << 28
 MAX_STAMP_NS = (1 << 63) - 1

@@ -24,8 +24,8 @@ from svmdist.recording.messages import (
 )
 from svmdist.recording.source import Loss, LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
-from svmdist.tracks import MAX_GAP_NS, Sampled, Stamps, TransformTrack, sort_stamps
-from svmdist.transforms import Array, inverse
+from svmdist.tracks import MAX_GAP_NS, Sampled, TransformTrack, sort_stamps
+from svmdist.transforms import Array, Stamps, inverse
 
 OTHER_JOINTS = "its joints are others than those of the first message"
 Edge = tuple[str, str]

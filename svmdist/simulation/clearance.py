@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.geometry import Mesh
-from svmdist.geometry.distance import point_to_triangle
 from svmdist.simulation.bullet import BulletWorld
-from svmdist.simulation.organ import Organ, OrganSurface
+from svmdist.simulation.organ import SLACK_M, Organ
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array, inverse
 
@@ -25,10 +25,8 @@ SPACING_M = 0.0004
 REACH_M = 0.07
 """A shaft comes in from above, and the organ is 62 mm long at most: what is farther behind the link's origin is never
 the nearest."""
-CELLS_M = (0.004, 0.001, 0.00025)
+CELLS_M = (1.0, 0.004, 0.001, 0.00025)
 """Sides of the cells that group samples, each a multiple of the next."""
-SLACK_M = 1e-9
-BATCH = 64
 
 BULLET_SCALE = 1000.0
 """Bullet is tuned for objects of about one metre: it counts in millimetres, with collision margins of zero."""
@@ -47,11 +45,8 @@ class _Groups:
     def of(points_m: Array, part: NDArray[np.intp], side_m: float) -> _Groups:
         """Group points, shape (n, 3), by part, shape (n,), and cells of a side."""
         cell = np.floor(points_m / side_m).astype(np.intp)
-        cell -= cell.min(axis=0)
-        key = part
-        for axis in range(3):
-            key = key * (cell[:, axis].max() + 1) + cell[:, axis]
-        group = np.unique(key, return_inverse=True)[1]
+        cell = np.column_stack([part, cell - cell.min(axis=0)]).T
+        group = np.unique(np.ravel_multi_index(tuple(cell), cell.max(axis=1) + 1), return_inverse=True)[1]
         count = np.bincount(group)
         means = np.stack([np.bincount(group, axis) for axis in points_m.T], -1) / count[:, None]
         order = np.lexsort((np.linalg.norm(points_m - means[group], axis=1), group))
@@ -61,111 +56,83 @@ class _Groups:
         return _Groups(group, middle, radius_m)
 
 
-class PartSamples:
+class _Samples:
     """The surface of a scene's instrument as samples in the frames of its parts, in ever smaller groups."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._T_tissue_world = inverse(scene.T_world_tissue)
-        samples = [sample_part(part.mesh) for part in scene.parts]
+        samples = [_sample(part.mesh) for part in scene.parts]
         self._points_m = np.vstack(samples)
         self._part = np.repeat(np.arange(len(samples)), [len(each) for each in samples])
-        self._levels = [_Groups.of(self._points_m, self._part, side_m) for side_m in (1.0, *CELLS_M)]
+        self._levels = [_Groups.of(self._points_m, self._part, side_m) for side_m in CELLS_M]
 
     def poses(self, q: Array, offset_m: float) -> Array:
         """Poses `T_tissue_part`, shape (n_parts, 4, 4), at joints (n_joints,) with the tissue raised by an offset."""
         T_world_part = self._scene.part_poses(q)
         T_world_part[:, 2, 3] -= offset_m
-        return np.asarray(self._T_tissue_world @ T_world_part)
+        return np.asarray(inverse(self._scene.T_world_tissue) @ T_world_part)
 
-    def inside(self, T_tissue_part: Array, surface: OrganSurface) -> Array:
+    def inside(self, T_tissue_part: Array, organ: Organ) -> Array:
         """The samples below the organ's surface, in the tissue frame, shape (n, 3)."""
-        large = self._levels[1]
-        low = self._placed(T_tissue_part, large.middle)[:, 2] - large.radius_m < surface.top_m
+        large, top_m = self._levels[1], organ.mesh.vertices_m[:, 2].max()
+        low = self._placed(T_tissue_part, large.middle)[:, 2] - large.radius_m < top_m
         points_m = self._placed(T_tissue_part, np.nonzero(low[large.group])[0])
-        return points_m[surface.inside_m(points_m) > 0.0]
+        return points_m[organ.inside_m(points_m) > 0.0]
 
-    def distance_m(self, T_tissue_part: Array, surface: SurfaceDistance) -> float:
-        """The smallest unsigned distance of all samples."""
+    def distance_m(self, T_tissue_part: Array, organ: Organ) -> float:
+        """The distance of the nearest sample, where none is inside."""
         best_m, alive = np.inf, np.ones(len(self._points_m), np.bool_)
         for level in self._levels:
             groups = np.nonzero(np.bincount(level.group[alive]))[0]
-            least_m, most_m = surface.bounds_m(self._placed(T_tissue_part, level.middle[groups]))
+            least_m, most_m = organ.bounds_m(self._placed(T_tissue_part, level.middle[groups]))
             best_m = min(best_m, float(most_m.min()))
-            keep = np.zeros(len(level.middle), np.bool_)
-            keep[groups] = least_m - level.radius_m[groups] <= best_m + SLACK_M
-            alive &= keep[level.group]
+            near = np.zeros(len(level.middle), np.bool_)
+            near[groups] = least_m - level.radius_m[groups] <= best_m + SLACK_M
+            alive &= near[level.group]
         points_m = self._placed(T_tissue_part, np.nonzero(alive)[0])
-        least_m, most_m = surface.bounds_m(points_m)
-        return float(surface.distances_m(points_m[least_m <= most_m.min() + SLACK_M]).min())
+        least_m, most_m = organ.bounds_m(points_m)
+        return float(organ.distances_m(points_m[least_m <= most_m.min() + SLACK_M]).min())
 
     def _placed(self, T_tissue_part: Array, samples: NDArray[np.intp]) -> Array:
         T = T_tissue_part[self._part[samples]]
         return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], self._points_m[samples]) + T[:, :3, 3])
 
 
-class SurfaceDistance:
-    """Distances of points to the triangles of an organ, in the tissue frame."""
-
-    def __init__(self, organ: Organ) -> None:
-        mesh = organ.mesh
-        self.surface = OrganSurface(organ)
-        self._vertices_m, self._faces = mesh.vertices_m, mesh.faces
-        self._squares = np.einsum("ij,ij->i", mesh.vertices_m, mesh.vertices_m)
-        sides_m = np.linalg.norm(np.diff(mesh.triangles_m, axis=1, append=mesh.triangles_m[:, :1]), axis=2)
-        # A triangle's closest point to p lies within this of a corner v, and |p - v|² is at most the sum of squares.
-        self._corner2_m2 = float(sides_m.max()) ** 2 / 3.0
-
-    def bounds_m(self, points_m: Array) -> tuple[Array, Array]:
-        """Lower and upper bounds of the distances of points, shape (n, 3): by the nearest vertex, shape (n,) each."""
-        nearest2 = self._squared_m2(points_m).min(axis=1)
-        return np.sqrt(np.maximum(nearest2 - self._corner2_m2, 0.0)), np.sqrt(nearest2)
-
-    def distances_m(self, points_m: Array) -> Array:
-        """Exact distances of points, shape (n, 3), from the triangles whose corners are near enough; shape (n,)."""
-        squared = self._squared_m2(points_m)
-        near = squared <= squared.min(axis=1, keepdims=True) + self._corner2_m2 + SLACK_M**2
-        faces = self._faces[near.any(axis=0)[self._faces].any(axis=1)]
-        i, j = np.nonzero(near[:, faces].any(axis=2))
-        found_m = point_to_triangle(points_m[i], self._vertices_m[faces[j]]).distance
-        smallest_m = np.full(len(points_m), np.inf)
-        np.minimum.at(smallest_m, i, found_m)
-        return smallest_m
-
-    def depth_m(self, points_m: Array) -> float:
-        """How deep the deepest of points lies, shape (n, 3), which are all below the surface."""
-        below_m = self.surface.inside_m(points_m)
-        order, deepest_m = np.argsort(-below_m), 0.0
-        for begin in range(0, len(order), BATCH):
-            some = order[begin : begin + BATCH]
-            some = some[below_m[some] > deepest_m]  # no point is deeper than it lies below what is above it
-            if len(some) == 0:
-                break
-            deepest_m = max(deepest_m, float(self.distances_m(points_m[some]).max()))
-        return deepest_m
-
-    def _squared_m2(self, points_m: Array) -> Array:
-        squared = points_m @ self._vertices_m.T
-        squared *= -2.0
-        squared += self._squares
-        squared += np.einsum("ij,ij->i", points_m, points_m)[:, None]
-        return np.asarray(np.maximum(squared, 0.0, out=squared))
+def _sample(mesh: Mesh) -> Array:
+    """Samples of a part's surface without a gap wider than the spacing, as far as it can be near; shape (n, 3)."""
+    near = np.linalg.norm(mesh.vertices_m, axis=1) < REACH_M
+    faces, points_m = mesh.faces[near[mesh.faces].any(axis=1)], mesh.vertices_m
+    used = np.unique(faces)
+    while len(faces):
+        corners_m = points_m[faces]
+        sides_m = np.linalg.norm(np.roll(corners_m, -1, axis=1) - corners_m, axis=2)  # corner k to the next
+        long = sides_m.max(axis=1) > SPACING_M
+        faces, start = faces[long], np.argmax(sides_m[long], axis=1)
+        a, b, c = (faces[np.arange(len(faces)), (start + turn) % 3] for turn in range(3))
+        # Triangles on both sides of an edge share its middle.
+        pairs = np.minimum(a, b) * len(points_m) + np.maximum(a, b)
+        edges, middle = np.unique(pairs, return_inverse=True)
+        first, second = np.divmod(edges, len(points_m))
+        middle += len(points_m)
+        points_m = np.vstack([points_m, 0.5 * (points_m[first] + points_m[second])])
+        faces = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+    return np.asarray(points_m[np.union1d(used, np.arange(len(mesh.vertices_m), len(points_m)))])
 
 
 class TissueClearance:
     """Clearances of the instruments of several scenes that share a world to its tissue, which may give way (`dent`)."""
 
     def __init__(self, scenes: Sequence[Scene]) -> None:
-        self._arms = [PartSamples(scene) for scene in scenes]
-        self._rest = SurfaceDistance(scenes[0].organ)
+        self._arms = [_Samples(scene) for scene in scenes]
+        self._organ = scenes[0].organ
         self._is_soft = scenes[0].perturbations["dent"] > 0.0
 
     def indented(self, q: Sequence[Array], offset_m: float = 0.0) -> Organ | None:
         """The organ as arms at joints, shape (n_joints,) each, press it in; None where none does, or it is hard."""
         if not self._is_soft:
             return None
-        points_m = np.vstack(self._inside(self._poses(q, offset_m), self._rest))
-        return self._rest.surface.dented(points_m) if len(points_m) else None
+        points_m = np.vstack(self._inside(self._poses(q, offset_m), self._organ))
+        return self._organ.dented(points_m) if len(points_m) else None
 
     def clearances_m(self, q: Sequence[Array], offset_m: float = 0.0) -> list[float]:
         """The clearance of each arm at joints, shape (n_joints,) each, to tissue that is raised by an offset.
@@ -173,27 +140,26 @@ class TissueClearance:
         An arm that presses soft tissue touches it: 0, where the tissue gives way as far as that. An arm that does not
         press is measured to what the others leave.
         """
-        poses, surface = self._poses(q, offset_m), self._rest
-        inside = self._inside(poses, surface)
+        poses, organ = self._poses(q, offset_m), self._organ
+        inside = self._inside(poses, organ)
         touches = [False] * len(poses)
         if self._is_soft and any(len(its) for its in inside):
             points_m = np.vstack(inside)
-            is_too_deep = surface.surface.is_too_deep(points_m)
-            touches = [len(its) > 0 and not is_too_deep for its in inside]
+            touches = [len(its) > 0 and not organ.is_too_deep(its) for its in inside]
             if not all(touches):
-                surface = SurfaceDistance(surface.surface.dented(points_m))
-                inside = self._inside(poses, surface)
+                organ = organ.dented(points_m)
+                inside = self._inside(poses, organ)
         return [
-            0.0 if touch else -surface.depth_m(its) if len(its) else arm.distance_m(T_tissue_part, surface)
+            0.0 if touch else -organ.depth_m(its) if len(its) else arm.distance_m(T_tissue_part, organ)
             for arm, T_tissue_part, its, touch in zip(self._arms, poses, inside, touches, strict=True)
         ]
 
     def _poses(self, q: Sequence[Array], offset_m: float) -> list[Array]:
         return [arm.poses(its, offset_m) for arm, its in zip(self._arms, q, strict=True)]
 
-    def _inside(self, poses: Sequence[Array], surface: SurfaceDistance) -> list[Array]:
+    def _inside(self, poses: Sequence[Array], organ: Organ) -> list[Array]:
         """The samples of each arm below a surface, in the tissue frame, shape (n, 3)."""
-        return [arm.inside(T, surface.surface) for arm, T in zip(self._arms, poses, strict=True)]
+        return [arm.inside(T, organ) for arm, T in zip(self._arms, poses, strict=True)]
 
 
 class InstrumentClearance(BulletWorld):
@@ -205,11 +171,7 @@ class InstrumentClearance(BulletWorld):
     def __init__(self, first: Scene, second: Scene) -> None:
         super().__init__()
         self._scenes = (first, second)
-        try:
-            self._bodies = tuple([self._body(part.mesh) for part in scene.parts] for scene in self._scenes)
-        except BaseException:
-            self.close()
-            raise
+        self._bodies = [[self._body(part.mesh) for part in scene.parts] for scene in self._scenes]
 
     def _body(self, mesh: Mesh) -> int:
         vertices = (mesh.vertices_m * BULLET_SCALE).tolist()
@@ -224,30 +186,8 @@ class InstrumentClearance(BulletWorld):
             for body, T_world_part in zip(bodies, scene.part_poses(q), strict=True):
                 self.place(body, T_world_part, BULLET_SCALE)
         smallest_mm = SEARCH_RADIUS_M * BULLET_SCALE
-        for body in self._bodies[0]:
-            for other in self._bodies[1]:
-                # Pairs that are farther apart than the nearest so far need no distance.
-                points = self.call("getClosestPoints", body, other, max(smallest_mm, 0.0))
-                smallest_mm = min([smallest_mm, *(float(point[8]) for point in points)])
+        for body, other in product(*self._bodies):
+            # Pairs that are farther apart than the nearest so far need no distance.
+            points = self.call("getClosestPoints", body, other, max(smallest_mm, 0.0))
+            smallest_mm = min([smallest_mm, *(float(point[8]) for point in points)])
         return smallest_mm / BULLET_SCALE
-
-
-def sample_part(mesh: Mesh) -> Array:
-    """Samples of a part's surface without a gap wider than the spacing, as far as it can be near; shape (n, 3)."""
-    near = np.linalg.norm(mesh.vertices_m, axis=1) < REACH_M
-    faces, points_m = mesh.faces[near[mesh.faces].any(axis=1)], mesh.vertices_m
-    used = np.unique(faces)
-    while len(faces):
-        corners_m = points_m[faces]
-        sides_m = np.linalg.norm(np.roll(corners_m, -1, axis=1) - corners_m, axis=2)  # corner k to the next
-        long = sides_m.max(axis=1) > SPACING_M
-        faces, start = faces[long], np.argmax(sides_m[long], axis=1)
-        a, b, c = (faces[np.arange(len(faces)), (start + turn) % 3] for turn in range(3))
-        # Triangles on both sides of an edge share its middle.
-        edges, middle = np.unique(np.minimum(a, b) * len(points_m) + np.maximum(a, b), return_inverse=True)
-        middle += len(points_m)
-        middles_m = 0.5 * (points_m[edges // len(points_m)] + points_m[edges % len(points_m)])
-        points_m = np.vstack([points_m, middles_m])
-        faces = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
-    chosen = np.concatenate([used, np.arange(len(mesh.vertices_m), len(points_m))])
-    return np.asarray(points_m[chosen])

@@ -6,7 +6,6 @@ that light can fall off with distance, be blocked by the instrument, and be mirr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 
@@ -24,9 +23,6 @@ K1, K2 = -0.2, 0.05
 wide field. With both times 2.8 or more, r (1 + k1 r² + k2 r⁴) would no longer grow with r everywhere."""
 LENS_MARGIN_PX = 2
 LENS_ITERATIONS = 12
-
-FIELD_NS = 1e9 / 60.0
-"""Between both fields of an interlaced frame (59.94 fields a second, ITU-R BT.601)."""
 
 LAMP_M = np.array([0.0025, -0.005, 0.0])
 """The lamp in the left camera's frame: between both lenses of a stereo endoscope, at the upper rim of its tip."""
@@ -74,17 +70,23 @@ class Lens:
 
     @staticmethod
     def of(camera: Camera, distortion: Array) -> Lens:
-        """The lens of a camera's size and K, with OpenCV's coefficients, shape (5,)."""
+        """The lens of a camera's size and K, with OpenCV's coefficients, shape (5,), of which k1 and k2 count."""
         width, height, K = camera.width_px, camera.height_px, camera.K
         column, row = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
         seen = np.stack([(column - K[0, 2]) / K[0, 0], (row - K[1, 2]) / K[1, 1]], -1)
-        pixels = _undistorted(seen, distortion) * np.diag(K)[:2] + K[:2, 2]
-        low = np.floor(pixels.min(axis=(0, 1))).astype(int) - LENS_MARGIN_PX
+        k1, k2 = float(distortion[0]), float(distortion[1])
+        r_seen = np.linalg.norm(seen, axis=-1)
+        r = r_seen.copy()
+        for _ in range(LENS_ITERATIONS):  # Newton's steps; the function grows everywhere
+            r2 = r * r
+            r = r - (r * (1.0 + r2 * (k1 + r2 * k2)) - r_seen) / (1.0 + r2 * (3.0 * k1 + r2 * 5.0 * k2))
+        scale = np.divide(r, r_seen, out=np.ones_like(r), where=r_seen > 0.0)
+        pixels = seen * scale[..., None] * np.diag(K)[:2] + K[:2, 2]
+        low = np.minimum(np.floor(pixels.min(axis=(0, 1))).astype(int) - LENS_MARGIN_PX, 0)
         high = np.ceil(pixels.max(axis=(0, 1))).astype(int) + LENS_MARGIN_PX
-        low, high = np.minimum(low, 0), np.maximum(high, [width - 1, height - 1])
+        size = np.maximum(high, [width - 1, height - 1]) - low + 1
         wide_K = K.copy()
         wide_K[:2, 2] -= low
-        size = high - low + 1
         wide = replace(camera, width_px=int(size[0]), height_px=int(size[1]), K=wide_K, D=np.zeros(5), P=None)
         column_px, row_px = np.moveaxis((pixels - low).astype(np.float32), -1, 0)
         return Lens(wide, np.ascontiguousarray(column_px), np.ascontiguousarray(row_px))
@@ -92,33 +94,6 @@ class Lens:
     def image(self, pinhole_bgr: Image) -> Image:
         """Distort a pinhole image of the wide camera."""
         return np.asarray(cv2.remap(pinhole_bgr, self.column_px, self.row_px, cv2.INTER_LINEAR), np.uint8)
-
-
-def _undistorted(seen: Array, distortion: Array) -> Array:
-    """Points of the plane z = 1, shape (..., 2), that a lens with radial distortion shows at `seen`."""
-    k1, k2 = float(distortion[0]), float(distortion[1])
-    r_seen = np.linalg.norm(seen, axis=-1)
-    r = r_seen.copy()
-    for _ in range(LENS_ITERATIONS):  # Newton's steps; the function grows everywhere
-        r2 = r * r
-        r = r - (r * (1.0 + r2 * (k1 + r2 * k2)) - r_seen) / (1.0 + r2 * (3.0 * k1 + r2 * 5.0 * k2))
-    scale = np.where(r_seen > 0.0, r / np.where(r_seen > 0.0, r_seen, 1.0), 1.0)
-    return np.asarray(seen * scale[..., None])
-
-
-def field_delays_ns(perturbations: Perturbations) -> tuple[float, ...]:
-    """How long after a frame's stamp its fields are exposed: even rows first, then odd ones where it is interlaced."""
-    interlace = perturbations["interlace"]
-    return (0.0, interlace * FIELD_NS) if interlace else (0.0,)
-
-
-def weave(fields: Sequence[Image]) -> Image:
-    """The frame of one or two fields, each an image of the whole frame."""
-    if len(fields) == 1:
-        return fields[0]
-    frame = fields[0].copy()
-    frame[1::2] = fields[1][1::2]
-    return frame
 
 
 @dataclass(frozen=True)
@@ -217,7 +192,10 @@ class Shader:
             np.mod((points_m @ T[:3] + T[3]) * (BUMP_PX / BUMP_SPAN_M), BUMP_PX) for T in T_tissue_camera[:2]
         )
         slopes = cv2.remap(self._slopes, column_px, row_px, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        normals = np.asarray(_normals(points_m) + slopes @ T_tissue_camera[:2, :3], np.float32)
+        smooth_m = cv2.GaussianBlur(points_m, (0, 0), NORMAL_SIGMA_PX)  # over the facets of meshes
+        across: Points = np.cross(np.gradient(smooth_m, axis=0), np.gradient(smooth_m, axis=1))
+        across /= _lengths(across)[..., None]
+        normals = np.asarray(across + slopes @ T_tissue_camera[:2, :3], np.float32)
         to_lamp = lamp.position_m.astype(np.float32) - points_m
         d_m = _lengths(to_lamp)
         half = to_lamp / d_m[..., None] - points_m / _lengths(points_m)[..., None]
@@ -234,14 +212,6 @@ def shadow(camera: Camera, points_m: Points, lamp: Lamp) -> NDArray[np.float32]:
     first_m = cv2.remap(lamp.depth_m, column_px, row_px, cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, 1e3)
     hidden = (first_m < from_lamp_m[..., 2] - BIAS_M).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(hidden, (0, 0), PENUMBRA_PX), np.float32)
-
-
-def _normals(points_m: Points) -> Points:
-    """Unit normals towards the camera, shape (h, w, 3), smooth over the facets of meshes."""
-    smooth_m = cv2.GaussianBlur(points_m, (0, 0), NORMAL_SIGMA_PX)
-    along_x, along_y = np.gradient(smooth_m, axis=1), np.gradient(smooth_m, axis=0)
-    across = np.cross(along_y, along_x)
-    return np.asarray(across / _lengths(across)[..., None])
 
 
 def _lengths(vectors: Points) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from svmdist.errors import SimulationError
+from svmdist.kinematics import DHChain
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
 from svmdist.profile import Fiducial, Instrument
 from svmdist.samples import Image
@@ -27,6 +28,11 @@ GREY_RGBA = (0.42, 0.42, 0.44, 1.0)
 BLUE_RGBA = (0.16, 0.27, 0.52, 1.0)
 RING_LENGTH_M, RING_RADIUS_M = 0.0018, 0.00235
 """A ring about the fork's tines that shows about as many pixels as the coloured sphere: 9 mm² from the side."""
+THICKNESS_M = 0.0006
+CELL_PX = 48
+"""Texture pixels to a cell of the tag: some ten for each pixel of the image."""
+WHITE, BLACK = 225, 22
+"""Printed paper; white stays below saturation under the scene's light."""
 
 Rgba = tuple[float, float, float, float]
 
@@ -44,18 +50,15 @@ class Part:
 
 
 def make_parts(
-    instrument: Instrument,
-    links: tuple[str, ...],
-    wrist_length_m: float,
-    perturbations: Perturbations = UNPERTURBED,
+    instrument: Instrument, chain: DHChain, perturbations: Perturbations = UNPERTURBED
 ) -> tuple[Part, ...]:
-    """Build the parts for the last four links: roll, wrist pitch, wrist yaw, jaw (as in dVRK tools).
+    """Build the parts for the chain's last four links: roll, wrist pitch, wrist yaw, jaw (as in dVRK tools).
 
-    In the roll's frame the shaft runs along +y, away from the tip; in the wrist's frames the tip lies
-    along +x and the jaws turn about z. `wrist_length_m` is the distance from the wrist's pitch axis to the
-    tool's origin. Perturbations change colours: tip, ring, shaft_grey and shaft_blue.
+    In the roll's frame the shaft runs along +y, away from the tip; in the wrist's frames the tip lies along +x and the
+    jaws turn about z. Perturbations change colours: tip, ring, shaft_grey and shaft_blue.
     """
-    roll, wrist_pitch, wrist_yaw, jaw = links[-4:]
+    roll, wrist_pitch, wrist_yaw, jaw = (row.name for row in chain.rows[-4:])
+    wrist_length_m = chain.rows[-3].a_m  # from the wrist's pitch axis to the tool's origin
     wrist_m, marker_m = instrument.wrist_radius_m, instrument.knuckle_radius_m
     T_roll_shaft = make_transform(rotation_z(np.pi / 2), np.zeros(3))
     # The jaw's frame is turned by its α of π/2 against the wrist's.
@@ -72,9 +75,11 @@ def make_parts(
     bridge = loft(bridge_x_m, np.array([0.9, 0.5, 0.3]) * wrist_m, bridge_z_m, roundness=2.6)
     tine = bar((-0.62 * wrist_length_m, 0.0006), 0.0005, 0.0003)
     tines = [tine.transformed(_shift(0.0, side * (fork_m + 0.0001))) for side in (-1.0, 1.0)]
-    blade, aside_m = _jaw(instrument), 0.55 * instrument.jaw_radius_m
-    lower = blade.transformed(_shift(-aside_m, 0.0))
-    upper = blade.transformed(T_jaw_wrist @ _shift(aside_m, 0.0))
+    # A jaw's blade runs from inside the distal marker to a rounded tip; thin across the hinge, wider along it.
+    x = np.array([0.06, 0.4, 0.8, 0.93, 0.98, 1.0]) * instrument.jaw_length_m
+    half_width = np.array([0.75, 0.95, 0.72, 0.55, 0.38, 0.12]) * instrument.jaw_radius_m
+    half_thickness = np.array([0.5, 0.52, 0.42, 0.34, 0.24, 0.08]) * instrument.jaw_radius_m
+    blade, aside_m = loft(x, half_thickness, half_width, roundness=2.8), 0.55 * instrument.jaw_radius_m
     tip, ring_m, grey, blue = (perturbations[name] for name in ("tip", "ring", "shaft_grey", "shaft_blue"))
     shaft_rgba = _between(_between(SHAFT_RGBA, GREY_RGBA, grey), BLUE_RGBA, blue)
     tip_rgba = _between(MARKER_RGBA, STEEL_RGBA, 1.0 if ring_m else tip)
@@ -86,14 +91,13 @@ def make_parts(
         Part("left_tine", wrist_pitch, tines[0], STEEL_RGBA),
         Part("right_tine", wrist_pitch, tines[1], STEEL_RGBA),
         Part("knuckle", wrist_yaw, sphere(marker_m), tip_rgba),
-        Part("fixed_jaw", wrist_yaw, lower, STEEL_RGBA),
-        Part("moving_jaw", jaw, upper, STEEL_RGBA),
+        Part("fixed_jaw", wrist_yaw, blade.transformed(_shift(-aside_m, 0.0)), STEEL_RGBA),
+        Part("moving_jaw", jaw, blade.transformed(T_jaw_wrist @ _shift(aside_m, 0.0)), STEEL_RGBA),
     )
     if not ring_m:
         return parts
     ends_m = -1e-3 * ring_m + 0.5 * RING_LENGTH_M * np.array([-1.0, 1.0])
-    ring = revolve(ends_m, np.full(2, RING_RADIUS_M))
-    return (*parts, Part("ring", wrist_pitch, ring, MARKER_RGBA))
+    return (*parts, Part("ring", wrist_pitch, revolve(ends_m, np.full(2, RING_RADIUS_M)), MARKER_RGBA))
 
 
 def _shift(y_m: float, z_m: float) -> Array:
@@ -106,35 +110,12 @@ def _between(start: Rgba, end: Rgba, share: float) -> Rgba:
     return r, g, b, a
 
 
-def _jaw(instrument: Instrument) -> DrawnMesh:
-    """A blade along +x from inside the distal marker to a rounded tip; thin across the hinge, wider along it."""
-    length_m, radius_m = instrument.jaw_length_m, instrument.jaw_radius_m
-    x = np.array([0.06, 0.4, 0.8, 0.93, 0.98, 1.0]) * length_m
-    half_width = np.array([0.75, 0.95, 0.72, 0.55, 0.38, 0.12]) * radius_m
-    half_thickness = np.array([0.5, 0.52, 0.42, 0.34, 0.24, 0.08]) * radius_m
-    return loft(x, half_thickness, half_width, roundness=2.8)
-
-
-THICKNESS_M = 0.0006
-CELL_PX = 48
-"""Texture pixels to a cell of the tag: some ten for each pixel of the image."""
-WHITE, BLACK = 225, 22
-"""Printed paper; white stays below saturation under the scene's light."""
-
-_DICTIONARIES = {
-    "16h5": cv2.aruco.DICT_APRILTAG_16h5,
-    "25h9": cv2.aruco.DICT_APRILTAG_25h9,
-    "36h10": cv2.aruco.DICT_APRILTAG_36h10,
-    "36h11": cv2.aruco.DICT_APRILTAG_36h11,
-}
-
-
 def make_plate(fiducial: Fiducial) -> Part:
     """Make the fiducial plate of a profile in the tag's frame: the face at z = 0, x to the right and y up.
 
     Raises SimulationError for a tag that the family does not have.
     """
-    dictionary = cv2.aruco.getPredefinedDictionary(_DICTIONARIES[fiducial.family])
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{fiducial.family}"))
     count = len(dictionary.bytesList)
     if fiducial.id >= count:
         raise SimulationError(
@@ -144,14 +125,8 @@ def make_plate(fiducial: Fiducial) -> Part:
     cells = cv2.aruco.generateImageMarker(dictionary, fiducial.id, cell_count)
     with_margin = np.pad(np.where(cells > 0, WHITE, BLACK).astype(np.uint8), 1, constant_values=WHITE)
     texture = with_margin.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
-    texture_bgr = np.repeat(texture[..., None], 3, axis=2)
-    plate = _box(fiducial.plate_side_m)
-    return Part("plate", fiducial.link, plate, texture_bgr=texture_bgr, T_link_part=fiducial.T_link_tag)
-
-
-def _box(side_m: float) -> DrawnMesh:
-    """A box from z = -THICKNESS_M to the face at z = 0, which alone shows the texture."""
-    half_m = side_m / 2.0
+    # A box from z = -THICKNESS_M to the face at z = 0, which alone shows the texture.
+    half_m = fiducial.plate_side_m / 2.0
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     top = np.column_stack([corners * half_m, np.zeros(4)])
     bottom = top - [0.0, 0.0, THICKNESS_M]
@@ -164,4 +139,5 @@ def _box(side_m: float) -> DrawnMesh:
     uv = np.concatenate([0.5 + corners / 2.0, np.full((20, 2), 0.01)])
     halves = np.array([[0, 1, 2], [0, 2, 3]])
     faces = (4 * np.arange(6)[:, None, None] + halves).reshape(-1, 3)
-    return DrawnMesh(vertices_m, faces, normals, uv)
+    plate, texture_bgr = DrawnMesh(vertices_m, faces, normals, uv), np.repeat(texture[..., None], 3, axis=2)
+    return Part("plate", fiducial.link, plate, texture_bgr=texture_bgr, T_link_part=fiducial.T_link_tag)

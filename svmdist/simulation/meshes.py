@@ -1,7 +1,8 @@
-"""Triangle meshes with smooth normals: surfaces of revolution and lofted bars.
+"""Surfaces that are drawn: triangle meshes with smooth normals, and the textures of tissue and floor.
 
-PyBullet draws its own cylinders and spheres as coarse prisms, up to 13 % too thin, which ruins metric
-vision. Every round part is therefore a mesh of at least 64 sides.
+PyBullet draws its own cylinders and spheres as coarse prisms, up to 13 % too thin, which ruins metric vision. Every
+round part is therefore a mesh of at least 64 sides. Textures are smooth on the scale of pixels, so that frames stay
+small as lossless PNG.
 """
 
 from __future__ import annotations
@@ -17,6 +18,10 @@ from svmdist.samples import Image
 from svmdist.transforms import Array, transform_points
 
 SIDE_COUNT = 64
+FLOOR_HALF_M = 0.16
+TEXTURE_PX = 1024
+TEXTURE_SPAN_M = 0.07
+"""The tissue's texture covers a square of this side about the tissue frame's origin."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +36,8 @@ class DrawnMesh(Mesh):
 
     def transformed(self, T_other_this: Array) -> DrawnMesh:
         """The same mesh in another frame, by a transform of shape (4, 4)."""
-        return DrawnMesh(
-            transform_points(T_other_this, self.vertices_m),
-            self.faces,
-            self.normals @ T_other_this[:3, :3].T,
-            self.uv,
-        )
+        vertices_m = transform_points(T_other_this, self.vertices_m)
+        return DrawnMesh(vertices_m, self.faces, self.normals @ T_other_this[:3, :3].T, self.uv)
 
 
 def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -> DrawnMesh:
@@ -46,19 +47,23 @@ def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -
     half-axes are concave functions of x are convex.
     """
     angle = np.linspace(0.0, 2.0 * np.pi, SIDE_COUNT, endpoint=False)
-    unit_y = np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** (2.0 / roundness)
-    unit_z = np.sign(np.sin(angle)) * np.abs(np.sin(angle)) ** (2.0 / roundness)
-    x_m, y_m, z_m = np.broadcast_arrays(x_m[:, None], half_y_m[:, None] * unit_y, half_z_m[:, None] * unit_z)
-    grid = np.stack([x_m, y_m, z_m], -1)
-    sides = _quads(len(grid), SIDE_COUNT)
-    vertices = grid.reshape(-1, 3)
-    parts = [(vertices, smooth_normals(vertices, sides), sides), _cap(grid[0], -1.0), _cap(grid[-1], 1.0)]
-    offsets = np.cumsum([0] + [len(each) for each, _, _ in parts[:-1]])
+    y, z = (np.sign(wave) * np.abs(wave) ** (2.0 / roundness) for wave in (np.cos(angle), np.sin(angle)))
+    grid = np.stack(np.broadcast_arrays(x_m[:, None], half_y_m[:, None] * y, half_z_m[:, None] * z), -1)
+    # Two triangles between neighbouring sections and sides, then a cap at each end with a normal of its own.
+    a = np.arange(grid.size // 3).reshape(grid.shape[:2])
+    b = np.roll(a, -1, axis=1)
+    inner, outer = np.stack([a[:-1], b[:-1], b[1:]], -1), np.stack([a[:-1], b[1:], a[1:]], -1)
+    sides = np.concatenate([inner.reshape(-1, 3), outer.reshape(-1, 3)])
+    vertices, faces, normals = [grid.reshape(-1, 3)], [sides], [smooth_normals(grid.reshape(-1, 3), sides)]
+    for ring, direction in ((grid[0], -1.0), (grid[-1], 1.0)):
+        here = sum(map(len, vertices)) + np.arange(SIDE_COUNT)
+        following, centre = np.roll(here, -1), np.full(SIDE_COUNT, here[0] + SIDE_COUNT)
+        faces.append(np.stack([here, following, centre] if direction > 0 else [following, here, centre], -1))
+        vertices.append(np.vstack([ring, ring.mean(axis=0)]))
+        normals.append(np.tile([direction, 0.0, 0.0], (SIDE_COUNT + 1, 1)))
+    points_m = np.concatenate(vertices)
     return DrawnMesh(
-        np.concatenate([each for each, _, _ in parts]),
-        np.concatenate([faces + offset for (_, _, faces), offset in zip(parts, offsets, strict=True)]),
-        np.concatenate([normals for _, normals, _ in parts]),
-        np.full((sum(len(each) for each, _, _ in parts), 2), 0.5),
+        points_m, np.concatenate(faces), np.concatenate(normals), np.full((len(points_m), 2), 0.5)
     )
 
 
@@ -78,11 +83,10 @@ def bar(x_m: tuple[float, float], half_y_m: float, half_z_m: float) -> DrawnMesh
     """A bar along x with rounded edges and rounded ends."""
     bevel = min(half_y_m, half_z_m) * 0.6
     turn = np.linspace(0.0, np.pi / 2, 5)
-    start, end = x_m[0] + bevel * (1 - np.sin(turn)), x_m[1] - bevel * (1 - np.sin(turn))
-    shrink = bevel * (1 - np.cos(turn))
+    inwards, shrink = bevel * (1 - np.sin(turn)), bevel * (1 - np.cos(turn))
+    x = np.sort(np.concatenate([x_m[0] + inwards, x_m[1] - inwards]))
     inset = np.concatenate([shrink[::-1], shrink])
-    x = np.concatenate([start[::-1], end])
-    return loft(np.sort(x), half_y_m - inset, half_z_m - inset, roundness=4.0)
+    return loft(x, half_y_m - inset, half_z_m - inset, roundness=4.0)
 
 
 def smooth_normals(vertices_m: Array, faces: NDArray[np.int64]) -> Array:
@@ -96,64 +100,48 @@ def smooth_normals(vertices_m: Array, faces: NDArray[np.int64]) -> Array:
     return np.asarray(normals / np.where(length > 0, length, 1.0))
 
 
-def _quads(ring_count: int, side_count: int) -> NDArray[np.int64]:
-    """Triangles between neighbouring rings of a closed tube; rings follow one another along +x."""
-    ring, side = np.meshgrid(np.arange(ring_count - 1), np.arange(side_count), indexing="ij")
-    a = (ring * side_count + side).ravel()
-    b = (ring * side_count + (side + 1) % side_count).ravel()
-    inner, outer = np.stack([a, b, b + side_count], -1), np.stack([a, b + side_count, a + side_count], -1)
-    return np.concatenate([inner, outer])
+def make_floor() -> DrawnMesh:
+    """A flat sheet in the world's frame at z = 0, finely divided for even shading."""
+    count = 33
+    axis = np.linspace(-FLOOR_HALF_M, FLOOR_HALF_M, count)
+    x, y = np.meshgrid(axis, axis)
+    vertices_m = np.stack([x.ravel(), y.ravel(), np.zeros(count * count)], -1)
+    a = np.arange(count * count).reshape(count, count)[:-1, :-1].reshape(-1, 1)
+    faces = np.vstack([a + np.array(corners) for corners in ((0, 1, count + 1), (0, count + 1, count))])
+    uv = 0.5 + vertices_m[:, :2] / (2.0 * FLOOR_HALF_M)
+    return DrawnMesh(vertices_m, faces, smooth_normals(vertices_m, faces), uv)
 
 
-def _cap(ring_m: Array, direction: float) -> tuple[Array, Array, NDArray[np.int64]]:
-    vertices = np.vstack([ring_m, ring_m.mean(axis=0)])
-    count = len(ring_m)
-    here, following = np.arange(count), (np.arange(count) + 1) % count
-    centre = np.full(count, count)
-    faces = np.stack([here, following, centre] if direction > 0 else [following, here, centre], -1)
-    return vertices, np.tile([direction, 0.0, 0.0], (count + 1, 1)), faces
-
-
-TEXTURE_PX = 1024
-TEXTURE_SPAN_M = 0.07
-"""The tissue's texture covers a square of this side about the tissue frame's origin."""
+def make_retractor() -> DrawnMesh:
+    """A flat steel blade along +x from its tip at the origin; `occlusion` swings it over the instrument."""
+    x_m = np.array([0.0, 0.0008, 0.002, 0.004, 0.008, 0.09])
+    half_y_m = np.array([0.0035, 0.0052, 0.0062, 0.0068, 0.007, 0.007])
+    half_z_m = np.array([0.0006, 0.0007, 0.0008, 0.0008, 0.0008, 0.0008])
+    return loft(x_m, half_y_m, half_z_m, roundness=3.0)
 
 
 def tissue_texture(rng: np.random.Generator) -> Image:
     """Red-pink mottling with a few faint, branching vessels; BGR, shape (1024, 1024, 3)."""
-    base = np.array([92.0, 84.0, 214.0])
-    paler = np.array([38.0, 36.0, 18.0])
-    mottling = 0.9 * smooth_noise(rng, 8) + 0.3 * smooth_noise(rng, 17)
-    colour = base + mottling[..., None] * paler
-    vessels = _vessels(rng)[..., None]
-    colour += vessels * np.array([-22.0, -34.0, -48.0])
-    return _as_image(colour)
+    mottling = 0.9 * _smooth_noise(rng, 8) + 0.3 * _smooth_noise(rng, 17)
+    colour = np.array([92.0, 84.0, 214.0]) + mottling[..., None] * np.array([38.0, 36.0, 18.0])
+    lines = np.zeros((TEXTURE_PX, TEXTURE_PX), np.uint8)
+    for _ in range(5):
+        start = rng.uniform(0.25, 0.75, 2) * TEXTURE_PX
+        _grow_vessel(lines, rng, start, rng.uniform(0.0, 2.0 * np.pi), width_px=9.0)
+    vessels = cv2.GaussianBlur(lines, (0, 0), 4.0).astype(np.float64)[..., None] / 255.0
+    return _as_image(colour + vessels * np.array([-22.0, -34.0, -48.0]))
 
 
 def floor_texture(rng: np.random.Generator) -> Image:
     """Dull beige-brown folds, low in saturation; BGR, shape (1024, 1024, 3)."""
-    base = np.array([104.0, 112.0, 122.0])
-    folds = smooth_noise(rng, 7, stretch=2.2)
-    return _as_image(base + folds[..., None] * np.array([13.0, 14.0, 14.0]))
+    folds = _smooth_noise(rng, 7, stretch=2.2)[..., None]
+    return _as_image(np.array([104.0, 112.0, 122.0]) + folds * np.array([13.0, 14.0, 14.0]))
 
 
-def smooth_noise(rng: np.random.Generator, cell_count: int, stretch: float = 1.0) -> Array:
-    """Noise with `cell_count` bumps across the texture, mean 0 and about -1 to 1, shape (1024, 1024).
-
-    `stretch` makes the bumps longer along x.
-    """
-    columns = max(2, round(cell_count / stretch))
-    cells = rng.uniform(-1.0, 1.0, (cell_count, columns))
+def _smooth_noise(rng: np.random.Generator, cell_count: int, stretch: float = 1.0) -> Array:
+    """Noise with `cell_count` bumps across the texture, longer along x by `stretch`; mean 0 and about -1 to 1."""
+    cells = rng.uniform(-1.0, 1.0, (cell_count, max(2, round(cell_count / stretch))))
     return np.asarray(cv2.resize(cells, (TEXTURE_PX, TEXTURE_PX), interpolation=cv2.INTER_CUBIC), np.float64)
-
-
-def _vessels(rng: np.random.Generator) -> Array:
-    """Dark branching lines with soft edges, 0 to 1, shape (1024, 1024)."""
-    canvas = np.zeros((TEXTURE_PX, TEXTURE_PX), np.uint8)
-    for _ in range(5):
-        start = rng.uniform(0.25, 0.75, 2) * TEXTURE_PX
-        _grow_vessel(canvas, rng, start, rng.uniform(0.0, 2.0 * np.pi), width_px=9.0)
-    return cv2.GaussianBlur(canvas, (0, 0), 4.0).astype(np.float64) / 255.0
 
 
 def _grow_vessel(

@@ -1,4 +1,12 @@
-"""The plan of a recording: all that is settled before the first image, for each arm and for the stamps of the log."""
+"""The plan of a recording: all that is settled before the first image, for each arm and for the stamps of the log.
+
+Cables stretch and set-up joints are read by potentiometers: a da Vinci research kit places its tool centimetres off in
+the camera's frame, while its motion is repeatable to fractions of a millimetre. The errors of the nominal kinematics
+are therefore constants of a recording, drawn by seed.
+
+A plan holds no physics world and can be sent to another process. A block is one image with all samples up to the
+next; each can be made by itself, so that the content does not depend on who makes it, or in which order.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +23,14 @@ from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.joints import JointPerturber, JointUnits, reported_late
 from svmdist.perturbations.table import Place
 from svmdist.profile import Profile
-from svmdist.samples import DistanceSample, JointSample, PoseSample, Sample, TransformSample
+from svmdist.samples import JointSample, PoseSample, Sample, TransformSample
 from svmdist.simulation.motion import Scenario, make_other_arms, make_trajectory
 from svmdist.simulation.scene import Options, Scene, make_scene
 from svmdist.transforms import Array, make_transform
 
+START_NS = 1_700_000_000_000_000_000
+"""The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
+CAMERA_INFO_PERIOD_NS = 1_000_000_000
 _ENCODER_STREAM, _JOINT_STREAM, _CAMERA_BASE_STREAM = 10, 12, 13
 
 
@@ -45,54 +56,25 @@ def draw_nominal_kinematics(
     theirs is a part of the error of `T_camera_base`.
     """
     further = [arm] if arm else []
-    kinds = [row.type for row in chain.rows if row.type != "fixed"]
+    slides = np.array([row.type == "prismatic" for row in chain.rows if row.type != "fixed"])
 
-    def drawn(stream: int, std_rad: float, std_m: float, first: int = 0) -> Array:
-        std = np.array([std_m if kind == "prismatic" else std_rad for kind in kinds])
-        std[:first] = 0.0
-        return np.asarray(np.random.default_rng([seed, stream, *further]).normal(0.0, 1.0, len(std)) * std)
+    def drawn(stream: int, std_rad: float, std_m: float) -> Array:
+        unit = np.random.default_rng([seed, stream, *further]).normal(0.0, 1.0, len(slides))
+        return np.asarray(unit * np.where(slides, std_m, std_rad))
 
-    offsets, settings = np.zeros(len(kinds)), profile.simulation
+    offsets, settings, error = np.zeros(len(slides)), profile.simulation, profile.kinematic_error
     if settings is not None:
         offsets = drawn(_ENCODER_STREAM, settings.encoder_std_rad, settings.encoder_std_m)
     if scale == 0.0:
         return NominalKinematics(offsets, T_camera_base, chain)
-    error = profile.kinematic_error
     rng = np.random.default_rng([seed, _CAMERA_BASE_STREAM, *further])
-    rotation_rad = scale * rng.normal(0.0, error.camera_base_std_rad, 3)
+    R = cv2.Rodrigues(scale * rng.normal(0.0, error.camera_base_std_rad, 3))[0] @ T_camera_base[:3, :3]
     shift_m = scale * rng.normal(0.0, error.camera_base_std_m, 3)
-    T_nominal = make_transform(
-        cv2.Rodrigues(rotation_rad)[0] @ T_camera_base[:3, :3], T_camera_base[:3, 3] + shift_m
-    )
-    first = error.first_moving_joint
-    begin = 0 if first is None else chain.joint_names.index(first)
-    joint_offsets = scale * drawn(_JOINT_STREAM, error.joint_std_rad, error.joint_std_m, begin)
+    joint_offsets = scale * drawn(_JOINT_STREAM, error.joint_std_rad, error.joint_std_m)
+    if error.first_moving_joint is not None:
+        joint_offsets[: chain.joint_names.index(error.first_moving_joint)] = 0.0
+    T_nominal = make_transform(R, T_camera_base[:3, 3] + shift_m)
     return NominalKinematics(offsets + joint_offsets, T_nominal, chain)
-
-
-def reported_joints(
-    q: Array,
-    stamps_ns: NDArray[np.int64],
-    is_sample: NDArray[np.bool_],
-    profile: Profile,
-    perturbations: Perturbations,
-    seed: int,
-    arm: int,
-) -> Array:
-    """What is reported of joints `q`, shape (n, n_joints), at stamps (n,), of which `is_sample` (n,) are the encoders'.
-
-    Reports are interpolated between samples, where only transforms are written. Without perturbations it is `q`.
-    """
-    if not (perturbations.changes(Place.JOINTS) or perturbations.changes(Place.CLOCK)):
-        return q
-    at_ns = stamps_ns[is_sample]
-    late = reported_late(q[is_sample], at_ns, perturbations)
-    perturber = JointPerturber(JointUnits.of(profile), perturbations, seed, arm)
-    samples = np.array(
-        [perturber.perturbed(row, stamp) for row, stamp in zip(late, at_ns.tolist(), strict=True)]
-    )
-    seconds, at_s = 1e-9 * (stamps_ns - at_ns[0]), 1e-9 * (at_ns - at_ns[0])
-    return np.column_stack([np.interp(seconds, at_s, joint) for joint in samples.T])
 
 
 @dataclass(frozen=True)
@@ -109,14 +91,14 @@ class Arm:
     q: Array
     nominal: NominalKinematics
     reported: Array
-    prefix: str = ""
+    prefix: str
 
     def reports(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield joints and pose as the encoders have them at the stamp number `index`."""
-        names, frames, q = self.scene.chain.joint_names, self.profile.frames, self.reported[index]
-        yield self.topics["joints"], JointSample(stamp_ns, names, q)
+        q = self.reported[index]
+        yield self.topics["joints"], JointSample(stamp_ns, self.scene.chain.joint_names, q)
         T_base_tool = forward_kinematics(self.nominal.chain, q)
-        yield self.topics["pose"], PoseSample(stamp_ns, frames.base, T_base_tool)
+        yield self.topics["pose"], PoseSample(stamp_ns, self.profile.frames.base, T_base_tool)
 
     def true_tool(self, stamp_ns: int, index: int) -> TransformSample:
         """The true pose of the tool at the stamp number `index`."""
@@ -127,32 +109,15 @@ class Arm:
     def nominal_transforms(self, stamp_ns: int, index: int) -> tuple[TransformSample, ...]:
         """The nominal camera-to-base transform, then the whole chain as the reported joints place it."""
         frames, chain = self.profile.frames, self.nominal.chain
-        names = [self.prefix + row.name for row in chain.rows]
         links = link_transforms(chain, self.reported[index])
-        children, parents = [*names[:-1], frames.tool], [frames.base, *names[:-1]]
         links[-1] = links[-1] @ chain.T_last_tool
-        return (
-            TransformSample(stamp_ns, frames.camera, frames.base, self.nominal.T_camera_base),
-            *(
-                TransformSample(stamp_ns, parent, child, T)
-                for parent, child, T in zip(parents, children, links, strict=True)
-            ),
+        between = [self.prefix + row.name for row in chain.rows[:-1]]
+        names = (frames.camera, frames.base, *between, frames.tool)
+        transforms = (self.nominal.T_camera_base, *links)
+        return tuple(
+            TransformSample(stamp_ns, parent, child, T)
+            for parent, child, T in zip(names[:-1], names[1:], transforms, strict=True)
         )
-
-
-def distances(stamp_ns: int, between_m: Array, clearance_m: float) -> DistanceSample:
-    """The three distances of two things, by the vector between their origins in the camera frame, shape (3,)."""
-    return DistanceSample(
-        stamp_ns,
-        planar_m=float(np.linalg.norm(between_m[:2])),  # eq. (35): in the camera's xy plane
-        spatial_m=float(np.linalg.norm(between_m)),
-        clearance_m=clearance_m,
-    )
-
-
-START_NS = 1_700_000_000_000_000_000
-"""The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
-CAMERA_INFO_PERIOD_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -212,11 +177,10 @@ class Plan:
         return self._state(lambda values: values[below] + share * (values[above] - values[below]))
 
     def _state(self, at: Callable[[Array], Array]) -> SceneState:
+        # The retractor's blade slides, and never turns.
+        T_world_retractor = None if self.T_world_retractor is None else at(self.T_world_retractor)
         return SceneState(
-            tuple(at(arm.q) for arm in self.arms),
-            # The retractor's blade slides, and never turns.
-            None if self.T_world_retractor is None else at(self.T_world_retractor),
-            float(at(self.tissue_offset_m)),
+            tuple(at(arm.q) for arm in self.arms), T_world_retractor, float(at(self.tissue_offset_m))
         )
 
 
@@ -228,48 +192,41 @@ def make_plan(
     Joints and poses come at the profile's joint rate, transforms and truth at every image's stamp. Raises
     SimulationError where PyBullet is missing and needed, or the profile cannot be simulated.
     """
-    options = options or Options()
-    built = built_profile(profile, options.perturbations, scenario.seed)
-    scene = make_scene(built, scenario.seed, options)
+    options, seed = options or Options(), scenario.seed
+    built = built_profile(profile, options.perturbations, seed)
+    scene = make_scene(built, seed, options)
     settings = built.simulation
     assert settings is not None  # make_scene has checked it
     images = _stamps(scenario.frame_count, scenario.rate_hz)
     # Joints up to the end of the recording, so that every image lies between two of them.
-    joint_count = int(np.ceil(scenario.duration_s * settings.joint_rate_hz)) + 1
-    joints = _stamps(joint_count, settings.joint_rate_hz)
+    joints = _stamps(int(np.ceil(scenario.duration_s * settings.joint_rate_hz)) + 1, settings.joint_rate_hz)
     stamps = np.union1d(images, joints)
     with_joints = np.isin(stamps, joints)
     with_camera_info = np.zeros(len(stamps), np.bool_)
-    with_camera_info[np.searchsorted(stamps, np.arange(START_NS, stamps[-1] + 1, CAMERA_INFO_PERIOD_NS))] = (
-        True
-    )
+    due = np.arange(START_NS, stamps[-1] + 1, CAMERA_INFO_PERIOD_NS)
+    with_camera_info[np.searchsorted(stamps, due)] = True
     progress = np.clip((stamps - START_NS) / (scenario.duration_s * 1e9), 0.0, 1.0)
     path_s = progress * scenario.duration_s
     path, T_world_retractor = make_trajectory(scene, scenario, settings.working_height_m, progress)
-
-    def arm(number: int, view: Profile, its: Scene, q: Array, distance: str, prefix: str = "") -> Arm:
-        """An arm that takes itself for the profile's."""
+    paths = [(profile, scene, path, "", "/ground_truth/distance")]
+    for name, other, q in make_other_arms(built, scene, options, path, progress, scenario.duration_s):
+        paths.append((profile.for_instrument(name), other, q, f"{name}_", f"/ground_truth/{name}/distance"))
+    arms = []
+    for number, (view, its, q, prefix, distance) in enumerate(paths):
         assert view.robot is not None  # the scene has checked it
+        chain = chain_of(view.robot)  # an arm takes itself for the profile's
         nominal = draw_nominal_kinematics(
-            chain_of(view.robot), its.T_camera_base, view, scenario.seed, options.kinematic_error, number
+            chain, its.T_camera_base, view, seed, options.kinematic_error, number
         )
         exact = q + nominal.joint_offsets
         exact[:, -1] -= its.jaw_opening_rad(path_s, number)
-        reported = reported_joints(
-            exact, stamps, with_joints, view, options.perturbations, scenario.seed, number
-        )
-        return Arm(view, its, complete_topics(view, distance), q, nominal, reported, prefix)
-
-    arms = [arm(0, profile, scene, path, "/ground_truth/distance")]
-    others = make_other_arms(built, scene, options, path, progress, scenario.duration_s)
-    for number, (name, its, q) in enumerate(others, start=1):
-        view, distance = profile.for_instrument(name), f"/ground_truth/{name}/distance"
-        arms.append(arm(number, view, its, q, distance, prefix=f"{name}_"))
+        reported = _reported(exact, stamps, with_joints, view, options.perturbations, seed, number)
+        arms.append(Arm(view, its, complete_topics(view, distance), q, nominal, reported, prefix))
     return Plan(
         profile=profile,
         scene=scene,
         arms=tuple(arms),
-        topics=complete_topics(profile),
+        topics=arms[0].topics,
         noise=noise,
         options=options,
         stamps_ns=stamps,
@@ -279,6 +236,29 @@ def make_plan(
         T_world_retractor=T_world_retractor,
         tissue_offset_m=scene.tissue_offset_m(np.asarray((stamps - START_NS) * 1e-9, np.float64)),
     )
+
+
+def _reported(
+    q: Array,
+    stamps_ns: NDArray[np.int64],
+    is_sample: NDArray[np.bool_],
+    profile: Profile,
+    perturbations: Perturbations,
+    seed: int,
+    arm: int,
+) -> Array:
+    """What is reported of joints `q`, (n, n_joints), at stamps (n,), of which `is_sample` (n,) are the encoders'.
+
+    Reports are interpolated between samples, where only transforms are written. Without perturbations it is `q`.
+    """
+    if not (perturbations.changes(Place.JOINTS) or perturbations.changes(Place.CLOCK)):
+        return q
+    at_ns = stamps_ns[is_sample]
+    late = reported_late(q[is_sample], at_ns, perturbations)
+    perturber = JointPerturber(JointUnits.of(profile), perturbations, seed, arm)
+    samples = [perturber.perturbed(row, stamp) for row, stamp in zip(late, at_ns.tolist(), strict=True)]
+    seconds, at_s = 1e-9 * (stamps_ns - at_ns[0]), 1e-9 * (at_ns - at_ns[0])
+    return np.column_stack([np.interp(seconds, at_s, joint) for joint in np.array(samples).T])
 
 
 def complete_topics(profile: Profile, distance: str = "/ground_truth/distance") -> dict[str, str]:
@@ -296,11 +276,6 @@ def complete_topics(profile: Profile, distance: str = "/ground_truth/distance") 
         "ground_truth_distance": distance,
     }
     return {role: getattr(profile.topics, role) or topic for role, topic in defaults.items()}
-
-
-def between_topic(first: str, second: str) -> str:
-    """The topic of the true distances between two instruments."""
-    return f"/ground_truth/{first}/{second}/distance"
 
 
 def _stamps(count: int, rate_hz: float) -> NDArray[np.int64]:

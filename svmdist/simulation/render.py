@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, Self
+from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,10 +24,10 @@ from svmdist.samples import Image
 from svmdist.simulation.bullet import BulletWorld, quiet
 from svmdist.simulation.effects import LAMP_M, NO_PART, Depths, Lamp, Shader, Surfaces
 from svmdist.simulation.instrument import Part, Rgba
-from svmdist.simulation.meshes import DrawnMesh
+from svmdist.simulation.meshes import DrawnMesh, make_floor, make_retractor
 from svmdist.simulation.organ import Organ
 from svmdist.simulation.plan import SceneState
-from svmdist.simulation.scene import Scene, make_floor, make_retractor, raised
+from svmdist.simulation.scene import Scene, raised
 from svmdist.transforms import Array, inverse, make_transform, transform_points
 
 NEAR_M, FAR_M = 0.01, 0.4
@@ -42,7 +44,6 @@ them for its depth buffer. Surfaces that are nearer to each other than that are 
 LIGHT_DIRECTION = (0.35, 0.45, 1.0)
 """Towards the light, in the world: beside the optical axis, as in an endoscope, so that shapes shade."""
 AMBIENT, DIFFUSE, SPECULAR = 0.52, 0.5, 0.12
-_WHITE = (1.0, 1.0, 1.0, 1.0)
 _AWAY: Array = np.eye(4)
 _AWAY[2, 3] = 1.0  # behind the camera
 _STILL_BODIES = -2
@@ -110,22 +111,18 @@ class DrawnWorld(BulletWorld):
             "lightAmbientCoeff": AMBIENT + share * (0.18 - AMBIENT),
             "lightDiffuseCoeff": DIFFUSE + share * 0.35,
         }
-        try:
-            # Where two surfaces are equally far, the body that came last is drawn: the order is a part of the content.
-            if moving:
-                self._parts += [self._add_part(part) for part in scene.parts]
-            if still:
-                self._tissue = self._add_mesh(scene.organ.mesh)
-                self.place(self._tissue, scene.T_world_tissue)
-                self._tissue_texture = self._paint(self._tissue, scene.tissue_texture)
-                self._floor = self._add_mesh(make_floor())
-                self._paint(self._floor, scene.floor_texture)
-            if moving:
-                self._retractor = self._add_mesh(make_retractor(), (0.66, 0.67, 0.68, 1.0))
-                self._parts += [self._add_part(part) for other in scenes[1:] for part in other.parts]
-        except BaseException:
-            self.close()
-            raise
+        # Where two surfaces are equally far, the body that came last is drawn: the order is a part of the content.
+        if moving:
+            self._parts += [self._add_part(part) for part in scene.parts]
+        if still:
+            self._tissue = self._add_mesh(scene.organ.mesh)
+            self.place(self._tissue, scene.T_world_tissue)
+            self._tissue_texture = self._paint(self._tissue, scene.tissue_texture)
+            self._floor = self._add_mesh(make_floor())
+            self._paint(self._floor, scene.floor_texture)
+        if moving:
+            self._retractor = self._add_mesh(make_retractor(), (0.66, 0.67, 0.68, 1.0))
+            self._parts += [self._add_part(part) for other in scenes[1:] for part in other.parts]
 
     def pose(self, state: SceneState, organ: Organ | None) -> None:
         """Place everything; an organ that is not at rest is drawn instead of the scene's."""
@@ -135,45 +132,42 @@ class DrawnWorld(BulletWorld):
             for body, T_world_part in zip(self._parts, self._T_world_part, strict=True):
                 self.place(body, T_world_part)
             self.place(self._retractor, _AWAY if state.T_world_retractor is None else state.T_world_retractor)
-        if self._tissue >= 0 and (self._scene.moves_tissue or self._scene.perturbations["dent"]):
-            T_raised = raised(state.offset_m)
-            self._dent(organ)
-            self.place(self._tissue, _AWAY if self._dented else T_raised @ self._scene.T_world_tissue)
-            if self._dented:
-                self.place(self._dented[1], T_raised @ self._scene.T_world_tissue)
-            self.place(self._floor, T_raised)
-
-    def _dent(self, organ: Organ | None) -> None:
-        """Add the body of a dented organ, always the last one, in place of an earlier one."""
+        if self._tissue < 0 or not (self._scene.moves_tissue or self._scene.perturbations["dent"]):
+            return
+        # The body of a dented organ, always the last one, is drawn in place of the tissue's.
         if self._dented is not None and organ is not self._dented[0]:
             self.call("removeBody", self._dented[1])
             self._dented = None
         if self._dented is None and organ is not None:
             self._dented = organ, self._add_mesh(organ.mesh)
             self.call("changeVisualShape", self._dented[1], -1, textureUniqueId=self._tissue_texture)
+        T_raised = raised(state.offset_m)
+        self.place(self._tissue, _AWAY if self._dented else T_raised @ self._scene.T_world_tissue)
+        if self._dented:
+            self.place(self._dented[1], T_raised @ self._scene.T_world_tissue)
+        self.place(self._floor, T_raised)
 
-    def is_still(self, picture: Picture) -> NDArray[np.bool_]:
-        """Where a picture shows tissue or floor, shape (h, w)."""
-        dented = [self._dented[1]] if self._dented else []
-        still = [body for body in (self._tissue, self._floor) if body >= 0]
-        return np.isin(picture.bodies, [_STILL_BODIES, *still, *dented])
+    def parts(self, picture: Picture) -> tuple[NDArray[np.int16], Array, NDArray[np.bool_]]:
+        """The instruments' part at each pixel, int16 (h, w): numbers of poses `T_world_part`, shape (n, 4, 4).
 
-    def parts(self, picture: Picture) -> tuple[NDArray[np.int16], Array]:
-        """The instruments' part at each pixel, int16 (h, w): numbers of poses `T_world_part`, shape (n, 4, 4)."""
+        The third tells where the picture shows tissue or floor, shape (h, w).
+        """
         part = np.full(picture.bodies.shape, NO_PART, np.int16)
         for number, body in enumerate(self._parts):
             part[picture.bodies == body] = number
-        return part, self._T_world_part
+        is_still = (picture.bodies != -1) & (part == NO_PART) & (picture.bodies != self._retractor)
+        return part, self._T_world_part, is_still
 
-    def picture(self, view: list[float], projection: list[float], turn: int) -> Picture:
+    def picture(self, T_world_camera: Array, camera: Camera, turn: int) -> Picture:
         """Take the picture that is number `turn` of a recording.
 
         TinyRenderer draws the same scene in two ways, by turns, which differ by one level in single pixels. The
         picture of an even turn is therefore always an even one here, whatever was drawn before.
         """
+        view, projection = view_matrix(T_world_camera), projection_matrix(camera)
         if (self._turn - turn) % 2:
             self._draw(1, 1, view, projection)
-        width, height = self._scene.drawn_camera.width_px, self._scene.drawn_camera.height_px
+        width, height = camera.width_px, camera.height_px
         _, _, rgba, depth, bodies = self._draw(width, height, view, projection)
         image = cv2.cvtColor(np.asarray(rgba, np.uint8).reshape(height, width, 4), cv2.COLOR_RGBA2BGR)
         return Picture(
@@ -204,7 +198,7 @@ class DrawnWorld(BulletWorld):
             self._paint(body, part.texture_bgr)
         return body
 
-    def _add_mesh(self, mesh: DrawnMesh, colour_rgba: Rgba = _WHITE) -> int:
+    def _add_mesh(self, mesh: DrawnMesh, colour_rgba: Rgba = (1.0, 1.0, 1.0, 1.0)) -> int:
         """Add a mesh at the origin; its body's number."""
         shape = self.call(
             "createVisualShape",
@@ -237,30 +231,38 @@ class DrawnWorld(BulletWorld):
             os.close(self._files.pop())
 
 
-class Renderer:
+class Renderer(ExitStack):
     """Draws what two cameras see of several arms' scenes that share a world; a context manager.
 
     Perturbations are added in the order of nature: light and dirt on the surfaces, the lens, the field stop.
     """
 
     def __init__(self, scenes: Sequence[Scene]) -> None:
+        super().__init__()
         self._scenes, self._scene = scenes, scenes[0]
         scene = self._scene
         self._T_world_cameras = (scene.T_world_camera, scene.T_world_camera @ scene.T_camera_right)
-        self._projection = projection_matrix(scene.drawn_camera)
         self._backgrounds: dict[tuple[int, int], Picture] = {}
         self._background_of: tuple[float, Organ | None] = (0.0, None)
-        self._still: DrawnWorld | None = None
-        self._whole: DrawnWorld | None = None
         self._state: SceneState  # what `pose` has placed
         self._organ: Organ | None = None
         has_surfaces = scene.perturbations.has("light", "shadow", "wet", "blood")
         self._shader = Shader(scene.perturbations, scene.seed) if has_surfaces else None
-        self._moving = DrawnWorld(scenes, still=False, moving=True)
+        self._moving = self.enter_context(DrawnWorld(scenes, still=False, moving=True))
+
+    @cached_property
+    def _still(self) -> DrawnWorld:
+        return self.enter_context(DrawnWorld([self._scene], still=True, moving=False))
+
+    @cached_property
+    def _whole(self) -> DrawnWorld:
+        return self.enter_context(DrawnWorld(self._scenes, still=True, moving=True))
 
     def pose(self, state: SceneState, organ: Organ | None = None) -> None:
         """Place everything; `organ` is the organ where it is not at rest."""
-        self._state, self._organ = state, organ
+        if self._background_of != (state.offset_m, organ):
+            self._backgrounds.clear()
+        self._state, self._organ, self._background_of = state, organ, (state.offset_m, organ)
         self._moving.pose(state, organ)
 
     def draw(self, camera: int, turn: int) -> Image:
@@ -276,12 +278,10 @@ class Renderer:
 
     def _pinhole(self, camera: int, turn: int) -> Image:
         """What a pinhole shows of everything."""
-        picture = self._picture(self._moving, camera, turn)
-        background = self._background(camera, turn)
+        picture, background = self._picture(self._moving, camera, turn), self._background(camera, turn)
         drawn = picture.bodies >= 0
         if (drawn & (np.abs(picture.depth - background.depth) <= DEPTH_TIE)).any():
             # Few frames need it: those in which surfaces meet within a pixel's centre.
-            self._whole = self._whole or DrawnWorld(self._scenes, still=True, moving=True)
             self._whole.pose(self._state, self._organ)
             whole = self._picture(self._whole, camera, turn)
             return self._shaded(self._whole, whole, background.depth, camera, turn)
@@ -294,16 +294,12 @@ class Renderer:
         return self._shaded(self._moving, together, background.depth, camera, turn)
 
     def _picture(self, world: DrawnWorld, camera: int, turn: int) -> Picture:
-        return world.picture(view_matrix(self._T_world_cameras[camera]), self._projection, turn)
+        return world.picture(self._T_world_cameras[camera], self._scene.drawn_camera, turn)
 
     def _background(self, camera: int, turn: int) -> Picture:
         """Tissue and floor as a camera sees them in even or in odd turns."""
-        if self._background_of != (self._state.offset_m, self._organ):
-            self._backgrounds.clear()
-            self._background_of = self._state.offset_m, self._organ
         key = camera, turn % 2
         if key not in self._backgrounds:
-            self._still = self._still or DrawnWorld([self._scene], still=True, moving=False)
             self._still.pose(self._state, self._organ)
             self._backgrounds[key] = self._picture(self._still, camera, turn)
         return self._backgrounds[key]
@@ -312,30 +308,17 @@ class Renderer:
         """A picture in the light of its lamp; `behind` is the depth buffer of tissue and floor alone."""
         if self._shader is None:
             return picture.image_bgr
-        part, T_world_part = world.parts(picture)
-        T_camera_world = inverse(self._T_world_cameras[camera])
-        surfaces = Surfaces(
-            self._scene.drawn_camera,
-            metric_depth_m(picture.depth),
-            metric_depth_m(behind),
-            world.is_still(picture),
-            part,
-            tuple(T_camera_world @ T_world_part),
-        )
+        part, T_world_part, is_still = world.parts(picture)
+        T_world_camera = self._T_world_cameras[camera]
+        T_camera_world, drawn_camera = inverse(T_world_camera), self._scene.drawn_camera
+        depth_m, behind_m = metric_depth_m(picture.depth), metric_depth_m(behind)
+        T_camera_part = tuple(T_camera_world @ T_world_part)
+        surfaces = Surfaces(drawn_camera, depth_m, behind_m, is_still, part, T_camera_part)
         lamp_world_m = transform_points(self._scene.T_world_camera, LAMP_M[None])[0]
-        T_world_lamp = make_transform(self._T_world_cameras[camera][:3, :3], lamp_world_m)
+        T_world_lamp = make_transform(T_world_camera[:3, :3], lamp_world_m)
         seen_m = None
         if self._scene.perturbations["shadow"]:
-            seen = self._moving.picture(view_matrix(T_world_lamp), self._projection, turn)
-            seen_m = metric_depth_m(seen.depth)
+            seen_m = metric_depth_m(self._moving.picture(T_world_lamp, drawn_camera, turn).depth)
         lamp = Lamp((T_camera_world @ T_world_lamp)[:3, 3], seen_m)
         T_camera_tissue = T_camera_world @ raised(self._state.offset_m) @ self._scene.T_world_tissue
         return self._shader.shaded(picture.image_bgr, surfaces, lamp, T_camera_tissue)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_problem: object) -> None:
-        for world in (self._moving, self._still, self._whole):
-            if world is not None:
-                world.close()

@@ -19,12 +19,11 @@ from svmdist.profile import Profile
 from svmdist.samples import Image
 from svmdist.simulation.effects import Lens, distortion_coefficients
 from svmdist.simulation.instrument import Part, make_parts, make_plate
-from svmdist.simulation.meshes import DrawnMesh, floor_texture, loft, smooth_normals, tissue_texture
+from svmdist.simulation.meshes import floor_texture, tissue_texture
 from svmdist.simulation.organ import Organ, make_organ
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
 from svmdist.vision.degradations import require_degradation
 
-FLOOR_HALF_M = 0.16
 TISSUE_SHIFT_M = 0.0015
 """By seed, the organ stands this far from the camera's axis at most, along x and along y."""
 BREATHING_HZ = 0.25
@@ -176,68 +175,33 @@ def make_scene(profile: Profile, seed: int, options: Options | None = None) -> S
     # One stream for each thing, so that one of them can change without moving the others.
     place, shape, red, dull = (np.random.default_rng([seed, stream]) for stream in range(4))
     R_world_tissue = rotation_z(place.uniform(-np.pi, np.pi))
-    T_world_tissue = make_transform(R_world_tissue, [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0])
+    tissue_m = [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0]
     camera = Camera.from_horizontal_fov(
         settings.width_px, settings.height_px, settings.horizontal_fov_rad, profile.frames.camera
     )
-    if (zoom := perturbations["zoom"]) != 1.0:
-        camera = zoomed_camera(camera, zoom)
-    if stated := perturbations["lens"]:
-        camera = replace(camera, D=distortion_coefficients(stated))
-    links = tuple(row.name for row in chain.rows)
-    parts = make_parts(profile.instrument, links, profile.robot.joints[-3].a_m, perturbations)
-    if options.tag and profile.fiducial is not None:
-        parts = (*parts, make_plate(profile.fiducial))
+    camera = zoomed_camera(camera, perturbations["zoom"])
+    stated = distortion_coefficients(perturbations["lens"])
+    # In these axes the floor's normal is the stated one, turned back; the floor's origin is on the optical axis.
+    R = R_WORLD_CAMERA @ plane_tilt(perturbations, seed)
+    parts = make_parts(profile.instrument, chain, perturbations)
     return Scene(
         chain=chain,
         posture=np.array([settings.posture[name] for name in chain.joint_names]),
-        camera=camera,
+        camera=replace(camera, D=stated) if stated.any() else camera,
         T_world_base=make_transform(rotation_z(settings.base_yaw_rad), settings.base_position_m),
-        T_world_camera=_camera_pose(settings.camera_height_m, perturbations, seed),
-        T_world_tissue=T_world_tissue,
+        T_world_camera=make_transform(R, settings.camera_height_m / R[2, 2] * R[:, 2]),
+        T_world_tissue=make_transform(R_world_tissue, tissue_m),
         organ=make_organ(shape, seed, perturbations),
-        parts=parts,
+        parts=(*parts, make_plate(profile.fiducial)) if options.tag and profile.fiducial else parts,
         tissue_texture=tissue_texture(red),
         floor_texture=floor_texture(dull),
         baseline_m=settings.stereo_baseline_m,
         perturbations=perturbations,
-        distortion=distortion_coefficients(stated + perturbations["lens_untold"]),
+        distortion=distortion_coefficients(perturbations["lens"] + perturbations["lens_untold"]),
         seed=seed,
     )
-
-
-def _camera_pose(height_m: float, perturbations: Perturbations, seed: int) -> Array:
-    """The camera's pose, shape (4, 4), above the floor, whose origin is on its optical axis."""
-    if not perturbations.has("plane_tilt"):
-        return make_transform(R_WORLD_CAMERA, [0.0, 0.0, height_m])
-    # In these axes the floor's normal is the stated one, turned back.
-    R = R_WORLD_CAMERA @ plane_tilt(perturbations, seed)
-    return make_transform(R, height_m / R[2, 2] * R[:, 2])
 
 
 def raised(offset_m: float) -> Array:
     """A shift of the world along the floor's normal, shape (4, 4)."""
     return make_transform(np.eye(3), [0.0, 0.0, offset_m])
-
-
-def make_floor() -> DrawnMesh:
-    """A flat sheet in the world's frame at z = 0, finely divided for even shading."""
-    count = 33
-    axis = np.linspace(-FLOOR_HALF_M, FLOOR_HALF_M, count)
-    x, y = np.meshgrid(axis, axis)
-    vertices_m = np.stack([x.ravel(), y.ravel(), np.zeros(count * count)], -1)
-    row, column = np.meshgrid(np.arange(count - 1), np.arange(count - 1), indexing="ij")
-    a = (row * count + column).ravel()
-    faces = np.vstack(
-        [a[:, None] + np.array(corners) for corners in ((0, 1, count + 1), (0, count + 1, count))]
-    )
-    uv = 0.5 + vertices_m[:, :2] / (2.0 * FLOOR_HALF_M)
-    return DrawnMesh(vertices_m, faces, smooth_normals(vertices_m, faces), uv)
-
-
-def make_retractor() -> DrawnMesh:
-    """A flat steel blade along +x from its tip at the origin; `occlusion` swings it over the instrument."""
-    x_m = np.array([0.0, 0.0008, 0.002, 0.004, 0.008, 0.09])
-    half_y_m = np.array([0.0035, 0.0052, 0.0062, 0.0068, 0.007, 0.007])
-    half_z_m = np.array([0.0006, 0.0007, 0.0008, 0.0008, 0.0008, 0.0008])
-    return loft(x_m, half_y_m, half_z_m, roundness=3.0)

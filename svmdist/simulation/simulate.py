@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import cached_property
-from typing import Any, Self
+from typing import Self
 
 import cv2
 import numpy as np
@@ -14,28 +14,35 @@ from svmdist.camera import Camera, stereo_transform
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera, zoomed_camera
 from svmdist.perturbations.images import subsampled
 from svmdist.perturbations.table import Place
-from svmdist.samples import CameraSample, Image, ImageSample, Sample, TransformSample, TransformsSample
+from svmdist.samples import (
+    CameraSample,
+    DistanceSample,
+    Image,
+    ImageSample,
+    Sample,
+    TransformSample,
+    TransformsSample,
+)
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
-from svmdist.simulation.effects import field_delays_ns, weave
-from svmdist.simulation.plan import Block, Plan, SceneState, between_topic, distances
+from svmdist.simulation.plan import Block, Plan, SceneState
 from svmdist.simulation.render import Renderer
 from svmdist.simulation.scene import Options, raised
 from svmdist.transforms import Array, inverse
 from svmdist.vision.degradations import Degradation, degrade, image_seed
 
+FIELD_NS = 1e9 / 60.0
+"""Between both fields of an interlaced frame (59.94 fields a second, ITU-R BT.601)."""
 _NOISE_STREAMS = (11, 14)
 _DEGRADATION_STREAM = 15
 
 Noise = tuple[Array | None, ...]
 """The noise of one image of each camera, shape (height, width, 3) in 8-bit levels, or None where there is none."""
-NoiseStates = tuple[dict[str, Any], ...]
-"""The state of the random stream of each camera's noise, as NumPy gives and takes it."""
 
 
 class Sensors:
     """The left and the right camera: noise, colour resolution and degradations by seed.
 
-    Only the noise has an order: `noise_states` are the random streams' states before the next image.
+    Only the noise has an order: `generators` are the cameras' random streams, where the next image begins.
     """
 
     def __init__(self, camera: Camera, seed: int, noise: float, options: Options) -> None:
@@ -43,26 +50,13 @@ class Sensors:
         self._degradations = tuple((Degradation(name), severity) for name, severity in options.degradations)
         self._chroma = options.perturbations["chroma"]
         streams = _NOISE_STREAMS if options.stereo else _NOISE_STREAMS[:1]
-        self._generators = [np.random.default_rng([seed, stream]) for stream in streams]
-
-    def __len__(self) -> int:
-        return len(self._generators)
-
-    @property
-    def noise_states(self) -> NoiseStates:
-        """The state of each camera's random stream."""
-        return tuple(dict(generator.bit_generator.state) for generator in self._generators)
-
-    @noise_states.setter
-    def noise_states(self, states: NoiseStates) -> None:
-        for generator, state in zip(self._generators, states, strict=True):
-            generator.bit_generator.state = state
+        self.generators = [np.random.default_rng([seed, stream]) for stream in streams]
 
     def draw_noise(self) -> Noise:
         """Draw the noise of the next image of each camera."""
         if self._noise == 0.0:
-            return (None,) * len(self)
-        return tuple(each.standard_normal(self._shape) * self._noise for each in self._generators)
+            return (None,) * len(self.generators)
+        return tuple(each.standard_normal(self._shape) * self._noise for each in self.generators)
 
     def expose(self, camera: int, image: Image, noise: Array | None, frame: int) -> Image:
         """What a camera reports of the image number `frame`, with the noise that was drawn for it."""
@@ -116,64 +110,60 @@ class Simulator:
             left, right = zoomed_camera(left, 1.0 / zoom), zoomed_camera(right, 1.0 / zoom)
         return stated_camera(left, perturbations), stated_right_camera(right, perturbations)
 
-    @cached_property
-    def _stated_T_camera_right(self) -> Array:
-        """The pose of the right camera as the log states it, shape (4, 4)."""
-        if not self._plan.options.perturbations.changes(Place.CALIBRATION):
-            return self._plan.scene.T_camera_right
-        stated = stereo_transform(*self._stated_cameras)
-        assert stated is not None  # the baseline is not 0
-        return stated
-
     def _truth(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield the poses of tools and tissue, and their distances."""
-        plan, frames, (first, *others) = self._plan, self._plan.profile.frames, self._plan.arms
-        scene, state = plan.scene, plan.state(index)
+        plan, scene, frames, arms = self._plan, self._plan.scene, self._plan.profile.frames, self._plan.arms
+        state = plan.state(index)
         T_camera_tissue = scene.T_camera_tissue
         if scene.moves_tissue:
             T_camera_tissue = inverse(scene.T_world_camera) @ raised(state.offset_m) @ scene.T_world_tissue
-        tools = [arm.true_tool(stamp_ns, index) for arm in plan.arms]
+        tools = [arm.true_tool(stamp_ns, index) for arm in arms]
         tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, T_camera_tissue)
         yield plan.topics["ground_truth_tf"], TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
         origins_m = [tool.T_parent_child[:3, 3] for tool in tools]
-        to_tissue_m = self._tissue.clearances_m(state.q, state.offset_m)
-        for arm, origin_m, clearance_m in zip(plan.arms, origins_m, to_tissue_m, strict=True):
-            topic = arm.topics["ground_truth_distance"]
-            yield topic, distances(stamp_ns, origin_m - T_camera_tissue[:3, 3], clearance_m)
-        for other, between, origin_m, q in zip(
-            others, self._between, origins_m[1:], state.q[1:], strict=True
-        ):
-            topic = between_topic(first.profile.instrument_name, other.profile.instrument_name)
-            clearance_m = between.clearance_m(state.q[0], q)
-            yield topic, distances(stamp_ns, origins_m[0] - origin_m, clearance_m)
+        clearances_m = self._tissue.clearances_m(state.q, state.offset_m)
+        for arm, origin_m, clearance_m in zip(arms, origins_m, clearances_m, strict=True):
+            distance = _distance(stamp_ns, origin_m - T_camera_tissue[:3, 3], clearance_m)
+            yield arm.topics["ground_truth_distance"], distance
+        for number, between in enumerate(self._between, start=1):
+            first, other = (arm.profile.instrument_name for arm in (arms[0], arms[number]))
+            clearance_m = between.clearance_m(state.q[0], state.q[number])
+            distance = _distance(stamp_ns, origins_m[0] - origins_m[number], clearance_m)
+            yield f"/ground_truth/{first}/{other}/distance", distance
 
     def _nominal_transforms(self, stamp_ns: int, index: int) -> TransformsSample:
         """The transforms of the first arm, the right camera, and those of the other arms."""
-        scene = self._plan.scene
-        first, *others = (arm.nominal_transforms(stamp_ns, index) for arm in self._plan.arms)
+        plan, scene = self._plan, self._plan.scene
+        first, *others = (arm.nominal_transforms(stamp_ns, index) for arm in plan.arms)
         right = []
-        if self._plan.options.stereo:
-            camera, right_frame = scene.camera.frame_id, scene.right_camera.frame_id
-            right = [TransformSample(stamp_ns, camera, right_frame, self._stated_T_camera_right)]
+        if plan.options.stereo:
+            T_camera_right: Array | None = scene.T_camera_right
+            if plan.options.perturbations.changes(Place.CALIBRATION):
+                T_camera_right = stereo_transform(*self._stated_cameras)
+            assert T_camera_right is not None  # the baseline is not 0
+            frames = scene.camera.frame_id, scene.right_camera.frame_id
+            right = [TransformSample(stamp_ns, *frames, T_camera_right)]
         return TransformsSample(stamp_ns, (*first, *right, *(sample for other in others for sample in other)))
 
     def _images(self, stamp_ns: int, index: int, frame: int, noise: Noise) -> Iterator[tuple[str, Sample]]:
         scene, topics = self._plan.scene, self._plan.topics
-        delays_ns = field_delays_ns(scene.perturbations)
-        drawn = [
+        interlace = scene.perturbations["interlace"]
+        delays_ns = (0.0, interlace * FIELD_NS) if interlace else (0.0,)  # even rows first, then odd ones
+        fields = [
             self._pictures(self._plan.state(index, after_ns), frame * len(delays_ns) + number)
             for number, after_ns in enumerate(delays_ns)
         ]
-        named = ((topics["image"], scene.camera), (topics["right_image"], scene.right_camera))
-        for camera, fields in enumerate(zip(*drawn, strict=True)):
-            image = self.sensors.expose(camera, weave(fields), noise[camera], frame)
-            topic, seen_by = named[camera]
-            yield topic, ImageSample(stamp_ns, seen_by.frame_id, image)
+        cameras = ((topics["image"], scene.camera), (topics["right_image"], scene.right_camera))
+        for camera, image in enumerate(fields[0]):
+            if len(fields) == 2:
+                image[1::2] = fields[1][camera][1::2]
+            exposed = self.sensors.expose(camera, image, noise[camera], frame)
+            yield cameras[camera][0], ImageSample(stamp_ns, cameras[camera][1].frame_id, exposed)
 
     def _pictures(self, state: SceneState, number: int) -> list[Image]:
         """What each camera sees of a state, the picture number `number` of the recording."""
         self._view.pose(state, self._tissue.indented(state.q, state.offset_m))
-        count = len(self.sensors)
+        count = len(self.sensors.generators)
         return [self._view.draw(camera, turn=number * count + camera) for camera in range(count)]
 
     def __enter__(self) -> Self:
@@ -181,3 +171,9 @@ class Simulator:
 
     def __exit__(self, *_problem: object) -> None:
         self._stack.close()
+
+
+def _distance(stamp_ns: int, between_m: Array, clearance_m: float) -> DistanceSample:
+    """The three distances of two things, by the vector between their origins in the camera frame, shape (3,)."""
+    planar_m = float(np.linalg.norm(between_m[:2]))  # eq. (35): in the camera's xy plane
+    return DistanceSample(stamp_ns, planar_m, float(np.linalg.norm(between_m)), clearance_m)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, suppress
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+import numpy as np
 
 from svmdist.errors import OutputError, RecordingError, SvmdistError, UsageError
 from svmdist.perturbations.chosen import Perturbations, draw_world
@@ -18,14 +21,14 @@ from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.plan import Block, Plan, make_plan
 from svmdist.simulation.scene import Options
-from svmdist.simulation.simulate import NoiseStates, Sensors, Simulator
+from svmdist.simulation.simulate import Sensors, Simulator
 from svmdist.workflows import parallel
 
 VERSIONED_PACKAGES = ("svmdist", "pybullet", "numpy", "opencv-python-headless")
 FRAMES_PER_WORKER = 12
 """What a worker's start costs, about a second, is what so many images take: below this, one worker less is faster."""
 
-Task = tuple[list[Block], NoiseStates]
+Task = tuple[list[Block], list[np.random.Generator]]
 
 
 @dataclass(frozen=True)
@@ -136,7 +139,7 @@ def _encoded(
 
 
 def _tasks(plan: Plan) -> Iterator[Task]:
-    """The blocks of each task, and the state of the noise before it.
+    """The blocks of each task, and the random streams of the noise before it.
 
     A task has an even number of pictures, which spares the renderer a turn (see `DrawnWorld`).
     """
@@ -144,7 +147,7 @@ def _tasks(plan: Plan) -> Iterator[Task]:
     size = 1 if plan.options.stereo else 2
     for begin in range(0, len(plan.blocks), size):
         blocks = plan.blocks[begin : begin + size]
-        yield blocks, sensors.noise_states
+        yield blocks, deepcopy(sensors.generators)
         for _ in blocks:
             sensors.draw_noise()
 
@@ -167,7 +170,7 @@ def _worlds() -> Simulator:
 
 def _work(task: Task) -> list[tuple[str, EncodedSample]]:
     simulator = _worlds()
-    blocks, simulator.sensors.noise_states = task
+    blocks, simulator.sensors.generators = task
     return list(_encoded(simulator, blocks, _recorded[1] if _recorded else None))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 
 from svmdist.cli import output
 from svmdist.cli.logs import named_logs
-from svmdist.cli.options import MeasureOptions, command_of
+from svmdist.cli.options import MeasureOptions, function_of
 from tests.conftest import Cli
 from tests.synthetic import write_log
 
@@ -61,11 +62,7 @@ def test_an_option_is_declared_in_one_place() -> None:
     class Given(MeasureOptions):
         own: int = 3
 
-    def run(given: Given) -> None:
-        """Run."""
-
-    run.__annotations__["given"] = Given
-    names = list(command_of(run).__signature__.parameters)  # type: ignore[attr-defined]
+    names = list(inspect.signature(function_of(Given)).parameters)
     assert names[-3:] == ["own", "quiet", "verbose"]
     assert {"method", "profile", "lag", "every", "alarm_below"} <= set(names)
 

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 from svmdist.errors import SimulationError, UsageError
 from svmdist.profile import Profile
 from svmdist.simulation.instrument import make_plate
-from svmdist.simulation.organ import LIMIT, OrganSurface, make_organ
+from svmdist.simulation.organ import LIMIT, make_organ
 from svmdist.simulation.scene import BREATHING_HZ, PULSE_HZ, Options, Scene, make_scene
 from svmdist.transforms import Array, polygon_centroid
 from tests.simulation.conftest import chosen, perturbed
@@ -68,7 +68,7 @@ def test_heights_are_those_of_the_triangles(text: str) -> None:
     hits, ray, _ = mesh.ray.intersects_location(starts, np.tile([0.0, 0.0, -1.0], (len(starts), 1)))
     expected_m = np.full(len(xy_m), -np.inf)
     expected_m[ray] = hits[:, 2] * 1e-3
-    np.testing.assert_allclose(OrganSurface(organ).heights_m(xy_m), expected_m, atol=1e-9)
+    np.testing.assert_allclose(organ.heights_m(xy_m), expected_m, atol=1e-9)
     assert 0.6 < np.isfinite(expected_m).mean() < 0.9
 
 
@@ -76,23 +76,22 @@ def test_heights_are_those_of_the_triangles(text: str) -> None:
 def test_a_dent_goes_down_to_what_presses_and_leaves_the_rest(depth_m: float) -> None:
     """A ball pressed 0.01 to 4 mm deep has 2 µm inside at most, and the surface goes down as far, to 2 %."""
     organ = make_organ(np.random.default_rng(2), 0, chosen("dent=1"))
-    surface = OrganSurface(organ)
     points = np.random.default_rng(0).normal(0.0, 1.0, (6000, 3))
     points *= 0.0015 / np.linalg.norm(points, axis=1, keepdims=True)
-    points += [0.002, 0.001, surface.heights_m(np.array([[0.002, 0.001]]))[0] + 0.0015 - depth_m]
-    points = points[surface.inside_m(points) > 0.0]
-    deepest_m = surface.inside_m(points).max()  # the surface is tilted
-    assert not surface.is_too_deep(points)
-    dented = surface.dented(points)
-    assert OrganSurface(dented).inside_m(points).max() < 2e-6
+    points += [0.002, 0.001, organ.heights_m(np.array([[0.002, 0.001]]))[0] + 0.0015 - depth_m]
+    points = points[organ.inside_m(points) > 0.0]
+    deepest_m = organ.inside_m(points).max()  # the surface is tilted
+    assert not organ.is_too_deep(points)
+    dented = organ.dented(points)
+    assert dented.inside_m(points).max() < 2e-6
     down_m = organ.mesh.vertices_m[:, 2] - dented.mesh.vertices_m[:, 2]
     assert down_m.min() >= 0.0
     assert down_m.max() == pytest.approx(deepest_m, rel=0.02, abs=3e-6)
     away_m = np.linalg.norm(organ.mesh.vertices_m[:, None, :2] - points[None, ::20, :2], axis=2).min(axis=1)
     np.testing.assert_array_equal(down_m[away_m > 0.0135], 0.0)
     far_down = points - [0.0, 0.0, 0.9 * organ.height_m]
-    assert surface.is_too_deep(far_down)
-    flat_m = surface.dented(far_down).mesh.vertices_m[:, 2]
+    assert organ.is_too_deep(far_down)
+    flat_m = organ.dented(far_down).mesh.vertices_m[:, 2]
     assert (flat_m >= (1.0 - LIMIT) * organ.mesh.vertices_m[:, 2] - 1e-12).all()
 
 

@@ -33,7 +33,6 @@ from svmdist.samples import (
     TransformsSample,
 )
 from svmdist.simulation.bullet import how_to_install, load_pybullet
-from svmdist.simulation.effects import FIELD_NS
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import Options, Scene, make_scene
@@ -44,7 +43,7 @@ from tests.simulation.conftest import chosen, perturbed, simulate
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.plan import Plan, make_plan
 from svmdist.simulation.render import Renderer
-from svmdist.simulation.simulate import Sensors, Simulator
+from svmdist.simulation.simulate import FIELD_NS, Sensors, Simulator
 from svmdist.workflows.record import record
 
 SHORT = Scenario("sweep", 2, 0.2, 10.0)
